@@ -26,7 +26,7 @@ from trackers.core.algebra import Vector
 from trackers.core.rig import Rig
 from trackers.core.state import Rotation
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tables import QUATERNION
+from trackers.recordings.kinds import QUATERNION
 
 GRAVITY = 9.81
 

@@ -12,9 +12,9 @@ import polars as pl
 from jaxtyping import Float, Int
 
 from trackers.core.rig import Rig, Tag
-from trackers.recordings.averaging import AVERAGED
 from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.kinds import table_kinds
 from trackers.recordings.tables_by_tag import Tables
 from trackers.recordings.truth import TruePaths
 
@@ -148,7 +148,7 @@ class SimulatedTables(Tables):
         return len(self._arrays)
 
     def rows(self, name: str, interval: float = 0.0) -> TagRows:
-        return super().rows(name, interval) if interval and name in AVERAGED else self._arrays[name]
+        return super().rows(name, interval) if interval and table_kinds()[name].averaged else self._arrays[name]
 
     def paths(self, recording: str) -> TruePaths:
         if self._paths is None:

@@ -11,8 +11,8 @@ from types import MappingProxyType, ModuleType
 
 from trackers.core.errors import UnusableInput, near
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.kinds import KINDS
 from trackers.recordings.named_tracker import NamedTracker, folder_list
-from trackers.recordings.tables import MEASUREMENTS
 from trackers.recordings.tracker_spec import TrackerSpec
 
 SYSTEMS = ("aoa", "line", "uwb_imu", "baselines", "mhk")
@@ -103,7 +103,7 @@ def fitting(folder: RecordingFolder) -> str:
             return name
         if nearest is None and missing is not None and spec.table in folder.tables:
             nearest = f"the nearest, '{name}', needs {missing}"
-    needs = ", ".join(sorted({spec.table for spec in TRACKERS.values()} & set(MEASUREMENTS)))
+    needs = ", ".join(sorted({spec.table for spec in TRACKERS.values()} & set(KINDS)))
     raise UnusableInput(
         f"{folder.path or folder.name}: no tracker fits; {nearest or f'all need one of the tables {needs}'}; its "
         f"tables: {', '.join(folder.tables)}; see `trackwright trackers`"

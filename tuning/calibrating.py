@@ -27,7 +27,8 @@ from trackers.recordings.calibration import (
     range_terms,
 )
 from trackers.recordings.folder import RecordingFolder
-from tuning.calibration_pairs import MIN_ROWS, Pairs, anchor_pairs, station_pairs
+from trackers.recordings.kinds import KINDS
+from tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs
 from tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
 LEAST_SLOPE = 0.2
@@ -46,8 +47,8 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     """
     folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
     _check_at_rest(folders)
-    stations = _stations(station_pairs(folders))
-    anchors, tags, spread = _anchors(anchor_pairs(folders))
+    stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
+    anchors, tags, spread = _anchors(calibration_pairs(folders, KINDS["ranges"]))
     if not stations and not anchors:
         raise UnusableInput(_lacking(folders))
     mounted = {name: station for folder in folders for name, station in folder.rig.stations.items()}
@@ -81,9 +82,11 @@ def _lacking(folders: Sequence[RecordingFolder]) -> str:
     names = ", ".join(str(folder.path or folder.name) for folder in folders)
     if not any("truth" in folder.tables for folder in folders):
         return f"{names}: no truth table; expected truth to calibrate against; give recordings with truth"
-    if not any({"bearings", "ranges"} & set(folder.tables) for folder in folders):
+    calibrated = [name for name, kind in KINDS.items() if kind.calibrated is not None]
+    if not any(name in folder.tables for folder in folders for name in calibrated):
         found = ", ".join(dict.fromkeys(table for folder in folders for table in folder.tables))
-        return f"{names}: tables {found}; expected bearings or ranges to calibrate; give recordings with such a table"
+        expected = " or ".join(calibrated)
+        return f"{names}: tables {found}; expected {expected} to calibrate; give recordings with such a table"
     return (
         f"{names}: fewer than {MIN_ROWS} rows with truth in x, y and z for every station and anchor; expected at least "
         f"{MIN_ROWS} for one; give longer recordings, or height_m of the tags in rig.toml where the truth has no z_m"

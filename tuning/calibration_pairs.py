@@ -9,6 +9,7 @@ import numpy as np
 
 from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.kinds import Kind, wrapped
 from trackers.recordings.trajectories import known_heights
 from trackers.recordings.truth import TruthStatus
 
@@ -42,32 +43,22 @@ class Pairs(NamedTuple):
     tag: np.ndarray
 
 
-def station_pairs(folders: Sequence[RecordingFolder]) -> dict[str, Pairs]:
-    """Measured and true angles by station, of the stations with enough rows."""
-    return _pairs(folders, "bearings", "station", ("azimuth_rad", "elevation_rad"))
-
-
-def anchor_pairs(folders: Sequence[RecordingFolder]) -> dict[str, Pairs]:
-    """Measured and true ranges by anchor, of the anchors with enough rows."""
-    return _pairs(folders, "ranges", "anchor", ("range_m",))
-
-
-def _pairs(folders: Sequence[RecordingFolder], table: str, source: str, columns: Sequence[str]) -> dict[str, Pairs]:
+def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind) -> dict[str, Pairs]:
+    """Measured and true values of a kind by station or anchor, of those with enough rows."""
     parts: dict[str, list[Pairs]] = {}
     for number, folder in enumerate(folders):
-        if table in folder.tables:
-            for name, pairs in _of_folder(folder, number, table, source, columns):
+        if kind.name in folder.tables:
+            for name, pairs in _of_folder(folder, number, kind):
                 parts.setdefault(name, []).append(pairs)
     joined = {name: Pairs(*map(np.concatenate, zip(*own, strict=True))) for name, own in sorted(parts.items())}
     return {name: pairs for name, pairs in joined.items() if np.isfinite(pairs.measured).sum(axis=0).max() >= MIN_ROWS}
 
 
-def _of_folder(
-    folder: RecordingFolder, number: int, table: str, source: str, columns: Sequence[str]
-) -> Iterator[tuple[str, Pairs]]:
+def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tuple[str, Pairs]]:
     """The pairs of each station or anchor of one recording."""
-    rows = folder.rows(table)
-    measured = rows.floats(columns)
+    assert kind.predicted is not None
+    rows, ids = folder.rows(kind.name), list(kind.places(folder.rig))
+    measured = rows.floats(kind.least)
     positions, status = folder.paths.at(rows.tags, rows.starts, rows.times)
     # A truth over the floor is completed by the height of the tag in the rig.
     heights = rows.of_each(known_heights(folder, rows.tags))
@@ -75,19 +66,19 @@ def _of_folder(
     known = (status == TruthStatus.SCORED) & np.isfinite(positions).all(axis=1) & np.isfinite(measured).any(axis=1)
     piece, place = _pieces(rows, positions, known) + MOST_PIECES * number, _places(positions)
     tag = rows.of_each(np.array(rows.tags))
-    rig = folder.rig
-    ids = list(rig.stations) if source == "station" else sorted(rig.anchors)
-    codes = rows.codes(source, ids)
+    sensor = kind.numbers(rows, ids)
+    true = kind.predicted(positions, kind.sensors_of(folder.rig, ids, sensor, len(kind.columns)))
+    # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
+    away = measured - true
+    values = measured - (away - wrapped(away, kind.least))
+    positive = np.array([column.positive for column in kind.columns])
+    values = np.where(positive & ~(values > 0.0), np.nan, values)
     for code, name in enumerate(ids):
-        own = known & (codes == code)
-        if source == "station":
-            true = rig.stations[name].angles(positions[own])
-            # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
-            values = true + (measured[own] - true + np.pi) % (2 * np.pi) - np.pi
-        else:
-            true = np.linalg.norm(positions[own] - np.asarray(rig.anchors[name]), axis=1)[:, None]
-            values = np.where(measured[own] > 0.0, measured[own], np.nan)
-        yield name, Pairs(true, values, positions[own], np.full(own.sum(), number), piece[own], place[own], tag[own])
+        own = known & (sensor[:, 0] == code)
+        yield (
+            name,
+            Pairs(true[own], values[own], positions[own], np.full(own.sum(), number), piece[own], place[own], tag[own]),
+        )
 
 
 def _pieces(rows: TagRows, positions: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from trackers.core.seconds import zero_of
 from trackers.recordings.association import Association
 from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tables import MEASUREMENTS, first_time
+from trackers.recordings.kinds import KINDS, first_time
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks_table import is_bearing
 from trackers.scoring import Scored, in_plane, score
@@ -67,7 +67,7 @@ class ScoredRecording:
     @property
     def zero(self) -> float:
         """The time, s, from which times are shown: zero, or that of the first reading where they count from 1970."""
-        tables = {name: table for name, table in self.folder.tables.items() if name in MEASUREMENTS}
+        tables = {name: table for name, table in self.folder.tables.items() if name in KINDS}
         return zero_of(first_time(tables) if tables else float(np.min(self.times, initial=np.inf)))
 
     @property

@@ -6,7 +6,8 @@ import pytest
 
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
-from tuning.calibration_pairs import PIECE_M, PIECE_S, anchor_pairs
+from trackers.recordings.kinds import KINDS
+from tuning.calibration_pairs import PIECE_M, PIECE_S, calibration_pairs
 
 
 @pytest.mark.parametrize("first", ["moving", "still"])
@@ -25,7 +26,7 @@ def test_pieces_are_those_of_the_tag_that_moves_most_for_all_tags_of_a_body(firs
         "hall", None, Rig("hall", anchors={"A": np.array([5.0, 9.0, 2.0])}),
         {name: pl.concat(parts).sort("t_s", maintain_order=True) for name, parts in tables.items()},
     )  # fmt: skip
-    pairs = anchor_pairs([folder])["A"]
+    pairs = calibration_pairs([folder], KINDS["ranges"])["A"]
     # 60 s at 0.5 m/s: a piece for every 5 s, in which the tag moves more than 1 m
     assert PIECE_S * speed > PIECE_M
     for tag in tags:

@@ -12,7 +12,7 @@ from trackers.core.errors import UnusableInput
 from trackers.core.rig import rotation_matrices
 from trackers.exchange.poses import AXES, PoseTrajectory, quaternions_of
 from trackers.recordings.columns import float_column
-from trackers.recordings.tables import QUATERNION
+from trackers.recordings.kinds import QUATERNION
 from trackers.scoring import covariances
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]

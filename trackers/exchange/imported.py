@@ -21,10 +21,9 @@ from trackers.exchange.origin import origin_of, since
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.beside import beside
 from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackers.recordings.kinds import KINDS
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackers.recordings.table_file import TableFile
-
-_SENSORS = {"ranges": ("anchor", "anchors"), "bearings": ("station", "stations"), "phases": ("station", "stations")}
 
 
 def import_frames(
@@ -37,7 +36,7 @@ def import_frames(
 ) -> RecordingFolder:
     """A recording from pandas or polars frames by table, checked as if it were read from a folder.
 
-    `rig`: the geometry, or the path of a rig.toml; needed for ranges, bearings and phases. `columns`: by table,
+    `rig`: the geometry, or the path of a rig.toml; needed for readings of anchors and stations. `columns`: by table,
     expressions such as `range_m=distance_mm*0.001` or `t_s=stamp in ms` (docs/import.md); columns that have the name of
     their target need none. `tag`: the id of all rows, where no column has it. `name`: of the recording, by default that
     of the rig. `origin`: the time, s, that becomes `t_s` = 0 in all tables, a date, or `start`, the earliest
@@ -99,9 +98,9 @@ def assembled(
     if rig is None:
         rig = Rig(name or "imported", {key: np.array(place) for key, place in (anchors or {}).items()})
     rig = replace(rig, name=name or rig.name)
-    for table, (column, section) in _SENSORS.items():
-        if table in tables:
-            known = getattr(rig, section)
+    for table, kind in KINDS.items():
+        section, known = f"{kind.noun}s", kind.places(rig)
+        for column in kind.sensors if table in tables else ():
             found = tables[table][column].unique(maintain_order=True).to_list()
             unknown = [sensor for sensor in found if sensor not in known]
             if unknown:

@@ -12,8 +12,8 @@ from trackers.core.errors import UnusableInput, listed
 from trackers.core.wording import counted
 from trackers.exchange.estimate_files import numbers_of
 from trackers.exchange.mapping import Expression, TableMapping, sensor_of
+from trackers.recordings.kinds import QUATERNION, layout, table_kinds
 from trackers.recordings.table_file import TableFile
-from trackers.recordings.tables import QUATERNION, layout
 
 _UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|ns|deg|km|ft)[\])]$", re.IGNORECASE)
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]")
@@ -76,7 +76,7 @@ def _part(
     for name in known:
         if name not in expressions and name in file.frame.columns:
             expressions[name] = Expression(name, source=name)
-    for name in ("t_s", *ids, *(wanted.values or ("phase_1_rad",))):
+    for name in ("t_s", *ids, *(wanted.values or table_kinds()[mapping.table].least)):
         if name not in expressions:
             raise UnusableInput(_missing(file, mapping.table, name))
     attitude = [name for name in QUATERNION if name in expressions]

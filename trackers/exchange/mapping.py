@@ -10,7 +10,7 @@ from typing import Any
 
 from trackers.core.errors import UnusableInput, listed
 from trackers.recordings.input_file import read_toml
-from trackers.recordings.tables import TABLES
+from trackers.recordings.kinds import table_kinds
 
 UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048},
@@ -142,7 +142,7 @@ def _entry(where: str, entry: dict[str, Any]) -> TableMapping:
             f'{where}: {(texts or ["columns"])[0]}; expected texts, and in columns TARGET = "EXPRESSION"'
         )
     if "table" not in entry:
-        raise UnusableInput(f"{where}: no table; expected one of {', '.join(TABLES)}")
+        raise UnusableInput(f"{where}: no table; expected one of {', '.join(table_kinds())}")
     try:
         return checked(TableMapping(columns=columns_of([f"{k}={v}" for k, v in columns.items()]), **entry))
     except UnusableInput as problem:
@@ -151,8 +151,8 @@ def _entry(where: str, entry: dict[str, Any]) -> TableMapping:
 
 def checked(mapping: TableMapping) -> TableMapping:
     """The mapping; raises UnusableInput for a table that a recording does not have."""
-    if mapping.table not in TABLES:
-        raise UnusableInput(f"table {mapping.table!r}; expected one of {', '.join(TABLES)}")
+    if mapping.table not in table_kinds():
+        raise UnusableInput(f"table {mapping.table!r}; expected one of {', '.join(table_kinds())}")
     if mapping.decimal not in (".", ","):
         raise UnusableInput(f"decimal {mapping.decimal!r}; expected '.' or ','")
     return mapping

@@ -12,7 +12,7 @@ import polars as pl
 from trackers.core.errors import UnusableInput
 from trackers.core.seconds import span
 from trackers.recordings.columns import float_column
-from trackers.recordings.tables import QUATERNION
+from trackers.recordings.kinds import QUATERNION
 from trackers.recordings.tracks_table import NO_ESTIMATE
 
 AXES = ("x_m", "y_m", "z_m")

@@ -11,11 +11,11 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput
 from trackers.exchange.alignment import Similarity
-from trackers.recordings.checks.compared import TABLES, Compared, compared
+from trackers.recordings.checks.compared import Compared, compared
 from trackers.recordings.checks.explanations import transform_text
-from trackers.recordings.checks.mistakes import LARGE
 from trackers.recordings.checks.robust_fit import robust_fit
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.kinds import KINDS
 
 LONGEST_S, STEP_S = 10.0, 0.5
 """Differences of the clocks that are searched, and their steps; motion of a few decimetres lies between two."""
@@ -62,11 +62,11 @@ def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:
 
     Raises UnusableInput without readings at the times of the truth, and where no placement explains them.
     """
-    views = (compared(recording, table) for table in TABLES)
+    views = (compared(recording, table) for table in KINDS)
     view = next((view for view in views if view is not None), None)
     if view is None:
         raise UnusableInput(
-            f"--align-truth: {recording.name}: no {', '.join(TABLES)} at the times of the truth; expected measurements "
+            f"--align-truth: {recording.name}: no measurement of a position at the times of the truth; expected some "
             "of the same tag on about the same clock; import them first, or give --transform"
         )
     centre = view.positions.mean(axis=0)
@@ -75,9 +75,9 @@ def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:
     of_groups = view.sizes(_errors(view.later(float(x[4])), centre, x))
     known = np.isfinite(of_groups).any(axis=0)
     sizes = np.nanmedian(of_groups[:, known], axis=0)
-    unit = "rad" if view.table in ("bearings", "phases") else "m"
+    unit = view.kind.unit
     typical = ", ".join(f"{size:.2g} {unit}" for size in sizes)
-    if not (sizes <= np.broadcast_to(LARGE[view.table], known.shape)[known]).all():
+    if not (sizes <= view.kind.sizes("large", len(known))[known]).all():
         raise UnusableInput(
             f"--align-truth: no turn about z, shift and difference of clocks up to {LONGEST_S:g} s explains the "
             f"{view.table}: errors of {typical} are left; check the rig and the tag, or give --transform"
@@ -100,7 +100,7 @@ def _errors(view: Compared, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def _searched(view: Compared, centre: np.ndarray) -> np.ndarray:
     """The best of some turns at each difference of the clocks, each with the shift that fits it."""
-    middle = np.nanmean((view.values if view.table == "fixes" else view.places)[:, :2], axis=0)
+    middle = np.nanmean((view.values if view.kind.position else view.places)[:, :2], axis=0)
     found = []
     for later in np.arange(-LONGEST_S, LONGEST_S + STEP_S, STEP_S):
         own = view.later(float(later))

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import polars as pl
 
-from trackers.recordings.tables import Layout, layout, std_column
-
-AVERAGED = ("ranges", "fixes", "bearings")
-"""Phases have an unknown offset common to each row, and an IMU is integrated: they stay as they are."""
+from trackers.recordings.kinds import Layout, std_column, table_kinds
 
 
 def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
@@ -16,9 +13,10 @@ def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
     Values are means, of angles circular ones, of those present, at the mean of the times. The errors of an interval
     count as one: a reported standard deviation is the root mean square.
     """
-    if name not in AVERAGED:
+    kind = table_kinds()[name]
+    if not kind.averaged:
         return table
-    columns = layout(name, table.columns)
+    columns = kind.layout(table.columns)
     means = [_mean(column).alias(column) for column in columns.values]
     stds = [s for s in map(std_column, columns.values) if s in table.columns]
     squares = [pl.col(std).pow(2).mean().sqrt().alias(std) for std in stds]

@@ -25,8 +25,9 @@ from trackers.recordings.calibration import Calibration
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.columns import TagRows
 from trackers.recordings.folder_contents import folder_contents
+from trackers.recordings.kinds import KINDS, table_kinds
 from trackers.recordings.rig_file import RIG_FILE, rig_text
-from trackers.recordings.tables import MEASUREMENTS, TABLES, read_table
+from trackers.recordings.tables import read_table
 from trackers.recordings.tables_by_tag import Tables
 from trackers.recordings.truth import TruePaths
 
@@ -103,11 +104,11 @@ class RecordingFolder:
         """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""
         known = Calibration() if self.calibration is None else self.calibration
         return [
-            f"{column} {name}"
-            for table, column, own in (("bearings", "station", known.stations), ("ranges", "anchor", known.anchors))
-            if table in self.tables
-            for name in self.tables[table][column].cast(pl.String).unique().sort().to_list()
-            if name not in own
+            f"{kind.noun} {name}"
+            for table, kind in KINDS.items()
+            if kind.calibrated is not None and table in self.tables
+            for name in self.tables[table][kind.noun].cast(pl.String).unique().sort().to_list()
+            if name not in getattr(known, kind.calibrated)
         ]
 
     def __repr__(self) -> str:
@@ -200,7 +201,7 @@ def read_recording(path: str | Path) -> RecordingFolder:
     rig, files, notices, others = folder_contents(path)
     tables, ignored = {}, []
     if others:
-        ignored.append(f"{listed(others)} (not one of the tables {', '.join(TABLES)})")
+        ignored.append(f"{listed(others)} (not one of the tables {', '.join(table_kinds())})")
     for name, file in files.items():
         tables[name], table_notices, columns = read_table(file, name, rig)
         notices += table_notices
@@ -222,10 +223,10 @@ def read_truth(path: Path) -> RecordingFolder:
 
 
 def _check_common_tag(path: Path, tables: dict[str, pl.DataFrame]) -> None:
-    firsts = [tables[name]["tag"][0] for name in MEASUREMENTS if name in tables]
+    firsts = [tables[name]["tag"][0] for name in KINDS if name in tables]
     if "truth" not in tables or tables["truth"]["tag"].is_in(firsts).any():
         return
-    measured = {tag for name in MEASUREMENTS if name in tables for tag in tables[name]["tag"].unique()}
+    measured = {tag for name in KINDS if name in tables for tag in tables[name]["tag"].unique()}
     if measured:
         true = set(tables["truth"]["tag"].unique())
         if not measured & true:

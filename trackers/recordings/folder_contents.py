@@ -7,9 +7,9 @@ from pathlib import Path
 
 from trackers.core.errors import UnusableInput, has_control, listed
 from trackers.core.rig import Rig
+from trackers.recordings.kinds import table_kinds
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackers.recordings.table_file import SUFFIXES
-from trackers.recordings.tables import TABLES
 
 _OTHER_DATA = (
     ".txt", ".tsv", ".dat", ".json", ".xlsx", ".zip", ".bz2", ".xz", ".zst", ".feather", ".npz", ".mat", ".pq",
@@ -33,7 +33,7 @@ def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[s
         ) from None
     except OSError as error:
         raise UnusableInput(f"{path}: folder cannot be read ({error.strerror}); check its permissions") from error
-    if not any(entry == RIG_FILE or entry.partition(".")[0] in TABLES for entry in entries):
+    if not any(entry == RIG_FILE or entry.partition(".")[0] in table_kinds() for entry in entries):
         raise UnusableInput(
             f"{path}: neither {RIG_FILE} nor a table, expected a recording folder, or folders of these; give another"
         )
@@ -42,7 +42,7 @@ def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[s
     if not files:
         found = f"found {listed(others)}; measurements of another kind need Python" if others else "export one"
         raise UnusableInput(
-            f"{path}: no tables, expected at least one of {', '.join(TABLES)} as {', '.join(SUFFIXES)}; {found}"
+            f"{path}: no tables, expected at least one of {', '.join(table_kinds())} as {', '.join(SUFFIXES)}; {found}"
         )
     return rig, files, [*notices], others
 
@@ -53,7 +53,7 @@ def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[
     others = []
     for entry in entries:
         stem, _, suffix = entry.partition(".")
-        if stem in TABLES and f".{suffix}" in SUFFIXES:
+        if stem in table_kinds() and f".{suffix}" in SUFFIXES:
             if stem in files:
                 raise UnusableInput(
                     f"{path}: both {files[stem].name} and {entry}, expected one file for table {stem}; remove one"
@@ -63,7 +63,7 @@ def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[
             others.append(entry)
     for entry in others:
         stem = entry.partition(".")[0].lower()
-        near = difflib.get_close_matches(stem, [name for name in TABLES if name not in files], 1, 0.75)
+        near = difflib.get_close_matches(stem, [name for name in table_kinds() if name not in files], 1, 0.75)
         if near:
             raise UnusableInput(
                 f"{path / entry}: looks like table {near[0]}, expected {' or '.join(near[0] + s for s in SUFFIXES)}; "

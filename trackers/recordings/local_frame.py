@@ -10,6 +10,7 @@ import polars as pl
 
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.kinds import table_kinds
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectories
 
@@ -31,7 +32,8 @@ def near_origin(folder: RecordingFolder) -> RecordingFolder:
         return folder
     x, y = middle.tolist()
     here = {"x_m": pl.col("x_m") - x, "y_m": pl.col("y_m") - y}
-    tables = {name: t.with_columns(**here) if name in ("fixes", "truth") else t for name, t in folder.tables.items()}
+    kinds = table_kinds()
+    tables = {name: t.with_columns(**here) if kinds[name].position else t for name, t in folder.tables.items()}
     return replace(folder, rig=_moved(folder.rig, middle), tables=tables, origin=(x, y))
 
 

@@ -15,10 +15,10 @@ from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Scale, tunables, with_values
 from trackers.recordings.checks.quantisation import quantisation_step
-from trackers.recordings.checks.readings import Readings, readings, wrapped
+from trackers.recordings.checks.readings import Readings, readings
 from trackers.recordings.checks.repeats import repeated_share
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tables import MEASUREMENTS
+from trackers.recordings.kinds import KINDS, wrapped
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectories
 
@@ -99,7 +99,7 @@ def of_raw_readings(grids: Sequence[ReadingGrid], folders: Sequence[RecordingFol
     found = []
     for grid in grids:
         own = [folder.unaveraged or folder for folder in folders[:MOST_FOLDERS] if grid.sensor in folder.tables]
-        steps = [_raw_step(folder, grid) for folder in own if grid.sensor in MEASUREMENTS]
+        steps = [_raw_step(folder, grid) for folder in own if grid.sensor in KINDS]
         raw = min((0.0 if math.isnan(step) else step for step in steps), default=0.0)
         found.append(replace(grid, step=float(np.fmax(grid.step, raw or math.nan))))
     return found

@@ -8,7 +8,7 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tables import MEASUREMENTS, layout
+from trackers.recordings.kinds import KINDS
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Selection:
         tables = {}
         for name, table in folder.tables.items():
             own = table.filter(pl.col("tag").is_in(list(self.tags))) if self.tags else table
-            if name in MEASUREMENTS:
+            if name in KINDS:
                 kept = self._rows(own, name)
                 if own.height and not kept.height:
                     raise UnusableInput(
@@ -63,9 +63,10 @@ class Selection:
 
     def _rows(self, table: pl.DataFrame, name: str) -> pl.DataFrame:
         kept = self._in_time(table)
-        if self.every is None or name == "imu":
+        kind = KINDS[name]
+        if self.every is None or kind.predicted is None:  # an IMU is integrated over its rows
             return kept
-        ids = layout(name, table.columns).ids
+        ids = kind.layout(table.columns).ids
         interval = (pl.col("t_s") / self.every).floor()
         return kept.filter(pl.int_range(pl.len()).over(*ids, interval) == pl.len().over(*ids, interval) - 1)
 

@@ -1,11 +1,9 @@
-"""The tables of a recording folder: their columns, and the reader that checks and converts them."""
+"""The reader of the tables of a recording folder, which checks and converts their columns."""
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +11,8 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
-from trackers.core.seconds import seconds
+from trackers.recordings.kinds import QUATERNION, Kind, Layout, table_kinds, unit_of
 from trackers.recordings.table_file import TableFile, read_table_file
-
-MEASUREMENTS = ("ranges", "fixes", "bearings", "phases", "imu")
-TABLES = (*MEASUREMENTS, "truth")
-QUATERNION = ("qw", "qx", "qy", "qz")
 
 JITTER_S, JITTER = 1.0, 5.0
 """Rows count as late, and are sorted, up to this many s, or median steps of their sensor and tag."""
@@ -26,50 +20,9 @@ JITTER_S, JITTER = 1.0, 5.0
 LEAST_AGAIN = 5
 """Rows that repeat earlier times from which a clock went back."""
 
-_SENSOR = {"ranges": "anchor", "bearings": "station", "phases": "station"}
-_AXES = ("x", "y", "z")
-_POSITION = tuple(f"{axis}_m" for axis in _AXES)
-_VALUES = {
-    "ranges": ("range_m",),
-    "fixes": _POSITION,
-    "bearings": ("azimuth_rad", "elevation_rad"),
-    "imu": (*(f"accel_{axis}_mps2" for axis in _AXES), *(f"gyro_{axis}_radps" for axis in _AXES)),
-    "truth": _POSITION,
-}
-_PHASE = re.compile(r"phase_([1-9]\d*)_rad")
 _CONTROL = r"\p{Cc}"
 _LARGEST = 1e15  # its square is within the range of a 32-bit float
 _LATEST = 1e20  # beyond nanoseconds since 1970
-
-
-@dataclass(frozen=True)
-class Layout:
-    """The columns of a table: ids, values, and optional ones."""
-
-    ids: tuple[str, ...]
-    values: tuple[str, ...]
-    optional: tuple[str, ...]
-
-
-def first_time(tables: Mapping[str, pl.DataFrame]) -> float:
-    """The earliest time, s, of the measurements, or of the truth where there are none; zero without rows."""
-    measured = [tables[name] for name in MEASUREMENTS if name in tables]
-    times = [seconds(table["t_s"].to_numpy()) for table in measured or tables.values()]
-    return min((float(own.min()) for own in times if len(own)), default=0.0)
-
-
-def layout(name: str, columns: list[str]) -> Layout:
-    """The required and optional columns of table `name`; those of `phases` depend on its `columns`."""
-    values = _VALUES[name] if name != "phases" else tuple(c for c in columns if _PHASE.fullmatch(c))
-    ids = ("tag", _SENSOR[name]) if name in _SENSOR else ("tag",)
-    stds = tuple(std_column(c) for c in values) + (("phase_std_rad",) if name == "phases" else ())
-    return Layout(ids, values, stds + (QUATERNION if name in ("imu", "truth") else ()))
-
-
-def std_column(value: str) -> str:
-    """The name of the column with the standard deviation of `value`: `range_m` gives `range_std_m`."""
-    quantity, _, unit = value.rpartition("_")
-    return f"{quantity}_std_{unit}"
 
 
 def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str], list[str]]:
@@ -77,8 +30,8 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str]
 
     Ids are String, all other columns Float64. Raises UnusableInput with file, row and column.
     """
-    file = read_table_file(path)
-    expected, ignored = _columns(file, name)
+    file, kind = read_table_file(path), table_kinds()[name]
+    expected, ignored = _columns(file, kind)
     ids = [_ids(file, column) for column in expected.ids]
     times = _numbers(file, "t_s", _LATEST)
     if times.has_nulls():
@@ -89,12 +42,14 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str]
     frame = pl.DataFrame([times, *ids, *numbers])
     _check_stds(file, frame, expected)
     _check_quaternions(file, frame)
-    _check_sensors(file, frame, name, rig)
+    _check_sensors(file, frame, kind, rig)
     notices = []
-    zero = int((frame["range_m"] == 0).sum()) if name == "ranges" else 0
-    if zero:
-        notices.append(f"{name}: ranges of 0 m: {zero}; not used: leave the cell of a missing reading empty")
-        frame = frame.with_columns(range_m=pl.when(pl.col("range_m") != 0).then("range_m"))
+    for column in (column.name for column in kind.columns if column.positive):
+        zero = int((frame[column] == 0).sum())
+        if zero:
+            text = f"{name}: {name} of 0 {unit_of(column)}: {zero}; not used: leave the cell of a missing reading empty"
+            notices.append(text)
+            frame = frame.with_columns(pl.when(pl.col(column) != 0).then(column).alias(column))
     unordered = int((frame["t_s"].diff() < 0).sum())
     if unordered:
         _refuse_restart(file, frame, expected.ids)
@@ -103,10 +58,10 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str]
     return frame, notices, ignored
 
 
-def _columns(file: TableFile, name: str) -> tuple[Layout, list[str]]:
+def _columns(file: TableFile, kind: Kind) -> tuple[Layout, list[str]]:
     found = file.frame.columns
-    expected = layout(name, found)
-    required = ("t_s", *expected.ids, *(expected.values or ("phase_1_rad",)))
+    expected = kind.layout(found)
+    required = ("t_s", *expected.ids, *(expected.values or kind.least))
     known = {*required, *expected.optional}
     unknown = [c for c in found if c not in known]
     for column in required:
@@ -115,14 +70,15 @@ def _columns(file: TableFile, name: str) -> tuple[Layout, list[str]]:
             there = ", ".join(repr(c[:30]) for c in found[:14])
             instead = f"rename {near[0][:30]!r} if it is that column (check the unit)" if near else f"found {there}"
             raise UnusableInput(f"{file.path}: no column {column}, expected {', '.join(required)}; {instead}")
-    numbered = sorted(int(match[1]) for match in map(_PHASE.fullmatch, expected.values) if match)
-    if name == "phases" and numbered != list(range(1, len(numbered) + 1)):
+    numbered = sorted(number for number in map(kind.number_of, expected.values) if number is not None)
+    if numbered != list(range(1, len(numbered) + 1)):
+        first = kind.columns[0].name.format
         raise UnusableInput(
-            f"{file.path}: phase columns are numbered {numbered}, expected phase_1_rad … phase_N_rad without gaps; "
+            f"{file.path}: columns are numbered {numbered}, expected {first(n=1)} … {first(n='N')} without gaps; "
             "leave the column of an unused antenna empty"
         )
     quaternion = [c for c in QUATERNION if c in found]
-    if name in ("imu", "truth") and 0 < len(quaternion) < 4:
+    if kind.attitude and 0 < len(quaternion) < 4:
         raise UnusableInput(f"{file.path}: columns {', '.join(quaternion)}, expected all of qw, qx, qy, qz or none")
     absent = [c for c in expected.optional if c not in found]
     for column in unknown:
@@ -206,27 +162,25 @@ def _check_quaternions(file: TableFile, frame: pl.DataFrame) -> None:
             )
 
 
-def _check_sensors(file: TableFile, frame: pl.DataFrame, name: str, rig: Rig) -> None:
-    if name not in _SENSOR:
-        return
-    column = _SENSOR[name]
-    known = rig.anchors if column == "anchor" else rig.stations
-    observed = frame[column].unique(maintain_order=True).to_list()
-    for sensor in observed:
-        if sensor not in known:
-            row = _first(frame[column] == sensor)
-            listed = ", ".join(list(known)[:12]) + (" …" if len(known) > 12 else "") if known else "none"
-            raise UnusableInput(
-                f"{file.location(row, column)}: {column} {sensor!r} is not in rig.toml, expected one of: {listed}; "
-                "ids are text and must be spelt the same"
-            )
-    if name == "phases":
-        _check_antennas(file, frame, {sensor: rig.stations[sensor].antennas for sensor in observed})
+def _check_sensors(file: TableFile, frame: pl.DataFrame, kind: Kind, rig: Rig) -> None:
+    known = kind.places(rig)
+    for column in kind.sensors:
+        for sensor in frame[column].unique(maintain_order=True):
+            if sensor not in known:
+                row = _first(frame[column] == sensor)
+                there = ", ".join(list(known)[:12]) + (" …" if len(known) > 12 else "") if known else "none"
+                raise UnusableInput(
+                    f"{file.location(row, column)}: {column} {sensor!r} is not in rig.toml, expected one of: {there}; "
+                    "ids are text and must be spelt the same"
+                )
+    if kind.numbered:
+        stations = frame[kind.noun].unique(maintain_order=True)
+        _check_antennas(file, frame, kind, {name: rig.stations[name].antennas for name in stations})
 
 
-def _check_antennas(file: TableFile, frame: pl.DataFrame, arrays: dict) -> None:
+def _check_antennas(file: TableFile, frame: pl.DataFrame, kind: Kind, arrays: dict) -> None:
     """Refuses a number of phase columns other than the antennas of the largest array; smaller ones use the first."""
-    phases = [c for c in frame.columns if _PHASE.fullmatch(c)]
+    phases = kind.layout(frame.columns).values
     for station, antennas in arrays.items():
         if antennas is None:
             raise UnusableInput(

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 import polars as pl
 
 from trackers.core.seconds import seconds
-from trackers.recordings.averaging import AVERAGED, averaged
+from trackers.recordings.averaging import averaged
 from trackers.recordings.columns import TableRows, TagRows
+from trackers.recordings.kinds import table_kinds
 from trackers.recordings.truth import TruePaths
 
 
@@ -37,7 +38,7 @@ class Tables(Mapping[str, pl.DataFrame]):
 
     def rows(self, name: str, interval: float = 0.0) -> TagRows:
         """The rows of the table by tag, averaged over intervals of so many seconds where it has readings."""
-        key = name, interval if name in AVERAGED else 0.0
+        key = name, interval if table_kinds()[name].averaged else 0.0
         if key not in self._rows:
             self._rows[key] = TableRows(averaged(self[name], name, interval) if key[1] else self[name])
         return self._rows[key]

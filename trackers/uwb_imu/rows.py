@@ -17,7 +17,7 @@ from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import latest_rows
 from trackers.recordings.columns import TableRows, TagRows
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tables import QUATERNION
+from trackers.recordings.kinds import QUATERNION
 from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
 from trackers.uwb_imu.fusion import range_levels, range_tracker

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from trackers.recordings.folder import refuse_repeated
+from trackers.recordings.kinds import table_kinds
 from trackers.recordings.rig_file import RIG_FILE
 from trackers.recordings.table_file import SUFFIXES
-from trackers.recordings.tables import TABLES
 
 MANY = 60
 """The most recordings that are tracked together: as many as a page shows."""
@@ -68,4 +68,4 @@ def is_recording(files: Sequence[str]) -> bool:
 def is_table(name: str) -> bool:
     """Whether a file of this name is a table of a recording."""
     stem, _, suffix = name.partition(".")
-    return stem in TABLES and f".{suffix}" in SUFFIXES
+    return stem in table_kinds() and f".{suffix}" in SUFFIXES

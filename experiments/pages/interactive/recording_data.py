@@ -16,6 +16,7 @@ from experiments.pages.scored_tracks import Component, ScoredRecording
 from trackers.core.rig import Rig
 from trackers.core.seconds import time_label
 from trackers.recordings.columns import float_column
+from trackers.recordings.kinds import KINDS
 from tuning.diagnostics import nis_quantile
 
 FAR_M = 500.0
@@ -136,7 +137,8 @@ def _sources(recording: ScoredRecording, index: np.ndarray) -> tuple[np.ndarray,
         return np.array([names.index(s) for s in rows["station"].to_list()], int), names
     readings = [
         folder.tables[table].select(pl.col("tag").cast(pl.String), "t_s", source=pl.col(column).cast(pl.String))
-        for table, column in (("ranges", "anchor"), ("bearings", "station"), ("phases", "station"))
+        for table, kind in KINDS.items()
+        for column in kind.sensors
         if table in folder.tables
     ]
     if not readings:

@@ -9,9 +9,9 @@ import numpy as np
 
 from experiments.pages.interactive.packing import packed, rounded
 from experiments.pages.scored_tracks import ScoredRecording
-from trackers.parts.range_rows import anchor_positions, range_rows
 from trackers.recordings.columns import TagRows, float_column
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.kinds import KINDS, Kind, wrapped
 
 LEAST = 5
 """The fewest readings of a quantile or of a mean."""
@@ -42,18 +42,18 @@ class Channel(NamedTuple):
 
 
 def channels_of(recording: ScoredRecording) -> tuple[list[str], list[Channel]]:
-    """The tags of the tables, and the residuals of ranges, bearings and fixes; without estimates that are bearings."""
+    """The tags of the tables, and the residuals of each kind of readings; without estimates that are bearings."""
     tags: list[str] = []
     found: list[Channel] = []
-    for table, residuals in (("ranges", _ranges), ("bearings", _bearings), ("fixes", _fixes)):
-        if table not in recording.folder.tables:
+    for table, kind in KINDS.items():
+        if table not in recording.folder.tables or not kind.averaged:
             continue
         rows = recording.folder.rows(table)
         tags += [tag for tag in rows.tags if tag not in tags]
         number = rows.of_each(np.array([tags.index(tag) for tag in rows.tags]))
         estimated = _estimated(recording, rows)
         true, _ = recording.folder.paths.at(rows.tags, rows.starts, rows.times)
-        found += [c._replace(tag=number) for c in residuals(recording.folder, rows, estimated, true)]
+        found += _channels(recording.folder, kind, rows, number, estimated, true)
     return tags, [channel for channel in found if np.isfinite([channel.estimated, channel.true]).any()]
 
 
@@ -109,42 +109,39 @@ def _estimated(recording: ScoredRecording, rows: TagRows) -> np.ndarray:
     return found
 
 
-def _ranges(folder: RecordingFolder, rows: TagRows, estimated: np.ndarray, true: np.ndarray) -> Iterator[Channel]:
-    readings, number = range_rows(folder, rows)
-    values = np.where(readings.seen[:, 0], readings.values[:, 0], np.nan)
-    anchors = anchor_positions(folder)[number]
-    distance, at_estimate = (np.linalg.norm(x - anchors, axis=1) for x in (true, estimated))
-    yield Channel(
-        "range", "m", sorted(folder.rig.anchors), rows.times, number, number,
-        values - at_estimate, values - distance, distance, "true distance (m)",
-    )  # fmt: skip
-
-
-def _bearings(folder: RecordingFolder, rows: TagRows, estimated: np.ndarray, true: np.ndarray) -> Iterator[Channel]:
-    stations = list(folder.rig.stations)
-    number, values = rows.codes("station", stations), rows.floats(["azimuth_rad", "elevation_rad"])
-    if folder.calibration is not None:
-        values = folder.calibration.of_bearings(stations, number, values)[1]
-    at_truth, at_estimate = np.full((2, len(values), 2), np.nan)
-    for k, name in enumerate(stations):
-        own = number == k
-        at_truth[own], at_estimate[own] = (folder.rig.stations[name].angles(x[own]) for x in (true, estimated))
-    for axis, name in enumerate(("azimuth", "elevation")):
-        about = [(np.degrees(values[:, axis] - x[:, axis]) + 180) % 360 - 180 for x in (at_estimate, at_truth)]
+def _channels(
+    folder: RecordingFolder, kind: Kind, rows: TagRows, tag: np.ndarray, estimated: np.ndarray, true: np.ndarray
+) -> Iterator[Channel]:
+    """A channel for each column of a kind, without the systematic errors of a calibration."""
+    assert kind.predicted is not None
+    ids, columns = list(kind.places(folder.rig)), kind.least
+    number = kind.numbers(rows, ids)
+    sensors = kind.sensors_of(folder.rig, ids, number, len(columns))
+    at_estimate, at_truth = (kind.predicted(positions, sensors) for positions in (estimated, true))
+    values = _without_systematic_errors(folder, kind, rows, ids, number)
+    source = number[:, 0] if kind.sensors else np.zeros(len(values), int)
+    about = [wrapped(values - predicted, columns) for predicted in (at_estimate, at_truth)]
+    factor, unit = (np.degrees(1.0), "°") if kind.angles else (1.0, kind.unit)
+    for k, column in enumerate(columns):
+        name = column.rpartition("_")[0].replace("_", " ")
         yield Channel(
-            name, "°", stations, rows.times, number, number, about[0], about[1], np.degrees(at_truth[:, axis]),
-            f"true {name} (°)",
+            f"fix, {name}" if kind.position else name, unit, ids or [kind.name], rows.times, tag, source,
+            factor * about[0][:, k], factor * about[1][:, k], factor * at_truth[:, k], f"true {name} ({unit})",
         )  # fmt: skip
 
 
-def _fixes(folder: RecordingFolder, rows: TagRows, estimated: np.ndarray, true: np.ndarray) -> Iterator[Channel]:
-    values = rows.floats(["x_m", "y_m", "z_m"])
-    same = np.zeros(len(values), int)
-    for axis, name in enumerate("xyz"):
-        yield Channel(
-            f"fix, {name}", "m", ["fixes"], rows.times, same, same,
-            values[:, axis] - estimated[:, axis], values[:, axis] - true[:, axis], true[:, axis], f"true {name} (m)",
-        )  # fmt: skip
+def _without_systematic_errors(
+    folder: RecordingFolder, kind: Kind, rows: TagRows, ids: list[str], number: np.ndarray
+) -> np.ndarray:
+    """The readings (N, m), NaN where one is missing, without what the calibration says of their anchors or stations."""
+    values = rows.floats(kind.least)
+    values = np.where(np.array([column.positive for column in kind.columns]) & ~(values > 0.0), np.nan, values)
+    if folder.calibration is None or kind.calibrated is None:
+        return values
+    if kind.calibrated == "stations":
+        return folder.calibration.of_bearings(ids, number[:, 0], values)[1]
+    tag = rows.of_each(np.arange(len(rows.tags)))
+    return folder.calibration.of_ranges(ids, number[:, 0], rows.tags, tag, values[:, 0])[0][:, None]
 
 
 def _boxes(channel: Channel, residuals: np.ndarray) -> list[list[float | None]] | None:

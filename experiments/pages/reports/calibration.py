@@ -32,8 +32,9 @@ from trackers.recordings.calibration import (
     range_terms,
 )
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.kinds import KINDS
 from tuning.calibrating import calibrate
-from tuning.calibration_pairs import Pairs, anchor_pairs, station_pairs
+from tuning.calibration_pairs import Pairs, calibration_pairs
 from tuning.calibration_structure import differs_by_distance
 
 WIDTH = 150
@@ -164,10 +165,10 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
-    for name, pairs in station_pairs(folders).items():
+    for name, pairs in calibration_pairs(folders, KINDS["bearings"]).items():
         for column, angle in enumerate(ANGLES):
             yield Source(name, angle, column, pairs)
-    for name, pairs in anchor_pairs(folders).items():
+    for name, pairs in calibration_pairs(folders, KINDS["ranges"]).items():
         yield Source(name, "range", 0, pairs)
 
 

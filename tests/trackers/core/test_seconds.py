@@ -15,7 +15,7 @@ from trackers.from_arrays import fix_recording, range_recording
 from trackers.recordings.checks import check
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tables import first_time
+from trackers.recordings.kinds import first_time
 
 START = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
 STAMPS = [START + timedelta(milliseconds=250 * k) for k in range(5)]

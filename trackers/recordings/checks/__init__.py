@@ -26,7 +26,7 @@ from trackers.recordings.checks.repeats import check_repeats
 from trackers.recordings.checks.residuals import check_residuals
 from trackers.recordings.checks.sampling import check_rates, check_time_base
 from trackers.recordings.checks.units import check_units
-from trackers.recordings.tables import MEASUREMENTS
+from trackers.recordings.kinds import KINDS
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackers.recordings.folder import RecordingFolder
@@ -37,7 +37,7 @@ __all__ = ["CheckResult", "Level", "check", "format_results", "quick_check"]
 def check(recording: RecordingFolder) -> list[CheckResult]:
     """Errors, warnings and notes on a recording, the most severe first."""
     tables, rig = recording.tables, recording.rig
-    measured = {name: tables[name] for name in MEASUREMENTS if name in tables}
+    measured = {name: tables[name] for name in KINDS if name in tables}
     results = []
     for notice in dict.fromkeys((*recording.notices, *anomalies(tables, rig))):
         where, _, message = notice.partition(": ")
@@ -70,7 +70,7 @@ def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[
     `against_truth`: also those of measurements compared with truth.
     """
     tables, rig = recording.tables, recording.rig
-    measured = {name: tables[name] for name in MEASUREMENTS if name in tables}
+    measured = {name: tables[name] for name in KINDS if name in tables}
     sizes = [*check_units(rig, tables), *check_heights(rig, tables)]
     found = [one for one in check_time_base(measured or tables) if one.level == "error"]
     found += [one for one in sizes if one.level != "info"]
@@ -94,7 +94,7 @@ def _check_errors(recording: RecordingFolder, name: str) -> list[CheckResult]:
     read = readings(recording, name)
     about = about_local_line(read)
     found = [*check_repeats(name, read), *check_quantisation(name, read, robust_std(about))]
-    if name not in ("ranges", "bearings", "fixes"):
+    if not KINDS[name].averaged:
         return found  # a local line through an IMU or phases does not follow the motion
     true = bool(np.isfinite(read.errors).any())
     return [*found, *check_correlation(name, read, read.errors if true else about, true)]

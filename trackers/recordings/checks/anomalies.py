@@ -15,7 +15,7 @@ from trackers.core.errors import listed
 from trackers.core.rig import Rig
 from trackers.core.seconds import place_in_time, zero_of
 from trackers.recordings.columns import codes, stable_order
-from trackers.recordings.tables import QUATERNION, first_time, layout
+from trackers.recordings.kinds import QUATERNION, Kind, first_time, table_kinds
 
 GAP_FACTOR, GAP_LEAST_S = 5.0, 1.0
 OUTLIER_SPREAD, OUTLIER_MEDIAN = 10.0, 100.0
@@ -25,7 +25,8 @@ _LEAST_JUMP = {"m": 1.0, "mps2": 20.0, "radps": 5.0}  # within reach of a person
 
 def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
     """A line for each kind of anomaly in each table, and one for all outliers; empty for a clean recording."""
-    layouts = {name: layout(name, table.columns) for name, table in tables.items()}
+    kinds = table_kinds()
+    layouts = {name: kinds[name].layout(table.columns) for name, table in tables.items()}
     present = {
         name: table.filter(pl.any_horizontal(pl.col(layouts[name].values).is_not_null())).with_row_index("row")
         for name, table in tables.items()
@@ -40,7 +41,7 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
             unknown = [tag for tag in of_all if tag not in rig.tags]
             if unknown:
                 lines.append(f"{name}: tags that are not in rig.toml: {len(unknown)} ({listed(map(repr, unknown))})")
-        lines += _impossible(name, table, expected.values)
+        lines += _impossible(kinds[name], table, expected.values)
         compared = [column for column in expected.values if _least_jump(column) is not None]
         # Ordering ids and the phases of many antennas takes as long as reading them.
         ordered = streams(whole, expected.ids, ["row", "t_s", *compared], tags[name])
@@ -110,24 +111,24 @@ def _gaps(name: str, ordered: pl.DataFrame, ids: pl.DataFrame, zero: float) -> l
     return [f"{name}: gaps longer than 1 s: {found.height}, {example}"]
 
 
-def _impossible(name: str, table: pl.DataFrame, values: tuple[str, ...]) -> list[str]:
+def _impossible(kind: Kind, table: pl.DataFrame, values: tuple[str, ...]) -> list[str]:
     lines = []
-    for column in values:
-        if column.endswith("_rad"):
-            limit = math.pi / 2 if column == "elevation_rad" else math.pi
-            beyond = int((table[column].abs() > limit + _ANGLE_SLACK).sum())
+    for name_of in values:
+        column = kind.column(name_of)
+        if column.unit == "rad":
+            beyond = int((table[name_of].abs() > column.bound + _ANGLE_SLACK).sum())
             if beyond:
-                bounds = "±π/2" if column == "elevation_rad" else "±π"
-                lines.append(f"{name}: values of {column} beyond {bounds}: {beyond}; degrees, or not wrapped")
-        elif column == "range_m":
-            negative = int((table[column] < 0).sum())
+                bounds = "±π/2" if column.bound < math.pi else "±π"
+                lines.append(f"{kind.name}: values of {name_of} beyond {bounds}: {beyond}; degrees, or not wrapped")
+        elif column.positive:
+            negative = int((table[name_of] < 0).sum())
             if negative:
-                lines.append(f"{name}: negative values of {column}: {negative}")
+                lines.append(f"{kind.name}: negative values of {name_of}: {negative}")
     if set(QUATERNION) <= set(table.columns):
         norm = pl.sum_horizontal(pl.col(QUATERNION) ** 2, ignore_nulls=False).sqrt()
         uneven = int(table.select((norm - 1).abs() > 0.01).to_series().sum())
         if uneven:
-            lines.append(f"{name}: quaternions more than 1 % from unit length: {uneven}")
+            lines.append(f"{kind.name}: quaternions more than 1 % from unit length: {uneven}")
     return lines
 
 

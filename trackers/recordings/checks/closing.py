@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trackers.recordings.checks.compared import axes_of
 from trackers.recordings.checks.readings import MOST_ROWS
+from trackers.recordings.kinds import KINDS, Kind
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackers.recordings.folder import RecordingFolder
@@ -34,7 +34,7 @@ class Moments(NamedTuple):
     known.
     """
 
-    table: str
+    kind: Kind
     ids: tuple[str, ...]
     values: Float[np.ndarray, "E G m"]
     places: Float[np.ndarray, "G 3"]
@@ -43,7 +43,7 @@ class Moments(NamedTuple):
 
     def closing(self) -> float:
         """The root mean square of the errors that remain in a typical moment, m or rad."""
-        errors = self._of_ranges() if self.table == "ranges" else self._of_bearings()
+        errors = self._of_bearings() if self.kind.angles else self._of_ranges()
         return float(np.median(np.sqrt(np.nanmean(errors**2, axis=(1, 2)))))
 
     def _of_ranges(self) -> Float[np.ndarray, "E G 1"]:
@@ -85,11 +85,11 @@ def moments(recording: RecordingFolder, table: str) -> Moments | None:
     """Moments of a table with more readings than a position takes; None with too few, or sensors all at one place."""
     rig, rows = recording.rig, recording.rows(table)
     part = slice(MOST_ROWS)
-    known = rig.anchors if table == "ranges" else rig.stations
-    noun, columns = ("anchor", ("range_m",)) if table == "ranges" else ("station", ("azimuth_rad", "elevation_rad"))
+    kind = KINDS[table]
+    known, columns = kind.places(rig), kind.least
     values, times = rows.floats(columns)[part], rows.times[part]
     whole = np.isfinite(values).all(axis=1)
-    sensor = rows.codes(noun, list(known))[part].astype(int)
+    sensor = rows.codes(kind.noun, list(known))[part].astype(int)
     ids = [key for k, key in enumerate(known) if (sensor[whole] == k).any()]
     if not 2 <= len(ids) <= MOST_SENSORS:
         return None
@@ -97,21 +97,17 @@ def moments(recording: RecordingFolder, table: str) -> Moments | None:
     tag = np.repeat(np.arange(len(rows.tags)), np.diff(rows.starts))[part]
     given = [rig.tags[name].height if name in rig.tags else None for name in rows.tags]
     heights = np.array([np.nan if height is None else height for height in given])
-    if table == "ranges":
-        places, axes = np.stack([np.asarray(rig.anchors[key]) for key in ids]), np.tile(np.eye(3), (len(ids), 1, 1))
-    else:
-        places = np.stack([np.asarray(rig.stations[key].position) for key in ids])
-        axes = axes_of(np.stack([np.asarray(rig.stations[key].rotation, float) for key in ids]))
+    _, places, axes, _, _ = kind.sensors_of(rig, ids, np.zeros((0, 1), int), len(columns))
     if np.linalg.norm(np.ptp(places, axis=0)) < LEAST_EXTENT_M:
         return None
     for span in SPANS_S:
         found = _grid(np.floor(times[whole] / span), tag[whole], number[whole], values[whole], len(ids))
         seen = np.isfinite(found[1]).all(axis=2).sum(axis=1)
         free = np.isnan(heights[found[0]])
-        enough = np.flatnonzero(seen >= np.where(free, 5, 4) if table == "ranges" else seen >= np.where(free, 3, 2))
+        enough = np.flatnonzero(seen >= np.where(free, 3, 2) + (0 if kind.angles else 2))
         if len(enough) >= LEAST_MOMENTS and 2 * len(enough) >= len(seen):
             chosen = enough[np.unique(np.linspace(0, len(enough) - 1, MOST_MOMENTS).astype(int))]
-            return Moments(table, tuple(ids), found[1][chosen], places, axes, heights[found[0][chosen]])
+            return Moments(kind, tuple(ids), found[1][chosen], places, axes, heights[found[0][chosen]])
     return None
 
 

@@ -13,17 +13,18 @@ from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.checks.closing import Moments, moments
 from trackers.recordings.checks.explanations import FACTORS
 from trackers.recordings.checks.sensor_mistakes import FLIGHT, angles_changed
+from trackers.recordings.kinds import KINDS
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackers.recordings.folder import RecordingFolder
 
-LARGE = {"ranges": 0.3, "bearings": 0.12}
+LARGE = {"m": 0.3, "rad": 0.12}
 """Contradiction, m or rad, up to which nothing needs an explanation."""
 
 SMALLER = 0.67
 """Ratio of contradictions from which a change explains them."""
 
-REMAINING = {"ranges": 0.45, "bearings": 0.3}
+REMAINING = {"m": 0.45, "rad": 0.3}
 """Contradiction that may remain with a change that explains it; twice as much is reported without an explanation."""
 
 ALIKE, NAMED = 1.1, 3
@@ -32,16 +33,18 @@ ALIKE, NAMED = 1.1, 3
 
 def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
     """An error where ranges or bearings contradict each other and one change explains it; a warning where none does."""
-    found = moments(recording, table) if table in LARGE else None
-    if found is None or (before := found.closing()) <= LARGE[table]:
+    kind = KINDS[table]
+    closes = len(kind.sensors) == 1 and (kind.angles or kind.columns[0].positive)
+    found = moments(recording, table) if closes else None
+    if found is None or (before := found.closing()) <= LARGE[kind.unit]:
         return []
     tried = [(changed.closing(), change, cause) for change, cause, changed in _changes(found)]
     least = min(tried)[0]
-    unit, factor = (" m", 1.0) if table == "ranges" else ("°", np.degrees(1.0))
+    unit, factor = ("°", np.degrees(1.0)) if kind.angles else (" m", 1.0)
     message = f"readings of one moment contradict each other by {significant(factor * before, 2)}{unit}"
-    if least > min(SMALLER * before, REMAINING[table]):
+    if least > min(SMALLER * before, REMAINING[kind.unit]):
         line = f"{message}, and no change of units, signs or ids explains it; check positions and rotations in rig.toml"
-        return [CheckResult("warning", table, line)] if before > 2 * REMAINING[table] else []
+        return [CheckResult("warning", table, line)] if before > 2 * REMAINING[kind.unit] else []
     alike = [one for one in sorted(tried) if one[0] <= ALIKE * least][:NAMED]
     changes, causes = ", or ".join(one[1] for one in alike), "; or ".join(dict.fromkeys(one[2] for one in alike))
     line = f"{message}, and by {significant(factor * least, 2)}{unit} with {changes}: {causes}"
@@ -50,10 +53,13 @@ def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
 
 def _changes(found: Moments) -> Iterator[tuple[str, str, Moments]]:
     """Changes of units, signs and ids in words, the mistake that they undo, and the readings with them."""
-    noun = "anchor" if found.table == "ranges" else "station"
-    if found.table == "ranges":
+    noun, table = found.kind.noun, found.kind.name
+    if not found.kind.angles:
         for factor, unit in (*FACTORS, *FLIGHT):
-            words, cause = f"the ranges multiplied by {factor:.4g}", f"ranges are {unit}, expected metres; convert them"
+            words, cause = (
+                f"the {table} multiplied by {factor:.4g}",
+                f"{table} are {unit}, expected metres; convert them",
+            )
             yield words, cause, found._replace(values=factor * found.values)
     else:
         cause = "another zero of the azimuth, or stations that face the other way in rig.toml; turn one of both"

@@ -9,21 +9,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trackers.core.rig import rotation_matrices
-from trackers.recordings.checks.readings import wrapped
 from trackers.recordings.columns import stable_order
-from trackers.recordings.tables import layout
+from trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
 from trackers.recordings.truth import TruePaths
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackers.recordings.folder import RecordingFolder
-
-TABLES = ("ranges", "bearings", "fixes", "phases")
-"""Tables whose readings truth predicts."""
-
-BIAS = {
-    "ranges": (1.0,), "fixes": (0.0, 0.0, 1.0), "bearings": (np.radians(5.0), np.radians(5.0)), "phases": (0.5,),
-}  # fmt: skip
-"""Bias of each column, or of all, m or rad, up to which it is a property of the sensor and no mistake."""
 
 MOST_OF_GROUP = 500
 """Readings of an anchor, station or tag that are compared, evenly spaced in time."""
@@ -35,19 +26,20 @@ LEAST_OF_GROUP = 12
 class Compared(NamedTuple):
     """Readings of a table and what predicts them, those of a group (anchor or station; of fixes, tag) together.
 
-    `noun`, `ids`: of the G groups. `group` (N,), not decreasing, `tag` (N,): numbers in `ids` and in `tags`. `times`
-    (N,) s. `values` (N, m): NaN where one is missing. `positions` (N, 3) m: the true ones. `places` (G, 3) m,
-    `rotations` (G, 4) and `axes` (G, 3, 3), their matrices: of anchors and stations. `paths`: the true paths.
-    `antennas` (G, m, 2) m, `wavelengths` (G,) m: of stations with phases, NaN for antennas that a station lacks.
+    `ids`: of the G groups. `group` (N,), not decreasing, `tag` (N,): numbers in `ids` and in `tags`. `sensor` (N, k):
+    numbers in `ids` of the sensors of each reading, the first of which is the group. `times` (N,) s. `values` (N, m):
+    NaN where one is missing. `positions` (N, 3) m: the true ones. `places` (G, 3) m, `rotations` (G, 4) and `axes`
+    (G, 3, 3), their matrices: of anchors and stations. `paths`: the true paths. `antennas` (G, m, 2) m, `wavelengths`
+    (G,) m: of stations with phases, NaN for antennas that a station lacks.
     """
 
-    table: str
-    noun: str
+    kind: Kind
     ids: tuple[str, ...]
     tags: tuple[str, ...]
     columns: tuple[str, ...]
     group: Int[np.ndarray, " N"]
     tag: Int[np.ndarray, " N"]
+    sensor: Int[np.ndarray, "N k"]
     times: Float[np.ndarray, " N"]
     values: Float[np.ndarray, "N m"]
     positions: Float[np.ndarray, "N 3"]
@@ -58,39 +50,37 @@ class Compared(NamedTuple):
     antennas: Float[np.ndarray, "G m 2"]
     wavelengths: Float[np.ndarray, " G"]
 
+    @property
+    def table(self) -> str:
+        """The name of the table."""
+        return self.kind.name
+
+    @property
+    def noun(self) -> str:
+        """What the groups are."""
+        return self.kind.noun
+
     def predicted(self) -> Float[np.ndarray, "N m"]:
         """The readings that true positions and geometry imply."""
-        if self.table == "fixes":
-            return self.positions
-        away = self.positions - self.places[self.group]
-        if self.table == "ranges":
-            return np.sqrt(np.einsum("nd,nd->n", away, away))[:, None]
-        x, y, z = np.einsum("ni,nij->jn", away, self.axes[self.group])
-        if self.table == "phases":
-            p, a = np.stack([x, y], axis=1)[:, None], self.antennas[self.group]
-            square = np.einsum("nmd,nmd->nm", a, a)
-            along = 2.0 * np.einsum("nmd,nmd->nm", p * np.ones_like(a), a) - square
-            far = np.sqrt(x * x + y * y + z * z)[:, None]
-            # The distance less that of the antenna, without subtracting the two.
-            shorter = along / (far + np.sqrt(np.maximum(far * far - along, 0.0)))
-            return 2 * np.pi / self.wavelengths[self.group, None] * shorter
-        return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=1)
+        assert self.kind.predicted is not None
+        sensors = Sensors(self.sensor, self.places, self.axes, self.antennas, self.wavelengths)
+        return self.kind.predicted(self.positions, sensors)
 
     def errors(self) -> Float[np.ndarray, "N m"]:
-        """The differences from the predicted readings, those of angles in [−π, π); of phases, less their mean."""
+        """The differences from the predicted readings, those of angles in [−π, π); less an offset common to a row."""
         found = self.values - self.predicted()
-        if self.table == "phases":
+        if self.kind.common:
             found = found - np.angle(np.nansum(np.exp(1j * found), axis=1, keepdims=True))
         return wrapped(found, self.columns)
 
     def sizes(self, errors: Float[np.ndarray, "N m"], bias: bool = True) -> Float[np.ndarray, "G m"]:
         """The median size of the errors of each group and column; NaN where fewer than half of them are known.
 
-        `bias`: less their median, as far as it is no larger than `BIAS`.
+        `bias`: less their median, as far as it may be the sensor's own.
         """
         ends = np.searchsorted(self.group, np.arange(len(self.ids) + 1))
         found = np.full((len(self.ids), errors.shape[1]), np.nan)
-        for column, bound in enumerate(np.broadcast_to(BIAS[self.table] if bias else 0.0, errors.shape[1])):
+        for column, bound in enumerate(self.kind.sizes("bias", errors.shape[1]) * bias):
             x = errors[:, column]
             for k, (a, b) in enumerate(pairwise(ends)):
                 own = x[a:b][np.isfinite(x[a:b])]
@@ -117,8 +107,8 @@ class Compared(NamedTuple):
     def of_rows(self, part: Any) -> Compared:
         """Some of the readings, by a mask or a slice."""
         return self._replace(
-            group=self.group[part], tag=self.tag[part], times=self.times[part], values=self.values[part],
-            positions=self.positions[part],
+            group=self.group[part], tag=self.tag[part], sensor=self.sensor[part], times=self.times[part],
+            values=self.values[part], positions=self.positions[part],
         )  # fmt: skip
 
 
@@ -138,48 +128,38 @@ def axes_of(rotations: Float[np.ndarray, "G 4"]) -> Float[np.ndarray, "G 3 3"]:
 
 def compared(recording: RecordingFolder, table: str) -> Compared | None:
     """The readings of a table beside the truth; None where too few of them have a true position."""
-    if table not in TABLES or table not in recording.tables or "truth" not in recording.tables:
+    kind = KINDS.get(table)
+    if kind is None or kind.predicted is None or table not in recording.tables or "truth" not in recording.tables:
         return None
     rows, rig = recording.rows(table), recording.rig
-    tag = np.repeat(np.arange(len(rows.tags)), np.diff(rows.starts))
-    if table == "fixes":
-        noun, ids, group = "tag", tuple(rows.tags), tag
-        columns: tuple[str, ...] = ("x_m", "y_m", "z_m")
-    elif table == "ranges":
-        noun, ids, columns = "anchor", tuple(rig.anchors), ("range_m",)
-    else:
-        noun, ids, columns = "station", tuple(rig.stations), layout(table, recording.tables[table].columns).values
-    if table != "fixes":
-        group = rows.codes(noun, ids).astype(int)
+    columns = kind.layout(recording.tables[table].columns).values
+    tag = rows.of_each(np.arange(len(rows.tags)))
+    ids = tuple(kind.places(rig)) if kind.sensors else tuple(rows.tags)
+    sensor = kind.numbers(rows, ids)
+    group = sensor[:, 0] if kind.sensors else tag
     order = stable_order(group * len(rows.tags) + tag)
     counts = np.bincount(group, minlength=len(ids))
     within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
     order = order[within % np.repeat(-(-counts // MOST_OF_GROUP), counts) == 0]
-    values = rows.floats(columns)[order]
-    places, rotations = np.zeros((len(ids), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(ids), 1))
-    if table == "ranges":
-        places = np.stack([np.asarray(rig.anchors[key], float) for key in ids])
-    elif table != "fixes":
-        places = np.stack([np.asarray(rig.stations[key].position, float) for key in ids])
+    _, places, axes, antennas, wavelengths = kind.sensors_of(rig, ids, sensor, len(columns))
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (len(ids), 1))
+    if kind.noun == "station":
         rotations = np.stack([np.asarray(rig.stations[key].rotation, float) for key in ids])
-    antennas, wavelengths = np.full((len(ids), len(columns), 2), np.nan), np.ones(len(ids))
-    for k, station in enumerate(rig.stations.values() if table == "phases" else ()):
-        if station.antennas is not None and station.wavelength is not None:
-            antennas[k, : len(station.antennas)], wavelengths[k] = station.antennas, station.wavelength
     found = Compared(
-        table, noun, ids, tuple(rows.tags), columns, group[order], tag[order], rows.times[order], values,
-        np.full((len(order), 3), np.nan), places, rotations, axes_of(rotations), recording.paths,
+        kind, ids, tuple(rows.tags), columns, group[order], tag[order], sensor[order], rows.times[order],
+        rows.floats(columns)[order], np.full((len(order), 3), np.nan), places, rotations, axes, recording.paths,
         antennas, wavelengths,
     ).later(0.0)  # fmt: skip
     known = np.isfinite(found.errors()).any(axis=1)
     enough = np.bincount(found.group[known], minlength=len(ids)) >= LEAST_OF_GROUP
-    kept = known & enough[found.group]
-    if not kept.any():
+    found = found.of_rows(known & enough[found.group])
+    if not len(found.group):
         return None
-    number = np.cumsum(enough) - 1
+    # The other sensor of a difference stays, whether or not it has readings of its own.
+    used = enough | (np.bincount(found.sensor.ravel(), minlength=len(ids)) > 0)
+    number = np.cumsum(used) - 1
     return found._replace(
-        ids=tuple(key for key, ok in zip(ids, enough, strict=True) if ok), group=number[found.group[kept]],
-        tag=found.tag[kept], times=found.times[kept], values=found.values[kept], positions=found.positions[kept],
-        places=places[enough], rotations=rotations[enough], axes=found.axes[enough],
-        antennas=antennas[enough], wavelengths=wavelengths[enough],
+        ids=tuple(key for key, ok in zip(ids, used, strict=True) if ok), group=number[found.group],
+        sensor=number[found.sensor], places=places[used], rotations=rotations[used], axes=axes[used],
+        antennas=antennas[used], wavelengths=wavelengths[used],
     )  # fmt: skip

@@ -9,6 +9,7 @@ import numpy as np
 
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.checks.readings import LINE_S, Readings, robust_std
+from trackers.recordings.kinds import unit_of
 
 LEAST_PAIRS = 50
 """Least number of pairs of errors at a lag."""
@@ -43,7 +44,7 @@ def check_correlation(name: str, read: Readings, errors: np.ndarray, true: bool)
         found = autocorrelation(read, errors[:, k])
         if found is None or (not true and not found.resolved):
             continue
-        unit = {"m": "m", "rad": "rad", "mps2": "m/s²", "radps": "rad/s"}[column.rpartition("_")[2]]
+        unit = unit_of(column)
         what = f"errors of {column} against truth" if true else f"{column} about a line through {LINE_S:g} s"
         line = f"{what}: standard deviation {found.sigma:.2g} {unit}, {_duration(found)}"
         if found.resolved:

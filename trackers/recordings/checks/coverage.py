@@ -12,7 +12,7 @@ from trackers.core.rig import Rig
 from trackers.core.seconds import HOLE_M, HOLE_S, moment, place_in_time, span, zero_of
 from trackers.recordings.checks.anomalies import streams
 from trackers.recordings.checks.check_result import CheckResult, Level
-from trackers.recordings.tables import first_time, layout
+from trackers.recordings.kinds import first_time, layout
 
 ENOUGH = 0.5
 """Share of the measurements that truth should cover."""
@@ -25,7 +25,7 @@ def check_ids(rig: Rig, measured: Mapping[str, pl.DataFrame]) -> list[CheckResul
         expected = layout(name, table.columns)
         present = table.filter(pl.any_horizontal(pl.col(expected.values).is_not_null()))
         for column in expected.ids[1:]:
-            observed[column] |= set(present[column].unique())
+            observed[column.partition("_")[0]] |= set(present[column].unique())
     results = []
     for column, known in (("anchor", rig.anchors), ("station", rig.stations)):
         unobserved = [key for key in known if key not in observed[column]]

@@ -14,14 +14,17 @@ from typing import Literal
 import numpy as np
 import polars as pl
 
-from trackers.core.rig import Rig, Station
+from trackers.core.rig import Rig
 from trackers.recordings.checks.check_result import CheckResult, Level
+from trackers.recordings.kinds import KINDS, Kind, wrapped
 
 THIN = 0.1  # share of the largest extent below which anchors count as coplanar or collinear
 WEAK_RANGES = 5.0  # m per m above which a coordinate counts as weakly determined
 WEAK_ANGLES = 0.5  # m per degree
 POINTS = 400  # positions at which dilution is evaluated, at most
 _ONE_DEGREE = np.radians(1.0)
+_STEP_M = 1e-4
+"""Half the distance over which slopes are taken: third derivatives and rounding are both below 1e-9."""
 
 
 @dataclass(frozen=True)
@@ -33,24 +36,23 @@ class Dilution:
     horizontal_at_height: np.ndarray
 
 
-def range_dilution(anchors: np.ndarray, positions: np.ndarray) -> Dilution:
-    """Metres per metre of range noise at `positions` (p, 3), m, for `anchors` (n, 3), m; infinite if undetermined."""
-    toward = positions[:, None, :] - anchors[None, :, :]
-    distance = np.linalg.norm(toward, axis=-1, keepdims=True)
-    return _dilution(toward / np.maximum(distance, 1e-9), 1.0)
+def dilution(kind: Kind, rig: Rig, ids: Sequence[Sequence[str]], positions: np.ndarray) -> Dilution:
+    """Metres per metre or per degree of noise at `positions` (p, 3), m, with a reading of each of some sensors.
 
-
-def bearing_dilution(stations: Sequence[Station], positions: np.ndarray) -> Dilution:
-    """Metres per degree of azimuth and elevation noise at `positions` (p, 3), m; infinite if undetermined."""
-    rows = []
-    for station in stations:
-        x, y, z = station.position_in_array(positions).T
-        flat = np.maximum(np.hypot(x, z), 1e-6)  # azimuth is singular on the array's y axis
-        square = flat**2 + y**2
-        azimuth = np.stack([z, np.zeros_like(x), -x], axis=-1) / flat[:, None] ** 2
-        elevation = np.stack([-x * y / flat, flat, -z * y / flat], axis=-1) / square[:, None]
-        rows += [azimuth @ station.world_from_array().T, elevation @ station.world_from_array().T]
-    return _dilution(np.stack(rows, axis=1), _ONE_DEGREE)
+    `ids`: the anchors or stations of each reading. Infinite where the readings do not determine a coordinate.
+    """
+    assert kind.predicted is not None
+    names = list(dict.fromkeys(name for one in ids for name in one))
+    number = np.array([[names.index(name) for name in one] for one in ids])
+    count, columns = len(positions), len(kind.columns)
+    sensors = kind.sensors_of(rig, names, np.tile(number, (count, 1)), columns)
+    at = np.repeat(positions, len(ids), axis=0)
+    sides = [kind.predicted(at + sign * _STEP_M * axis, sensors) for axis in np.eye(3) for sign in (1.0, -1.0)]
+    slopes = np.stack(
+        [wrapped(up - down, kind.least) for up, down in zip(sides[::2], sides[1::2], strict=True)], axis=-1
+    )
+    jacobian = slopes.reshape(count, len(ids) * columns, 3) / (2.0 * _STEP_M)
+    return _dilution(jacobian, 1.0 if kind.unit == "m" else _ONE_DEGREE)
 
 
 def _dilution(jacobian: np.ndarray, sigma: float) -> Dilution:
@@ -86,34 +88,45 @@ def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckRe
     results = []
     places, where = _positions(rig, tables)
     known_height = bool(rig.tags) and all(tag.height is not None for tag in rig.tags.values())
-    anchors = {key: rig.anchors[key] for key in _observed(tables, "ranges", "anchor", "range_m")}
-    if anchors:
-        positions = np.stack(list(anchors.values()))
-        results += _coincident(anchors) + _flat("anchors", positions, known_height)
-        dilution = range_dilution(positions, places)
-        results += _dilution_results("ranges", dilution, "m per m of range noise", WEAK_RANGES, known_height, where)
-    elif "fixes" in tables and rig.anchors:
+    if (
+        "fixes" in tables
+        and rig.anchors
+        and not any(kind.noun == "anchor" and name in tables for name, kind in KINDS.items())
+    ):
         results += _flat("anchors", np.stack(list(rig.anchors.values())), known_height)
-    for table, value in (("bearings", "azimuth_rad"), ("phases", "phase_1_rad")):
-        stations = {key: rig.stations[key] for key in _observed(tables, table, "station", value)}
-        if len(stations) == 1:
-            message = f"only station {next(iter(stations))} is observed: bearings, no position without a known height"
-            results.append(CheckResult("info", table, message))
-        elif stations:
-            results += _coincident({key: station.position for key, station in stations.items()})
-            if len(stations) > 2 and shape(np.stack([s.position for s in stations.values()]))[0] == "line":
-                message = "the stations are collinear: positions near their line are weakly determined"
-                results.append(CheckResult("warning", "rig.toml", message))
-            dilution = bearing_dilution(list(stations.values()), places)
-            unit = "m per degree of angle noise"
-            results += _dilution_results(table, dilution, unit, WEAK_ANGLES, known_height, where)
+    for name, kind in KINDS.items():
+        ids = _observed(tables[name], kind) if name in tables and kind.sensors else []
+        every = kind.places(rig)
+        used = {key: every[key] for one in ids for key in one}
+        if not used:
+            continue
+        noun, among = kind.noun, np.stack(list(used.values()))
+        results += _coincident(used) if len(used) > 1 else []
+        if noun == "anchor":
+            results += _flat("anchors", among, known_height)
+        elif len(used) == 1:
+            message = f"only station {next(iter(used))} is observed: bearings, no position without a known height"
+            results.append(CheckResult("info", name, message))
+            continue
+        elif len(used) > 2 and shape(among)[0] == "line":
+            message = "the stations are collinear: positions near their line are weakly determined"
+            results.append(CheckResult("warning", "rig.toml", message))
+        # An array of phases is as good as the two angles that they give.
+        of = KINDS["bearings"] if kind.numbered else kind
+        quantity = kind.columns[0].name.removesuffix("_m").replace("_", " ")
+        unit, limit = (
+            (f"m per m of {quantity} noise", WEAK_RANGES)
+            if kind.unit == "m"
+            else ("m per degree of angle noise", WEAK_ANGLES)
+        )
+        results += _dilution_results(name, dilution(of, rig, ids, places), unit, limit, known_height, where)
     return results
 
 
-def _observed(tables: Mapping[str, pl.DataFrame], name: str, column: str, value: str) -> list[str]:
-    if name not in tables:
-        return []
-    return tables[name].filter(pl.col(value).is_not_null())[column].unique(maintain_order=True).to_list()
+def _observed(table: pl.DataFrame, kind: Kind) -> list[tuple[str, ...]]:
+    """The different sensors of readings of a table."""
+    seen = table.filter(pl.col(kind.least[0]).is_not_null())
+    return seen.select(kind.sensors).unique(maintain_order=True).rows()
 
 
 def _positions(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> tuple[np.ndarray, str]:

@@ -8,6 +8,7 @@ import polars as pl
 
 from trackers.core.rig import Rig
 from trackers.recordings.checks.check_result import CheckResult
+from trackers.recordings.kinds import KINDS, Kind
 
 OFF_M = 0.5
 """Difference of heights, m, from which it counts as a mistake."""
@@ -21,9 +22,11 @@ def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckRes
     heights = {tag: known.height for tag, known in rig.tags.items() if known.height is not None}
     if not heights:
         return []
-    contrary = (_short_ranges(rig, tables["ranges"], heights) if "ranges" in tables else {}) | (
-        _true_heights(tables["truth"], heights) if "truth" in tables else {}
-    )
+    contrary: dict[str, str] = {}
+    for name, kind in KINDS.items():
+        if name in tables and kind.columns[0].positive:
+            contrary |= _short_distances(rig, tables[name], kind, heights)
+    contrary |= _true_heights(tables["truth"], heights) if "truth" in tables else {}
     return [
         CheckResult("error", "rig.toml", f"height_m of tag {tag} is {heights[tag]:g}, but {why}")
         for tag, why in contrary.items()
@@ -42,14 +45,16 @@ def _true_heights(truth: pl.DataFrame, heights: Mapping[str, float]) -> dict[str
     return found
 
 
-def _short_ranges(rig: Rig, ranges: pl.DataFrame, heights: Mapping[str, float]) -> dict[str, str]:
-    """For each tag most of whose ranges are too short for its height: how many."""
-    own = ranges.filter(pl.col("tag").is_in(list(heights)) & pl.col("range_m").is_not_null())
-    z = pl.col("anchor").replace_strict({key: float(at[2]) for key, at in rig.anchors.items()}, default=None)
+def _short_distances(rig: Rig, table: pl.DataFrame, kind: Kind, heights: Mapping[str, float]) -> dict[str, str]:
+    """For each tag most of whose distances are too short for its height: how many."""
+    distance = kind.columns[0].name
+    own = table.filter(pl.col("tag").is_in(list(heights)) & pl.col(distance).is_not_null())
+    z = pl.col(kind.noun).replace_strict({key: float(at[2]) for key, at in rig.anchors.items()}, default=None)
     least = (z - pl.col("tag").replace_strict(dict(heights))).abs() - OFF_M
-    shares = own.group_by("tag", maintain_order=True).agg((pl.col("range_m") < least).mean())
+    shares = own.group_by("tag", maintain_order=True).agg((pl.col(distance) < least).mean())
     return {
-        tag: f"{100 * share:.0f} % of its ranges are shorter than the difference of height to their anchors; correct it"
+        tag: f"{100 * share:.0f} % of its {kind.name} are shorter than the difference of height to their {kind.noun}s; "
+        "correct it"
         for tag, share in shares.iter_rows()
         if share is not None and share > SHORT
     }

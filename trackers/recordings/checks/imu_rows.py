@@ -9,7 +9,7 @@ import polars as pl
 from jaxtyping import Float
 
 from trackers.core.rig import rotation_matrices
-from trackers.recordings.tables import QUATERNION, layout
+from trackers.recordings.kinds import QUATERNION, layout
 
 MOST_ROWS = 30_000
 """Rows of an IMU that are looked at, the first ones."""

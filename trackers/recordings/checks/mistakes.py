@@ -18,19 +18,8 @@ from trackers.recordings.checks.readings import known_median
 from trackers.recordings.checks.sensor_mistakes import sensor_explanations
 from trackers.recordings.checks.world_mistakes import world_explanations
 
-LARGE = {
-    "ranges": (0.3,), "fixes": (0.25, 0.25, 1.0), "bearings": (np.radians(12.0), np.radians(12.0)), "phases": (0.8,),
-}  # fmt: skip
-"""Median error of each column, or of all, m or rad, up to which nothing needs an explanation."""
-
-FLOOR = {"ranges": 0.05, "fixes": 0.05, "bearings": np.radians(2.0), "phases": 0.1}
-"""Median error, m or rad, below which an explanation gains nothing more."""
-
 ALL_GAIN, OWN_GAIN = 0.65, 1.0
 """Mean log ratio of errors that an explanation must reach, and one with numbers fitted to single sensors."""
-
-UNITS = {"bearings": ("°", np.degrees(1.0)), "phases": (" rad", 1.0)}
-"""Unit of printed angles and its size per radian; all other readings are in m."""
 
 UNCHANGED = 0.02
 """Log ratio of errors up to which a change leaves them as they are."""
@@ -48,7 +37,7 @@ def check_against_truth(view: Compared) -> list[CheckResult]:
 def most_likely_mistake(view: Compared) -> str | None:
     """The errors and the most likely cause in a line; None where they are small, or nothing explains them."""
     before = view.sizes(view.errors())
-    large = np.any(before > np.array(LARGE[view.table]), axis=1)
+    large = np.any(before > view.kind.sizes("large", before.shape[1]), axis=1)
     if not large.any():
         return _upside_down(view)
     found = []
@@ -64,12 +53,13 @@ def most_likely_mistake(view: Compared) -> str | None:
 
 def _upside_down(view: Compared) -> str | None:
     """As `most_likely_mistake`, for a truth whose z points down: each sensor takes it for a bias of its own."""
-    if view.table not in ("ranges", "bearings"):
+    if not view.kind.sensors or view.kind.common:
         return None
     down = view._replace(positions=view.positions * np.array([1.0, 1.0, -1.0]))
-    before, after = (np.maximum(one.sizes(one.errors(), bias=False), FLOOR[view.table]) for one in (view, down))
+    floor, large = (view.kind.sizes(which, len(view.columns)) for which in ("floor", "large"))
+    before, after = (np.maximum(one.sizes(one.errors(), bias=False), floor) for one in (view, down))
     gains = np.log(before / after)
-    if not (known_median(before) > np.array(LARGE[view.table])).any() or np.mean(gains[np.isfinite(gains)]) < ALL_GAIN:
+    if not (known_median(before) > large).any() or np.mean(gains[np.isfinite(gains)]) < ALL_GAIN:
         return None
     best = Explanation("the sign of z of the truth flipped", "z of the truth points down; flip it", after)
     return _sentence(view, best, np.ones(len(view.ids), bool))
@@ -79,7 +69,7 @@ def _judged(
     view: Compared, one: Explanation, before: np.ndarray, large: np.ndarray
 ) -> list[tuple[float, np.ndarray, Explanation]]:
     """The cost of an explanation and the groups that it is for; none where it explains too little."""
-    floor, limit = FLOOR[view.table], LARGE[view.table]
+    floor, limit = (view.kind.sizes(which, before.shape[1]) for which in ("floor", "large"))
     # A change with which the errors are unknown improves nothing.
     after = np.where(np.isfinite(one.sizes), one.sizes, np.fmax(before, 1e3))
     known = np.isfinite(before)
@@ -115,7 +105,7 @@ def _judged(
 def _sentence(view: Compared, best: Explanation, groups: np.ndarray) -> str:
     chosen = np.flatnonzero(groups)
     errors = view.sizes(view.errors(), bias=False)[chosen]
-    unit, factor = UNITS.get(view.table, (" m", 1.0))
+    unit, factor = "°" if view.kind.angles else f" {view.kind.unit}", np.degrees(1.0) if view.kind.angles else 1.0
     largest = [factor * float(np.nanmedian(np.nanmax(x, axis=1))) for x in (errors, best.sizes[chosen])]
     sizes = [f"{significant(size, 2)}{unit}" for size in largest]
     where = ""

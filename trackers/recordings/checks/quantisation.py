@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.readings import Readings, wrapped
+from trackers.recordings.checks.readings import Readings
+from trackers.recordings.kinds import unit_of, wrapped
 
 MOST_ROWS = 20_000
 """Readings of a column whose differences are looked at."""
@@ -38,7 +39,7 @@ def check_quantisation(name: str, read: Readings, scatter: np.ndarray) -> list[C
 
 
 def _message(step: float, columns: list[str]) -> str:
-    unit = {"m": "m", "rad": "rad", "mps2": "m/s²", "radps": "rad/s"}[columns[0].rpartition("_")[2]]
+    unit = unit_of(columns[0])
     degrees = f" ({math.degrees(step):.3g}°)" if unit == "rad" else ""
     return (
         f"quantised: {', '.join(columns)} in steps of {step:.3g} {unit}{degrees}; "

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trackers.recordings.columns import stable_order
-from trackers.recordings.tables import layout
+from trackers.recordings.kinds import KINDS, wrapped
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackers.recordings.folder import RecordingFolder
@@ -39,43 +39,29 @@ class Readings(NamedTuple):
 
 def readings(recording: RecordingFolder, name: str) -> Readings:
     """The readings of a table with measurements; of more than `MOST_ROWS`, equally many first ones of each stream."""
-    rows, expected = recording.rows(name), layout(name, recording.tables[name].columns)
-    stream = np.repeat(np.arange(len(rows.tags)), np.diff(rows.starts))
-    sensors: list[str] = []
-    number = np.zeros(len(stream), int)
-    for column in expected.ids[1:]:
-        sensors = list(recording.rig.anchors if column == "anchor" else recording.rig.stations)
-        number = rows.codes(column, sensors)
-        stream = stream * len(sensors) + number
+    rows, kind = recording.rows(name), KINDS[name]
+    columns = kind.layout(recording.tables[name].columns).values
+    ids = tuple(kind.places(recording.rig))
+    sensor = kind.numbers(rows, ids)
+    stream = rows.of_each(np.arange(len(rows.tags)))
+    for number in sensor.T:
+        stream = stream * len(ids) + number
     order = stable_order(stream)
     if len(order) > MOST_ROWS:
         counts = np.bincount(stream)
         within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
         order = order[within < MOST_ROWS // np.count_nonzero(counts)]
-    stream, number, times = stream[order], number[order], rows.times[order]
-    values = rows.floats(expected.values)[order]
+    stream, times = stream[order], rows.times[order]
+    values = rows.floats(columns)[order]
     errors = np.full(values.shape, np.nan)
-    if len(recording.paths.times) and name in ("ranges", "bearings", "fixes"):
+    if len(recording.paths.times) and kind.averaged and kind.predicted is not None:
         # The order is one of tags too.
         tag = np.searchsorted(rows.starts, order, side="right") - 1
         starts = np.searchsorted(tag, np.arange(len(rows.tags) + 1))
         positions, _ = recording.paths.at(rows.tags, starts, times)
-        for k, key in enumerate(sensors or [""]):
-            own = number == k
-            if name == "ranges":
-                true = np.linalg.norm(positions[own] - recording.rig.anchors[key], axis=1, keepdims=True)
-            else:
-                true = recording.rig.stations[key].angles(positions[own]) if key else positions[own]
-            errors[own] = wrapped(values[own] - true, expected.values)
-    return Readings(expected.values, stream, times, values, errors)
-
-
-def wrapped(differences: np.ndarray, columns: tuple[str, ...]) -> np.ndarray:
-    """Differences (N, m), those of angles in [−π, π)."""
-    angles = np.array([column.endswith("_rad") for column in columns])
-    if not angles.any():
-        return differences
-    return np.where(angles, np.mod(differences + np.pi, 2 * np.pi) - np.pi, differences)
+        sensors = kind.sensors_of(recording.rig, ids, sensor[order], len(columns))
+        errors = wrapped(values - kind.predicted(positions, sensors), columns)
+    return Readings(columns, stream, times, values, errors)
 
 
 def about_local_line(read: Readings) -> Float[np.ndarray, "N m"]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from trackers.recordings.checks.check_result import CheckResult, Level
 from trackers.recordings.checks.readings import Readings
+from trackers.recordings.kinds import KINDS
 
 FEW, MANY = 0.01, 0.2
 """Share of repeated readings that is reported, and that is a warning."""
@@ -18,7 +19,7 @@ def check_repeats(name: str, read: Readings) -> list[CheckResult]:
         return []
     message = (
         f"repeated readings: {100 * share:.2g} % of the rows equal the row before of the same "
-        f"{'tag' if name in ('fixes', 'imu') else 'tag and ' + ('anchor' if name == 'ranges' else 'station')}"
+        f"{' and '.join(KINDS[name].layout(()).ids)}"
     )
     level: Level = "warning" if share >= MANY else "info"
     return [CheckResult(level, name, message + ("; expected one row per measurement" if share >= MANY else ""))]

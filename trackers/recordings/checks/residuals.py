@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.compared import BIAS, Compared, compared
-from trackers.recordings.checks.readings import wrapped
+from trackers.recordings.checks.compared import Compared, compared
+from trackers.recordings.kinds import KINDS, wrapped
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackers.recordings.folder import RecordingFolder
@@ -91,7 +91,7 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
     inside = ~_outlying(e, middle, 1.4826 * float(np.median(np.abs(e - middle))))
     e, true, rate = e[inside], true[inside], rate[inside]
     regressors = np.stack([np.ones(len(e)), true - true.mean(), -rate], axis=1)
-    if view.table == "fixes":
+    if view.kind.position:
         regressors[:, 1] = 0.0
     used = np.sqrt(np.mean(regressors**2, axis=0)) > np.array([0.0, 0.2, 0.02])
     A = regressors[:, used]
@@ -107,27 +107,32 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
 
 def delay_against_truth(recording: RecordingFolder, table: str) -> float:
     """Seconds by which the readings of a table come late against truth, NaN where most of them do not determine it."""
-    view = compared(recording, table) if table != "phases" else None
+    view = compared(recording, table) if KINDS[table].averaged else None
     delays = np.array([one.delay for one in residuals(view)] if view is not None else [math.nan])
     return float(np.nanmedian(delays)) if 2 * np.isfinite(delays).sum() > len(delays) else math.nan
 
 
 def check_residuals(view: Compared) -> list[CheckResult]:
     """A line for each anchor, station or tag; the range of their biases where there are many."""
-    if view.table == "phases":
+    if view.kind.numbered:
         return [CheckResult("info", view.table, line) for line in _of_arrays(view)]
     found = residuals(view)
     if len(view.ids) > SHOWN:
         lines = [_of_many([one for one in found if one.column == column], view) for column in view.columns]
     else:
-        lines = [_line([one for one in found if one.group == name], view) for name in view.ids]
+        of_groups = [[one for one in found if one.group == name] for name in view.ids]
+        lines = [_line(rows, view) for rows in of_groups if rows]
     return [*_all_turned(found, view), *(CheckResult("info", view.table, line) for line in lines)]
 
 
 def _all_turned(found: Sequence[Residuals], view: Compared) -> list[CheckResult]:
     """A warning where the azimuths of all stations are off to one side by more than a station's own error."""
     biases = np.array([one.bias for one in found if one.column == "azimuth_rad"])
-    if not len(biases) or np.abs(np.sum(np.sign(biases))) < len(biases) or np.abs(biases).min() < BIAS["bearings"][0]:
+    if (
+        not len(biases)
+        or np.abs(np.sum(np.sign(biases))) < len(biases)
+        or np.abs(biases).min() < KINDS["bearings"].columns[0].bias
+    ):
         return []
     message = (
         f"azimuths of all stations are off by about {_size(float(np.median(biases)), view, '+')}: turned against "
@@ -181,4 +186,4 @@ def _of_many(rows: Sequence[Residuals], view: Compared) -> str:
 
 
 def _size(x: float, view: Compared, sign: str = "") -> str:
-    return f"{np.degrees(x):{sign}.1f}°" if view.table == "bearings" else f"{x:{sign}.2f} m"
+    return f"{np.degrees(x):{sign}.1f}°" if view.kind.unit == "rad" else f"{x:{sign}.2f} m"

@@ -11,7 +11,7 @@ from trackers.core.seconds import moment, place_in_time, span, zero_of
 from trackers.core.wording import counted
 from trackers.recordings.checks.anomalies import long_gaps, streams
 from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.tables import first_time, layout
+from trackers.recordings.kinds import first_time, layout
 
 STREAMS_SHOWN = 24
 """Tables of more streams get one summary line."""

@@ -9,8 +9,9 @@ import numpy as np
 from trackers.recordings.checks.compared import Compared, axes_of
 from trackers.recordings.checks.explanations import FACTORS, Explanation, metres, sizes_with
 from trackers.recordings.checks.phase_mistakes import of_phases
-from trackers.recordings.checks.readings import known_median, wrapped
+from trackers.recordings.checks.readings import known_median
 from trackers.recordings.checks.robust_fit import robust_fit
+from trackers.recordings.kinds import wrapped
 
 FLIGHT = ((0.5, "round-trip distances"), (2.0, "halved distances"))
 LEAST_OFFSET_M = 1.0
@@ -30,40 +31,44 @@ def sensor_explanations(view: Compared, large: np.ndarray) -> Iterator[Explanati
 
     `large` (G,): the groups with errors that need an explanation.
     """
-    if view.table == "ranges":
-        yield from _of_ranges(view)
-    if view.table == "bearings":
+    if view.kind.sensors and view.kind.unit == "m":
+        yield from _of_lengths(view)
+    if view.kind.angles:
         yield from _of_bearings(view)
-    if view.table == "phases":
+    if view.kind.numbered:
         yield from of_phases(view)
-    if view.table in ("bearings", "phases"):
+    if view.noun == "station":
         yield from _of_rotations(view)
-    if view.table != "fixes":
+    if view.kind.sensors:
         yield from _of_places(view)
         yield from _moved(view, large)
 
 
-def _of_ranges(view: Compared) -> Iterator[Explanation]:
+def _of_lengths(view: Compared) -> Iterator[Explanation]:
     for factor, unit in (*FACTORS, *FLIGHT):
         yield Explanation(
-            f"the ranges multiplied by {factor:.4g}", f"ranges are {unit}, expected metres; convert them",
+            f"the {view.table} multiplied by {factor:.4g}", f"{view.table} are {unit}, expected metres; convert them",
             sizes_with(view, values=factor * view.values), own=True,
         )  # fmt: skip
     yield Explanation(
-        "the sign of the ranges flipped", "ranges with the wrong sign; flip it",
+        f"the sign of the {view.table} flipped", f"{view.table} with the wrong sign; flip it",
         sizes_with(view, values=-view.values), own=True,
     )  # fmt: skip
     offset = _medians(view, view.errors())
     kept = np.abs(offset[:, 0]) >= LEAST_OFFSET_M
     yield Explanation(
-        "a constant subtracted from the ranges", "an offset of the ranges, as of an antenna delay that is not "
-        "calibrated; calibrate the anchors", sizes_with(view, values=view.values - offset[view.group]), 1, True, kept,
+        f"a constant subtracted from the {view.table}",
+        f"an offset of the {view.table}, as of an antenna delay that is not calibrated; calibrate the anchors",
+        sizes_with(view, values=view.values - offset[view.group]), 1, True, kept,
         parts=tuple(f"{x:+.2f} m" for x in offset[:, 0]),
     )  # fmt: skip
+    if not view.kind.columns[0].positive:
+        return
     ratio = _medians(view, view.values / np.maximum(view.predicted(), 0.1))
     kept = np.abs(np.log(np.maximum(np.abs(ratio[:, 0]), 1e-6))) > 0.05
     yield Explanation(
-        "the ranges divided by a constant", "a scale error of the ranges; check their unit and the clock of the device",
+        f"the {view.table} divided by a constant",
+        f"a scale error of the {view.table}; check their unit and the clock of the device",
         sizes_with(view, values=view.values / np.where(ratio == 0, 1.0, ratio)[view.group]), 1, True, kept,
         parts=tuple(f"{x:.3f}" for x in ratio[:, 0]),
     )  # fmt: skip
@@ -134,18 +139,14 @@ def _moved(view: Compared, large: np.ndarray) -> Iterator[Explanation]:
     """The place of each group with large errors fitted to its readings, unless the tags hardly move."""
     places = view.places.copy()
     fitted = np.zeros(len(places), bool)
-    for k in np.flatnonzero(large):
+    for k in np.flatnonzero(large).tolist():
         own = view.group == k
         if np.linalg.norm(np.ptp(view.positions[own], axis=0)) < LEAST_EXTENT_M:
             continue
-        part = view._replace(
-            ids=view.ids[k : k + 1], group=np.zeros(int(own.sum()), int), tag=view.tag[own], times=view.times[own],
-            values=view.values[own], positions=view.positions[own], places=view.places[k : k + 1],
-            axes=view.axes[k : k + 1], antennas=view.antennas[k : k + 1], wavelengths=view.wavelengths[k : k + 1],
-        )  # fmt: skip
+        part = view.of_rows(own)
 
-        def errors(place: np.ndarray, part: Compared = part) -> np.ndarray:
-            return part._replace(places=place[None]).errors()
+        def errors(place: np.ndarray, part: Compared = part, k: int = k) -> np.ndarray:
+            return part._replace(places=np.where(np.arange(len(places))[:, None] == k, place, part.places)).errors()
 
         starts = (view.places[k], view.places.mean(axis=0), 2 * part.positions.mean(axis=0) - view.places[k])
         place, size = min((robust_fit(errors, start) for start in starts), key=lambda fit: fit[1])

@@ -10,7 +10,7 @@ import polars as pl
 
 from trackers.core.rig import Rig
 from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.tables import QUATERNION, layout
+from trackers.recordings.kinds import KINDS, QUATERNION, Column, Kind, table_kinds
 
 GRAVITY = 9.81
 GRAVITY_SLACK = 0.15  # for the bias of a low-cost accelerometer and moderate motion
@@ -24,45 +24,50 @@ def check_units(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResul
     """Values of a size that suggests another unit than that of the column."""
     results = _anchor_lengths(rig, tables)
     size = _size(rig)
+    kinds = table_kinds()
     for name, table in tables.items():
-        if name in ("bearings", "phases"):
-            results += _angles(name, table)
-        elif name == "ranges":
-            results += _lengths(name, table["range_m"].abs(), size)
-        elif name in ("fixes", "truth"):
-            results += _lengths(name, _from_rig(table, rig), size)
-        elif name == "imu":
+        kind = kinds[name]
+        if kind.numbered:
+            results += _phases(kind, table)
+        elif kind.position:
+            results += _lengths(name, "distance from the rig", _from_rig(table, rig), size)
+        elif kind.unit == "mps2":
             results += _accelerations(table) + _turn_rates(table)
+        else:
+            results += [one for column in kind.columns for one in _values(name, column, table[column.name], size)]
     return results
 
 
-def _angles(name: str, table: pl.DataFrame) -> list[CheckResult]:
-    results = []
-    if name == "phases":
-        values = layout(name, table.columns).values
-        sizes = pl.concat([table[c].abs().alias("size") for c in values]).drop_nulls()
-        if len(sizes) and _median(sizes) > 2 * math.pi:
-            message = (
-                f"phases are typically {_median(sizes):.3g}: looks like degrees, expected radians wrapped to (-π, π]"
-            )
-            results.append(CheckResult("error", name, message))
-        elif int((sizes > math.pi + 1e-3).sum()) > 0.01 * len(sizes):
-            message = "phases are not wrapped to (-π, π]; harmless, since trackers wrap phase differences"
-            results.append(CheckResult("warning", name, message))
-        return results
-    for column, limit in (("azimuth_rad", math.pi), ("elevation_rad", math.pi / 2)):
-        large = table[column].abs().quantile(0.9)
-        if large is not None and large > limit:
-            message = f"10 % of {column} lie beyond ±{large:.3g}: looks like degrees, expected radians"
-            results.append(CheckResult("error", name, message))
-    return results
+def _phases(kind: Kind, table: pl.DataFrame) -> list[CheckResult]:
+    values = kind.layout(table.columns).values
+    sizes = pl.concat([table[c].abs().alias("size") for c in values]).drop_nulls()
+    if len(sizes) and _median(sizes) > 2 * math.pi:
+        message = (
+            f"{kind.name} are typically {_median(sizes):.3g}: looks like degrees, expected radians wrapped to (-π, π]"
+        )
+        return [CheckResult("error", kind.name, message)]
+    if int((sizes > math.pi + 1e-3).sum()) > 0.01 * len(sizes):
+        message = f"{kind.name} are not wrapped to (-π, π]; harmless, since trackers wrap phase differences"
+        return [CheckResult("warning", kind.name, message)]
+    return []
 
 
-def _lengths(name: str, lengths: pl.Series, size: float | None) -> list[CheckResult]:
+def _values(name: str, column: Column, values: pl.Series, size: float | None) -> list[CheckResult]:
+    """Angles beyond their bound, and lengths that are large beside the rig, whose `size` is in m."""
+    if column.unit == "m":
+        return _lengths(name, column.name.removesuffix("_m").replace("_", " "), values.abs(), size)
+    large = values.abs().quantile(0.9)
+    if column.unit != "rad" or large is None or large <= column.bound:
+        return []
+    message = f"10 % of {column.name} lie beyond ±{column.bound:.3g}: looks like degrees, expected radians"
+    return [CheckResult("error", name, message)]
+
+
+def _lengths(name: str, what: str, lengths: pl.Series, size: float | None) -> list[CheckResult]:
     if not lengths.count():
         return []
     typical = _median(lengths)
-    what = f"a typical {'range' if name == 'ranges' else 'distance from the rig'} is {typical:.4g} m"
+    what = f"a typical {what} is {typical:.4g} m"
     if typical > FAR_M and (size is None or typical > FAR_SIZES * size):
         unit = "millimetres" if size is None or typical > FAR_SIZES_MM * size else "centimetres"
         return [CheckResult("error", name, f"{what}: looks like {unit}, expected metres")]
@@ -73,13 +78,18 @@ def _lengths(name: str, lengths: pl.Series, size: float | None) -> list[CheckRes
 
 
 def _anchor_lengths(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
-    """Anchors much further apart than the ranges to the tags."""
-    if "ranges" not in tables or len(rig.anchors) < 2 or not tables["ranges"]["range_m"].count():
+    """Anchors much further apart than the distances to the tags."""
+    distances = [
+        tables[name][kind.columns[0].name].abs().rename("distance")
+        for name, kind in KINDS.items()
+        if name in tables and kind.columns[0].positive
+    ]
+    if len(rig.anchors) < 2 or not any(one.count() for one in distances):
         return []
     positions = np.stack(list(rig.anchors.values()))
     between = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
     nearest = float(np.median(np.where(np.eye(len(positions), dtype=bool), np.inf, between).min(axis=1)))
-    typical = _median(tables["ranges"]["range_m"].abs())
+    typical = _median(pl.concat(distances))
     if nearest < 100 * typical or nearest < FAR_M:
         return []
     message = f"anchors {nearest:.4g} m apart, ranges of {typical:.3g} m: looks like millimetres, expected metres"

@@ -54,16 +54,16 @@ def world_explanations(view: Compared) -> Iterator[Explanation]:
 
 def _units(view: Compared) -> Iterator[Explanation]:
     for factor, unit in FACTORS:
-        if view.table == "fixes":
+        if view.kind.position:
             yield Explanation(
-                f"the fixes multiplied by {factor:g}", f"fixes in {unit}, expected metres; convert them",
+                f"the {view.table} multiplied by {factor:g}", f"{view.table} in {unit}, expected metres; convert them",
                 sizes_with(view, values=factor * view.values),
             )  # fmt: skip
         yield Explanation(
             f"the truth multiplied by {factor:g}", f"truth in {unit}, expected metres; convert it",
             sizes_with(view, positions=factor * view.positions),
         )  # fmt: skip
-        if view.table != "fixes":
+        if not view.kind.position:
             yield Explanation(
                 f"the positions of the {view.noun}s multiplied by {factor:g}",
                 f"positions in rig.toml in {unit}, expected metres; convert them",
@@ -79,13 +79,13 @@ def _axes(view: Compared) -> Iterator[Explanation]:
                 axes.words, _frame_cause(view, "has other axes than"),
                 sizes_with(view, positions=view.positions @ axes.matrix.T) * (1.0 + 0.01 * axes.changes),
                 # The maker's height is often of no use, or mirrored in the plane of the anchors.
-                harmless=view.table == "fixes" and axes.words == "the sign of z of the truth flipped",
+                harmless=view.kind.position and axes.words == "the sign of z of the truth flipped",
             )  # fmt: skip
 
 
 def _frame_cause(view: Compared, what: str, placement: Sequence[float] = ()) -> str:
     """The cause, and the fix: where a shift, m, and turn, °, are enough, by import."""
-    other = "the fixes" if view.table == "fixes" else "rig.toml"
+    other = f"the {view.table}" if view.kind.position else "rig.toml"
     moving = f"--align-truth, which fits the clock as well, or --transform {transform_text(placement)}"
     fix = f"import it again with {moving}" if len(placement) else "bring both into one frame"
     return f"the truth {what} {other}; {fix}"
@@ -107,13 +107,13 @@ def _shifted(view: Compared) -> Iterator[Explanation]:
         yield Explanation(
             f"the truth shifted by {metres(shift)}", _frame_cause(view, "has another origin than", (*shift, 0.0)),
             sizes_with(view, positions=view.positions + shift), 3,
-            harmless=view.table == "fixes" and bool(np.linalg.norm(shift[:2]) < LEAST_SHIFT_M),
+            harmless=view.kind.position and bool(np.linalg.norm(shift[:2]) < LEAST_SHIFT_M),
         )  # fmt: skip
 
 
 def _middle(view: Compared, centre: np.ndarray) -> np.ndarray:
     """The mean (3,) of fixes, or of anchors or stations; the `centre` of the truth along an axis without a fix."""
-    if view.table != "fixes":
+    if not view.kind.position:
         return np.asarray(view.places.mean(axis=0))
     known = np.isfinite(view.values)
     sums = np.where(known, view.values, 0.0).sum(axis=0)
@@ -154,7 +154,7 @@ def _turned(view: Compared) -> Iterator[Explanation]:
 
 
 def _farthest(view: Compared) -> float:
-    return FARTHEST_M if view.table == "phases" else np.inf
+    return FARTHEST_M if view.kind.numbered else np.inf
 
 
 def _placed(positions: np.ndarray, centre: np.ndarray, x: np.ndarray, mirrored: bool) -> np.ndarray:
@@ -198,7 +198,7 @@ def _total(view: Compared) -> float:
 def _swapped_sensors(view: Compared) -> Iterator[Explanation]:
     """Each anchor or station at the place of another."""
     count = len(view.ids)
-    if view.table == "fixes" or not 2 <= count <= MOST_SWAPPED:
+    if len(view.kind.sensors) != 1 or not 2 <= count <= MOST_SWAPPED:
         return
     few = view.thinned(max(FEW, 60 * count))
     found = [

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.core.rig import Station
-from trackers.recordings.checks.geometry import bearing_dilution, range_dilution, shape
+from trackers.core.rig import Rig, Station
+from trackers.recordings.checks.geometry import Dilution, dilution, shape
+from trackers.recordings.kinds import KINDS
 
 ONE_DEGREE = np.radians(1.0)
+
+
+def _range_dilution(anchors: np.ndarray, positions: np.ndarray) -> Dilution:
+    rig = Rig("rig", anchors={str(k): place for k, place in enumerate(anchors)})
+    return dilution(KINDS["ranges"], rig, [(name,) for name in rig.anchors], positions)
 
 
 def test_range_dilution_is_the_standard_deviation_of_least_squares_positions():
@@ -25,41 +31,44 @@ def test_range_dilution_is_the_standard_deviation_of_least_squares_positions():
         missed = ranges - distance
         found += [np.linalg.lstsq(j, m, rcond=None)[0] for j, m in zip(jacobian, missed, strict=True)]
     spread = found.std(axis=0) / sigma
-    dilution = range_dilution(anchors, place[None])
+    seen = _range_dilution(anchors, place[None])
     # a standard deviation from 20,000 draws is good to 0.5 %, four of them are 2 %
-    np.testing.assert_allclose(dilution.horizontal[0], np.hypot(spread[0], spread[1]), rtol=0.02)
-    np.testing.assert_allclose(dilution.vertical[0], spread[2], rtol=0.02)
+    np.testing.assert_allclose(seen.horizontal[0], np.hypot(spread[0], spread[1]), rtol=0.02)
+    np.testing.assert_allclose(seen.vertical[0], spread[2], rtol=0.02)
 
 
-def test_bearing_dilution_agrees_with_finite_differences_of_the_angles():
+def test_bearing_dilution_is_that_of_the_gradients_of_the_angles():
     stations = [
         Station(np.array([0.0, 3.0, 2.3]), np.array([0.5, 0.5, 0.5, 0.5])),
         Station(np.array([6.0, 0.0, 2.0]), np.array([0.1, -0.2, 0.7, 0.6]) / np.sqrt(0.9)),
     ]
     place = np.array([2.0, 2.0, 1.0])
-    step = 1e-6
-    columns = [
-        np.concatenate([(s.angles(place + e) - s.angles(place - e)) / (2 * step) for s in stations])
-        for e in step * np.eye(3)
-    ]
-    jacobian = np.stack(columns, axis=1)
+    rows = []
+    for station in stations:
+        x, y, z = station.position_in_array(place)
+        flat = np.hypot(x, z)
+        azimuth = np.array([z, 0.0, -x]) / flat**2
+        elevation = np.array([-x * y / flat, flat, -z * y / flat]) / (flat**2 + y**2)
+        rows += [station.world_from_array() @ azimuth, station.world_from_array() @ elevation]
+    jacobian = np.stack(rows)
     cov = ONE_DEGREE**2 * np.linalg.inv(jacobian.T @ jacobian)
-    dilution = bearing_dilution(stations, place[None])
-    # central differences with a step of 1e-6 are good to about 1e-9
-    np.testing.assert_allclose(dilution.horizontal[0], np.sqrt(cov[0, 0] + cov[1, 1]), rtol=1e-7)
-    np.testing.assert_allclose(dilution.vertical[0], np.sqrt(cov[2, 2]), rtol=1e-7)
+    rig = Rig("rig", stations={"a": stations[0], "b": stations[1]})
+    found = dilution(KINDS["bearings"], rig, [("a",), ("b",)], place[None])
+    # slopes over 0.2 mm are good to about 1e-9
+    np.testing.assert_allclose(found.horizontal[0], np.sqrt(cov[0, 0] + cov[1, 1]), rtol=1e-7)
+    np.testing.assert_allclose(found.vertical[0], np.sqrt(cov[2, 2]), rtol=1e-7)
     flat = jacobian[:, :2]
     known = np.sqrt(np.trace(ONE_DEGREE**2 * np.linalg.inv(flat.T @ flat)))
-    np.testing.assert_allclose(dilution.horizontal_at_height[0], known, rtol=1e-7)
+    np.testing.assert_allclose(found.horizontal_at_height[0], known, rtol=1e-7)
 
 
 def test_only_coordinates_without_information_are_undetermined():
     square = np.array([[0.0, 0, 1], [4, 0, 1], [4, 4, 1], [0, 4, 1]])
-    dilution = range_dilution(square, np.array([[2.0, 2.0, 1.0]]))
-    assert np.isinf(dilution.vertical[0])
+    seen = _range_dilution(square, np.array([[2.0, 2.0, 1.0]]))
+    assert np.isinf(seen.vertical[0])
     # four unit vectors along the diagonals: JᵀJ = 2 I, so √(½ + ½)
-    np.testing.assert_allclose(dilution.horizontal[0], 1.0, rtol=1e-12)
-    pair = range_dilution(square[:1], np.array([[2.0, 2.0, 1.0]]))
+    np.testing.assert_allclose(seen.horizontal[0], 1.0, rtol=1e-9)
+    pair = _range_dilution(square[:1], np.array([[2.0, 2.0, 1.0]]))
     assert np.isinf(pair.horizontal[0])
     assert np.isinf(pair.horizontal_at_height[0])
 

@@ -1,0 +1,122 @@
+"""The predictions of each kind of measurement against those of the trackers' sensors, and a user's own kind."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackers.aoa.phases import SphericalPhases
+from trackers.core.algebra import Vector
+from trackers.core.errors import UnusableInput
+from trackers.core.rig import Rig, Station
+from trackers.parts.fixes import FixSensor
+from trackers.parts.ranges import RangeSensor
+from trackers.recordings.kinds import KINDS, TRUTH, Column, Kind, Sensors, add_kind, wrapped
+
+RNG = np.random.default_rng(32)
+TURNED = np.array([0.5, -0.3, 0.7, 0.4]) / np.sqrt(0.99)
+ANTENNAS = np.array([[0.0, 0.0], [0.02, 0.001], [-0.01, 0.03], [0.03, -0.02]])
+RIG = Rig(
+    "rig",
+    anchors={"A": np.array([0.0, 1.0, 2.0]), "B": np.array([4.0, -1.0, 2.5])},
+    stations={
+        "S": Station(np.array([1.0, 0.5, 2.0]), TURNED, ANTENNAS, 0.0125),
+        "T": Station(np.array([-2.0, 3.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0]), ANTENNAS[:3], 0.06),
+    },
+)
+POSITIONS = RNG.uniform(-5.0, 5.0, (40, 3))
+NUMBER = RNG.integers(0, 2, (40, 1))
+
+
+def _predicted(name: str, columns: int) -> np.ndarray:
+    kind = KINDS[name]
+    ids = list(kind.places(RIG))
+    number = NUMBER if kind.sensors else np.zeros((40, 0), int)
+    assert kind.predicted is not None
+    return kind.predicted(POSITIONS, kind.sensors_of(RIG, ids, number, columns))
+
+
+def _measured(sensor, position, inputs) -> list[float]:
+    view = SimpleNamespace(position=Vector(*position), velocity=Vector(0.0, 0.0, 0.0))
+    return [float(x) for x in sensor.measure(view, inputs)]
+
+
+def test_ranges_are_predicted_as_their_sensor_does():
+    sensor, anchors = RangeSensor(1, 2, 0.1, 1.0, 4.0), list(RIG.anchors.values())
+    expected = [
+        _measured(sensor, p, {"anchors": anchors[k], "anchor": np.array([float(k)])})
+        for p, (k,) in zip(POSITIONS, NUMBER, strict=True)
+    ]
+    np.testing.assert_allclose(_predicted("ranges", 1), expected, rtol=1e-12)
+
+
+def test_bearings_are_predicted_as_their_sensor_does():
+    sensor, stations = BearingSensor(0.1, 0.1, 4.0), list(RIG.stations.values())
+    expected = []
+    for p, (k,) in zip(POSITIONS, NUMBER, strict=True):
+        row = bearing_inputs(stations[k])
+        expected.append(_measured(sensor, p, {"origin": row[:3], "axes": row[3:], "station": float(k)}))
+    np.testing.assert_allclose(_predicted("bearings", 2), expected, rtol=1e-12)
+
+
+def test_phases_are_predicted_as_their_sensor_does_with_none_for_an_antenna_that_a_station_lacks():
+    found, stations = _predicted("phases", 4), list(RIG.stations.values())
+    for row, p, (k,) in zip(found, POSITIONS, NUMBER, strict=True):
+        expected = _measured(SphericalPhases(stations[k]), p, {})
+        np.testing.assert_allclose(row[: len(expected)], expected, rtol=1e-9, atol=1e-9)
+        assert np.isnan(row[len(expected) :]).all()
+
+
+def test_fixes_are_predicted_as_their_sensor_does():
+    expected = [_measured(FixSensor(0.1, 0.1), p, {}) for p in POSITIONS]
+    np.testing.assert_array_equal(_predicted("fixes", 3), expected)
+
+
+def test_columns_of_phases_are_those_that_the_table_has():
+    columns = ["t_s", "tag", "station", "phase_1_rad", "phase_2_rad", "phase_std_rad", "phase_x_rad"]
+    layout = KINDS["phases"].layout(columns)
+    assert layout.ids == ("tag", "station")
+    assert layout.values == ("phase_1_rad", "phase_2_rad")
+    assert layout.optional == ("phase_1_std_rad", "phase_2_std_rad", "phase_std_rad")
+    assert KINDS["phases"].least == ("phase_1_rad",)
+
+
+def test_an_imu_and_truth_may_have_an_attitude_and_fixes_may_not():
+    assert "qw" in KINDS["imu"].layout(()).optional
+    assert "qw" in TRUTH.layout(()).optional
+    assert "qw" not in KINDS["fixes"].layout(()).optional
+
+
+def test_only_differences_of_angles_are_wrapped():
+    np.testing.assert_allclose(wrapped(np.array([[4.0, 4.0]]), ("a_m", "a_rad")), [[4.0, 4.0 - 2 * np.pi]])
+
+
+def test_a_kind_with_two_sensors_is_predicted_from_both():
+    def difference(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
+        first, second = sensors.distances(positions).T
+        return (first - second)[:, None]
+
+    kind = Kind("tdoa", (Column("range_difference_m"),), ("anchor", "anchor_2"), difference)
+    number = np.array([[0, 1], [1, 0]])
+    found = difference(POSITIONS[:2], kind.sensors_of(RIG, ["A", "B"], number, 1))
+    a, b = (np.linalg.norm(POSITIONS[:2] - place, axis=1) for place in RIG.anchors.values())
+    np.testing.assert_allclose(found[:, 0], [a[0] - b[0], b[1] - a[1]])
+    assert kind.layout(()).ids == ("tag", "anchor", "anchor_2")
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (lambda: Kind("Tdoa", ()), "expected a name of a table in lower case"),
+        (lambda: Kind("tdoa", (Column("difference"),)), "ends with its unit"),
+        (lambda: Kind("tdoa", (Column("difference_m"),), ("beacon",)), "expected anchor, anchor_2"),
+        (lambda: add_kind(Kind("ranges", (Column("range_m"),))), "is a table of the format"),
+        (lambda: add_kind(Kind("truth", (Column("range_m"),))), "is a table of the format"),
+    ],
+)
+def test_a_kind_that_the_format_cannot_hold_is_refused(made, message):
+    with pytest.raises(UnusableInput, match=message):
+        made()

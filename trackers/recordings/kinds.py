@@ -1,0 +1,300 @@
+"""The kinds of measurement: the columns of each table, what true positions predict for them, how large errors are.
+
+Reading, checks, averages, calibration, import and the residuals on a page loop over `KINDS`. A user's kind joins them
+by `add_kind`; docs/extending.md has one.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+import polars as pl
+from jaxtyping import Float, Int
+
+from trackers.core.errors import UnusableInput
+from trackers.core.rig import Point, Rig
+from trackers.core.seconds import seconds
+from trackers.recordings.columns import TagRows
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+UNITS = {"m": "m", "rad": "rad", "mps2": "m/s²", "radps": "rad/s"}
+"""Unit in words by the ending of a column."""
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*_(m|rad|mps2|radps)")
+
+
+class Sensors(NamedTuple):
+    """The sensors of N readings, k each; k is 0 for what a tag measures without anchors and stations.
+
+    `number` (N, k): which of the G anchors or stations. `places` (G, 3) m; `axes` (G, 3, 3): the matrices that take
+    array-frame vectors to world-frame vectors. `antennas` (G, m, 2) m, NaN for those that a station lacks, and
+    `wavelengths` (G,) m: of stations with phases.
+    """
+
+    number: Int[np.ndarray, "N k"]
+    places: Float[np.ndarray, "G 3"]
+    axes: Float[np.ndarray, "G 3 3"]
+    antennas: Float[np.ndarray, "G m 2"]
+    wavelengths: Float[np.ndarray, " G"]
+
+    def distances(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N k"]:
+        """Distances of positions, m, from the sensors of each reading."""
+        away = positions[:, None] - self.places[self.number]
+        return np.sqrt(np.einsum("nkd,nkd->nk", away, away))
+
+    def in_array(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3 N"]:
+        """Coordinates of positions, m, in the array frame of each reading's first sensor."""
+        first = self.number[:, 0]
+        return np.einsum("ni,nij->jn", positions - self.places[first], self.axes[first])
+
+
+class Column(NamedTuple):
+    """A column with values, whose name ends with its unit: `_m`, `_rad`, `_mps2` or `_radps`.
+
+    `bias`: a median error up to this is a property of the sensor. `large`: errors up to this need no explanation;
+    `floor`: smaller ones cannot be told apart. `bound`: the largest angle. `positive`: zero and below is no reading.
+    """
+
+    name: str
+    bias: float = 0.0
+    large: float = math.inf
+    floor: float = 0.0
+    bound: float = math.pi
+    positive: bool = False
+
+    @property
+    def unit(self) -> str:
+        """The ending of its name."""
+        return self.name.rpartition("_")[2]
+
+
+def unit_of(column: str) -> str:
+    """The unit of a column in words, by the ending of its name."""
+    return UNITS[column.rpartition("_")[2]]
+
+
+class Layout(NamedTuple):
+    """The columns of a table: ids, values, and optional ones."""
+
+    ids: tuple[str, ...]
+    values: tuple[str, ...]
+    optional: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A table of recordings, and of measurements the values that true positions and the rig predict.
+
+    `name`: of the table. `columns`: those with values; `numbered`: its one column, with `{n}` in its name, is repeated
+    from 1. `sensors`: the columns with the ids of a reading's anchors or stations. `predicted(positions, sensors)`: the
+    values (N, m) at positions (N, 3), m; None where positions do not predict them. `averaged`: whether a mean over some
+    tenths of a second is a reading again. `common`: whether a row has an unknown offset common to its columns.
+    `attitude`: whether the table may have a quaternion. `calibrated`: the part of a calibration that concerns it.
+    Raises UnusableInput for names that the format cannot hold.
+    """
+
+    name: str
+    columns: tuple[Column, ...]
+    sensors: tuple[str, ...] = ()
+    predicted: Callable[[np.ndarray, Sensors], np.ndarray] | None = None
+    averaged: bool = False
+    common: bool = False
+    numbered: bool = False
+    attitude: bool = False
+    calibrated: Literal["stations", "anchors"] | None = None
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):
+            raise UnusableInput(f"kind {self.name!r}: expected a name of a table in lower case, such as tdoa")
+        for column in self.columns:
+            if not _NAME.fullmatch(column.name.replace("{n}", "1")):
+                raise UnusableInput(
+                    f"kind {self.name}: column {column.name!r}; expected a name that ends with its unit, "
+                    "_m, _rad, _mps2 or _radps"
+                )
+        for sensor in self.sensors:
+            if not sensor.startswith(("anchor", "station")):
+                raise UnusableInput(f"kind {self.name}: sensor {sensor!r}; expected anchor, anchor_2 … or station")
+
+    @cached_property
+    def noun(self) -> str:
+        """What has errors of its own: `anchor`, `station`, or without sensors `tag`."""
+        return self.sensors[0] if self.sensors else "tag"
+
+    @cached_property
+    def unit(self) -> str:
+        """The unit of its values, by the first of them."""
+        return self.columns[0].unit
+
+    @cached_property
+    def position(self) -> bool:
+        """Whether its values are a position."""
+        return [column.name for column in self.columns] == ["x_m", "y_m", "z_m"]
+
+    @cached_property
+    def angles(self) -> bool:
+        """Whether its values are azimuth and elevation."""
+        return [column.name for column in self.columns] == ["azimuth_rad", "elevation_rad"]
+
+    def places(self, rig: Rig) -> dict[str, Point]:
+        """The positions, m, of the anchors or stations of a rig that its sensors may be; none without sensors."""
+        if self.noun == "station":
+            return {key: np.asarray(station.position, float) for key, station in rig.stations.items()}
+        return {key: np.asarray(place, float) for key, place in rig.anchors.items()} if self.sensors else {}
+
+    @cached_property
+    def least(self) -> tuple[str, ...]:
+        """The columns with values that a table has at least."""
+        return tuple(column.name.replace("{n}", "1") for column in self.columns)
+
+    def layout(self, columns: Sequence[str]) -> Layout:
+        """Its required and optional columns in a table with `columns`, on which the number of numbered ones depends."""
+        names = tuple(column.name for column in self.columns)
+        stds = tuple(std_column(name.replace("_{n}", "")) for name in names) if self.numbered else ()
+        if self.numbered:
+            names = tuple(name for name in columns if self.number_of(name) is not None)
+        stds = tuple(map(std_column, names)) + stds
+        return Layout(("tag", *self.sensors), names, stds + (QUATERNION if self.attitude else ()))
+
+    def number_of(self, column: str) -> int | None:
+        """The number of a numbered column, None for any other."""
+        before, _, after = self.columns[0].name.partition("{n}")
+        found = re.fullmatch(rf"{before}([1-9]\d*){after}", column) if self.numbered else None
+        return None if found is None else int(found[1])
+
+    def column(self, name: str) -> Column:
+        """The column of this name, or the one that is numbered."""
+        return self.columns[0] if self.numbered else next(column for column in self.columns if column.name == name)
+
+    def sizes(self, which: Literal["bias", "large", "floor"], columns: int) -> Float[np.ndarray, " m"]:
+        """A size of errors of each of so many columns."""
+        return np.broadcast_to(np.array([getattr(column, which) for column in self.columns]), (columns,))
+
+    def numbers(self, rows: TagRows, ids: Sequence[str]) -> Int[np.ndarray, "N k"]:
+        """The numbers in `ids` of the sensors of each row."""
+        codes = [rows.codes(column, ids).astype(int) for column in self.sensors]
+        return np.stack(codes, axis=1) if codes else np.zeros((len(rows.times), 0), int)
+
+    def sensors_of(self, rig: Rig, ids: Sequence[str], number: Int[np.ndarray, "N k"], columns: int) -> Sensors:
+        """The sensors of readings with so many columns, numbered in `ids`, anchors or stations of the rig."""
+        there, axes = self.places(rig), np.tile(np.eye(3), (len(ids), 1, 1))
+        places = np.array([there.get(key, np.zeros(3)) for key in ids]).reshape(-1, 3)
+        antennas, wavelengths = np.full((len(ids), columns, 2), np.nan), np.ones(len(ids))
+        for k, station in enumerate(rig.stations[key] for key in ids if self.noun == "station"):
+            axes[k] = station.world_from_array()
+            if self.numbered and station.antennas is not None and station.wavelength is not None:
+                antennas[k, : len(station.antennas)], wavelengths[k] = station.antennas, station.wavelength
+        return Sensors(number, places, axes, antennas, wavelengths)
+
+
+def std_column(value: str) -> str:
+    """The name of the column with the standard deviation of `value`: `range_m` gives `range_std_m`."""
+    quantity, _, unit = value.rpartition("_")
+    return f"{quantity}_std_{unit}"
+
+
+def wrapped(differences: Float[np.ndarray, "N m"], columns: Sequence[str]) -> Float[np.ndarray, "N m"]:
+    """Differences of the values of columns, those of angles in [−π, π)."""
+    angles = np.array([column.endswith("_rad") for column in columns])
+    if not angles.any():
+        return differences
+    return np.where(angles, np.mod(differences + np.pi, 2 * np.pi) - np.pi, differences)
+
+
+def _positions(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
+    return positions
+
+
+def _angles(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
+    x, y, z = sensors.in_array(positions)
+    return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=1)
+
+
+def _phases(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
+    """Phases of spherical waves, up to one offset of all antennas."""
+    x, y, z = sensors.in_array(positions)
+    p, a = np.stack([x, y], axis=1)[:, None], sensors.antennas[sensors.number[:, 0]]
+    square = np.einsum("nmd,nmd->nm", a, a)
+    along = 2.0 * np.einsum("nmd,nmd->nm", p * np.ones_like(a), a) - square
+    far = np.sqrt(x * x + y * y + z * z)[:, None]
+    # The distance less that of the antenna, without subtracting the two.
+    shorter = along / (far + np.sqrt(np.maximum(far * far - along, 0.0)))
+    return 2 * np.pi / sensors.wavelengths[sensors.number[:, :1]] * shorter
+
+
+_POSITION = (Column("x_m", 0.0, 0.25, 0.05), Column("y_m", 0.0, 0.25, 0.05), Column("z_m", 1.0, 1.0, 0.05))
+_ANGLE = math.radians(5.0), math.radians(12.0), math.radians(2.0)
+
+KINDS: dict[str, Kind] = {
+    kind.name: kind
+    for kind in (
+        Kind(
+            "ranges",
+            (Column("range_m", bias=1.0, large=0.3, floor=0.05, positive=True),),
+            ("anchor",),
+            lambda positions, sensors: sensors.distances(positions),
+            averaged=True,
+            calibrated="anchors",
+        ),
+        Kind("fixes", _POSITION, (), _positions, averaged=True),
+        Kind(
+            "bearings",
+            (Column("azimuth_rad", *_ANGLE), Column("elevation_rad", *_ANGLE, bound=math.pi / 2)),
+            ("station",),
+            _angles,
+            averaged=True,
+            calibrated="stations",
+        ),
+        Kind("phases", (Column("phase_{n}_rad", 0.5, 0.8, 0.1),), ("station",), _phases, common=True, numbered=True),
+        Kind(
+            "imu",
+            tuple(
+                Column(f"{what}_{axis}_{unit}")
+                for what, unit in (("accel", "mps2"), ("gyro", "radps"))
+                for axis in "xyz"
+            ),
+            attitude=True,
+        ),
+    )
+}
+"""The kinds of measurement by name of their table, in the order in which they are listed."""
+
+TRUTH = Kind("truth", _POSITION, attitude=True)
+"""The table of true positions."""
+
+
+def table_kinds() -> dict[str, Kind]:
+    """All tables of a recording: the kinds of measurement, and truth."""
+    return {**KINDS, TRUTH.name: TRUTH}
+
+
+def layout(name: str, columns: Sequence[str]) -> Layout:
+    """The columns of the table `name` that has `columns`."""
+    return table_kinds()[name].layout(columns)
+
+
+def first_time(frames: Mapping[str, pl.DataFrame]) -> float:
+    """The earliest time, s, of the measurements, or of the truth where there are none; zero without rows."""
+    measured = [frames[name] for name in KINDS if name in frames]
+    times = [seconds(table["t_s"].to_numpy()) for table in measured or frames.values()]
+    return min((float(own.min()) for own in times if len(own)), default=0.0)
+
+
+def add_kind(kind: Kind) -> Kind:
+    """Adds a user's kind of measurement to those that recordings are read with; returns it.
+
+    One of the same name that a user added before is replaced. Raises UnusableInput for the name of a built-in table.
+    """
+    if kind.name in _BUILT_IN:
+        raise UnusableInput(f"kind {kind.name!r}: is a table of the format; give another name")
+    KINDS[kind.name] = kind
+    return kind
+
+
+_BUILT_IN = frozenset(table_kinds())
