@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import sim
 import trackers
 import tuning
+from trackers.core.errors import near
 
 if TYPE_CHECKING:
     from experiments.pages.plots import notebook as plot
@@ -46,7 +47,7 @@ def __getattr__(name: str) -> Any:
     else:
         package = next((package for package in (trackers, sim, tuning) if name in package.__all__), None)
         if package is None:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}{near(name, __all__)}")
         found = getattr(package, name)
     globals()[name] = found
     return found

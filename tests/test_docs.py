@@ -19,6 +19,7 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import assert_refused, trackwright
+from trackers.recordings.kinds import KINDS
 
 ROOT = Path(__file__).parents[1]
 
@@ -32,7 +33,9 @@ def extended():
     """What stands in the namespace after all Python blocks of docs/extending.md have run in order."""
     names = {"__name__": "extending"}
     for block in _blocks("docs/extending.md"):
-        exec(compile(block, "docs/extending.md", "exec", dont_inherit=True), names)
+        # Those that are files of their own are tested as such.
+        if not block.startswith("# "):
+            exec(compile(block, "docs/extending.md", "exec", dont_inherit=True), names)
     return names
 
 
@@ -114,6 +117,50 @@ def test_a_tracker_of_ones_own_is_tuned_swept_and_studied_by_file(turning):
     done = trackwright("study", "mine.toml", "--out", "studied")
     assert done.code == 0, done.err
     assert "turning" in (turning / "studied" / "results.json").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def hall(tmp_path, monkeypatch):
+    """A folder with both files of a kind of one's own, and a recording `hall` of it, while no program knows it."""
+    for name in ("tdoa", "hall"):
+        (block,) = (b for b in _blocks("docs/extending.md") if b.startswith(f"# {name}.py"))
+        (tmp_path / f"{name}.py").write_text(block, encoding="utf-8")
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.invalidate_caches()
+    made = importlib.import_module("hall")
+    tw.write(made.hall(range(3), 1), "hall")
+    yield made
+    for name in ("tdoa", "hall"):
+        sys.modules.pop(name, None)
+    KINDS.pop("tdoa", None)
+
+
+def test_a_kind_of_ones_own_is_read_checked_and_tracked(hall):
+    recording = tw.read("hall")
+    results = [f"{one.level} {one.where}: {one.message}" for one in tw.check(recording)]
+    assert not [line for line in results if line.startswith(("error", "warning tdoa"))]
+    assert any("tdoa: dilution of precision" in line and "range difference noise" in line for line in results)
+    assert any("anchor 3 against truth: bias" in line for line in results)
+    metrics = tw.evaluate(tw.build("tdoa.py:TRACKER", recording).run(recording), recording)
+    # Four differences of 0.15 m a row, ten rows a second.
+    assert metrics["rmse_m"] < 0.15
+
+
+def test_a_kind_of_ones_own_with_an_unknown_anchor_is_refused_with_its_row(hall):
+    table = pl.read_parquet("hall/tdoa.parquet")
+    other = table.with_columns(anchor_2=pl.when(pl.int_range(pl.len()) == 4).then(pl.lit("9")).otherwise("anchor_2"))
+    other.write_parquet("hall/tdoa.parquet")
+    with pytest.raises(tw.UnusableInput, match=r"row 5, column anchor_2: anchor_2 '9' is not in rig.toml"):
+        tw.read("hall")
+
+
+def test_swapped_signs_of_a_kind_of_ones_own_are_explained(hall):
+    table = pl.read_parquet("hall/tdoa.parquet")
+    table.with_columns(-pl.col("range_difference_m")).write_parquet("hall/tdoa.parquet")
+    errors = [one.message for one in tw.check(tw.read("hall")) if one.level == "error"]
+    assert any("sign of the tdoa flipped" in message for message in errors)
 
 
 @pytest.mark.parametrize(

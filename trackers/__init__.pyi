@@ -140,10 +140,15 @@ from trackers.recordings.folder import RecordingFolder as RecordingFolder
 from trackers.recordings.folder import read_recording as read
 from trackers.recordings.folder import read_recordings as read_all
 from trackers.recordings.folder import write_recording as write
+from trackers.recordings.kinds import Column as Column
+from trackers.recordings.kinds import Kind as Kind
+from trackers.recordings.kinds import Sensors as Sensors
+from trackers.recordings.kinds import add_kind as add_kind
 from trackers.recordings.named_tracker import NamedTracker as NamedTracker
 from trackers.recordings.tracker_spec import TrackerSpec as TrackerSpec
 from trackers.recordings.tracks import Tracks as Tracks
 from trackers.recordings.trajectories import Trajectory as Trajectory
+from trackers.recordings.trajectories import kind_trajectories as kind_trajectories
 from trackers.uwb_imu.fusion import range_tracker as range_tracker
 from trackers.uwb_imu.inertial import inertial_tracker as inertial_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker as multilateration_tracker
@@ -308,7 +313,7 @@ __all__ = [
     "Real",
     "Covariance",
     "tunables",
-    # rows of the tables, for a tracker of one's own by file
+    # rows of the tables, for a tracker of one's own by file, and a kind of measurement of one's own
     "TrackerSpec",
     "Trajectory",
     "fix_trajectories",
@@ -316,4 +321,9 @@ __all__ = [
     "bearing_trajectories",
     "phase_trajectories",
     "beam_trajectories",
+    "kind_trajectories",
+    "Kind",
+    "Column",
+    "Sensors",
+    "add_kind",
 ]

@@ -104,10 +104,14 @@ def student_t_log_peak(dof: Scalar) -> Scalar:
     return gammaln(0.5 * (dof + 1.0)) - gammaln(0.5 * dof) - 0.5 * jnp.log(jnp.pi * dof)
 
 
-def independent(differences: Sequence[Scalar], sigmas: Sequence[Scalar], seen: Sequence[Scalar]) -> Residual:
-    """The residual of channels with independent noise; `differences`: reading − prediction, wrapped where it wraps."""
+def independent(
+    differences: Sequence[Scalar], sigmas: Sequence[Scalar], seen: Sequence[Scalar], dof: Scalar | None = None
+) -> Residual:
+    """The residual of channels with independent noise; `differences`: reading − prediction, wrapped where it wraps.
+
+    `dof`: degrees of freedom of Student's t with these scales, by default normal noise.
+    """
+    peak = -0.5 * LOG_2PI if dof is None else student_t_log_peak(dof)
     whitened = [jnp.where(s, d / sigma, 0.0) for d, sigma, s in zip(differences, sigmas, seen, strict=True)]
-    log_scale = total(
-        jnp.where(s, -0.5 * LOG_2PI - jnp.log(jnp.asarray(sigma)), 0.0) for sigma, s in zip(sigmas, seen, strict=True)
-    )
-    return Residual(whitened, log_scale, total(jnp.where(s, 1.0, 0.0) for s in seen))
+    log_scale = total(jnp.where(s, peak - jnp.log(jnp.asarray(x)), 0.0) for x, s in zip(sigmas, seen, strict=True))
+    return Residual(whitened, log_scale, total(jnp.where(s, 1.0, 0.0) for s in seen), dof=dof)

@@ -13,6 +13,7 @@ import numpy as np
 
 from trackers.core.recording import Columns, Readings, Recording
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.kinds import Kind, std_column
 from trackers.recordings.truth import TruthStatus
 
 
@@ -119,6 +120,23 @@ def trajectories_of(
     ids = trajectory_ids(folder.name, tags, own)
     columns = Columns(starts, times, readings, {**inputs, "height": heights}, truth, names, ids)
     return Trajectories([folder] * len(tags), tags, own, columns)
+
+
+def kind_trajectories(folder: RecordingFolder, kind: Kind) -> Trajectories:
+    """Each tag's readings of a kind, named after it, one row per row of the table, with their reported variances.
+
+    With the inputs `places` (N, 3k) m and `sensors` (N, k): the positions and numbers of the k anchors or stations of
+    each row, and `middle` (N, 3) m, the mean position of all of them.
+    """
+    rows, places = folder.rows(kind.name), kind.places(folder.rig)
+    columns = kind.layout(folder.tables[kind.name].columns).values
+    number = kind.numbers(rows, list(places))
+    there = np.array(list(places.values())).reshape(-1, 3)
+    inputs = {"places": there[number].reshape(len(number), -1), "sensors": number.astype(float)}
+    if len(there):
+        inputs["middle"] = np.broadcast_to(there.mean(axis=0), (len(number), 3))
+    readings = Readings(*rows.values(columns), rows.variances([*map(std_column, columns)]))
+    return trajectories_of(folder, rows.tags, rows.starts, rows.times, {kind.name: readings}, inputs)
 
 
 def segments(trajectory: Trajectory, rows: int) -> list[Trajectory]:

@@ -42,3 +42,8 @@ def test_an_unknown_name_is_an_attribute_error(package):
 def test_no_public_name_is_that_of_a_module_which_an_import_would_set_in_its_place(package):
     modules = {module.name for module in pkgutil.iter_modules(package.__path__)}
     assert not modules & set(package.__all__)
+
+
+def test_a_misspelt_name_is_answered_with_the_nearest_one():
+    with pytest.raises(AttributeError, match=r"no attribute 'evalute' \(did you mean evaluate\?\)"):
+        trackwright.evalute  # noqa: B018
