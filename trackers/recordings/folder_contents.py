@@ -40,7 +40,8 @@ def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[s
     rig, notices = read_rig(path / RIG_FILE)
     files, others = _table_files(path, entries)
     if not files:
-        found = f"found {listed(others)}; another kind needs --tracker FILE.py:NAME with it (docs/extending.md)" if others else "export one"
+        another = f"found {listed(others)}; another kind needs --tracker FILE.py:NAME with it (docs/extending.md)"
+        found = another if others else "export one"
         raise UnusableInput(
             f"{path}: no tables, expected at least one of {', '.join(table_kinds())} as {', '.join(SUFFIXES)}; {found}"
         )
