@@ -1,4 +1,4 @@
-"""Messages of ROS 1 and ROS 2 bags, and of MCAP files, as columns of numbers and texts."""
+"""Messages of ROS 1 and ROS 2 bags, and of MCAP files, as columns of numbers and texts, by the package rosbags."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
 from trackers.exchange.mapping import TableMapping, parsed, sensor_of
-from trackers.exchange.ros_package import limit_unpacking, rosbags_module
 from trackers.recordings.input_file import LARGEST, file_bytes, size_of
 from trackers.recordings.table_file import TableFile
 
@@ -34,6 +35,16 @@ _POSES = {
 }
 
 
+def rosbags_module(name: str, what: str) -> ModuleType:
+    """The module `rosbags.NAME`; raises UnusableInput, which names the extra, where the package is missing."""
+    try:
+        return import_module(f"rosbags.{name}")
+    except ImportError:
+        raise UnusableInput(
+            f"{what} needs the package rosbags; install the extra: pip install 'trackwright[ros]'"
+        ) from None
+
+
 @contextmanager
 def opened(path: Path, definitions: Sequence[Path] = ()) -> Iterator[Any]:
     """A reader of the bag; `definitions`: .msg files, PACKAGE/msg/NAME.msg, of types that the bag does not define.
@@ -42,7 +53,6 @@ def opened(path: Path, definitions: Sequence[Path] = ()) -> Iterator[Any]:
     """
     anyreader, typesys = (rosbags_module(name, str(path)) for name in ("highlevel", "typesys"))
     _check_files(path)
-    limit_unpacking(str(path))
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     for file in definitions:
         name = "/".join([*file.parts[-3:-1], file.stem])

@@ -10,7 +10,7 @@ import numpy as np
 
 from trackers.core.errors import UnusableInput
 from trackers.exchange.exported_tracks import ExportedTrack
-from trackers.exchange.ros_package import rosbags_module
+from trackers.exchange.ros_reader import rosbags_module
 from trackers.recordings.beside import beside
 
 _TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"

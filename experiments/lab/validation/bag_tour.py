@@ -20,7 +20,7 @@ from experiments.cli.main import run_alone
 from experiments.lab.subprocesses import command
 from experiments.text.tables import aligned
 from sim.worlds import ranges as simulated_ranges
-from trackers.exchange.ros_package import rosbags_module
+from trackers.exchange.ros_reader import rosbags_module
 
 OUT = Path("out/bag-tour")
 PAGE = Path(__file__).parents[3] / "docs" / "ten-minutes.md"

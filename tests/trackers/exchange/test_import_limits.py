@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import bz2
 import os
 
 import pytest
 
 from tests.bags import write_bag
 from tests.in_process import trackwright
-from trackers.exchange import ros_package, ros_reader
+from trackers.exchange import ros_reader
+from trackwright import read
 
 POSES = ("--table", "truth", "--tag", "T")
 BAG = ("--table", "truth", "--topic", "/vicon/cart", "--tag", "T")
@@ -75,21 +75,14 @@ def test_messages_beyond_the_limit_are_refused(tmp_path, monkeypatch):
     ("kind", "packed"),
     [("bag", "bz2"), ("bag", "lz4"), ("mcap", "STORAGE"), ("db3", "MESSAGE"), ("db3", "FILE"), ("mcap", "FILE")],
 )
-def test_what_unpacks_beyond_the_limit_is_refused(tmp_path, monkeypatch, kind, packed):
-    bag = tmp_path / ("a.bag" if kind == "bag" else "bag")
-    write_bag(bag, kind, packed)
-    assert trackwright("import", bag, *BAG, "--out", tmp_path / "whole").code == 0
-    monkeypatch.setattr(ros_package, "LARGEST", 50)
-    what = "its files hold" if packed == "FILE" else "a chunk holds"
-    assert f"{what} more than" in _refused(bag, *BAG, "--out", tmp_path / "out")
-
-
-def test_the_streams_of_a_chunk_are_unpacked_one_after_the_other_to_their_end():
-    packed = bz2.compress(b"first ") + bz2.compress(bytes(10_000))
-    assert ros_package.unpacked_chunk(bz2.BZ2Decompressor, packed) == b"first " + bytes(10_000)
-    assert ros_package.unpacked_chunk(bz2.BZ2Decompressor, b"") == b""
-    with pytest.raises(ValueError, match="ends early"):
-        ros_package.unpacked_chunk(bz2.BZ2Decompressor, packed[:-5])
+def test_a_packed_bag_is_imported_as_one_that_is_not(tmp_path, kind, packed):
+    for name, how in (("plain", None), ("packed", packed)):
+        bag = tmp_path / (f"{name}.bag" if kind == "bag" else name)
+        write_bag(bag, kind, how)
+        assert trackwright("import", bag, *BAG, "--out", tmp_path / f"of-{name}").code == 0
+    plain, other = (read(tmp_path / f"of-{name}").tables for name in ("plain", "packed"))
+    assert plain.keys() == other.keys()
+    assert all(plain[table].equals(other[table]) for table in plain)
 
 
 @pytest.mark.parametrize("outside", ["../other/other.mcap", "/proc/self/mem"])
