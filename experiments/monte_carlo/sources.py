@@ -107,8 +107,6 @@ def _from_python(path: Path) -> Study:
 
 def _from_toml(path: Path) -> Study:
     content = read_toml(path, "a study")
-    if "figures" in content:
-        raise UnusableInput(f"{path}: the key 'figures' is now called 'metrics'; rename it")
     _check_keys(path, "", content, STUDY_KEYS)
     trackers = {}
     for name, table in content.get("trackers", {}).items():

@@ -93,19 +93,6 @@ def test_noise_levels_of_another_tracker_are_refused():
         with_values(bearing_tracker(4), {"sensors.1.sigma_p": np.array(0.7)}, Path("tuned.toml"))
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("sensors.bearings.tail", "sensors.bearings.dof"),
-        ("sensors.*.trust", r"sensors.\*.reported_std_scale"),
-        ("loss.patience", "track_loss.max_gap"),
-    ],
-)
-def test_a_former_name_is_refused_with_the_present_one(old, new):
-    with pytest.raises(UnusableInput, match=rf"tuned.toml: '.*' is now called '{new}'; use the new name"):
-        with_values(bearing_tracker(4), {old: np.array(0.7)}, Path("tuned.toml"))
-
-
 def test_the_file_names_the_calibration_of_its_recordings(tmp_path):
     (tmp_path / "cal.toml").write_text("a calibration")
     own = identity(tmp_path / "cal.toml")

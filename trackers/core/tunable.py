@@ -20,20 +20,6 @@ from trackers.core.state import path_name
 
 Tree = TypeVar("Tree")
 
-RENAMED = {
-    "loss.limit": "track_loss.nis_limit",
-    "loss.memory": "track_loss.nis_window",
-    "loss.patience": "track_loss.max_gap",
-    "stretch": "positive_skew",
-    "trust": "reported_std_scale",
-    "tail": "dof",
-    "report.sigma_line": "output_map.sigma_line",
-    "filter.odds": "filter.mode_prior",
-    "filter.rate": "filter.switching_rate",
-}
-"""Former endings of tunable names and the present ones."""
-
-
 Role = Literal["process noise", "bias noise", "measurement noise"]
 """Role of a noise level: of the motion's driving noise, of slowly varying errors such as biases, or of a sensor."""
 
@@ -282,9 +268,6 @@ def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values"
     for pattern, value in values.items():
         names = [pattern] if pattern in own else fnmatch.filter(own, pattern)
         if not names:
-            present = _present_name(pattern)
-            if fnmatch.filter(own, present):
-                raise UnusableInput(f"{source}: '{pattern}' is now called '{present}'; use the new name")
             raise UnusableInput(
                 f"{source}: this tracker has no '{pattern}'{near(pattern, own)}; it has: {', '.join(own)}"
             )
@@ -303,11 +286,3 @@ def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values"
             except ValueError as error:
                 raise UnusableInput(f"{source}: '{pattern}': {error}") from error
     return replaced(tree, new)
-
-
-def _present_name(pattern: str) -> str:
-    """The name or pattern with a former ending replaced by the present one."""
-    for old, new in RENAMED.items():
-        if pattern == old or pattern.endswith("." + old):
-            return pattern.removesuffix(old) + new
-    return pattern

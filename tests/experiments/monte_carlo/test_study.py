@@ -294,7 +294,6 @@ def test_until_ends_a_condition_as_soon_as_its_interval_is_narrow_enough(tmp_pat
         (("rate_hz = 1.0", "rate_hz = 0.0"), "rate_hz = 0.0: expected a number from 0.1 to 1000"),
         (("[worlds.line]", "[worlds.lime]"), "lime"),
         (("runs = 12", "walks = 12"), "walks"),
-        (("metrics =", "figures ="), "the key 'figures' is now called 'metrics'; rename it"),
         (("runs = 12", "runs = "), "TOML"),
         (("[worlds.line]", "[grid]\n'motion.sigma_q' = [1.0]\n[worlds.line]"), "motion.sigma_q"),
     ],

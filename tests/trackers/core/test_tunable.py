@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackers.core.errors import UnusableInput
 from trackers.core.motion import ConstantVelocity, as_scale
 from trackers.core.sensor import AbstractSensor
 from trackers.core.track_loss import TrackLossPolicy
@@ -153,19 +152,6 @@ def test_replacing_changes_what_is_named_and_nothing_else():
     assert float(values.pop("sensors.south.sigma_p")) == pytest.approx(0.7)
     for name, value in values.items():
         np.testing.assert_array_equal(value, tunables(TREE)[name].value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [("sensor.tail", "sensor.dof"), ("*.tail", r"\*.dof"), ("tail", "dof"), ("loss.limit", "track_loss.nis_limit")],
-)
-def test_a_former_name_alone_or_at_the_end_of_a_path_is_answered_with_the_present_one(old, new):
-    tree = {"sensor": {"dof": Scale(3.0)}, "dof": Scale(4.0), "track_loss": TrackLossPolicy()}
-    with pytest.raises(UnusableInput, match=rf"values: '{old.replace('*', '[*]')}' is now called '{new}'; use the new"):
-        with_values(tree, {old: 5.0})
-    # An ending is a whole part of a path.
-    with pytest.raises(UnusableInput, match="this tracker has no 'sensor.entail'.*; it has: "):
-        with_values(tree, {"sensor.entail": 5.0})
 
 
 def test_resolving_leaves_values_where_tunables_were():
