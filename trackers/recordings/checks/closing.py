@@ -104,11 +104,16 @@ def moments(recording: RecordingFolder, table: str) -> Moments | None:
         found = _grid(np.floor(times[whole] / span), tag[whole], number[whole], values[whole], len(ids))
         seen = np.isfinite(found[1]).all(axis=2).sum(axis=1)
         free = np.isnan(heights[found[0]])
-        enough = np.flatnonzero(seen >= np.where(free, 3, 2) + (0 if kind.angles else 2))
+        enough = np.flatnonzero(seen >= least_sensors(kind, free))
         if len(enough) >= LEAST_MOMENTS and 2 * len(enough) >= len(seen):
             chosen = enough[np.unique(np.linspace(0, len(enough) - 1, MOST_MOMENTS).astype(int))]
             return Moments(kind, tuple(ids), found[1][chosen], places, axes, heights[found[0][chosen]])
     return None
+
+
+def least_sensors(kind: Kind, free: np.ndarray) -> np.ndarray:
+    """How many sensors a moment needs to contradict itself; `free`: where the height is not known."""
+    return np.where(free, 3, 2) + (0 if kind.angles else 2)
 
 
 def _grid(

@@ -10,7 +10,7 @@ import numpy as np
 
 from trackers.core.wording import significant
 from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.closing import Moments, moments
+from trackers.recordings.checks.closing import LEAST_MOMENTS, Moments, least_sensors, moments
 from trackers.recordings.checks.explanations import FACTORS
 from trackers.recordings.checks.sensor_mistakes import FLIGHT, angles_changed
 from trackers.recordings.kinds import KINDS
@@ -27,21 +27,38 @@ SMALLER = 0.67
 REMAINING = {"m": 0.45, "rad": 0.3}
 """Contradiction that may remain with a change that explains it; twice as much is reported without an explanation."""
 
+ONE_LARGE, CLEARER = {"m": 0.15, "rad": 0.06}, 0.5
+"""Contradiction, m or rad, from which one anchor or station is looked for, and the ratio that it must reach.
+
+On no real recording is the best ratio below 0.6; of the changes none may come as near.
+"""
+
 ALIKE, NAMED = 1.1, 3
 """Ratio up to which changes explain them alike, as in a symmetric rig, and how many of these are named."""
 
 
 def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
-    """An error where ranges or bearings contradict each other and one change explains it; a warning where none does."""
+    """An error where ranges or bearings contradict each other and one change explains it, as of units or ids.
+
+    A warning where they do not without one anchor or station, and where nothing explains it.
+    """
     kind = KINDS[table]
     closes = len(kind.sensors) == 1 and (kind.angles or kind.columns[0].positive)
     found = moments(recording, table) if closes else None
-    if found is None or (before := found.closing()) <= LARGE[kind.unit]:
+    if found is None or (before := found.closing()) <= ONE_LARGE[kind.unit]:
         return []
-    tried = [(changed.closing(), change, cause) for change, cause, changed in _changes(found)]
-    least = min(tried)[0]
+    large = before > LARGE[kind.unit]
+    tried = [(changed.closing(), change, cause) for change, cause, changed in (_changes(found) if large else ())]
+    least = min(tried, default=(before,))[0]
+    apart = min(_without_each(found), default=(np.inf, ""))
     unit, factor = ("°", np.degrees(1.0)) if kind.angles else (" m", 1.0)
     message = f"readings of one moment contradict each other by {significant(factor * before, 2)}{unit}"
+    if apart[0] <= CLEARER * min(before, least):
+        line = f"{message}, and by {significant(factor * apart[0], 2)}{unit} without {kind.noun} {apart[1]}"
+        cause = "its place in rig.toml is wrong, or its readings are; measure it again"
+        return [CheckResult("warning", table, f"{line}: {cause}")]
+    if not large:
+        return []
     if least > min(SMALLER * before, REMAINING[kind.unit]):
         line = f"{message}, and no change of units, signs or ids explains it; check positions and rotations in rig.toml"
         return [CheckResult("warning", table, line)] if before > 2 * REMAINING[kind.unit] else []
@@ -49,6 +66,16 @@ def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
     changes, causes = ", or ".join(one[1] for one in alike), "; or ".join(dict.fromkeys(one[2] for one in alike))
     line = f"{message}, and by {significant(factor * least, 2)}{unit} with {changes}: {causes}"
     return [CheckResult("error", table, line)]
+
+
+def _without_each(found: Moments) -> Iterator[tuple[float, str]]:
+    """What contradictions are left without each anchor or station, where the others are enough for a position."""
+    for k, name in enumerate(found.ids):
+        values = found.values.copy()
+        values[:, k] = np.nan
+        enough = np.isfinite(values).all(axis=2).sum(axis=1) >= least_sensors(found.kind, np.isnan(found.heights))
+        if enough.sum() >= LEAST_MOMENTS:
+            yield found._replace(values=values[enough], heights=found.heights[enough]).closing(), name
 
 
 def _changes(found: Moments) -> Iterator[tuple[str, str, Moments]]:

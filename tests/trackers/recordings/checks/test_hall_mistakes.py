@@ -171,9 +171,27 @@ def test_swapped_anchors_are_named_without_truth_and_with_the_height_or_without(
 
 
 def test_contradictions_that_no_change_explains_are_a_warning():
-    (found,) = quick_check(_anchor("A1", (9.0, 9.0, 2.7))(_only("ranges")(_hall())))
+    two = _anchor("A1", (9.0, 9.0, 2.7))(_anchor("A5", (3.0, 2.0, 2.7))(_only("ranges")(_hall())))
+    (found,) = quick_check(two)
     assert found.level == "warning"
     assert "no change of units, signs or ids explains it" in found.message
+
+
+@pytest.mark.parametrize("height", [1.1, None])
+@pytest.mark.parametrize("name", ANCHORS)
+def test_an_anchor_that_stands_elsewhere_is_named_without_truth(name, height):
+    # Across the line of sight a shift hardly changes a range.
+    away = np.array(ANCHORS[name]) - np.array([6.0, 4.0, 2.7])
+    moved = np.array(ANCHORS[name]) + 1.2 * away / np.linalg.norm(away)
+    (found,) = quick_check(_anchor(name, tuple(moved))(_height(height)(_only("ranges")(_hall()))))
+    assert found.level == "warning"
+    assert f"without anchor {name}: its place in rig.toml is wrong" in found.message
+
+
+def test_an_anchor_behind_a_wall_is_a_warning_and_no_error():
+    far = pl.when(pl.col("anchor") == "A3").then(pl.col("range_m") + 1.0).otherwise(pl.col("range_m"))
+    (found,) = quick_check(_table("ranges", range_m=far)(_only("ranges")(_hall())))
+    assert (found.level, "without anchor A3" in found.message) == ("warning", True)
 
 
 def test_anchors_at_one_place_explain_nothing():
