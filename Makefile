@@ -66,24 +66,16 @@ papers: env
 	$(BIN)/python -m experiments.lab.papers.reproduce
 
 bench: env
-	$(BIN)/python -m experiments.lab.bench
-	$(BIN)/python -m experiments.lab.bench.particles
-	$(BIN)/python -m experiments.lab.bench.chain
-	$(BIN)/python -m experiments.lab.bench.tuning
-	$(BIN)/python -m experiments.lab.bench.waiting
-	$(BIN)/python -m experiments.lab.bench.cluster
+	for name in beam particles tuning waiting cluster; do $(BIN)/python -m experiments.lab.bench $$name || exit; done
 
 bench-peers: .venv-peers/installed
-	$(PEERS)/python -m experiments.lab.bench --peers
-	$(PEERS)/python -m experiments.lab.bench.imu
-	$(PEERS)/python -m experiments.lab.bench.particle_peers
-	$(PEERS)/python -m experiments.lab.bench.tuning --peers
-	$(PEERS)/python -m experiments.lab.bench.recordings --smooth --page docs/performance.md
-	$(PEERS)/python -m experiments.lab.bench.growth --page docs/performance.md
+	for name in beam particles tuning; do $(PEERS)/python -m experiments.lab.bench $$name --peers || exit; done
+	$(PEERS)/python -m experiments.lab.bench recordings --smooth --page docs/performance.md
+	$(PEERS)/python -m experiments.lab.bench growth --page docs/performance.md
 
 # On a host with CUDA GPUs; the result file is out/bench-gpu.json.
 bench-gpu: .venv-gpu/installed
-	$(GPU)/python -m experiments.lab.bench.gpu
+	$(GPU)/python -m experiments.lab.bench gpu
 
 clean:
 	rm -rf .venv .venv-peers .venv-gpu .venv-docs out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

@@ -56,37 +56,6 @@ def new_interpreter(arguments: Sequence[str], limit_s: float) -> subprocess.Comp
     return subprocess.run(line, env=environment, capture_output=True, text=True, timeout=limit_s, check=False)
 
 
-def in_new_process(module: str, function: str, arguments: Sequence[str | None], limit_s: float) -> dict[str, Any]:
-    """The dict that a module's function returns in a new interpreter; raises UnusableInput if it fails or hangs."""
-    name = ", ".join(a for a in arguments if a is not None)
-    print(f"measuring: {name} …", file=sys.stderr, flush=True)
-    program = (
-        "from trackers.recordings.atomic import json_text\n"
-        f"from {module} import {function}\n"
-        f"print(json_text({function}(*{list(arguments)!r})))"
-    )
-    try:
-        done = new_interpreter(["-c", program], limit_s)
-    except subprocess.TimeoutExpired:
-        raise UnusableInput(f"'{name}' took over {limit_s:.0f} s; run it again on an idle machine") from None
-    if done.returncode:
-        raise UnusableInput(
-            f"'{name}' ended with status {done.returncode}: {(done.stderr.strip().splitlines() or ['no message'])[-1]}"
-        )
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
-
-
-def in_new_process_or_failed(
-    module: str, function: str, arguments: Sequence[str | None], limit_s: float
-) -> dict[str, Any]:
-    """The same, or the reason of the failure under the key `failed`."""
-    try:
-        return in_new_process(module, function, arguments, limit_s)
-    except UnusableInput as problem:
-        return {"failed": str(problem)}
-
-
 def _trackwright(arguments: Sequence[str | Path]) -> list[str]:
     return [sys.executable, "-m", "experiments", *map(str, arguments)]
 

@@ -23,8 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.lab.bench.timing import replace_tables, write_json
-from experiments.lab.bench.waiting import commit
+from experiments.lab.bench.timing import commit, replace_tables, write_json
 from tests.faults import callers, disks, networks, workers
 from tests.faults.seen import Seen, UntriedError
 from trackers.core.program_cache import cache_programs

@@ -20,7 +20,7 @@ import numpy as np
 from trackers.core.algebra import ZERO, Jacobian, Scalar, SparseRow, Vector, compute_once, dense, full, total, triangle
 
 FEW = 8
-"""Most trajectories whose covariances are matrices; both forms: `python -m experiments.lab.bench.lanes`."""
+"""Most trajectories whose covariances are matrices; both forms: `python -m experiments.lab.bench lanes`."""
 
 AnyCovariance = tuple[Scalar, ...] | jax.Array
 """A covariance: its upper triangle, entry by entry, or its matrix (n, n)."""

@@ -1,1 +1,1 @@
-"""Benchmarks, one file each, `python -m experiments.lab.bench.NAME`; without a name that of the beam tracker."""
+"""Benchmarks: a table of cases with one timer and one writer; `python -m experiments.lab.bench` lists them."""

@@ -1,113 +1,75 @@
-"""A study on worker processes beside threads, one worker killed: `python -m experiments.lab.bench.cluster`.
-
-The chunks of a study of position fixes run on threads of this process, on `local:1`, on `local:2`, and on `local:2`
-with a worker killed by SIGKILL on the way; the results are compared to the bit. Trajectories a second are counted from
-the moment when a quarter of the chunks is stored, since each worker begins by importing and compiling. The overhead of
-a chunk is that of a part which computes nothing and returns the content of a chunk: a worker's time per part while
-others wait, and the round trip of a single one.
-"""
+"""What workers cost: a study and a fit on worker processes beside threads, with a worker killed on the way."""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
 import os
+import re
 import signal
 import tempfile
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Sequence
 from contextlib import nullcontext
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import psutil
 
-from experiments.cli.main import run_alone
+from experiments.cli.console import ReadingOptions
+from experiments.cli.folders_in_turn import FoldersInTurn
 from experiments.cli.runtime import set_flags
-from experiments.lab.bench.cluster_results import head, markdown, publish
-from experiments.lab.bench.timing import clocked
+from experiments.cli.tuning_cluster import data_in_turn
+from experiments.jobs.executors import cluster_client, cluster_executor, finished
+from experiments.jobs.held_parts import FitWorkers, HeldParts
+from experiments.lab.bench.cluster_scale import declared, tcp_bytes
+from experiments.lab.bench.timing import Bench, Row, Table, clocked, last_line, shown, timed_command
+from experiments.lab.subprocesses import REPOSITORY
+from experiments.monte_carlo import Study, run_study
+from experiments.pages.reports.study_text import to_json
+from sim import worlds
+from trackers.catalogue import build
+from trackers.core.errors import UnusableInput
+from trackers.recordings.folder import write_recording
+from tuning.parameters import flatten, select_parameters
+from tuning.problem import Problem
 
-DECLARATION = """
-name = "cluster"
-about = "What do worker processes cost?"
-metrics = ["rmse_m", "nees_mean"]
-[worlds.line]
-situation = "constant"
-[trackers.fix-kf]
-"""
-WORKERS = 2
-PARTS = 200
+WORKERS, PARTS = 2, 200
+PLACES = {
+    "threads": ((), False),
+    "`local:1`": (("local:1",), False),
+    "`local:2`": (("local:2",), False),
+    "`local:2`, one worker killed": (("local:2",), True),
+}
+"""The cluster of each run, and whether a worker is killed by SIGKILL on the way."""
 
 
-def main(*, runs: int = 100_000, out: Path = Path("out/bench-cluster.json"), page: Path | None = None) -> int:
-    """Run the study in each place, print a table and write the results as JSON; 1 if the bits differ.
+def cluster(*, runs: int = 100_000, bench: Bench) -> int:
+    """A study on threads, on one and two worker processes, and on two of which one is killed; 1 if the bits differ.
+
+    Trajectories a second are counted from the moment when a quarter of the chunks is stored, since each worker begins
+    by importing and compiling. The overhead of a chunk is that of a part which computes nothing and returns the content
+    of a chunk: a worker's time per part while others wait, and the round trip of a single one.
 
     Args:
         runs: trajectories of the study.
-        out: the JSON file to write.
-        page: the page whose table is replaced, as docs/cluster.md.
     """
     set_flags()
-    results = head("experiments.lab.bench.cluster", datetime.now(UTC))
-    with tempfile.TemporaryDirectory() as folder:
-        found = measured(Path(folder), runs)
-    publish({**results, "runs": runs, **found}, text(runs, found), out, page)
-    return int(len({one["sha256"] for one in found["studies"].values()}) > 1)
-
-
-def text(runs: int, found: Mapping[str, Any]) -> str:
-    """The table of all studies, and the overhead of a chunk in words."""
-    return (
-        f"A study of {runs:,} trajectories in {found['studies']['threads']['chunks']} chunks.\n\n"
-        f"{markdown(table(found['studies']))}\n\nBeside computing, a chunk of {found['chunk_bytes'] / 1e3:.0f} kB "
-        f"costs {found['overhead_cpu_ms']:.1f} ms of processor time in the caller, and "
-        f"{found['overhead_ms']:.1f} ms of a worker; the round trip of a single one takes "
-        f"{found['round_trip_ms']:.1f} ms."
-    )
-
-
-def table(studies: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
-    """The rows of a table of all studies."""
-    first = studies["threads"]["sha256"]
-    return [
-        ["", "trajectories a second", "start s", "run s", "processor s", "SHA-256 of the results"],
-        *(
-            [
-                name,
-                f"{one['per_s']:,.0f}",
-                f"{one['start_s']:.1f}",
-                f"{one['run_s']:.1f}",
-                f"{one['cpu_s']:.1f}",
-                f"{first[:12]}…" if name == "threads" else "the same" if one["sha256"] == first else "differs",
-            ]
-            for name, one in studies.items()
-        ),
-    ]
-
-
-def measured(folder: Path, runs: int) -> dict[str, Any]:
-    """Times and digest of the study on threads, on workers, and with one of these killed; and the overhead."""
-    from experiments.jobs.executors import cluster_executor, finished
-
-    file = folder / "cluster.toml"
-    file.write_text(f"runs = {runs}\n{DECLARATION}", "utf-8")
-    studies = {"threads": one_study(file, folder / "threads", None)}
-    for workers, kill in ((1, False), (WORKERS, False), (WORKERS, True)):
-        name = f"`local:{workers}`{', one worker killed' * kill}"
-        studies[name] = one_study(file, folder / name, f"local:{workers}", kill)
-    content = max((folder / "threads" / "chunks").glob("*.npz"), key=lambda path: path.stat().st_size).read_bytes()
+    with tempfile.TemporaryDirectory() as name:
+        folder, study = Path(name), declared(Path(name), 20_000 if bench.small else runs)
+        rows = shown({"": where, **of_a_study(study, folder / where, *how)} for where, how in PLACES.items())
+        content = max((folder / "threads" / "chunks").glob("*.npz"), key=lambda path: path.stat().st_size).read_bytes()
     with cluster_executor(f"local:{WORKERS}") as executor:
         trips = [clocked(lambda: executor.submit(returned, content).result())[0][0] for _ in range(PARTS)]
         parts = finished(lambda _: executor.submit(returned, content), range(PARTS))
         (wall, caller), _ = clocked(lambda: deque(parts, maxlen=0))
-    return {
-        "studies": studies,
-        "chunk_bytes": len(content),
-        "overhead_ms": 1e3 * wall * WORKERS / PARTS,
-        "overhead_cpu_ms": 1e3 * caller / PARTS,
-        "round_trip_ms": 1e3 * float(np.median(trips)),
-    }
+    chunk = {"chunk kB": len(content) / 1e3, "caller, processor ms": 1e3 * caller / PARTS,
+             "a worker, ms": 1e3 * wall * WORKERS / PARTS, "round trip ms": 1e3 * float(np.median(trips))}  # fmt: skip
+    studied = f"a study of {study.runs:,} trajectories in {study.chunks * len(study.conditions)} chunks"
+    bench.publish("cluster", Table(rows, studied), Table([chunk], "a chunk, beside computing"))
+    return int(len({row["SHA-256"] for row in rows}) > 1)
 
 
 def returned(content: bytes) -> bytes:
@@ -115,52 +77,166 @@ def returned(content: bytes) -> bytes:
     return content
 
 
-def one_study(file: Path, out: Path, cluster: str | None, kill: bool = False) -> dict[str, Any]:
+def of_a_study(study: Study, out: Path, place: Sequence[str], kill: bool) -> Row:
     """Times and digest of one run of the study; `kill`: a worker is killed once a tenth of the chunks is done.
 
     Times are those until the last chunk is stored; processor time is that of this process and of the workers.
     """
-    from experiments.jobs.executors import cluster_executor
-    from experiments.monte_carlo import load_study, run_study
-    from experiments.pages.reports.study_text import to_json
-
-    study = load_study(str(file))
-    chunks, done = len(study.conditions) * study.chunks, 0
+    chunks = len(study.conditions) * study.chunks
     killed: list[int] = []
     stored: list[float] = []
 
     def advance(count: int, now: str = "") -> None:
-        nonlocal done
-        done += count
         stored.extend([time.perf_counter()] * count)
-        if kill and not killed and done >= chunks // 10:
-            killed.append(_worker_of_this_process())
+        if kill and not killed and len(stored) >= chunks // 10:
+            killed.append(workers_of(os.getpid())[0])
             os.kill(killed[0], signal.SIGKILL)
 
     own, began = os.times(), time.perf_counter()
-    with cluster_executor(cluster) if cluster else nullcontext() as executor:
+    with cluster_executor(*place) if place else nullcontext() as executor:
         started = time.perf_counter()
         results = run_study(study, out, advance=advance, executor=executor)
     assert results is not None
     used = np.subtract(os.times()[:4], own[:4])
     return {
-        "chunks": chunks,
-        "per_s": study.runs * (1 - chunks // 4 / chunks) / (stored[-1] - stored[chunks // 4 - 1]),
-        "start_s": started - began,
-        "run_s": stored[-1] - started,
-        "cpu_s": float(used.sum()),
-        "killed": len(killed),
-        "sha256": json.loads(to_json(results, []))["sha256"],
+        "trajectories a second": study.runs * (1 - chunks // 4 / chunks) / (stored[-1] - stored[chunks // 4 - 1]),
+        "start s": started - began,
+        "run s": stored[-1] - started,
+        "processor s": float(used.sum()),
+        "SHA-256": json.loads(to_json(results, []))["sha256"][:12],
     }
 
 
-def _worker_of_this_process() -> int:
-    """The process id of a local worker."""
-    import psutil
+def workers_of(pid: int) -> list[int]:
+    """The process ids of a process's local workers."""
+    try:
+        children = psutil.Process(pid).children(recursive=True)
+        return [child.pid for child in children if "spawn_main" in " ".join(child.cmdline())]
+    except psutil.Error:
+        return []
 
-    children = psutil.Process().children(recursive=True)
-    return next(child.pid for child in children if "spawn_main" in " ".join(child.cmdline()))
+
+TUNE = ("motion.sigma_a", "sensors.*.sigma*")
+FIT = ("--tracker", "fix-kf", "--optimiser", "adam", "--starts", "1", "--force", "--no-report", "--no-figures",
+       "--tune", *TUNE)  # fmt: skip
+"""Forced: so few steps may end before the optimum."""
+
+EVALUATIONS = 10
 
 
-if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.bench.cluster")
+def cluster_fit(*, recordings: int = 32, tags: int = 128, rows: int = 500, steps: int = 8, bench: Bench) -> int:
+    """A fit whose rows are held by worker processes, beside threads, with a worker killed in mid-fit.
+
+    `trackwright tune` of simulated position fixes; tuned.toml and trace.csv are compared to the byte. Memory is what a
+    process itself holds (RssAnon: without the files that it looks at), at its peak, of fits to a quarter of the
+    recordings and to all; that of the caller also until the last step, after which it tracks some recordings for the
+    table before and after. The bytes of an evaluation are those over the workers' connections, by the kernel's own
+    count. 1 if the bits differ.
+
+    Args:
+        recordings: their number; memory is measured with a quarter of them, too.
+        tags: of each recording.
+        rows: of each tag.
+        steps: of the optimiser.
+    """
+    set_flags()
+    if bench.small:
+        recordings, tags, rows = 4, 4, 50
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        paths = [place / f"hall-{k}" for k in range(recordings)]
+        for k, path in enumerate(paths):
+            folder = worlds.agv(n=tags, seed=k, rows=rows).folder()
+            rig = dataclasses.replace(folder.rig, name=path.name)
+            write_recording(dataclasses.replace(folder, name=path.name, rig=rig), path)
+        found = shown({"": where, **of_a_fit(place, paths, steps, *how)} for where, how in PLACES.items())
+        travels = travelling(paths, place / "travel")
+    size = (
+        f"a fit of {recordings * tags:,} trajectories, {recordings * tags * rows / 1e6:.2f} million rows, {steps} steps"
+    )
+    evaluation = f"an evaluation at one vector (median of {EVALUATIONS}; Dask may move a chunk besides)"
+    bench.publish("cluster-fit", Table(found, size), Table([travels], evaluation))
+    return int(len({row["SHA-256"] for row in found}) > 1)
+
+
+def of_a_fit(place: Path, paths: Sequence[Path], steps: int, on: Sequence[str], kill: bool) -> Row:
+    """Seconds, processor seconds and digest of a fit to all recordings, and the memory of one to a quarter of them."""
+    words = (*FIT, "--steps", str(steps), *(("--cluster", *on) if on else ()))
+    quarter, whole = (
+        tuned((*map(str, some), *words), place, kill and some is paths) for some in (paths[: len(paths) // 4], paths)
+    )
+    memory = {
+        f"{title} MB, {part}": one[of]
+        for title, of in (("caller fitting", "fitting"), ("caller", "caller"), ("worker", "worker"))
+        for part, one in (("¼", quarter), ("all", whole))
+    }
+    return {"wall s": whole["wall_s"], "processor s": whole["cpu_s"], **memory, "SHA-256": whole["sha256"][:12]}
+
+
+def tuned(words: Sequence[str], place: Path, kill: bool) -> Row:
+    """Times and digest of one `tune`, and the most memory, MB, of the command and of one of its workers.
+
+    `fitting`: until the last step. `kill`: a worker once there is the checkpoint, which every step writes.
+    """
+    with tempfile.TemporaryDirectory(dir=place) as out:
+        checkpoint, log, peak = Path(out) / "checkpoint.npz", Path(out) / "log.txt", dict.fromkeys(PEAKS, 0.0)
+        step, killed = 0, not kill
+
+        def watch(pid: int) -> None:
+            nonlocal step, killed
+            workers = workers_of(pid)
+            last, step = step, checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+            if step != last:
+                peak["fitting"] = peak["caller"]
+            peak["caller"] = max(peak["caller"], anonymous(pid))
+            peak["worker"] = max([peak["worker"], *map(anonymous, workers)])
+            if not killed and step and workers:
+                os.kill(workers[0], signal.SIGKILL)
+                killed = True
+
+        run = timed_command(["-m", "experiments", "tune", *words, "--out", out], REPOSITORY, log, watch=watch)
+        if run["code"]:
+            raise UnusableInput(f"bench: tune: exit code {run['code']}: {last_line(log)}")
+        if not killed:
+            raise UnusableInput("bench: tune: the fit was over before a worker was killed; expected more steps")
+        content = b"\0".join((Path(out) / name).read_bytes() for name in ("tuned.toml", "trace.csv"))
+    return {**run, **peak, "sha256": hashlib.sha256(content).hexdigest()}
+
+
+PEAKS = ("fitting", "caller", "worker")
+
+
+def anonymous(pid: int) -> float:
+    """Megabytes of memory of a process that are no pages of files; 0 once it has ended."""
+    try:
+        found = re.search(r"RssAnon:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text("utf-8"))
+    except OSError:
+        return 0.0
+    return 0.0 if found is None else 1024 * int(found[1]) / 1e6
+
+
+def travelling(paths: Sequence[Path], folder: Path) -> Row:
+    """The bytes to and from all workers per evaluation, and those of the chunks, which stay there."""
+    folder.mkdir()
+    folders = FoldersInTurn(paths, ReadingOptions())
+    named = build("fix-kf", folders[0])
+    data = data_in_turn(named, folders, len(paths), folder, "state-nll", 8000, 2, "recordings")
+    parameters = select_parameters(data.tracker, TUNE)
+    with cluster_client(f"local:{WORKERS}") as (client, expected):
+        held = FitWorkers(client, expected, folder)
+        problem = Problem(
+            data.tracker, data.batches(), data.objective, parameters,
+            place=lambda point, pieces: HeldParts(held, named, point, pieces),
+        )  # fmt: skip
+        vector = flatten(parameters)
+        problem.evaluate(vector)
+        counts = [client.run(tcp_bytes)]
+        for _ in range(EVALUATIONS):
+            problem.evaluate(vector)
+            counts.append(client.run(tcp_bytes))
+        totals = [[sum(one[k] for one in count.values()) for k in (1, 0)] for count in counts]
+        # The median, since Dask moves a chunk between workers now and then.
+        sent, received = (int(np.median(np.diff(own))) for own in zip(*totals, strict=True))
+        stored = sum(path.stat().st_size for path in folder.glob("*.npz"))
+        return {"workers": WORKERS, "chunks": len(problem.parts.rows), "chunks MB": stored / 1e6,
+                "sent kB": sent / 1e3, "received kB": received / 1e3}  # fmt: skip

@@ -1,21 +1,10 @@
-"""A scheduler with a thousand workers and parts that compute nothing: `python -m experiments.lab.bench.cluster_scale`.
-
-The workers are Dask's own, many in a process (`dask spec`), beside a scheduler in a process of its own. Each part takes
-the declaration of a study and returns as many bytes as its largest chunks, so that what is measured is the
-rate at which caller and scheduler hand out and take in chunks: processor seconds of each, and bytes over their
-connections, by the kernel's own count. All of these include what an idle scheduler takes, which is measured, too.
-Also measured: storing such a chunk, adding it to the results, and computing it.
-
-A thousand workers on a few cores would spend these on looking after themselves, which workers with cores of their own
-do beside their work: the profile of each one's thread and its event loop, the record of its memory and processor, and
-the check that its loop is alive are switched off. The scheduler has Dask's settings, and all workers report to it.
-"""
+"""A scheduler with a thousand workers and parts that compute nothing, and what a large study takes by its rates."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
-import re
 import socket
 import struct
 import subprocess
@@ -23,105 +12,98 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import distributed
 import numpy as np
+import psutil
 
-from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
-from experiments.lab.bench.cluster_results import head, markdown, publish
-from experiments.lab.bench.timing import clocked
+from experiments.jobs.executors import cluster_executor, finished
+from experiments.lab.bench.timing import Bench, Row, Table, clocked
 from experiments.lab.subprocesses import REPOSITORY
+from experiments.monte_carlo import Study, load_study
+from experiments.monte_carlo.chunk_store import ChunkStore
+from experiments.monte_carlo.portable import PortableStudy, packed_chunk
 
-DECLARATION = """
-name = "scale"
-about = "What does a chunk cost beside its computation?"
-runs = 1_000_000_000
-metrics = ["rmse_m", "nees_mean"]
-[worlds.line]
-situation = "constant"
-[trackers.fix-kf]
-"""
-WORLD, TRACKER = "line", "fix-kf"
-PROCESSES = 4
+
+def declared(folder: Path, runs: int) -> Study:
+    """A study of position fixes with so many trajectories."""
+    file = folder / "cluster.toml"
+    file.write_text(
+        f'runs = {runs}\nname = "cluster"\nabout = "What do worker processes cost?"\n'
+        'metrics = ["rmse_m", "nees_mean"]\n[worlds.line]\nsituation = "constant"\n[trackers.fix-kf]\n',
+        "utf-8",
+    )
+    return load_study(str(file))
+
+
+PROCESSES, ROUNDS, IDLE_S = 4, 5, 10.0
 QUIET = {
     "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
     "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "1h",
     "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1h",
     "DASK_DISTRIBUTED__ADMIN__TICK__CYCLE": "1h",
 }
-"""Settings of the workers."""
+"""Settings of the workers.
 
-ROUNDS = 5
-IDLE_S = 10.0
+A thousand on a few cores would spend these on looking after themselves, which workers with cores of their own do beside
+their work: the profile of each one's thread and its event loop, the record of its memory and processor, and the check
+that its loop is alive.
+"""
+
+COSTS = {
+    "parts_per_s": ("chunks a second", 1),
+    "scheduler_ms": ("scheduler, processor ms a chunk", 1),
+    "caller_ms": ("caller, processor ms a chunk", 1),
+    "caller_sent_bytes": ("caller sends, kB a chunk", 1e-3),
+    "caller_received_bytes": ("caller receives, kB a chunk", 1e-3),
+    "idle_scheduler_share": ("idle scheduler, % of a core", 100),
+    "idle_scheduler_bytes_per_s": ("idle scheduler, kB/s", 1e-3),
+    "compute_s": ("computing a chunk and packing it, processor ms", 1e3),
+    "store_ms": ("storing a chunk, processor ms", 1),
+    "add_ms": ("adding a chunk to the results, processor ms", 1),
+}
+"""The words and the factor of each number of the table, by its key in the result file, from which plans are made."""
+
 BYTES_SENT = 120
 """Offset of bytes sent and acknowledged in the kernel's struct tcp_info; bytes received follow."""
 
 
-def main(
-    *,
-    workers: tuple[int, ...] = (100, 1000),
-    parts: int = 2000,
-    out: Path = Path("out/bench-cluster-scale.json"),
-    page: Path | None = None,
-) -> int:
-    """Measure, print a table and write the results as JSON.
+def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, bench: Bench) -> int:
+    """A scheduler with a thousand workers of Dask's, many in a process, and parts that compute nothing.
+
+    Each part takes the declaration of a study and returns as many bytes as its largest chunks: processor seconds of
+    caller and scheduler, and bytes over their connections, by the kernel's own count, with what an idle scheduler
+    takes, which is measured, too. Also measured: storing such a chunk, adding it to the results, and computing it.
 
     Args:
         workers: of a scheduler, with one thread each.
         parts: that are computed by so many workers.
-        out: the JSON file to write.
-        page: the page whose table is replaced, as docs/cluster.md.
     """
     set_flags()
-    from experiments.monte_carlo.portable import PortableStudy
-    from experiments.monte_carlo.sources import load_study
-
-    results = head("experiments.lab.bench.cluster_scale", datetime.now(UTC))
+    if bench.small:
+        workers, parts = (PROCESSES,), 20
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "scale.toml"
-        file.write_text(DECLARATION, "utf-8")
-        study = load_study(str(file))
+        study = declared(Path(folder), 1_000_000_000)
         chunk = of_a_chunk(study, Path(folder) / "study")
         portable = PortableStudy.of(study)
-        clusters = [of_a_cluster(portable, chunk["chunk_bytes"], count, parts) for count in workers]
-    publish({**results, "chunk": chunk, "clusters": clusters}, markdown(rows(chunk, clusters)), out, page)
+        clusters = [of_a_cluster(portable, chunk["chunk_bytes"], n, parts, bench.small) for n in workers]
+    columns = {f"{one['workers']:,} workers": chunk | one for one in clusters}
+    rows = [
+        {"": title, **{name: scale * one[key] for name, one in columns.items()}}
+        for key, (title, scale) in COSTS.items()
+    ]
+    bench.publish("cluster-scale", Table(rows), chunk=chunk, clusters=clusters)
     return 0
 
 
-def rows(chunk: Mapping[str, Any], clusters: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """The table of all clusters, and of what a chunk costs beside."""
-    every = [
-        ("chunks a second", "parts_per_s", 1, ".0f"),
-        ("scheduler, processor ms a chunk", "scheduler_ms", 1, ".2f"),
-        ("caller, processor ms a chunk", "caller_ms", 1, ".2f"),
-        ("caller sends, kB a chunk", "caller_sent_bytes", 1e-3, ".1f"),
-        ("caller receives, kB a chunk", "caller_received_bytes", 1e-3, ".1f"),
-        ("idle scheduler, % of a core", "idle_scheduler_share", 100, ".1f"),
-        ("idle scheduler, kB/s", "idle_scheduler_bytes_per_s", 1e-3, ".0f"),
-    ]
-    beside = [
-        (f"computing {chunk['trajectories']:,} trajectories and packing them, processor ms", "compute_s", 1e3, ".0f"),
-        ("storing a chunk, processor ms", "store_ms", 1, ".2f"),
-        ("adding a chunk to the results, processor ms", "add_ms", 1, ".2f"),
-    ]
-    return [
-        ["", *(f"{one['workers']:,} workers" for one in clusters)],
-        *([name, *(format(scale * one[key], how) for one in clusters)] for name, key, scale, how in every),
-        *([name, *[format(scale * chunk[key], how)] * len(clusters)] for name, key, scale, how in beside),
-    ]
-
-
-def of_a_chunk(study: Any, place: Path) -> dict[str, Any]:
+def of_a_chunk(study: Study, place: Path) -> Row:
     """Bytes of a chunk, and seconds or ms of processor time to compute and pack it, to store it, and to add it up."""
-    from experiments.monte_carlo.chunk_store import ChunkStore
-    from experiments.monte_carlo.portable import packed_chunk
-
     # The first one compiles.
     contents = [packed_chunk(study, study.conditions[0], 0)]
     store, computed, written = ChunkStore(place, study).open(), [], []
@@ -136,26 +118,14 @@ def of_a_chunk(study: Any, place: Path) -> dict[str, Any]:
         for count in (1, ROUNDS)
     )
     return {
-        "world": WORLD,
-        "tracker": TRACKER,
-        "trajectories": study.chunk,
-        "chunk_bytes": max(map(len, contents)),
-        "compute_s": float(np.median(computed)),
-        "store_ms": 1e3 * float(np.median(written)),
+        "world": "line", "tracker": "fix-kf", "trajectories": study.chunk, "chunk_bytes": max(map(len, contents)),
+        "compute_s": float(np.median(computed)), "store_ms": 1e3 * float(np.median(written)),
         "add_ms": 1e3 * float(every - one) / (ROUNDS - 1),
-    }
+    }  # fmt: skip
 
 
-def of_a_cluster(portable: Any, size: int, workers: int, parts: int) -> dict[str, Any]:
+def of_a_cluster(portable: Any, size: int, workers: int, parts: int, small: bool) -> Row:
     """The rate, processor time and bytes of parts of this size on so many workers."""
-    import distributed
-    import psutil
-
-    from experiments.jobs.executors import cluster_executor, finished
-
-    # What workers import by name: this file may run as __main__.
-    from experiments.lab.bench.cluster_scale import chunk_like, tcp_bytes
-
     with (
         simulated(workers) as (address, scheduler),
         cluster_executor(address) as executor,
@@ -165,36 +135,27 @@ def of_a_cluster(portable: Any, size: int, workers: int, parts: int) -> dict[str
 
         def taken() -> np.ndarray:
             """Processor seconds and bytes so far: of this process, and of the scheduler."""
-            used = process.cpu_times()
-            there = watching.run_on_scheduler(tcp_bytes)
+            used, there = process.cpu_times(), watching.run_on_scheduler(tcp_bytes)
             return np.array([time.process_time(), *tcp_bytes(), used.user + used.system, *there])
 
         def run(count: int) -> float:
             began = time.perf_counter()
-            parts = finished(lambda _: executor.submit(chunk_like, portable, size), range(count), executor.at_once)
-            deque(parts, maxlen=0)
+            each = finished(lambda _: executor.submit(chunk_like, portable, size), range(count), executor.at_once)
+            deque(each, maxlen=0)
             return time.perf_counter() - began
 
-        first, before = run(workers), taken()
-        time.sleep(IDLE_S)
-        idle = (taken() - before) / IDLE_S
+        first, before, pause = run(workers), taken(), 1.0 if small else IDLE_S
+        time.sleep(pause)
+        idle = (taken() - before) / pause
         before = taken()
         seconds = run(parts)
         per_part = (taken() - before) / parts
     return {
-        "workers": workers,
-        "parts": parts,
-        "first_parts_s": first,
-        "parts_per_s": parts / seconds,
-        "caller_ms": 1e3 * per_part[0],
-        "scheduler_ms": 1e3 * per_part[3],
-        "caller_sent_bytes": per_part[1],
-        "caller_received_bytes": per_part[2],
-        "scheduler_sent_bytes": per_part[4],
-        "scheduler_received_bytes": per_part[5],
-        "idle_scheduler_share": idle[3],
-        "idle_scheduler_bytes_per_s": idle[4] + idle[5],
-    }
+        "workers": workers, "parts": parts, "first_parts_s": first, "parts_per_s": parts / seconds,
+        "caller_ms": 1e3 * per_part[0], "caller_sent_bytes": per_part[1], "caller_received_bytes": per_part[2],
+        "scheduler_ms": 1e3 * per_part[3], "scheduler_sent_bytes": per_part[4], "scheduler_received_bytes": per_part[5],
+        "idle_scheduler_share": idle[3], "idle_scheduler_bytes_per_s": idle[4] + idle[5],
+    }  # fmt: skip
 
 
 def chunk_like(portable: Any, size: int) -> bytes:
@@ -205,8 +166,6 @@ def chunk_like(portable: Any, size: int) -> bytes:
 @contextmanager
 def simulated(workers: int) -> Iterator[tuple[str, int]]:
     """A scheduler with so many workers in a few processes; its address and its process id."""
-    import distributed
-
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
 
@@ -242,8 +201,7 @@ def tcp_bytes() -> tuple[int, int]:
     sent = received = 0
     for name in os.listdir("/proc/self/fd"):
         try:
-            kind = os.readlink(f"/proc/self/fd/{name}")
-            if not re.match("socket:", kind):
+            if not os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
                 continue
             with socket.socket(fileno=os.dup(int(name))) as own:
                 if own.type != socket.SOCK_STREAM or own.family not in (socket.AF_INET, socket.AF_INET6):
@@ -257,5 +215,70 @@ def tcp_bytes() -> tuple[int, int]:
     return sent, received
 
 
-if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.bench.cluster_scale")
+MEASURED = Path(__file__).parent / "results" / "bench-cluster-scale-2-cores.json"
+
+
+def plan(rates: Mapping[str, Any], runs: float, workers: int, conditions: int = 1) -> dict[str, float]:
+    """What a study takes, in words and numbers; `rates`: of `cluster_scale`. `conditions`: worlds × points of the grid.
+
+    Computing, handing out and storing go on at the same time; the results are added up afterwards, by the caller.
+    """
+    chunks = math.ceil(runs / rates["trajectories"]) * conditions
+    hours = chunks / 3600
+    compute, caller = hours * rates["compute_s"], hours * (rates["caller_ms"] + rates["store_ms"]) / 1e3
+    scheduler, results = hours * rates["scheduler_ms"] / 1e3, hours * rates["add_ms"] / 1e3
+    elapsed = max(compute / workers, caller, scheduler)
+    traffic = chunks * (rates["caller_sent_bytes"] + rates["caller_received_bytes"])
+    return {
+        f"chunks of {rates['trajectories']:,} trajectories": chunks,
+        "computing, core-hours": compute,
+        "computing on all workers, h": compute / workers,
+        "caller: hand out, take in and store, h": caller,
+        "scheduler, h": scheduler,
+        "workers that these two keep busy": compute / max(caller, scheduler),
+        "caller: add up the results, h": results,
+        "from start to end, h": elapsed + results,
+        "chunk files, GB": chunks * rates["chunk_bytes"] / 1e9,
+        "over the caller's network, GB": traffic / 1e9,
+        "the same, MB/s": traffic / 1e6 / (3600 * elapsed),
+        # The workers may end before the results are added up.
+        "paid for, core-hours": elapsed * workers,
+    }
+
+
+def rates_of(measured: Mapping[str, Any], workers: int) -> dict[str, Any]:
+    """The rates of a chunk, with those of the measured cluster whose number of workers is nearest in proportion."""
+    nearest = min(measured["clusters"], key=lambda one: abs(math.log(one["workers"] / workers)))
+    return {**measured["chunk"], **nearest}
+
+
+def cluster_plan(
+    *,
+    runs: float = 1e9,
+    workers: tuple[int, ...] = (64, 1000),
+    price: float | None = None,
+    conditions: int = 1,
+    measured: Path = MEASURED,
+    bench: Bench,
+) -> int:
+    """What a large study takes on a cluster: chunks, hours, bytes, and with a price the cost. Nothing is run.
+
+    All rates are those of a result file of cluster-scale, with the scheduler of the nearest number of workers.
+
+    Args:
+        runs: trajectories of each condition.
+        workers: of one core each.
+        price: of a core-hour, in any currency.
+        conditions: worlds times points of the grid.
+        measured: the result file of cluster-scale.
+    """
+    found = json.loads(measured.read_text("utf-8"))
+    plans = {n: plan(rates_of(found, n), runs, n, conditions) for n in workers}
+    if price is not None:
+        for one in plans.values():
+            one[f"cost at {price:g} a core-hour"] = price * one["paid for, core-hours"]
+    first, chunk = f"{runs:,.0f} trajectories", found["chunk"]
+    rows = [{first: title, **{f"{n:,} workers": one[title] for n, one in plans.items()}} for title in plans[workers[0]]]
+    note = f"Rates of {measured.name}: world {chunk['world']}, tracker {chunk['tracker']}."
+    bench.publish("cluster-plan", Table(rows, note=note))
+    return 0

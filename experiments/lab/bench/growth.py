@@ -1,130 +1,148 @@
-"""Time and memory against the size of the problem: `python -m experiments.lab.bench.growth [SERIES …]`.
+"""Time and memory against the size of a problem: every point in a process of its own.
 
-Every point runs in a process of its own, without a cache of compiled programs: the first call, which traces and
-compiles, then medians of warm runs; memory is the peak of the process over that before the first call. Peers (extra:
-peers) and plain NumPy loops run up to the sizes that they finish in seconds. Slopes are fitted to the logarithms of
-processor time and size. With `--page` the tables replace those of a page. The problems are in `growth_cases.py`.
+A point is the first call, which traces and compiles without a cache, medians of warm runs, and the peak of the process
+over that before the first call. Versions that are slow run up to the sizes that they finish in seconds. The problems
+are in `growth_cases.py`, which the processes of the points import alone: their peak is at least that of this one.
 """
 
 from __future__ import annotations
 
-import os
-import resource
-import sys
-from collections.abc import Mapping
-from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from experiments.cli.main import run_alone
-from experiments.cli.runtime import set_flags
-from experiments.lab.bench.growth_cases import SERIES, build
-from experiments.lab.bench.timing import clocked, replace_tables, turns, write_json
-from experiments.lab.subprocesses import in_new_process_or_failed
+from experiments.lab.bench.timing import Bench, Row, Table, apart
+from trackers.core.errors import UnusableInput
 
-ROUNDS = 3
-LIMIT_S = 120.0
+ALL = 10**9
 
 
-def main(
-    series: tuple[str, ...] = (),
-    *,
-    small: bool = False,
-    page: Path | None = None,
-    out: Path = Path("out/bench-growth.json"),
-) -> int:
-    """Measure the series, print their tables and write the results as JSON; 1 if a point of ours fails.
+class Series(NamedTuple):
+    """A problem that grows: `versions` with the largest size of each, and `rounds` of warm runs.
+
+    `build`: a function of `growth_cases.py` with its first arguments, by default that of the name of the series.
+    """
+
+    about: str
+    sizes: tuple[int, ...]
+    versions: Mapping[str, int] = {"ours": ALL}
+    build: tuple[str | int, ...] = ()
+    rounds: int = 3
+    limit_s: float = 120.0
+
+
+SERIES = {
+    "rows": Series(
+        "beam tracker, 16 trajectories", (20, 64, 200, 640, 2000),
+        {"ours": ALL, "textbook": ALL, "dynamax": 200, "cuthbert": 640},
+    ),
+    "trajectories": Series(
+        "beam tracker, 200 rows", (32, 128, 512, 2048, 4096), {"ours": ALL, "textbook": 128, "cuthbert": 128}
+    ),
+    "states": Series(
+        "planar ranges, one a row, 64 trajectories of 200 rows; a NumPy loop and filterpy of one", (4, 8, 12, 20, 36),
+        {"ours": ALL, "NumPy": ALL, "filterpy": ALL},
+    ),
+    "anchors": Series(
+        "planar ranges to all anchors in every row, 4 states, 64 trajectories of 200 rows", (3, 6, 12, 25, 50)
+    ),
+    "particles": Series(
+        "particle filter on a line, 256 trajectories of 200 rows; `particles` of 4", (100, 300, 1000, 3000, 10_000),
+        {"ours": ALL, "textbook": 1000, "particles": 1000},
+    ),
+    "tunables": Series(
+        "likelihood and gradient of the planar tracker of ranges, 64 trajectories of 200 rows", (1, 4, 8, 16, 64)
+    ),
+}  # fmt: skip
+SMOOTHED = ("uwb", "fix-kf", "fix-singer", "imm", "uwb-imu")
+
+
+def growth(series: tuple[str, ...] = (), *, bench: Bench) -> int:
+    """Time and memory against the size of the problem, beside peers (extra: peers) and NumPy loops.
+
+    Slopes are fitted to the logarithms of processor time and size. 1 if a point fails.
 
     Args:
         series: rows, trajectories, states, anchors, particles, tunables; by default all.
-        small: only the two smallest sizes, to see that all versions run.
-        page: the page whose tables are replaced, as docs/performance.md.
-        out: the JSON file to write.
     """
-    from experiments.lab.bench.__main__ import machine
-
     unknown = [name for name in series if name not in SERIES]
     if unknown:
-        print(f"bench: unknown series {', '.join(unknown)}; expected {', '.join(SERIES)}", file=sys.stderr)
-        return 2
-    began, host = datetime.now(UTC), machine()
-    results: dict[str, Any] = {}
-    for name in series or SERIES:
-        sizes = SERIES[name].sizes[: 2 if small else None]
-        results[name] = {
-            version: {str(size): point_apart(name, version, size) for size in sizes if size <= largest}
-            for version, largest in SERIES[name].versions.items()
-        }
-    text = "\n".join(table(name, found) for name, found in results.items())
-    command = ["python", "-m", "experiments.lab.bench.growth", *sys.argv[1:]]
-    heading = f"{host['cpu']}, {host['cores']} cores, {began:%Y-%m-%d}, `{' '.join(command)}`.\n"
-    print(f"{heading}\n{text}")
-    if page is not None:
-        replace_tables(page, "experiments.lab.bench.growth", f"{heading}\n{text}")
-    took = (datetime.now(UTC) - began).total_seconds()
-    date = began.isoformat(timespec="seconds")
-    write_json(out, {"date": date, "command": command, "machine": host, "series": results, "took_s": took})
-    print(f"Written: {out}; the whole took {took:.0f} s")
-    return int(any("failed" in p for found in results.values() for p in found["ours"].values()))
+        raise UnusableInput(f"bench: unknown series {', '.join(unknown)}; expected {', '.join(SERIES)}")
+    return measured("growth", {name: SERIES[name] for name in series or SERIES}, bench)
 
 
-def point_apart(series: str, version: str, size: int) -> dict[str, Any]:
-    """The result of one point in a new process, or the reason of its failure."""
-    return in_new_process_or_failed("experiments.lab.bench.growth", "point", (series, version, str(size)), LIMIT_S)
+def lanes(
+    *,
+    lanes: tuple[int, ...] = (),
+    states: tuple[int, ...] = (4, 8, 12, 15),
+    smoothed: bool = False,
+    trackers: tuple[str, ...] = SMOOTHED,
+    bench: Bench,
+) -> int:
+    """Time per row against the number of trajectories: covariances as scalars and as matrices, or smoothers.
+
+    Ranges in the plane, 200 rows; `FEW` in trackers/core/covariance.py chooses the form. With `--smoothed` trackers of
+    simulated recordings, 50 times, filtered and smoothed, with the call of `run`. 1 if a point fails.
+
+    Args:
+        lanes: numbers of trajectories.
+        states: numbers of components of the state.
+        smoothed: trackers, filtered and smoothed, instead of the two forms of covariances.
+        trackers: the trackers of `--smoothed`.
+    """
+    if smoothed:
+        sizes, versions = lanes or (1, 4, 8, 9, 16, 32, 64, 128, 512, 2000), {"filtered": ALL, "smoothed": ALL}
+        series = {name: Series("", sizes, versions, ("smoothed", name), 5, 240.0) for name in trackers}
+    else:
+        sizes, versions = lanes or (1, 2, 4, 8, 64, 512), {"scalars": ALL, "matrices": ALL}
+        series = {f"{n} states": Series("", sizes, versions, ("form", n), 15, 240.0) for n in states}
+    return measured("lanes", series, bench)
 
 
-def point(series: str, version: str, size: str) -> dict[str, Any]:
-    """The first call, warm runs and memory of one version at one size, in this process."""
-    for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
-        os.environ.pop(name, None)
-    set_flags()
-    run, rows = build(series, version, int(size))
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    (first, first_cpu), _ = clocked(run)
-    seconds = np.median(turns([run], ROUNDS)[:, 0], axis=0)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {
-        "rows": rows,
-        "first_s": first,
-        "first_cpu_s": first_cpu,
-        "warm_s": float(seconds[0]),
-        "warm_cpu_s": float(seconds[1]),
-        "memory_mib": (peak - before) / 1024,
-    }
+def bearings(*, bench: Bench) -> int:
+    """The cost of drifting biases in the tracker of bearings: 12 states beside a constant velocity of 4.
+
+    Walks of a minute seen by four stations, 480 bearings each. 1 if a point fails.
+    """
+    versions = {"constant velocity": ALL, "drifting biases": ALL}
+    series = Series("walks seen by four stations, 480 bearings each", (1, 64, 512), versions, (), 15, 240.0)
+    return measured("bearings", {"bearings": series}, bench)
 
 
-def table(name: str, found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
-    """The Markdown table of a series, and its slopes."""
-    lines = [
-        f"### {name}: {SERIES[name].about}",
-        "",
-        f"| {name} | version | first call, processor s | run ms | processor ms | M rows per processor s | memory MiB |",
-        "| ---: | --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
-    for version, points in found.items():
-        for size, p in points.items():
-            if "failed" in p:
-                lines.append(f"| {size} | {version} | | | | | {p['failed'].replace('|', '/')} |")
-                continue
-            lines.append(
-                f"| {size} | {version} | {p['first_cpu_s']:.2f} | {1e3 * p['warm_s']:.4g} | "
-                f"{1e3 * p['warm_cpu_s']:.4g} | {p['rows'] / p['warm_cpu_s'] / 1e6:.3g} | {p['memory_mib']:.0f} |"
-            )
-    slopes = {version: slope(points) for version, points in found.items()}
-    fitted = [f"{version} {value:.2f}" for version, value in slopes.items() if value is not None]
-    return "\n".join([*lines, "", f"Slope of processor time: {', '.join(fitted) or 'too few sizes'}.", ""])
+def inertial(*, bench: Bench) -> int:
+    """Compiling the filter of ranges and an IMU, of 23 states, and its gradient of two noise levels.
+
+    1 if a point fails.
+    """
+    series = Series("uwb-imu with one heading, 100 rows", (1, 512), {"filter": ALL, "gradient": ALL}, limit_s=400.0)
+    return measured("inertial", {"inertial": series}, bench)
 
 
-def slope(points: Mapping[str, Mapping[str, Any]]) -> float | None:
-    """The fitted slope of the logarithm of processor time on that of size; None for fewer than two sizes."""
-    good = [(float(size), p["warm_cpu_s"]) for size, p in points.items() if "failed" not in p]
-    if len(good) < 2:
-        return None
-    x, y = np.log(np.array(good)).T
-    return float(np.polyfit(x, y, 1)[0])
+def measured(case: str, series: Mapping[str, Series], bench: Bench) -> int:
+    """Measure the points of all series and publish a table of each."""
+    tables = []
+    for name, one in series.items():
+        points = [(version, size) for version, largest in one.versions.items()
+                  for size in one.sizes[: 2 if bench.small else None] if size <= largest]  # fmt: skip
+        build, rounds = one.build or (name,), bench.rounds(one.rounds)
+        rows = [
+            {"size": size, "version": version}
+            | apart("growth_cases:point", build, version, size, rounds, limit_s=one.limit_s)
+            for version, size in points
+        ]
+        tables.append(Table(rows, f"{name}: {one.about}".removesuffix(": "), slopes(rows, one.versions)))
+    bench.publish(case, *tables)
+    return int(any("failed" in row for table in tables for row in table.rows))
 
 
-if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.bench.growth")
+def slopes(rows: Sequence[Row], versions: Mapping[str, int]) -> str:
+    """The fitted slopes of the logarithm of processor time on that of size, in words."""
+    found = []
+    for version in versions:
+        points = [(row["size"], row["processor ms"]) for row in rows
+                  if row["version"] == version and "failed" not in row]  # fmt: skip
+        if len(points) > 1:
+            x, y = np.log(np.array(points, float)).T
+            found.append(f"{version} {np.polyfit(x, y, 1)[0]:.2f}")
+    return f"Slope of processor time: {', '.join(found) or 'too few sizes'}."

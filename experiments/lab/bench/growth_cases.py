@@ -1,126 +1,49 @@
-"""The problems of `growth.py`: a function of size and version that returns a run and its number of rows.
-
-Rows and trajectories: the beam tracker of `measure.py`, beside its textbook form, dynamax, cuthbert and filterpy.
-States and anchors: a planar tracker of ranges with a bias per anchor in the state, beside a NumPy loop and filterpy.
-Particles: the tracker of `particles.py`, beside its textbook form and the library `particles`. Tunables: likelihood and
-gradient of the range tracker.
-"""
+"""The problems of `growth.py`: functions of a version and a size, which return a run and its number of rows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
+from experiments.lab.bench import beam, particles
+from experiments.lab.bench.beam import filtering, finished
+from experiments.lab.bench.loops import filtered, model_of, with_filterpy
+from experiments.lab.bench.timing import Row, cold_and_warm
+from experiments.lab.validation.track_loss import kidnapped_walk
+from sim import worlds
+from trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_tracker
+from trackers.catalogue import TRACKERS
+from trackers.core import covariance
+from trackers.core.chunks import CHUNK
+from trackers.core.motion import ConstantVelocity
+from trackers.core.recording import Readings, Recording, stack
+from trackers.core.smoother import Smoothed
+from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.tracker import Tracker
+from trackers.core.tunable import Scale
+from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
+from trackers.parts.ranges import RANGES, RangeSensor
+from trackers.parts.start_nearby import NearbyStart
+from tuning.objectives import NegativeLogLikelihood
+from tuning.parameters import flatten, select_parameters
+from tuning.problem import Problem
+
 Run = tuple[Callable[[], Any], int]
-
-ALL = 10**9
-
-
-class Series(NamedTuple):
-    """`versions`: the largest size of each."""
-
-    about: str
-    sizes: tuple[int, ...]
-    versions: dict[str, int]
+ROWS, TRAJECTORIES, BEAMS, SMOOTHED_ROWS, INERTIAL_ROWS = 200, 64, 16, 50, 100
 
 
-SERIES = {
-    "rows": Series(
-        "beam tracker, 16 trajectories",
-        (20, 64, 200, 640, 2000),
-        {"ours": ALL, "textbook": ALL, "dynamax": 200, "cuthbert": 640, "filterpy": 64},
-    ),
-    "trajectories": Series(
-        "beam tracker, 200 rows",
-        (32, 128, 512, 2048, 4096),
-        {"ours": ALL, "textbook": 128, "cuthbert": 128},
-    ),
-    "states": Series(
-        "planar ranges, one a row, 64 trajectories of 200 rows; a NumPy loop and filterpy of one",
-        (4, 8, 12, 20, 36),
-        {"ours": ALL, "NumPy": ALL, "filterpy": ALL},
-    ),
-    "anchors": Series(
-        "planar ranges to all anchors in every row, 4 states, 64 trajectories of 200 rows",
-        (3, 6, 12, 25, 50),
-        {"ours": ALL},
-    ),
-    "particles": Series(
-        "particle filter on a line, 256 trajectories of 200 rows; `particles` of 4",
-        (100, 300, 1000, 3000, 10_000),
-        {"ours": ALL, "textbook": 1000, "particles": 1000},
-    ),
-    "tunables": Series(
-        "likelihood and gradient of the planar tracker of ranges, 64 trajectories of 200 rows",
-        (1, 4, 8, 16, 64),
-        {"ours": ALL},
-    ),
-}
-
-ROWS, TRAJECTORIES, BEAMS = 200, 64, 16
+def point(build: Sequence[Any], version: str, size: int, rounds: int) -> Row:
+    """Times and memory of a version of one problem at one size, in this process."""
+    name, *first = build
+    run, rows = BUILDERS[name](*first, version, size)
+    return cold_and_warm(run, rows, rounds)
 
 
-def build(series: str, version: str, size: int) -> Run:
-    """The run of a version of a series at one size, and its number of rows."""
-    if series == "rows":
-        return beam(version, BEAMS, size)
-    if series == "trajectories":
-        return beam(version, size, ROWS)
-    if series == "particles":
-        return particle_filter(version, size)
-    if series == "states":
-        return ranges(version, biases=size - 4, slots=1)
-    return ranges(version, biases=0, slots=size) if series == "anchors" else gradient(size)
-
-
-def beam(version: str, trajectories: int, rows: int) -> Run:
-    """The beam tracker with a given start."""
-    from experiments.lab.bench import measure
-    from experiments.lab.bench.textbook import all_pairs, textbook
-    from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-
-    world = measure.simulate(trajectories, rows)
-    if version == "ours":
-        tracker = measure.trackers()[1]
-        return filtering(tracker, world.batch), trajectories * rows
-    if version == "textbook":
-        build: Any = textbook
-    else:
-        from experiments.lab.bench import peers
-
-        build = getattr(peers, f"with_{version}")
-    run = build(all_pairs(DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH), measure.SIGMA_A, measure.SIGMA_P)
-    part = world.part(trajectories, rows)
-    return finished(lambda: run(*part)), trajectories * rows
-
-
-def filtering(tracker: Any, batch: Any) -> Callable[[], Any]:
-    """A run of the tracker over a batch."""
-    from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
-    from trackers.core.tracker import filter_batch
-
-    model = as_dtype(tracker, batch.dt.dtype)
-    return lambda: run_chunks(filter_batch, [(model, part) for part in chunks(batch, CHUNK)])
-
-
-def finished(run: Callable[[], Any]) -> Callable[[], Any]:
-    """The run, until its computation is finished."""
-    import jax
-
-    return lambda: jax.block_until_ready(run())
-
-
-def ranging(anchors: int, slots: int, biases: int, trajectories: int) -> tuple[Any, list[Any]]:
+def ranging(anchors: int, slots: int, biases: int, trajectories: int) -> tuple[Tracker, list[Recording]]:
     """A planar tracker of ranges and its recordings: circles of 3 m among anchors on a circle of 8 m."""
-    from trackers.core.recording import Readings, Recording
-    from trackers.core.track_loss import TrackLossPolicy
-    from trackers.core.tracker import Tracker
-    from trackers.core.tunable import Scale
-    from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
-    from trackers.parts.ranges import RANGES, RangeSensor
-
     rng = np.random.default_rng(0)
     around = np.arange(anchors) * (2 * np.pi / anchors)
     places = np.stack([8 * np.cos(around), 8 * np.sin(around), np.full(anchors, 2.0)], axis=1)
@@ -150,14 +73,10 @@ def ranging(anchors: int, slots: int, biases: int, trajectories: int) -> tuple[A
 
 
 def ranges(version: str, biases: int, slots: int) -> Run:
-    """The tracker of ranges, or the loop of one trajectory in NumPy or with filterpy."""
-    from trackers.core.recording import stack
-
+    """The tracker of ranges with a bias per anchor, or the loop of one trajectory in NumPy or with filterpy."""
     tracker, recordings = ranging(max(biases, slots, 4), slots, biases, TRAJECTORIES if version == "ours" else 1)
     if version == "ours":
         return filtering(tracker, stack(recordings)), TRAJECTORIES * ROWS
-    from experiments.lab.bench.loops import filtered, model_of, with_filterpy
-
     model = model_of(tracker, recordings[0], planar=True)
     assert model is not None
     state = np.zeros(4 + biases)
@@ -168,36 +87,71 @@ def ranges(version: str, biases: int, slots: int) -> Run:
     return (lambda: loop(model, state, P, dts, 1)), ROWS - 1
 
 
-def gradient(tunables: int) -> Run:
-    """Likelihood and gradient of that many sensor biases."""
-    from trackers.core.chunks import CHUNK
-    from trackers.core.recording import stack
-    from tuning.objectives import NegativeLogLikelihood
-    from tuning.parameters import flatten, select_parameters
-    from tuning.problem import Problem
+def form(states: int, version: str, size: int) -> Run:
+    """The tracker of ranges with so many states, its covariances as scalars or as matrices."""
+    covariance.FEW = size if version == "matrices" else 0
+    tracker, recordings = ranging(max(states - 4, 4), 1, states - 4, size)
+    return filtering(tracker, stack(recordings)), size * ROWS
 
-    tracker, recordings = ranging(tunables, 1, 0, TRAJECTORIES)
-    parameters = select_parameters(tracker, ("sensors.*.bias",))
+
+def smoothed(name: str, version: str, size: int) -> Run:
+    """A tracker of simulated recordings, filtered, or smoothed once it was filtered; calls of `run` included."""
+    simulate: Any = {"uwb": worlds.ranges, "uwb-imu": worlds.tool}.get(name, worlds.agv)
+    (batch,) = TRACKERS[name].batches([simulate(n=size, rows=SMOOTHED_ROWS).folder()], name)
+    recordings = [t.recording for t in batch.trajectories]
+    tracker: Any = batch.tracker
+    if version == "smoothed":
+        tracker.run(recordings)
+        tracker = Smoothed(tracker)
+    return (lambda: tracker.run(recordings)), sum(map(len, recordings))
+
+
+def gradient(tracker: Any, recordings: Sequence[Recording], tune: Sequence[str]) -> Callable[[], Any]:
+    """A run of likelihood and gradient of the numbers that these patterns name."""
+    parameters = select_parameters(tracker, tune)
     problem = Problem(tracker, [stack(recordings)], NegativeLogLikelihood(), parameters, CHUNK)
     vector = flatten(parameters)
-    return (lambda: problem.evaluate(vector)[:2]), TRAJECTORIES * ROWS
+    return lambda: problem.evaluate(vector)[:2]
 
 
-def particle_filter(version: str, count: int) -> Run:
-    """The particle filter on a line."""
-    from experiments.lab.bench import particles
-    from sim.line import THESIS_KNOTS
+def tunables(version: str, size: int) -> Run:
+    """Likelihood and gradient of so many sensor biases."""
+    return gradient(*ranging(size, 1, 0, TRAJECTORIES), ("sensors.*.bias",)), TRAJECTORIES * ROWS
 
-    particles.PARTICLES = count
-    fixes, times, _ = particles.task()
-    if version == "particles":
-        from experiments.lab.bench import particle_peers
 
-        particle_peers.PARTICLES = count
-        fixes = fixes[: particle_peers.SLICES["particles"]]
-        run = particle_peers.with_particles(fixes, float(times[1] - times[0]), THESIS_KNOTS)
-    elif version == "textbook":
-        run = particles.textbook(fixes, times, THESIS_KNOTS)
+def inertial(version: str, size: int) -> Run:
+    """One of the filters of the mixture `uwb-imu`, or its likelihood and gradient of two noise levels."""
+    (batch,) = TRACKERS["uwb-imu"].batches([worlds.tool(n=size, rows=INERTIAL_ROWS).folder()], "uwb-imu")
+    recordings = [t.recording for t in batch.trajectories]
+    tracker: Any = batch.tracker
+    tracker = dataclasses.replace(tracker, filter=tracker.filter.kalman)
+    if version == "gradient":
+        run = gradient(tracker, recordings, ("motion.noise.sigma_accel", "sensors.*.sigma_r"))
     else:
-        run = particles.ours(fixes, times)
-    return run, fixes.shape[0] * fixes.shape[1]
+        run = finished(filtering(tracker, stack(recordings)))
+    return run, sum(map(len, recordings))
+
+
+def bearings(version: str, size: int) -> Run:
+    """Walks as `experiments.lab.validation.track_loss` simulates them, with drifting biases in the state or without."""
+    batch = stack([kidnapped_walk(seed, "bearings").recording for seed in range(size)])
+    tracker = bearing_tracker(4, planar=True)
+    if version == "constant velocity":
+        start = NearbyStart(Scale(1.5, "m"), Scale(1.0, "m/s"), planar=True, velocities=2)
+        sensors = {BEARINGS: BearingSensor(0.1, 0.1, 4.0)}
+        tracker = Tracker(ConstantVelocity(0.5, 2), sensors, start, track_loss=tracker.track_loss)
+    return finished(filtering(tracker, batch)), batch.dt.size
+
+
+BUILDERS: dict[str, Callable[..., Run]] = {
+    "rows": lambda version, size: beam.version(version, BEAMS, size),
+    "trajectories": lambda version, size: beam.version(version, size, ROWS),
+    "states": lambda version, size: ranges(version, biases=size - 4, slots=1),
+    "anchors": lambda version, size: ranges(version, biases=0, slots=size),
+    "particles": particles.version,
+    "tunables": tunables,
+    "form": form,
+    "smoothed": smoothed,
+    "inertial": inertial,
+    "bearings": bearings,
+}

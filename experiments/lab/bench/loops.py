@@ -2,7 +2,8 @@
 
 Motions and sensors have Jacobians derived by hand, in double precision. Each channel is one scalar update in Joseph
 form, linearised at the predicted mean, with the weight of Student's t where the tracker's noise has one: the estimates
-are those of the trackers up to rounding. No log-likelihood, track loss or mixture is computed.
+are those of the trackers up to rounding. No log-likelihood, track loss or mixture is computed. With an IMU it is the
+error-state filter of Solà (2017), chapter 5.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.lab.bench.loops_inertial import inertial
 from trackers.aoa.fusion import BEARINGS, BearingSensor
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.motion import GroundMotion
@@ -46,11 +46,11 @@ def model_of(tracker: Any, recording: Recording, planar: bool) -> Model | None:
         return None
     sensor, motion = next(iter(tracker.sensors.values())), tracker.motion
     if isinstance(motion, Strapdown) and isinstance(sensor, RangeSensor):
-        return Model(*inertial(motion, sensor, recording))
+        return inertial(motion, sensor, recording)
     if isinstance(motion, DriftingBiases) and isinstance(sensor, RangeSensor):
         d, start = 2 if planar else 3, tracker.start
         shares = isinstance(start, BiasedStart) and start.sigma_shared is not None
-        channels = range_channels(sensor, recording, planar, 2 * d, motion.biases)
+        channels = range_channels(sensor, recording, tag_on_floor(recording, planar), 2 * d, motion.biases)
         return Model(damped(motion, d, int(shares)), channels, np.add, float(sensor.dof.value))
     if isinstance(motion, GroundMotion) and isinstance(sensor, FixSensor):
         dof = 0.0 if sensor.dof is None else float(sensor.dof.value)
@@ -158,24 +158,26 @@ def damped(motion: DriftingBiases, d: int, shared: int = 0) -> Any:
     return moved
 
 
-def range_channels(sensor: RangeSensor, recording: Recording, planar: bool, biases_at: int, biases: int) -> Any:
-    """The range of a row, to its anchor, with the sensor's bias, the anchor's in the state and those after it."""
-    readings, inputs = recording.readings[RANGES], recording.inputs
+def range_channels(sensor: RangeSensor, recording: Recording, tag: Any, biases_at: int, biases: int) -> Any:
+    """The range of a row, to its anchor, with the sensor's bias, the anchor's in the state and those after it.
+
+    `tag(state, row)`: the state's vector, the tag's place, and a function of the ray from the anchor that returns the
+    gradient of its length times that length.
+    """
+    readings, numbers = recording.readings[RANGES], recording.inputs["anchor"][:, 0].astype(int)
     z, seen, reported = readings.values[:, 0], readings.seen[:, 0], readings.reported
-    anchors, numbers = inputs["anchors"][:, :3], inputs["anchor"][:, 0].astype(int)
-    height = inputs["height"] if planar else None
+    anchors = recording.inputs["anchors"][:, :3]
     known, skew = np.asarray(sensor.bias.value, float), float(sensor.positive_skew.value)
     variance = float(sensor.sigma_r.value) ** 2
 
-    def channels(x: np.ndarray, row: int) -> Iterator[Channel]:
+    def channels(state: Any, row: int) -> Iterator[Channel]:
         if not seen[row]:
             return
-        position = x[:3] if height is None else np.array([x[0], x[1], height[row]])
-        ray = position - anchors[row]
+        x, place, along = tag(state, row)
+        ray, number = place - anchors[row], numbers[row]
         distance = np.sqrt(ray @ ray)
-        gradient, number = np.zeros(len(x)), numbers[row]
-        gradient[: 2 if planar else 3] = (ray / distance)[: 2 if planar else 3]
-        predicted = distance + known[number]
+        gradient = along(ray) / distance
+        predicted = distance + (known[number] if number < len(known) else 0.0)
         own = [biases_at + number] if number < biases else []
         for k in (*own, *range(biases_at + biases, len(x))):
             gradient[k] = 1.0
@@ -184,6 +186,18 @@ def range_channels(sensor: RangeSensor, recording: Recording, planar: bool, bias
         yield z[row] - predicted, gradient, sigma * (skew if z[row] > predicted else 1.0)
 
     return channels
+
+
+def tag_on_floor(recording: Recording, planar: bool) -> Any:
+    """The place of a tag that begins the state, in the plane at the height of the row."""
+    height = recording.inputs["height"] if planar else None
+
+    def tag(x: np.ndarray, row: int) -> tuple[np.ndarray, np.ndarray, Any]:
+        d = 3 if height is None else 2
+        place = x[:3] if height is None else np.array([x[0], x[1], height[row]])
+        return x, place, lambda ray: np.concatenate([ray[:d], np.zeros(len(x) - d)])
+
+    return tag
 
 
 def fix_channels(sensor: FixSensor, recording: Recording, planar: bool) -> Any:
@@ -230,3 +244,122 @@ def bearing_channels(sensor: BearingSensor, recording: Recording, planar: bool) 
                 yield difference - 2 * np.pi * np.round(difference / (2 * np.pi)), gradient, sigmas[k]
 
     return channels
+
+
+InertialState = tuple[np.ndarray, np.ndarray]
+"""Position, velocity, rotation error (zero), biases of accelerometer, gyro and ranges, (n,); quaternion (4,)."""
+
+
+def inertial(motion: Strapdown, sensor: RangeSensor, recording: Recording) -> Model:
+    """The model of an inertial tracker."""
+    inputs, noise = recording.inputs, motion.noise
+    n = 15 + motion.biases
+    gravity = np.array([0.0, 0.0, float(motion.gravity.value)])
+    arms = inputs.get("arm", np.zeros((len(recording), 3)))
+    white = [float(noise.sigma_a.value) ** 2, float(noise.sigma_accel.value) ** 2]
+    turn = [float(noise.sigma_turn.value) ** 2, float(noise.sigma_gyro.value) ** 2]
+    walks = np.zeros(n - 9)
+    walks[:3], walks[3:6] = float(noise.sigma_accel_walk.value) ** 2, float(noise.sigma_gyro_walk.value) ** 2
+    walks[6:] = float(noise.sigma_range_walk.value) ** 2
+    diagonal = np.arange(n)
+    F, Q = np.eye(n), np.zeros((n, n))
+
+    def moved(state: InertialState, P: np.ndarray, row: int, dt: float) -> tuple[InertialState, np.ndarray, np.ndarray]:
+        x, q = state
+        has_accel, has_gyro = int(inputs["imu"][row, 0] > 0.5), int(inputs["imu"][row, 1] > 0.5)
+        rate = has_gyro * (inputs["gyro"][row] - x[12:15])
+        force = inputs["accel"][row] - x[9:12]
+        R, turned = matrix(q), product(q, exponential(rate * dt))
+        # The specific force in the middle of the step.
+        middle = force + 0.5 * dt * np.cross(rate, force)
+        acceleration = has_accel * (R @ middle - gravity)
+        after = x.copy()
+        after[:3] += x[3:6] * dt + 0.5 * dt * dt * acceleration
+        after[3:6] += acceleration * dt
+        F[:3, 3:6] = np.eye(3) * dt
+        F[3:6, 6:9] = -has_accel * dt * R @ cross(middle)
+        F[3:6, 9:12] = -has_accel * dt * R @ (np.eye(3) + 0.5 * dt * cross(rate))
+        F[3:6, 12:15] = has_accel * has_gyro * 0.5 * dt * dt * R @ cross(force)
+        F[:3, 6:15] = 0.5 * dt * F[3:6, 6:15]
+        back, right = matrix(exponential(-rate * dt)), right_jacobian(rate * dt)
+        F[6:9, 6:9], F[6:9, 12:15] = back, -has_gyro * dt * right
+        turns = right @ right.T * (turn[has_gyro] * dt)
+        if arms[row].any():
+            lever = cross(arms[row])
+            R_after = matrix(turned)
+            after[:3] += (R_after - R) @ arms[row]
+            F[:3, 6:9] += R @ lever - R_after @ lever @ back
+            F[:3, 12:15] += has_gyro * dt * R_after @ lever @ right
+        power = white[has_accel]
+        Q[diagonal[:3], diagonal[:3]], Q[diagonal[3:6], diagonal[3:6]] = power * dt**3 / 3, power * dt
+        Q[diagonal[:3], diagonal[3:6]] = Q[diagonal[3:6], diagonal[:3]] = power * dt**2 / 2
+        Q[6:9, 6:9] = turns
+        Q[diagonal[9:], diagonal[9:]] = walks * dt
+        if arms[row].any():
+            Q[:3, 6:9] = -R_after @ lever @ turns
+            Q[6:9, :3] = Q[:3, 6:9].T
+            Q[:3, :3] = np.eye(3) * power * dt**3 / 3 + R_after @ lever @ turns @ lever.T @ R_after.T
+        return (after, turned / np.sqrt(turned @ turned)), F, Q
+
+    def added(state: InertialState, step: np.ndarray) -> InertialState:
+        x, q = state
+        after = x + step
+        after[6:9] = 0.0
+        return after, product(q, exponential(step[6:9]))
+
+    def tag(state: InertialState, row: int) -> tuple[np.ndarray, np.ndarray, Any]:
+        x, q = state
+        if "levers" not in inputs:
+            return x, x[:3], lambda ray: np.concatenate([ray, np.zeros(len(x) - 3)])
+        lever, R = inputs["levers"][row, :3], matrix(q)
+
+        def along(ray: np.ndarray) -> np.ndarray:
+            gradient = np.zeros(len(x))
+            gradient[:3], gradient[6:9] = ray, -(ray @ R) @ cross(lever)
+            return gradient
+
+        return x, x[:3] + R @ lever, along
+
+    return Model(moved, range_channels(sensor, recording, tag, 15, motion.biases), added, float(sensor.dof.value))
+
+
+def cross(v: np.ndarray) -> np.ndarray:
+    """The matrix of the cross product with v from the left."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def right_jacobian(v: np.ndarray) -> np.ndarray:
+    """The right Jacobian of a rotation vector, to second order (Solà 2017, equation 183)."""
+    turn = cross(v)
+    return np.eye(3) - 0.5 * turn + turn @ turn / 6.0
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The Hamilton product of two quaternions."""
+    return np.array(
+        [
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        ]
+    )
+
+
+def exponential(v: np.ndarray) -> np.ndarray:
+    """The quaternion of a rotation vector."""
+    angle = np.sqrt(v @ v)
+    half = 0.5 - angle * angle / 48.0 if angle < 1e-4 else np.sin(0.5 * angle) / angle
+    return np.array([np.cos(0.5 * angle), *(half * v)])
+
+
+def matrix(q: np.ndarray) -> np.ndarray:
+    """The rotation matrix of a unit quaternion, body to world."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,28 +1,24 @@
-"""Rate of a study's chunk over that of the tracker alone, for every world: `python -m experiments.lab.bench.studies`.
-
-A chunk is simulated, prepared (rows of the tracker, stacked), run and scored as in a study with one tracker. The
-tracker alone is `tracker.run` on the same stacked rows, beside its compiled program on arrays that are in place.
-Processor seconds of warm programs, medians over rounds in which the whole chunk and its parts have one turn each.
-"""
+"""A study's chunk and its parts beside the tracker alone, in processor seconds of warm programs."""
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Callable
-from functools import partial
-from importlib.metadata import version
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 
-from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
-from experiments.lab.bench.__main__ import machine
-from experiments.lab.bench.timing import write_json
+from experiments.lab.bench.timing import Bench, Row, Table, clocked, shown
+from experiments.monte_carlo.chunk import run_chunk
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from sim.worlds import WORLDS as MAKE
+from trackers.core.chunks import as_dtype, chunks
+from trackers.core.recording import Batch
+from trackers.core.tracker import AbstractTracker, filter_batch
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.tracks import batches
 
 TRAJECTORIES = 256
 """Trajectories of a chunk."""
@@ -44,60 +40,27 @@ WORLDS: dict[str, tuple[str, ...]] = {
 """The trackers that read each world's tables."""
 
 
-def main(
-    *, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), out: Path = Path("out/bench-studies.json")
-) -> int:
-    """Measure chunks of studies, print the table and write it as JSON; 1 if a share is below a third.
+def studies(*, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), bench: Bench) -> int:
+    """A study's chunk beside the tracker alone, for every world: simulated, prepared, run and scored.
+
+    The tracker alone is `tracker.run` on the same stacked rows, beside its compiled program on arrays that are in
+    place; medians over rounds in which the whole and its parts have one turn each. 1 if the rate of a chunk is below a
+    third of the tracker's.
 
     Args:
         world: worlds, all by default.
         tracker: trackers, all of each world by default.
-        out: the JSON file to write.
     """
     set_flags()
-    rows = []
-    print(
-        f"{'world':9s}{'tracker':17s}{'rows':>8s}  µs/row: simulate  prepare  program      run    score    whole"
-        "   share of run   run/program"
-    )
-    for name, trackers in WORLDS.items():
-        for one in trackers:
-            if (world and name not in world) or (tracker and one not in tracker):
-                continue
-            found = measured(name, one)
-            rows.append(found)
-            each = "".join(f"{found[f'{part}_us_per_row']:9.3f}" for part in PARTS)
-            shares = f"{found['share']:15.2f}{found['run_over_program']:14.2f}"
-            print(f"{name:9s}{one:17s}{found['rows']:8d}         {each}{shares}", flush=True)
-    command = ["python", "-m", "experiments.lab.bench.studies", *sys.argv[1:]]
-    write_json(
-        out,
-        {
-            "command": command,
-            "machine": machine(),
-            "packages": {"jax": version("jax"), "numpy": np.__version__},
-            "studies": rows,
-        },
-    )
-    print(f"Written: {out}")
-    return int(any(found["share"] < LEAST_SHARE for found in rows))
+    pairs = [(w, t) for w, every in WORLDS.items() for t in every if w in (world or WORLDS) and t in (tracker or every)]
+    rows = shown(of_a_chunk(*pair, bench) for pair in pairs)
+    bench.publish("studies", Table(rows))
+    return int(any(row["run/whole"] < LEAST_SHARE for row in rows))
 
 
-PARTS = ("simulate", "prepare", "program", "run", "score", "whole")
-
-
-def measured(world: str, tracker: str) -> dict[str, Any]:
+def of_a_chunk(world: str, tracker: str, bench: Bench) -> Row:
     """Processor time per row of the parts and of the whole chunk, and the share of the rate of the tracker alone."""
-    from experiments.monte_carlo.chunk import run_chunk
-    from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-    from sim.worlds import WORLDS as MAKE
-    from trackers.core.chunks import as_dtype, chunks
-    from trackers.core.recording import Batch
-    from trackers.core.tracker import AbstractTracker, filter_batch
-    from trackers.recordings.folder import RecordingFolder
-    from trackers.recordings.tracks import batches as row_batches
-
-    count = FEWER.get(tracker, TRAJECTORIES)
+    count = 4 if bench.small else FEWER.get(tracker, TRAJECTORIES)
     study = Study(
         "speed",
         "",
@@ -106,50 +69,34 @@ def measured(world: str, tracker: str) -> dict[str, Any]:
         runs=count * (2 if count <= 128 else 512),
     )
     (condition,), config, ids = study.conditions, study.trackers[tracker], np.arange(count)
-    chunk = study.chunk
-    assert chunk == count
-    program = eqx.filter_jit(filter_batch)
-    seconds: dict[str, list[float]] = {part: [] for part in PARTS}
-    for attempt in range(ROUNDS + 1):
-        folder, simulate = _clocked(lambda: study.worlds[world].make(ids, study.seed))
+    assert study.chunk == count
+    program: Any = eqx.filter_jit(filter_batch)
+    rows = 0
 
-        def prepared(folder: RecordingFolder = folder) -> list[tuple[AbstractTracker, Batch]]:
-            groups = config.spec.batches([folder], tracker)
-            return [(own.tracker, batch) for own in groups for _, batch in row_batches(own.trajectories, truth=False)]
+    def one_round() -> tuple[float, ...]:
+        nonlocal rows
+        (_, simulate), folder = clocked(lambda: study.worlds[world].make(ids, study.seed))
+        (_, prepare), stacked = clocked(lambda: rows_of(config.spec.batches([folder], tracker)))
+        placed = [(as_dtype(own, batch.dt.dtype), part) for own, batch in stacked for part in chunks(batch, count)]
+        (_, bare), _ = clocked(lambda: jax.block_until_ready([program(*one) for one in placed]))
+        (_, run), _ = clocked(lambda: [own.run(batch, count) for own, batch in stacked])
+        (_, whole), _ = clocked(lambda: run_chunk(study, condition, ids, False))
+        rows = int(sum(np.asarray(batch.valid).sum() for _, batch in stacked))
+        return simulate, prepare, bare, run, whole - simulate - prepare - run, whole
 
-        batches, prepare = _clocked(prepared)
-        placed = [(as_dtype(own, batch.dt.dtype), part) for own, batch in batches for part in chunks(batch, chunk)]
-        _, bare = _clocked(partial(_compiled, program, placed))
-        _, run = _clocked(partial(_run, batches, chunk))
-        _, whole = _clocked(lambda: run_chunk(study, condition, ids, False))
-        if attempt:
-            for part, value in zip(
-                PARTS, (simulate, prepare, bare, run, whole - simulate - prepare - run, whole), strict=True
-            ):
-                seconds[part].append(value)
-    rows = int(sum(np.asarray(batch.valid).sum() for _, batch in batches))
-    medians = {f"{part}_us_per_row": 1e6 * float(np.median(seconds[part])) / rows for part in PARTS}
-    share = float(np.median(np.array(seconds["run"]) / np.array(seconds["whole"])))
-    over = float(np.median(np.array(seconds["run"]) / np.array(seconds["program"])))
-    found = {"world": world, "tracker": tracker, "trajectories": count, "rows": rows, **medians}
-    return {**found, "share": share, "run_over_program": over}
-
-
-def _compiled(program: Callable[..., Any], placed: list[tuple[Any, Any]]) -> None:
-    jax.block_until_ready([program(own, part) for own, part in placed])
+    warm = np.array([one_round() for _ in range(bench.rounds(ROUNDS) + 1)])[1:]
+    parts = (f"{part} µs/row" for part in ("simulate", "prepare", "program", "run", "score", "whole"))
+    return {
+        "world": world,
+        "tracker": tracker,
+        "trajectories": count,
+        "rows": rows,
+        **dict(zip(parts, (1e6 * np.median(warm, axis=0) / rows).tolist(), strict=True)),
+        "run/whole": float(np.median(warm[:, 3] / warm[:, 5])),
+        "run/program": float(np.median(warm[:, 3] / warm[:, 2])),
+    }
 
 
-def _run(batches: list[Any], chunk: int) -> None:
-    for tracker, batch in batches:
-        tracker.run(batch, chunk)
-
-
-def _clocked(run: Callable[[], Any]) -> tuple[Any, float]:
-    """The result, and processor seconds."""
-    began = time.process_time()
-    result = run()
-    return result, time.process_time() - began
-
-
-if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.bench.studies")
+def rows_of(groups: Iterable[TrackerBatch]) -> list[tuple[AbstractTracker, Batch]]:
+    """The stacked rows of all trajectories, with their trackers."""
+    return [(group.tracker, batch) for group in groups for _, batch in batches(group.trajectories, truth=False)]

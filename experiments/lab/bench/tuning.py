@@ -1,23 +1,32 @@
-"""Computing time of a fit: `python -m experiments.lab.bench.tuning`, with `--peers` beside scipy and dynamax.
-
-System A, 4,096 trajectories of 200 rows, σ_a and σ_p, from starts wrong by a factor of ten, until convergence. Beside
-it, in the same process, scipy's L-BFGS-B on finite differences of the same jitted objective, and optax's Adam on the
-likelihood of dynamax's filter, on a small slice because larger batches of its solves deadlock.
-"""
+"""Computing time of a fit, beside scipy and dynamax."""
 
 from __future__ import annotations
 
-import json
-import sys
-import time
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import minimize
 
-from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
-from experiments.lab.bench.timing import clocked, write_json
+from experiments.lab.bench.beam import (
+    ROWS,
+    SIGMA_A,
+    SIGMA_P,
+    TRAJECTORIES,
+    TUNED,
+    World,
+    simulate,
+    trackers,
+    with_dynamax,
+)
+from experiments.lab.bench.timing import Bench, Row, Table, clocked, shown, turns
+from tuning import NegativeLogLikelihood, fit
+from tuning.parameters import flatten, select_parameters, with_parameters
+from tuning.problem import Problem
 
 LIMIT_S = 5.0
 """Limit of the time of a compiled fit."""
@@ -26,136 +35,86 @@ CORNERS = ((10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0))
 DYNAMAX_SLICE, DYNAMAX_STEPS = (16, 50), 20
 
 
-def main(*, peers: bool = False, out: Path = Path("out/bench-tuning.json")) -> int:
-    """Measure fits, print the results and write them as JSON; 1 if a fit takes too long.
+def tuning(*, peers: bool = False, bench: Bench) -> int:
+    """Computing time of a fit of σ_a and σ_p of the beam tracker, from starts wrong by a factor of ten.
+
+    4,096 trajectories of 200 rows, after a fit that compiles. Beside it, in the same process, scipy's L-BFGS-B on
+    finite differences of the same jitted objective, and a gradient of the likelihood of dynamax's filter, on a small
+    slice because larger batches of its solves deadlock. 1 if a fit takes too long.
 
     Args:
-        peers: also scipy and dynamax (extra: peers).
-        out: the JSON file to write.
+        peers: also dynamax (extra: peers).
     """
     set_flags()
-    from experiments.lab.bench.__main__ import machine
-
-    command = ["python", "-m", "experiments.lab.bench.tuning", *sys.argv[1:]]
-    results: dict[str, Any] = {"command": command, "machine": machine(), "ours": ours()}
+    size = (16, 20) if bench.small else (TRAJECTORIES, ROWS)
+    world, corners = simulate(*size), CORNERS[:1] if bench.small else CORNERS
+    versions: dict[str, Callable[[World], Callable[[Any], Row]]] = {
+        "tuning.fit": with_fit,
+        "scipy L-BFGS-B": with_scipy,
+    }
+    rows = shown(row for name, build in versions.items() for row in of_fits(name, build(world), corners))
+    slowest = max(row["seconds"] for row in rows if row["version"] == "tuning.fit")
+    tables = [Table(rows, "fits", f"The slowest of {len(corners)} fits took {slowest:.2f} s; limit {LIMIT_S:g} s.")]
     if peers:
-        results |= {"scipy": with_scipy(), "dynamax": with_dynamax()}
-    print(json.dumps(results, indent=2))
-    write_json(out, results)
-    slowest = max(run["seconds"] for run in results["ours"]["fits"])
-    print(f"the slowest of {len(CORNERS)} fits took {slowest:.2f} s; limit {LIMIT_S:g} s")
+        seconds, share = dynamax_gradient(world), world.angles[:, 0].size / np.prod(DYNAMAX_SLICE)
+        tables.append(
+            Table([{"of a slice, s": seconds, "of all, s": seconds * share}], "a gradient of dynamax's likelihood")
+        )
+    bench.publish("tuning", *tables)
     return int(slowest > LIMIT_S)
 
 
-def wrong(corner: tuple[float, float]) -> Any:
-    """The benchmark's tracker with both noise levels multiplied by these factors."""
-    from experiments.lab.bench.measure import TUNED, trackers
-    from tuning.parameters import flatten, select_parameters, with_parameters
+def of_fits(name: str, run: Callable[[Any], Row], corners: Any) -> Iterator[Row]:
+    """Timed fits from every start, after one that compiles."""
+    (first, _), _ = clocked(lambda: run(corners[0]))
+    for corner in corners:
+        (seconds, processor), found = clocked(partial(run, corner))
+        times = {"first call s": first, "seconds": seconds, "processor s": processor}
+        yield {"version": name, "wrong by": str(corner), **times, **found}
 
+
+def wrong(corner: Any) -> Any:
+    """The benchmark's tracker with both noise levels multiplied by these factors."""
     tracker = trackers()[1]
     parameters = select_parameters(tracker, TUNED)
     return with_parameters(tracker, parameters, flatten(parameters) + np.log(corner))
 
 
-def ours() -> dict[str, Any]:
-    """Timed fits from every start, after one fit for compiling."""
-    from experiments.lab.bench.measure import ROWS, TRAJECTORIES, TUNED, simulate
-    from tuning import NegativeLogLikelihood, fit
+def with_fit(world: World) -> Callable[[Any], Row]:
+    """Fits by `tuning.fit`."""
 
-    batch = simulate(TRAJECTORIES, ROWS).batch
+    def run(corner: Any) -> Row:
+        found = fit(wrong(corner), world.batch, NegativeLogLikelihood(), TUNED)
+        evaluations = found.filter_runs / world.angles.shape[2]
+        values = {name: float(x) for name, x in found.values.items()}
+        errors = {f"{name}, standard error": float(x) for name, x in found.standard_errors.items()}
+        return {"evaluations": evaluations, "value": found.value, **values, **errors}
 
-    def run(corner: tuple[float, float]) -> tuple[tuple[float, float], Any]:
-        return clocked(lambda: fit(wrong(corner), batch, NegativeLogLikelihood(), TUNED))
-
-    (first, _), _ = run(CORNERS[0])
-    fits = []
-    for corner in CORNERS:
-        (seconds, _), result = run(corner)
-        fits.append(
-            {
-                "wrong_by": corner,
-                "seconds": seconds,
-                "evaluations": result.filter_runs / TRAJECTORIES,
-                "value": result.value,
-                "values": {name: float(x) for name, x in result.values.items()},
-                "standard_errors": {name: float(x) for name, x in result.standard_errors.items()},
-            }
-        )
-    return {"first_s": first, "fits": fits}
+    return run
 
 
-def with_scipy() -> dict[str, Any]:
-    """Timed fits by scipy's L-BFGS-B with finite differences; their step suits single precision."""
-    from scipy.optimize import minimize
-
-    from experiments.lab.bench.measure import ROWS, TRAJECTORIES, TUNED, simulate
-    from tuning import NegativeLogLikelihood
-    from tuning.parameters import flatten, select_parameters
-    from tuning.problem import Problem
-
-    tracker = wrong((1.0, 1.0))
+def with_scipy(world: World) -> Callable[[Any], Row]:
+    """Fits by scipy's L-BFGS-B with finite differences; their step suits single precision."""
+    tracker = trackers()[1]
     parameters = select_parameters(tracker, TUNED)
-    problem = Problem(tracker, [simulate(TRAJECTORIES, ROWS).batch], NegativeLogLikelihood(), parameters)
-    problem.values(flatten(parameters))
-    fits = []
-    for corner in CORNERS:
-        began = time.perf_counter()
+    problem = Problem(tracker, [world.batch], NegativeLogLikelihood(), parameters)
+
+    def run(corner: Any) -> Row:
         start = flatten(parameters) + np.log(corner)
         found = minimize(lambda v: float(problem.values(v)[0]), start, method="L-BFGS-B", options={"eps": 1e-3})
-        fits.append(
-            {
-                "wrong_by": corner,
-                "seconds": time.perf_counter() - began,
-                "evaluations": found.nfev,
-                "value": float(found.fun),
-            }
-        )
-    return {"fits": fits}
+        return {"evaluations": float(found.nfev), "value": float(found.fun)}
+
+    return run
 
 
-def with_dynamax() -> dict[str, Any]:
-    """Adam on the negative log-likelihood of dynamax's filter: time per gradient on a slice, and scaled to all data."""
-    import jax
-    import jax.numpy as jnp
-    import optax
-
-    from experiments.lab.bench.measure import ROWS, SIGMA_A, SIGMA_P, TRAJECTORIES, simulate
-    from experiments.lab.bench.peers import with_dynamax as build
-    from experiments.lab.bench.textbook import all_pairs
-    from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-
-    part = simulate(TRAJECTORIES, ROWS).part(*DYNAMAX_SLICE)
-    pairs = all_pairs(DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
+def dynamax_gradient(world: World) -> float:
+    """Seconds of the gradient of the negative log-likelihood of dynamax's filter on a slice: median of warm calls."""
+    part = world.part(*DYNAMAX_SLICE)
 
     def objective(v: Any) -> Any:
         levels: Any = jnp.exp(v)
-        return -jnp.mean(build(pairs, levels[0], levels[1])(*part)[2]) / DYNAMAX_SLICE[1]
+        return -jnp.mean(with_dynamax(levels[0], levels[1])(*part)[2]) / part[0].shape[1]
 
-    optimiser = optax.adam(0.15)
-
-    @jax.jit
-    def step(v: Any, state: Any) -> tuple[Any, Any, Any]:
-        value, gradient = jax.value_and_grad(objective)(v)
-        update, state = optimiser.update(gradient, state)
-        return v + update, state, value
-
-    vector = jnp.log(jnp.array([10 * SIGMA_A, 10 * SIGMA_P], jnp.float32))
-    state = optimiser.init(vector)
-    (first, _), _ = clocked(lambda: jax.block_until_ready(step(vector, state)))
-    began, values = time.perf_counter(), []
-    for _ in range(DYNAMAX_STEPS):
-        vector, state, value = step(vector, state)
-        values.append(float(value))
-    seconds = (time.perf_counter() - began) / DYNAMAX_STEPS
-    whole = TRAJECTORIES * ROWS / (DYNAMAX_SLICE[0] * DYNAMAX_SLICE[1])
-    return {
-        "slice": DYNAMAX_SLICE,
-        "first_s": first,
-        "seconds_per_gradient": seconds,
-        "seconds_per_gradient_of_all": seconds * whole,
-        "values": values,
-    }
-
-
-if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.bench.tuning")
+    gradient, at = jax.jit(jax.value_and_grad(objective)), jnp.log(jnp.array([10 * SIGMA_A, 10 * SIGMA_P], jnp.float32))
+    jax.block_until_ready(gradient(at))
+    return float(np.median(turns([lambda: jax.block_until_ready(gradient(at))], DYNAMAX_STEPS)[:, 0, 0]))

@@ -6,22 +6,23 @@ import jax
 import pytest
 
 from experiments.lab.bench import gpu
+from experiments.lab.bench.timing import Bench
+from trackers.core.errors import UnusableInput
 
 
-def test_without_a_gpu_it_writes_nothing_and_names_the_extra(tmp_path, capsys):
+def test_without_a_gpu_it_writes_nothing_and_names_the_extra(tmp_path):
     if jax.default_backend() == "gpu":
         pytest.skip("this host has a GPU")
-    assert gpu.main(out=tmp_path / "bench-gpu.json") == 2
-    assert "trackwright[cuda]" in capsys.readouterr().err
+    with pytest.raises(UnusableInput, match=r"trackwright\[cuda\]"):
+        gpu.gpu(bench=Bench(out=tmp_path / "bench-gpu.json"))
     assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.slow
-def test_every_part_runs_on_whatever_devices_there_are(monkeypatch):
-    monkeypatch.setattr(gpu, "ROUNDS", 1)
+def test_every_part_runs_on_whatever_devices_there_are():
     with jax.enable_x64(False):
-        found = gpu.measured(jax.local_devices(), gpu.Size(2, 8, 5, 8, 4, 1024))
-    assert found["beam"]["trajectories"] == 16
-    assert found["beam"]["gradient_over_reading"] > 0
-    assert found["particles"]["rmse_m"] < 1.0
-    assert "8 × 200 × 1000" in gpu.report("1", found)
+        likelihood, gradient, particles = gpu.on(jax.local_devices(), gpu.SMALL, 1)
+    assert likelihood["trajectories"] == 16
+    assert gradient["times reading once"] > 0
+    assert particles["error"] < 1.0
+    assert particles["what"] == "filter of 1,000 particles"
