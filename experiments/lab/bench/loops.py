@@ -50,7 +50,7 @@ def model_of(tracker: Any, recording: Recording, planar: bool) -> Model | None:
     if isinstance(motion, DriftingBiases) and isinstance(sensor, RangeSensor):
         d, start = 2 if planar else 3, tracker.start
         shares = isinstance(start, BiasedStart) and start.sigma_shared is not None
-        channels = range_channels(sensor, recording, tag_on_floor(recording, planar), 2 * d, motion.biases)
+        channels = range_channels(sensor, recording, d, 2 * d, motion.biases)
         return Model(damped(motion, d, int(shares)), channels, np.add, float(sensor.dof.value))
     if isinstance(motion, GroundMotion) and isinstance(sensor, FixSensor):
         dof = 0.0 if sensor.dof is None else float(sensor.dof.value)
@@ -158,25 +158,33 @@ def damped(motion: DriftingBiases, d: int, shared: int = 0) -> Any:
     return moved
 
 
-def range_channels(sensor: RangeSensor, recording: Recording, tag: Any, biases_at: int, biases: int) -> Any:
+def range_channels(
+    sensor: RangeSensor, recording: Recording, d: int, biases_at: int, biases: int, levers: np.ndarray | None = None
+) -> Any:
     """The range of a row, to its anchor, with the sensor's bias, the anchor's in the state and those after it.
 
-    `tag(state, row)`: the state's vector, the tag's place, and a function of the ray from the anchor that returns the
-    gradient of its length times that length.
+    `d`: coordinates of the position in the state. `levers`: from the body to the tag, of a state with a quaternion.
     """
-    readings, numbers = recording.readings[RANGES], recording.inputs["anchor"][:, 0].astype(int)
+    readings, inputs = recording.readings[RANGES], recording.inputs
     z, seen, reported = readings.values[:, 0], readings.seen[:, 0], readings.reported
-    anchors = recording.inputs["anchors"][:, :3]
+    anchors, numbers = inputs["anchors"][:, :3], inputs["anchor"][:, 0].astype(int)
+    height = inputs["height"] if d == 2 else None
     known, skew = np.asarray(sensor.bias.value, float), float(sensor.positive_skew.value)
     variance = float(sensor.sigma_r.value) ** 2
 
     def channels(state: Any, row: int) -> Iterator[Channel]:
         if not seen[row]:
             return
-        x, place, along = tag(state, row)
-        ray, number = place - anchors[row], numbers[row]
+        x = state[0] if isinstance(state, tuple) else state
+        position = x[:3] if height is None else np.array([x[0], x[1], height[row]])
+        ray, gradient, number = position - anchors[row], np.zeros(len(x)), numbers[row]
+        if levers is not None:
+            R = matrix(state[1])
+            ray = ray + R @ levers[row, :3]
         distance = np.sqrt(ray @ ray)
-        gradient = along(ray) / distance
+        gradient[:d] = (ray / distance)[:d]
+        if levers is not None:
+            gradient[6:9] = -(ray @ R) @ cross(levers[row, :3]) / distance
         predicted = distance + (known[number] if number < len(known) else 0.0)
         own = [biases_at + number] if number < biases else []
         for k in (*own, *range(biases_at + biases, len(x))):
@@ -186,18 +194,6 @@ def range_channels(sensor: RangeSensor, recording: Recording, tag: Any, biases_a
         yield z[row] - predicted, gradient, sigma * (skew if z[row] > predicted else 1.0)
 
     return channels
-
-
-def tag_on_floor(recording: Recording, planar: bool) -> Any:
-    """The place of a tag that begins the state, in the plane at the height of the row."""
-    height = recording.inputs["height"] if planar else None
-
-    def tag(x: np.ndarray, row: int) -> tuple[np.ndarray, np.ndarray, Any]:
-        d = 3 if height is None else 2
-        place = x[:3] if height is None else np.array([x[0], x[1], height[row]])
-        return x, place, lambda ray: np.concatenate([ray[:d], np.zeros(len(x) - d)])
-
-    return tag
 
 
 def fix_channels(sensor: FixSensor, recording: Recording, planar: bool) -> Any:
@@ -307,20 +303,8 @@ def inertial(motion: Strapdown, sensor: RangeSensor, recording: Recording) -> Mo
         after[6:9] = 0.0
         return after, product(q, exponential(step[6:9]))
 
-    def tag(state: InertialState, row: int) -> tuple[np.ndarray, np.ndarray, Any]:
-        x, q = state
-        if "levers" not in inputs:
-            return x, x[:3], lambda ray: np.concatenate([ray, np.zeros(len(x) - 3)])
-        lever, R = inputs["levers"][row, :3], matrix(q)
-
-        def along(ray: np.ndarray) -> np.ndarray:
-            gradient = np.zeros(len(x))
-            gradient[:3], gradient[6:9] = ray, -(ray @ R) @ cross(lever)
-            return gradient
-
-        return x, x[:3] + R @ lever, along
-
-    return Model(moved, range_channels(sensor, recording, tag, 15, motion.biases), added, float(sensor.dof.value))
+    channels = range_channels(sensor, recording, 3, 15, motion.biases, inputs.get("levers"))
+    return Model(moved, channels, added, float(sensor.dof.value))
 
 
 def cross(v: np.ndarray) -> np.ndarray:

@@ -42,11 +42,7 @@ Runs = dict[str, tuple[Callable[[], Any], int]]
 
 
 def recordings(
-    *,
-    recordings: tuple[str, ...] = RECORDINGS,
-    trackers: tuple[str, ...] = (),
-    smooth: bool = False,
-    bench: Bench,
+    *, recordings: tuple[str, ...] = RECORDINGS, trackers: tuple[str, ...] = (), smooth: bool = False, bench: Bench
 ) -> int:
     """Running time per row of every tracker that fits a real recording, beside the same filter in NumPy and filterpy.
 
