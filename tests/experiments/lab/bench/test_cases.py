@@ -7,18 +7,25 @@ import os
 import re
 import subprocess
 import sys
+from typing import get_type_hints
 
 import pytest
 
 from experiments.lab.bench import growth, growth_cases, waiting_split
 from experiments.lab.bench.__main__ import CASES
+from experiments.lab.bench.timing import Bench, function_of
 from experiments.lab.subprocesses import REPOSITORY
 
-QUICK = ("waiting", "cluster-plan", "archives")
-"""Those that compile nothing, or one small filter."""
+QUICK = ("waiting", "cluster-plan")
+"""Those that compile nothing."""
 
-PEERS = {"growth": ("anchors", "tunables")}
-"""Arguments of those whose other parts need libraries that are no dependencies."""
+PARTS = {
+    "growth": ("anchors", "tunables"),
+    "lanes": ("--states", "4", "--lanes", "1"),
+    "studies": ("--tracker", "fix-kf", "uwb"),
+    "recordings": ("--recordings", "labyrinth", "--smooth"),
+}
+"""Arguments of those whose other parts take long, or need libraries that are no dependencies."""
 
 
 def _bench(*words):
@@ -35,6 +42,11 @@ def test_without_a_name_all_benchmarks_are_listed_with_a_sentence():
     assert all(len(line.split()) > 3 for line in lines)
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_a_benchmark_takes_the_options_that_all_have(name):
+    assert get_type_hints(function_of(CASES[name]))["bench"] is Bench
+
+
 def test_an_unknown_name_is_refused_with_the_known_ones():
     done = _bench("fast")
     assert done.returncode == 2
@@ -47,7 +59,7 @@ def test_an_unknown_name_is_refused_with_the_known_ones():
 )
 def test_a_benchmark_runs_in_its_smallest_size(name, recordings, tmp_path):
     out = tmp_path / "results.json"
-    done = _bench(name, *PEERS.get(name, ()), "--small", "--out", out)
+    done = _bench(name, *PARTS.get(name, ()), "--small", "--out", out)
     assert done.returncode in (0, 1), done.stderr
     found = json.loads(out.read_text("utf-8"))
     assert found["command"][:4] == ["python", "-m", "experiments.lab.bench", name]
