@@ -1,4 +1,4 @@
-"""Commands and functions in fresh processes: `trackwright` as a user types it, and parts that may hang or fail."""
+"""Fresh processes: `trackwright` as a user types it, and a Python that may hang or fail."""
 
 from __future__ import annotations
 

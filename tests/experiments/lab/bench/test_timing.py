@@ -16,11 +16,11 @@ def test_a_ratio_is_that_of_the_rates_of_rows():
     def busy(seconds):
         return lambda: time.sleep(seconds)
 
-    fast, slow = compared({"ours": Version(10, 4, busy(0.01)), "theirs": Version(5, 4, busy(0.02))}, 3)
+    fast, slow = compared({"ours": Version(10, 4, busy(0.05)), "theirs": Version(5, 4, busy(0.1))}, 3)
     assert fast["ours × faster"] == 1
-    assert slow["ours × faster"] == pytest.approx(4, rel=0.3)
-    assert slow["run ms"] == pytest.approx(20, rel=0.3)
-    assert fast["M rows/s"] == pytest.approx(40 / 0.01 / 1e6, rel=0.3)
+    assert slow["ours × faster"] == pytest.approx(4, rel=0.5)
+    assert slow["run ms"] == pytest.approx(100, rel=0.5)
+    assert fast["M rows/s"] == pytest.approx(40 / 0.05 / 1e6, rel=0.5)
 
 
 def test_the_first_call_is_apart_from_the_warm_ones():
