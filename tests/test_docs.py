@@ -292,7 +292,7 @@ def test_mypy_in_a_users_project_checks_calls(installed, tmp_path):
     environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")}
     done = subprocess.run(line, cwd=tmp_path / "project", env=environment, capture_output=True, text=True, check=False)
     assert 'Argument 1 to "build" has incompatible type "int"' in done.stdout, done.stdout
-    assert "trackers.evaluation.Evaluation" in done.stdout
+    assert "trackers.evaluation.evaluate.Evaluation" in done.stdout
 
 
 @pytest.mark.parametrize("package", ["trackers.core", "trackers.recordings"])

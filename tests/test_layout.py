@@ -27,7 +27,7 @@ def _part(module):
     package, _, rest = module.partition(".")
     if package == "trackers":
         inside = rest.partition(".")[0]
-        return inside if inside in ("core", "recordings", "parts", "exchange", *SYSTEMS) else "trackers"
+        return inside if inside in ("core", "recordings", "parts", "evaluation", "exchange", *SYSTEMS) else "trackers"
     if module.startswith("tuning.design"):
         return "design"
     if package == "experiments":
@@ -36,13 +36,14 @@ def _part(module):
 
 
 BASE = {"core", "recordings", "parts"}
-LIBRARY = {*BASE, *SYSTEMS, "exchange", "trackers"}
+LIBRARY = {*BASE, *SYSTEMS, "evaluation", "exchange", "trackers"}
 MAY_IMPORT = {
     "core": {"core"},
     "recordings": {"core", "recordings"},
     "parts": BASE,
     **{system: {*BASE, system} for system in SYSTEMS},
-    "exchange": {"core", "recordings", "trackers", "exchange"},
+    "evaluation": {*BASE, *SYSTEMS, "evaluation"},
+    "exchange": {"core", "recordings", "evaluation", "exchange"},
     "trackers": LIBRARY,
     "sim": {*LIBRARY, "sim"},
     "tuning": {*BASE, "tuning"},

@@ -99,9 +99,9 @@ from trackers.core.tunable import Fraction as Fraction
 from trackers.core.tunable import Real as Real
 from trackers.core.tunable import Scale as Scale
 from trackers.core.tunable import tunables as tunables
-from trackers.evaluation import Evaluation as Evaluation
-from trackers.evaluation import evaluate as evaluate
-from trackers.events import events_of as events_of
+from trackers.evaluation.evaluate import Evaluation as Evaluation
+from trackers.evaluation.evaluate import evaluate as evaluate
+from trackers.evaluation.events import events_of as events_of
 from trackers.exchange.compare import TrajectoryErrors as TrajectoryErrors
 from trackers.exchange.compare import compare_trajectories as compare_trajectories
 from trackers.exchange.imported import import_frames as import_frames

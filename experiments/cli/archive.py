@@ -37,9 +37,9 @@ from trackers.catalogue import spec_of, split_name
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
 from trackers.core.wording import counted
-from trackers.evaluation import Evaluation, metric_names
-from trackers.events import EVENTS
-from trackers.recordings.association import associate_truth
+from trackers.evaluation.association import associate_truth
+from trackers.evaluation.evaluate import Evaluation, metric_names
+from trackers.evaluation.events import EVENTS
 from trackers.recordings.atomic import config_hash
 from trackers.recordings.beside import held
 from trackers.recordings.folder import RecordingFolder, read_recording, read_truth

@@ -19,7 +19,7 @@ from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks, source_paths
 
 if TYPE_CHECKING:
-    from trackers.evaluation import Evaluation
+    from trackers.evaluation.evaluate import Evaluation
     from trackers.worksteps.tracks import WorkstepReport
 
 
@@ -104,7 +104,7 @@ def evaluate_tracks(
     from experiments.jobs.executors import cluster_executor
     from experiments.pages.reports.worksteps_text import to_text as work_text
     from experiments.text.evaluation_text import to_json, to_text
-    from trackers.evaluation import evaluate, metric_names
+    from trackers.evaluation.evaluate import evaluate, metric_names
     from trackers.worksteps.tracks import METRICS, workstep_report
 
     if fail_if is not None:

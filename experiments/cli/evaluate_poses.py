@@ -27,7 +27,7 @@ from trackers.recordings.selection import Selection
 from trackers.recordings.tracks_table import TRACKS, read_tracks, write_tracks
 
 if TYPE_CHECKING:
-    from trackers.evaluation import Evaluation
+    from trackers.evaluation.evaluate import Evaluation
 
 DEFAULT_STEPS = ("1m", "1s")
 DEFAULT_TOLERANCE = 0.01
@@ -93,7 +93,7 @@ def evaluate_poses(
     from experiments.cli.fail_if import conditions, violation
     from experiments.pages.reports.trajectory_text import to_text as poses_text
     from experiments.text.evaluation_text import to_text
-    from trackers.evaluation import evaluate, metric_names
+    from trackers.evaluation.evaluate import evaluate, metric_names
 
     steps = options.rpe or DEFAULT_STEPS
     if fail_if is not None:
@@ -158,7 +158,7 @@ def _write(
     from experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
     from experiments.pages.plots.track_folder import plot_tracks
     from experiments.pages.scored_tracks import ScoredTracks
-    from trackers.evaluation import associate
+    from trackers.evaluation.evaluate import associate
 
     output_folder(out)
     atomic_write(out / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from trackers.core.errors import UnusableInput, near
-from trackers.evaluation import Evaluation, Metrics
+from trackers.evaluation.evaluate import Evaluation, Metrics
 
 COMPARISONS = {
     "<=": operator.le,

@@ -32,9 +32,9 @@ from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
 from trackers.core.freed_memory import give_back
 from trackers.core.wording import counted
-from trackers.evaluation import Evaluation, evaluate, evaluate_association
-from trackers.events import EVENTS, events_of
-from trackers.recordings.association import Association, associate_truth
+from trackers.evaluation.association import Association, associate_truth
+from trackers.evaluation.evaluate import Evaluation, evaluate, evaluate_association
+from trackers.evaluation.events import EVENTS, events_of
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks, track

@@ -25,7 +25,7 @@ from experiments.pages.reports.tuning_collect import recording_names
 from experiments.text.terminal import Advance, Begin, notice
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.tunable import tunables
-from trackers.recordings.association import Association
+from trackers.evaluation.association import Association
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from tuning import FitResult, checkpoint, fit

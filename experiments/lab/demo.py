@@ -9,7 +9,7 @@ from pathlib import Path
 
 from experiments.lab.subprocesses import command, evaluation, recordings_folder
 from experiments.text.wording import shown_metric
-from trackers.covariance_statements import holds
+from trackers.evaluation.statements import holds
 
 OUT = Path("out/demo")
 SIGMA_P = 0.2

@@ -12,11 +12,11 @@ import numpy as np
 from experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
 from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.tracked import TrackedChunk
-from trackers.bounds import bounds_of
 from trackers.core.errors import UnusableInput
 from trackers.core.smoother import Smoothed
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import tunables, with_values
+from trackers.evaluation.bounds import bounds_of
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import rounded

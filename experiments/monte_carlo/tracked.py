@@ -11,10 +11,10 @@ import numpy as np
 from experiments.monte_carlo.errors import TrackedRuns, joined, scored
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status, is_usable
+from trackers.evaluation.scoring import last_of_intervals
 from trackers.recordings.tracks import angles
 from trackers.recordings.trajectories import Trajectories
 from trackers.recordings.truth import TruthStatus
-from trackers.scoring import last_of_intervals
 
 ROWS_AT_ONCE = 65_536
 """Rows that are scored together: their numbers fit the processor's cache."""

@@ -12,15 +12,15 @@ import numpy as np
 import polars as pl
 
 from experiments.text.wording import length_unit
-from trackers.bounds import bounds_of
 from trackers.core.seconds import zero_of
-from trackers.recordings.association import Association
+from trackers.evaluation.association import Association
+from trackers.evaluation.bounds import bounds_of
+from trackers.evaluation.scoring import Scored, in_plane, score
 from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.kinds import KINDS, first_time
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks_table import is_bearing
-from trackers.scoring import Scored, in_plane, score
 from tuning.pit_uniformity import student_t_dof_of
 
 DRAWN = 4

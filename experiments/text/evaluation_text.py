@@ -15,7 +15,7 @@ from rich.table import Table
 
 from experiments.text.tables import compact_table, rendered, width_of
 from experiments.text.wording import Unit, fixed, length_unit, shown_metric
-from trackers.evaluation import Evaluation, Metrics
+from trackers.evaluation.evaluate import Evaluation, Metrics
 from trackers.recordings.atomic import json_text
 
 SHOWN_TRACKS = 10

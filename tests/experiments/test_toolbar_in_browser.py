@@ -21,7 +21,7 @@ from tests.experiments.pages.plan.test_plan import HEIGHT, ROOM, SIGMAS
 from tests.experiments.pages.plots.small_runs import small_run
 from tests.experiments.pages.reports.tuning_report_data import report_data
 from tests.tuning.calibration_worlds import world
-from trackers.evaluation import evaluate
+from trackers.evaluation.evaluate import evaluate
 from tuning.calibrating import calibrate
 
 BUTTONS = {"Zoom", "Pan", "Reset axes", "Download plot as a PNG", "Download plot as a png"}

@@ -12,8 +12,8 @@ from sim.stations import simulate_phases, work_station
 from sim.worlds import ranges as ranges_world
 from trackers import build
 from trackers.core.smoother import Smoothed
-from trackers.evaluation import associate
-from trackers.scoring import covariances, score
+from trackers.evaluation.evaluate import associate
+from trackers.evaluation.scoring import covariances, score
 from tuning.data import fit_data
 from tuning.named_objectives import HEIGHT_WEIGHT, all_metrics
 

@@ -10,10 +10,10 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import rotation_matrices
+from trackers.evaluation.scoring import covariances
 from trackers.exchange.poses import AXES, PoseTrajectory, quaternions_of
 from trackers.recordings.columns import float_column
 from trackers.recordings.kinds import QUATERNION
-from trackers.scoring import covariances
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 

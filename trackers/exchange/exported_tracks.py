@@ -8,9 +8,9 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
+from trackers.evaluation.scoring import covariances
 from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
 from trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing
-from trackers.scoring import covariances
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,10 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
-from trackers.recordings.association import Association, associate_truth
+from trackers.evaluation.association import Association, associate_truth
+from trackers.evaluation.scoring import covariances, last_of_every
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import is_bearing
-from trackers.scoring import covariances, last_of_every
 from trackers.worksteps.decisions import LEVEL, NO_POINT, FasteningPoints
 from trackers.worksteps.metrics import (
     CalibrationBin,

@@ -12,7 +12,7 @@ from experiments.cli.archives.tables import Run
 from experiments.pages.reports.comparison import BEARING_NAMES, Contrast, Table, adjusted, difference_table
 from experiments.text.wording import Unit, fixed, length_unit
 from trackers.core.wording import counted
-from trackers.paired_differences import LEAST_PIECES, METRICS, Difference, jackknifed
+from trackers.evaluation.comparison import LEAST_PIECES, METRICS, Difference, jackknifed
 
 SHOWN = tuple(name for name in METRICS if "3d" not in name)
 """The metrics that are compared, those of the error first."""

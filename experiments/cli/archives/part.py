@@ -16,14 +16,14 @@ from experiments.cli.usable import errors_of
 from experiments.jobs.portable_tracker import PortableTracker
 from trackers.catalogue import fitting, split_name
 from trackers.core.errors import UnusableInput, one_line
-from trackers.evaluation import Evaluation, evaluation_of
-from trackers.events import EVENTS, events_of
-from trackers.recordings.association import Association, associate_truth, refuse_without_overlap
+from trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
+from trackers.evaluation.evaluate import Evaluation, evaluation_of
+from trackers.evaluation.events import EVENTS, events_of
+from trackers.evaluation.scoring import Scored, score
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.selection import Selection
 from trackers.recordings.tracks_table import TRACKS, is_bearing
-from trackers.scoring import Scored, score
 
 
 @dataclass(frozen=True)

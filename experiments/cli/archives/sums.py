@@ -13,11 +13,11 @@ import numpy as np
 
 from experiments.monte_carlo.accumulators import BINS, bins, quantile
 from trackers.core.chi_square import chi_square_quantile
-from trackers.core.rank_correlation import RankSums
-from trackers.evaluation import LEVELS, Metrics, innovations_and_loss
-from trackers.recordings.association import Association
+from trackers.evaluation.association import Association
+from trackers.evaluation.evaluate import LEVELS, Metrics, innovations_and_loss
+from trackers.evaluation.rank_correlation import RankSums
+from trackers.evaluation.scoring import Scored, outside_plane
 from trackers.recordings.truth import TruthStatus
-from trackers.scoring import Scored, outside_plane
 
 Sums = Mapping[str, np.ndarray]
 """Arrays by name; those named `max …` are largest values, those named `values …` are joined, the others add up."""
@@ -57,7 +57,7 @@ def sums_of(association: Association, scored: Scored) -> Sums:
 
 
 def _norms(scored: Scored, errors: np.ndarray) -> dict[str, np.ndarray]:
-    """The sizes of the errors by kind, as `trackers.evaluation` names them; of bearings those outside a plane."""
+    """The sizes of the errors by kind, as `evaluate` names them; of bearings those outside a plane."""
     if scored.angle is not None:
         return dict(zip(BEARING, (scored.angle[:, 0], *np.abs(errors.T)), strict=True))
     solid = errors[np.isfinite(errors[:, 2])]

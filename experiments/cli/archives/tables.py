@@ -17,7 +17,7 @@ from experiments.cli.archives.store import RecordingStore
 from experiments.cli.archives.sums import Sums, added, from_plain, metrics_of
 from experiments.text.evaluation_text import json_pieces
 from trackers.core.errors import UnusableInput, has_control, one_line
-from trackers.evaluation import Evaluation
+from trackers.evaluation.evaluate import Evaluation
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks_table import EVALUATION, SOURCES
 

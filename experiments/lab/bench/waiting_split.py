@@ -20,9 +20,9 @@ from typing import Any
 
 FUNCTIONS = {
     "trackers.recordings.folder": {"read_recordings": "reading", "read_recording": "reading"},
-    "trackers.recordings.association": {"associate_truth": "evaluation"},
-    "trackers.evaluation": {"evaluate": "evaluation"},
-    "trackers.bounds": {"bounds_of": "evaluation"},
+    "trackers.evaluation.association": {"associate_truth": "evaluation"},
+    "trackers.evaluation.evaluate": {"evaluate": "evaluation"},
+    "trackers.evaluation.bounds": {"bounds_of": "evaluation"},
     "experiments.pages.plots.track_folder": {"plot_tracks": "figures"},
     "experiments.pages.interactive.track_page": {"run_data": "figures", "write_track_page": "figures"},
     "experiments.pages.plots.objective": {"tuning_trace": "figures"},

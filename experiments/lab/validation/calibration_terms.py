@@ -18,7 +18,7 @@ from experiments.cli.runtime import set_flags
 from experiments.lab.subprocesses import required_recordings
 from experiments.text.tables import aligned
 from trackers.catalogue import build
-from trackers.evaluation import evaluate
+from trackers.evaluation.evaluate import evaluate
 from trackers.recordings.calibration import ANGLE_PRIOR, ANGLE_TERMS
 from trackers.recordings.folder import RecordingFolder, read_recordings
 from tuning import calibrating

@@ -22,7 +22,7 @@ from experiments.lab.bench.timing import replace_tables
 from experiments.lab.subprocesses import REPOSITORY, required_recordings
 from experiments.lab.validation.folds import SEEN_BY_DEFAULTS
 from trackers.catalogue import PREFERENCE, TRACKERS, build
-from trackers.evaluation import evaluate
+from trackers.evaluation.evaluate import evaluate
 from trackers.recordings.folder import RecordingFolder, read_recordings
 
 PAGE = REPOSITORY / "docs" / "which-tracker.md"

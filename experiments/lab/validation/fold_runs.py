@@ -11,7 +11,7 @@ import numpy as np
 from experiments.lab.validation.folds import OTHER_HALF, OTHERS, Fold
 from experiments.lab.validation.rooms import Outside, farthest_outside, room
 from trackers.catalogue import build
-from trackers.evaluation import evaluate
+from trackers.evaluation.evaluate import evaluate
 from trackers.recordings.folder import RecordingFolder, read_recording
 from tuning.calibrating import calibrate
 from tuning.cross_calibration import by_halves, by_others

@@ -14,8 +14,8 @@ from experiments.lab.validation.fold_runs import Check, Figures, checks, covaria
 from experiments.lab.validation.folds import DEFAULTS, OTHER_HALF, OTHERS, SEEN_BY_DEFAULTS, Fold, Honest
 from experiments.lab.validation.rooms import MARGIN
 from experiments.text.wording import fixed
-from trackers.covariance_statements import covariance_statements
-from trackers.evaluation import Metrics
+from trackers.evaluation.evaluate import Metrics
+from trackers.evaluation.statements import covariance_statements
 
 PACKAGES = ("trackwright", "jax", "numpy")
 

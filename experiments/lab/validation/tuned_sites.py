@@ -18,7 +18,7 @@ from experiments.lab.validation.folds import SITES, Site
 from experiments.pages.reports.recordings_compared import Compared, compare, tracked
 from trackers.catalogue import build
 from trackers.core.errors import UnusableInput
-from trackers.recordings.association import Association
+from trackers.evaluation.association import Association
 from trackers.recordings.folder import RecordingFolder, read_recordings
 from trackers.recordings.selection import Selection
 from tuning import FitResult

@@ -15,8 +15,8 @@ from experiments.pages.scored_tracks import ScoredTracks
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
 from trackers.core.rig import Rig
-from trackers.evaluation import associate, evaluate
-from trackers.recordings.association import associate_truth
+from trackers.evaluation.association import associate_truth
+from trackers.evaluation.evaluate import associate, evaluate
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks

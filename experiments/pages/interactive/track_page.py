@@ -19,7 +19,7 @@ from experiments.pages.interactive.packing import plotting_script, rounded, scri
 from experiments.pages.interactive.recording_data import recording_data
 from experiments.pages.scored_tracks import ScoredTracks
 from experiments.text.wording import shown_metric
-from trackers.evaluation import Evaluation
+from trackers.evaluation.evaluate import Evaluation
 from trackers.recordings.atomic import atomic_write
 
 PAGE = "report.html"

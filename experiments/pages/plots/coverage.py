@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from experiments.pages.plots.style import BLACK, GREY, LINES, figure_file, literal
 from trackers.core.chi_square import chi_square_probability
-from trackers.covariance_statements import COVERAGE
+from trackers.evaluation.statements import COVERAGE
 
 NAMED = len(LINES)
 """The most recordings with a colour and a name of their own."""

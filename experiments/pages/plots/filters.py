@@ -25,7 +25,7 @@ from experiments.pages.plots.style import (
     plain,
     svg_address,
 )
-from trackers.covariance_statements import LIMITS
+from trackers.evaluation.statements import LIMITS
 from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_band, nis_probabilities, nis_quantile
 
 WINDOW = 50

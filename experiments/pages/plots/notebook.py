@@ -15,8 +15,8 @@ from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
 from trackers.core.seconds import time_label, zero_of
-from trackers.evaluation import associate
-from trackers.recordings.association import Association
+from trackers.evaluation.association import Association
+from trackers.evaluation.evaluate import associate
 from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks

@@ -18,8 +18,8 @@ from matplotlib.ticker import MaxNLocator
 from experiments.pages.plots.style import GREY, LINES, broken_at_gaps, figure_file, literal
 from trackers.core.chi_square import chi_square_quantile
 from trackers.core.rig import Station
+from trackers.evaluation.scoring import covariances
 from trackers.recordings.columns import float_column
-from trackers.scoring import covariances
 
 ELLIPSES = 24
 """The most ellipses in all, at most half of them along one track; more would hide the tracks."""

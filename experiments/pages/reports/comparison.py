@@ -27,7 +27,7 @@ from experiments.text.wording import (
     yes_no,
 )  # fmt: skip
 from trackers.core.errors import UnusableInput, listed
-from trackers.paired_differences import METRICS, Difference, holm, paired_differences
+from trackers.evaluation.comparison import METRICS, Difference, holm, paired_differences
 
 SHOWN = (
     "rmse_m", "median_m", "p95_m", "rmse_3d_m", "p95_3d_m", "rmse_direction_rad", "nees_mean", "nees_ratio",

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from experiments.pages.reports.worse_recordings import worse
 from experiments.text.tables import rendered, ruled_table, terminal_width
 from experiments.text.wording import Unit, fixed, length_unit
-from trackers.covariance_statements import covariance_statements
-from trackers.evaluation import Evaluation, evaluate_association
-from trackers.recordings.association import Association, associate_truth
+from trackers.evaluation.association import Association, associate_truth
+from trackers.evaluation.evaluate import Evaluation, evaluate_association
+from trackers.evaluation.statements import covariance_statements
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 

@@ -14,12 +14,12 @@ from experiments.monte_carlo.declaration import short
 from experiments.text.expectations import Value
 from trackers.core.errors import UnusableInput
 from trackers.core.wording import counted
-from trackers.paired_differences import Key, TrackErrors, errors_by_track
-from trackers.recordings.association import Association, associate_truth
+from trackers.evaluation.association import Association, associate_truth
+from trackers.evaluation.comparison import Key, TrackErrors, errors_by_track
+from trackers.evaluation.scoring import score
 from trackers.recordings.folder import RecordingFolder, read_recording
 from trackers.recordings.input_file import file_bytes
 from trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, source_paths
-from trackers.scoring import score
 
 RESULTS = "results.json"
 

@@ -15,12 +15,12 @@ from experiments.pages.interactive.decimation import drawn_rows
 from experiments.pages.plots.style import broken_at_gaps
 from experiments.text.wording import fixed, length_unit
 from trackers.core.rig import Rig
-from trackers.recordings.association import Association
+from trackers.evaluation.association import Association
+from trackers.evaluation.scoring import covariances
 from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks_table import is_bearing
 from trackers.recordings.truth import TruthStatus
-from trackers.scoring import covariances
 
 MOST_PLANS = 8
 """The most floor plans of a report."""

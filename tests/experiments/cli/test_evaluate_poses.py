@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-import trackers.evaluation as evaluation
+import trackers.evaluation.evaluate as evaluation
 from experiments.cli import evaluate as evaluate_module
 from experiments.cli import evaluate_poses
 from tests.in_process import assert_refused, trackwright

@@ -10,7 +10,7 @@ import pytest
 
 from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import TRACKERS
-from trackers.events import events_of, off_the_path
+from trackers.evaluation.events import events_of, off_the_path
 from trackers.recordings.folder import read_recording
 
 OPTIONS = {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}

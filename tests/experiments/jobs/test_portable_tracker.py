@@ -15,7 +15,7 @@ from experiments.jobs.executors import WorkerExecutor
 from experiments.jobs.portable_tracker import run_on
 from tests.in_process import trackwright
 from trackers.catalogue import build
-from trackers.evaluation import evaluate
+from trackers.evaluation.evaluate import evaluate
 from trackers.recordings.folder import read_recordings
 
 MINE = "from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"

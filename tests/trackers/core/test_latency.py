@@ -17,7 +17,7 @@ from trackers.core.latency import scored_truth, shifted_back
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.smoother import Smoothed
 from trackers.core.tracker import Tracker
-from trackers.evaluation import associate
+from trackers.evaluation.evaluate import associate
 from trackers.parts.fixes import FIXES
 from tuning.objectives import RootMeanSquareError
 

@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from tests.trackers.exchange.against_evo import evo_errors
 from trackers.core.errors import UnusableInput
 from trackers.core.metrics import nees
+from trackers.evaluation.scoring import covariances
 from trackers.exchange.alignment import Similarity
 from trackers.exchange.compare import compare_trajectories
 from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
 from trackers.exchange.trajectory_files import read_trajectory, write_trajectory
 from trackers.recordings.folder import read_recording
-from trackers.scoring import covariances
 
 RECORDINGS = ("tiers-1tag-01", "tiers-2tag-03", "iasl-drone-1", "starloc-fast-s1", "rcv-drone-3")
 STEPS = ("1m", "10f")

@@ -10,8 +10,8 @@ from sim.line import simulate_line
 from trackers.catalogue import fitting, spec_of
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig, Tag
-from trackers.evaluation import evaluate
-from trackers.events import left_the_line
+from trackers.evaluation.evaluate import evaluate
+from trackers.evaluation.events import left_the_line
 from trackers.line import rows as line
 from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.path import path_of

@@ -11,7 +11,7 @@ import pytest
 
 import trackwright as tw
 from trackers.core.rig import Rig
-from trackers.events import events_of
+from trackers.evaluation.events import events_of
 from trackers.recordings.local_frame import near_origin
 from trackers.recordings.tracks import Tracks
 

@@ -16,7 +16,7 @@ from trackers.core.algebra import Vector
 from trackers.core.estimates import STEP_COLUMNS, Estimates, Status
 from trackers.core.motion import Placed
 from trackers.core.rig import Rig
-from trackers.events import events_of
+from trackers.evaluation.events import events_of
 from trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {

@@ -45,7 +45,7 @@ from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from trackers.core.recording import stack
 from trackers.core.tunable import with_values
-from trackers.events import LEFT_LIMIT, LEFT_SLACK
+from trackers.evaluation.events import LEFT_LIMIT, LEFT_SLACK
 from trackers.line.leaving import cusum
 from trackers.recordings.folder import RecordingFolder
 

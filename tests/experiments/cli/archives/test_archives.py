@@ -21,7 +21,7 @@ from experiments.pages.plots import track_folder
 from tests.experiments.cli.archives.small_archive import recording, write_archive
 from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import build
-from trackers.evaluation import evaluate
+from trackers.evaluation.evaluate import evaluate
 from trackers.recordings.beside import held
 from trackers.recordings.folder import read_recording, write_recording
 

@@ -20,10 +20,10 @@ from sim import worlds
 from tests.experiments.cli.archives.small_archive import recording
 from trackers.catalogue import build
 from trackers.core.errors import UnusableInput
-from trackers.evaluation import Evaluation, evaluate
-from trackers.recordings.association import associate_truth
+from trackers.evaluation.association import associate_truth
+from trackers.evaluation.evaluate import Evaluation, evaluate
+from trackers.evaluation.scoring import score
 from trackers.recordings.atomic import json_text
-from trackers.scoring import score
 
 PERCENTILES = ("median", "p90", "p95", "p99", "sigma_factor")
 

@@ -5,9 +5,9 @@ import pytest
 
 from experiments.lab.validation.default_levels import KINDS, Objective
 from trackers.catalogue import build
-from trackers.evaluation import associate
+from trackers.evaluation.evaluate import associate
+from trackers.evaluation.scoring import covariances
 from trackers.recordings.folder import read_recordings
-from trackers.scoring import covariances
 
 
 @pytest.mark.parametrize("kind", KINDS)

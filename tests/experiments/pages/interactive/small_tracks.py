@@ -7,7 +7,7 @@ import polars as pl
 
 from experiments.pages.scored_tracks import ScoredTracks
 from trackers.core.rig import Rig, Station
-from trackers.recordings.association import associate_truth
+from trackers.evaluation.association import associate_truth
 from trackers.recordings.folder import RecordingFolder
 
 NASTY = "<script>document.title = 'stolen'</script>"

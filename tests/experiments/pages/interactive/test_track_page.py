@@ -19,8 +19,8 @@ from experiments.pages.plots import style
 from experiments.pages.plots.track_folder import plot_tracks
 from experiments.pages.scored_tracks import IN_PLANE, ScoredTracks, drawn_of
 from tests.experiments.pages.interactive.small_tracks import BIAS, NASTY, TAGS, small_bearings, small_tracks
-from trackers.evaluation import evaluate
-from trackers.recordings.association import associate_truth
+from trackers.evaluation.association import associate_truth
+from trackers.evaluation.evaluate import evaluate
 from trackers.recordings.columns import float_column
 
 NO_EVENTS = pl.DataFrame(

@@ -8,7 +8,7 @@ from experiments.pages.interactive.playback import Playback
 from experiments.pages.interactive.track_page import run_data, track_page, write_track_page
 from tests.browser import chromium, watched
 from tests.experiments.pages.interactive.small_tracks import NASTY, TAGS, small_bearings, small_tracks
-from trackers.evaluation import evaluate
+from trackers.evaluation.evaluate import evaluate
 from trackers.recordings.columns import float_column
 
 PLACE = """([kind, tag]) => {

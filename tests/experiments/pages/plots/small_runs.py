@@ -10,10 +10,10 @@ import polars as pl
 
 from experiments.pages.reports.runs import TrackRun
 from trackers.core.rig import Rig
-from trackers.paired_differences import errors_by_track
-from trackers.recordings.association import associate_truth
+from trackers.evaluation.association import associate_truth
+from trackers.evaluation.comparison import errors_by_track
+from trackers.evaluation.scoring import score
 from trackers.recordings.folder import RecordingFolder
-from trackers.scoring import score
 
 T = 0.1 * np.arange(30)
 

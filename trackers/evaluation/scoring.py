@@ -10,9 +10,9 @@ import numpy as np
 import polars as pl
 
 from trackers.core import metrics
-from trackers.core.rank_correlation import RankSums, rank_sums
 from trackers.core.rig import Station
-from trackers.recordings.association import Association, true_bearings
+from trackers.evaluation.association import Association, true_bearings
+from trackers.evaluation.rank_correlation import RankSums, rank_sums
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import is_bearing
 

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from trackers.core.chi_square import chi_square_quantile
-from trackers.recordings.association import Association
+from trackers.evaluation.association import Association
+from trackers.evaluation.scoring import Scored
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import track_keys
-from trackers.scoring import Scored
 
 MOST_PIECES, LEAST_PIECES = 30, 5
 MANY_TRACKS = 30

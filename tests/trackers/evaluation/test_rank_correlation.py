@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from trackers.core.rank_correlation import LAGS_S, rank_sums
+from trackers.evaluation.rank_correlation import LAGS_S, rank_sums
 
 LAGS = list(LAGS_S.values())
 

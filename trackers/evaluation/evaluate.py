@@ -21,19 +21,19 @@ from trackers.core import metrics
 from trackers.core.errors import UnusableInput, one_or_more
 from trackers.core.estimates import Estimates, numbered_names
 from trackers.core.frames import evaluation_html, evaluation_text
-from trackers.core.rank_correlation import LAGS_S, RankSums
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
 from trackers.core.wording import counted
-from trackers.covariance_statements import covariance_statements
-from trackers.lasting_residuals import residual_ratios
-from trackers.recordings.association import Association, associate_truth, refuse_without_overlap
+from trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
+from trackers.evaluation.rank_correlation import LAGS_S, RankSums
+from trackers.evaluation.residuals import residual_ratios
+from trackers.evaluation.scoring import Scored, outside_plane, score
+from trackers.evaluation.statements import covariance_statements
 from trackers.recordings.columns import require_columns
 from trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.tracks_table import is_bearing, track_keys
 from trackers.recordings.truth import TruthStatus
-from trackers.scoring import Scored, outside_plane, score
 
 T = TypeVar("T")
 OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]

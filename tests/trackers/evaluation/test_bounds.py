@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.oracles import cramer_rao, van_loan
-from trackers.bounds import bounds_of
 from trackers.core.motion import GroundMotion
 from trackers.core.recording import Readings, Recording
 from trackers.core.rig import Rig
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
+from trackers.evaluation.bounds import bounds_of
 from trackers.parts.fixes import FIXES, FixSensor, FixStart
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch

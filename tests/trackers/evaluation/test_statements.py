@@ -4,8 +4,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.evaluation import evaluate_association, evaluate_table
-from trackers.recordings.association import associate_truth
+from trackers.evaluation.association import associate_truth
+from trackers.evaluation.evaluate import evaluate_association, evaluate_table
 
 N = 4000
 

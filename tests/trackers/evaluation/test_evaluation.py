@@ -15,8 +15,8 @@ from experiments.cli.fail_if import violation
 from experiments.text.evaluation_text import to_json, to_text
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig, Station
-from trackers.evaluation import associate, evaluate, evaluate_table
-from trackers.recordings.association import associate_truth
+from trackers.evaluation.association import associate_truth
+from trackers.evaluation.evaluate import associate, evaluate, evaluate_table
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks_table import read_tracks
 from trackers.recordings.truth import TruthStatus

@@ -1,0 +1,1 @@
+"""Estimates against truth: association, scores, metrics, and what they say."""
