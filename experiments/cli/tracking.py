@@ -35,6 +35,7 @@ from trackers.core.wording import counted
 from trackers.evaluation.association import Association, associate_truth
 from trackers.evaluation.evaluate import Evaluation, evaluate, evaluate_association
 from trackers.evaluation.events import EVENTS, events_of
+from trackers.evaluation.residuals import residual_ratios
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks, track
@@ -175,7 +176,8 @@ def _track(
     truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
     association = associate_truth(table, truths)
     if association.scored.any():
-        evaluation = evaluate(association, folders).with_residuals(tracks)
+        stations = {folder.name: folder.rig.stations for folder in folders}
+        evaluation = evaluate_association(association, stations, ratios=residual_ratios(tracks))
         for line in late_readings(named, folders):
             notice(f"notice: {line}")
         if of == 1:
@@ -241,7 +243,7 @@ def _without_truth(association: Association, folders: Sequence[RecordingFolder],
             evaluate(association, folders)
         except UnusableInput as problem:
             notice(f"notice: not evaluated: {problem}")
-    evaluation = evaluate_association(association).with_residuals(tracks)
+    evaluation = evaluate_association(association, ratios=residual_ratios(tracks))
     for sentence in evaluation.statements:
         print(f"Without truth: {uncapitalised(sentence)}")
     return evaluation

@@ -17,7 +17,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.monte_carlo.accumulators import compact, expanded
+from experiments.monte_carlo.compact import compact, expanded
 from experiments.monte_carlo.declaration import Study, TrackerConfig
 from experiments.monte_carlo.results import ChunkTotals, Results, Totals
 from trackers.core.errors import UnusableInput
@@ -26,12 +26,15 @@ from trackers.recordings.beside import remove_abandoned
 from trackers.recordings.input_file import file_bytes, read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"
+FORMAT = 2
+"""Of the files of chunks; a folder with those of another format holds another study."""
 
 
 def identity(study: Study) -> dict[str, Any]:
     """Everything that the numbers of a study depend on: declaration, source file, chunk size, jaxlib and device."""
     return {
         "study": study.name,
+        "format": FORMAT,
         "worlds": {k: {"make": _named(w.make), "numbers": dict(w.numbers)} for k, w in study.worlds.items()},
         "trackers": {k: _config(c) for k, c in study.trackers.items()},
         "grid": {k: list(v) for k, v in study.grid.items()},

@@ -1,4 +1,4 @@
-"""Errors, NEES and NIS of tracked trajectories, accumulated per trajectory."""
+"""Errors, NEES and NIS of tracked trajectories as sums and histograms of each, those of `Scores`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.accumulators import BEARING, BINS, COLUMN, KINDS, POSITION, SUMS, histograms
-from trackers.core.chi_square import chi_square_quantile
 from trackers.core.estimates import Status
 from trackers.core.metrics import nees_of_leading
+from trackers.evaluation.scores import (
+    BEARING,
+    BINS,
+    POSITION,
+    between_directions,
+    bins,
+    error_sums,
+    horizontal,
+    nees_sums,
+    spatial,
+    wrap_azimuths,
+)
 from trackers.recordings.folder import RecordingFolder
 
 
@@ -44,6 +54,44 @@ class TrackedRuns(NamedTuple):
         return np.where(self.known[..., None], self.estimates - self.truth, np.nan)
 
 
+class Masked:
+    """The rows of n trajectories, those of the mask `valid` (n, T), as groups of rows of `Scores`."""
+
+    def __init__(self, valid: np.ndarray) -> None:
+        self.valid, self.all = valid, bool(valid.all())
+
+    @property
+    def count(self) -> np.ndarray:
+        """The number of rows (n,)."""
+        found: np.ndarray = self.valid.sum(axis=1)
+        return found
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """The sums (n,) of values (n, T)."""
+        found: np.ndarray = self._masked(values, 0).sum(axis=1)
+        return found
+
+    def max(self, values: np.ndarray) -> np.ndarray:
+        """The largest (n,) of values (n, T) ≥ 0, NaN of none."""
+        top = self._masked(values, -1.0).max(axis=1)
+        return np.where(top < 0, np.nan, top)
+
+    def histograms(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A sparse (n, BINS) histogram of values (n, T): flat indices and their counts."""
+        first = BINS * np.arange(len(values))[:, None]
+        at = (
+            (first + bins(values)).ravel()
+            if self.all
+            else np.broadcast_to(first, values.shape)[self.valid] + bins(values[self.valid])
+        )
+        cells = np.bincount(at, minlength=0)
+        filled = np.flatnonzero(cells)
+        return filled, cells[filled]
+
+    def _masked(self, values: np.ndarray, other: float) -> np.ndarray:
+        return values if self.all else np.where(self.valid, values, other)
+
+
 def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """The arrays of `scored` of all trajectories, from those of some after others."""
     first = 0
@@ -51,105 +99,83 @@ def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         for name in part:
             if name.startswith("cells "):
                 part[name] = part[name] + first * BINS
-        first += len(part["sums"])
+        first += len(part["sum n"])
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
-    """Arrays of n trajectories: `sums` (n, columns), `largest` (n, kinds), and a histogram for each kind of error."""
+    """Arrays of n trajectories by name: each `sum` and `largest` (n,) of `Scores`, and of each kind a histogram.
+
+    The histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`.
+    """
     n = len(tracked.estimates)
-    sums, largest = np.zeros((n, len(SUMS))), np.full((n, len(KINDS)), np.nan)
-    arrays: dict[str, np.ndarray] = {"sums": sums, "largest": largest}
     bearing = tracked.estimates.ndim == 4
     # The rows of all stations count as rows of their trajectory.
-    counts = tracked.known.reshape(n, -1)
-    error = (tracked.estimates - tracked.truth).reshape(n, counts.shape[1], -1)
+    counts = Masked(tracked.known.reshape(n, -1))
+    error = (tracked.estimates - tracked.truth).reshape(n, counts.valid.shape[1], -1)
+    if bearing:
+        wrap_azimuths(error)
+    sums, largest = {"n": counts.count}, dict[str, np.ndarray]()
+    arrays: dict[str, np.ndarray] = {}
     for kinds, size, valid in _bearing_errors(tracked, error, counts) if bearing else _position_errors(error, counts):
-        columns = {"n": valid.sum(axis=1), "sum": _sum(size, valid), "squares": _sum(size * size, valid)}
-        any_valid = columns["n"] > 0
-        top = _masked(size, valid, -1.0).max(axis=1)[any_valid]
-        cells, numbers = histograms(size, valid)
+        cells, numbers = valid.histograms(size)
         for kind in kinds:
-            for name, values in columns.items():
-                sums[:, COLUMN[f"{name} {kind}"]] = values
-            largest[any_valid, KINDS.index(kind)] = top
-            arrays[f"cells {kind}"], arrays[f"counts {kind}"] = cells, numbers
+            more, top = error_sums(kind, size, valid)
+            sums, largest = sums | more, largest | top
+            arrays |= {f"cells {kind}": cells, f"counts {kind}": numbers}
+    for k, component in enumerate(BEARING[1:] if bearing else ("x_m", "y_m", "z_m")):
+        sums[f"bias {component}"] = Masked(counts.valid & np.isfinite(error[..., k])).sum(error[..., k])
     d = tracked.covariance.shape[-1]
-    covariance = tracked.covariance.reshape(n, counts.shape[1], d, d)
-    _add_nees(sums, error[..., :d], covariance, counts)
+    sums |= _nees(error[..., :d], tracked.covariance.reshape(n, counts.valid.shape[1], d, d), counts)
     status = tracked.status.reshape(n, -1)
     rows = status != Status.PADDING
     nis, dof = tracked.nis.reshape(n, -1).astype(float), tracked.dof.reshape(n, -1).astype(float)
-    has_nis = np.isfinite(nis) & (dof > 0) & rows
-    columns = {
-        "nis": _sum(nis, has_nis),
-        "dof": _sum(dof, has_nis),
+    has_nis = Masked(np.isfinite(nis) & (dof > 0) & rows)
+    bad = np.isin(status, (Status.LOST, Status.RESTARTED, Status.NON_FINITE))
+    sums |= {
+        "nis": has_nis.sum(nis),
+        "dof": has_nis.sum(dof),
         "lost rows": (status == Status.LOST).sum(axis=1),
-        "rows": rows.sum(axis=1),
-        "diverged": np.isin(status, (Status.LOST, Status.RESTARTED, Status.NON_FINITE)).any(axis=1),
-        "failed": (status == Status.NON_FINITE).any(axis=1) | ~counts.any(axis=1),
+        "n_rows": rows.sum(axis=1),
+        "diverged": np.any(bad, axis=1),
+        "failed": np.isin(status, Status.NON_FINITE).any(axis=1) | (counts.count == 0),
+        "trajectories": np.ones(n),
     }
-    for name, values in columns.items():
-        sums[:, COLUMN[name]] = values
-    return arrays
+    arrays |= {f"sum {name}": x.astype(float) for name, x in sums.items()}
+    return arrays | {f"largest {name}": x for name, x in largest.items()}
 
 
-def _masked(values: np.ndarray, valid: np.ndarray, other: float = 0.0) -> np.ndarray:
-    """The values (n, T), `other` where they are not valid."""
-    return values if valid.all() else np.where(valid, values, other)
+Errors = list[tuple[tuple[str, ...], np.ndarray, Masked]]
+"""Kinds of errors, their size (n, T), and the rows that have one."""
 
 
-def _sum(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """The sums (n,) of the valid ones of the values (n, T)."""
-    found: np.ndarray = _masked(values, valid).sum(axis=1)
-    return found
-
-
-Errors = list[tuple[tuple[str, ...], np.ndarray, np.ndarray]]
-"""Kinds of errors, their size (n, T), and the mask of valid rows."""
-
-
-def _position_errors(error: np.ndarray, counts: np.ndarray) -> Errors:
+def _position_errors(error: np.ndarray, counts: Masked) -> Errors:
     """Horizontal and 3-D errors."""
-    horizontal = np.hypot(error[..., 0], error[..., 1])
-    if not error[..., 2].any() and np.isfinite(horizontal).all():
+    flat = horizontal(error)
+    if not error[..., 2].any() and np.isfinite(flat).all():
         # The height is known: the same numbers, since the root of a number's square is exactly that number.
-        return [(POSITION, horizontal, counts)]
-    spatial = np.sqrt(horizontal * horizontal + error[..., 2] ** 2)
-    return [(POSITION[:1], horizontal, counts), (POSITION[1:], spatial, counts & np.isfinite(spatial))]
+        return [(POSITION, flat, counts)]
+    size = spatial(error, flat)
+    return [(POSITION[:1], flat, counts), (POSITION[1:], size, Masked(counts.valid & np.isfinite(size)))]
 
 
-def _bearing_errors(tracked: TrackedRuns, error: np.ndarray, counts: np.ndarray) -> Errors:
-    """Errors of the angle between the two directions, of azimuth and of elevation; wraps azimuth in `error`."""
-    error[..., 0] = np.pi - (np.pi - error[..., 0]) % (2 * np.pi)
-    (x, y, z), (p, q, r) = (_direction(angles) for angles in (tracked.estimates, tracked.truth))
-    cross = np.sqrt((y * r - z * q) ** 2 + (z * p - x * r) ** 2 + (x * q - y * p) ** 2)
-    # In the order of a sum of pairs, as einsum has it.
-    angle = np.arctan2(cross, x * p + z * r + y * q).reshape(counts.shape)
+def _bearing_errors(tracked: TrackedRuns, error: np.ndarray, counts: Masked) -> Errors:
+    """Errors of the angle between the two directions, of azimuth and of elevation."""
+    angle = between_directions(tracked.estimates, tracked.truth).reshape(counts.valid.shape)
     sizes = (angle, np.abs(error[..., 0]), np.abs(error[..., 1]))
     return [((kind,), size, counts) for kind, size in zip(BEARING, sizes, strict=True)]
 
 
-def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The components of the unit vectors of angles (…, 2)."""
-    azimuth, elevation = angles[..., 0], angles[..., 1]
-    flat = np.cos(elevation)
-    return np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat
-
-
-def _add_nees(sums: np.ndarray, error: np.ndarray, covariance: np.ndarray, counts: np.ndarray) -> None:
-    """Add the NEES of two axes, and of three, to `sums`; of two also the number of errors inside the 95 % ellipse."""
-    whole = counts.all()
+def _nees(error: np.ndarray, covariance: np.ndarray, counts: Masked) -> dict[str, np.ndarray]:
+    """The sums of the NEES of two axes, and of three."""
+    sums: dict[str, np.ndarray] = {}
     rows = error.reshape(-1, error.shape[-1]), covariance.reshape(-1, *covariance.shape[2:])
-    of_leading = nees_of_leading(*(rows if whole else (x[counts.ravel()] for x in rows)))
-    for axes, suffix in enumerate(("", "_3d")[: len(of_leading) - 1], start=2):
-        if whole:
-            values = of_leading[axes - 1].reshape(counts.shape)
+    of_leading = nees_of_leading(*(rows if counts.all else (x[counts.valid.ravel()] for x in rows)))
+    for axes, name in enumerate(("nees", "nees_3d")[: len(of_leading) - 1], start=2):
+        if counts.all:
+            values = of_leading[axes - 1].reshape(counts.valid.shape)
         else:
-            values = np.full(counts.shape, np.nan)
-            values[counts] = of_leading[axes - 1]
-        finite = np.isfinite(values)
-        sums[:, COLUMN[f"nees{suffix}"]] = _sum(values, finite)
-        sums[:, COLUMN[f"nees{suffix} n"]] = finite.sum(axis=1)
-        if axes == 2:
-            sums[:, COLUMN["inside"]] = (finite & (values <= chi_square_quantile(0.95, axes))).sum(axis=1)
+            values = np.full(counts.valid.shape, np.nan)
+            values[counts.valid] = of_leading[axes - 1]
+        sums |= nees_sums(name, values, axes, Masked(np.isfinite(values)))
+    return sums

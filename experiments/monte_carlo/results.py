@@ -7,80 +7,37 @@ Beyond 512 trajectories, blocks of them (id modulo 512) are resampled, at consta
 
 from __future__ import annotations
 
-import contextlib
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.accumulators import BINS, COLUMN, EDGES, KINDS, SUMS, quantile
 from experiments.monte_carlo.declaration import Condition, Study
 from experiments.text.expectations import Value
+from trackers.evaluation.metrics import METRICS, metrics
+from trackers.evaluation.scores import BINS, EDGES, Scores
 
 BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 
 
 class Totals(NamedTuple):
-    """Totals of a condition and tracker, over blocks of trajectories.
+    """Totals of a condition and tracker.
 
-    `sums` (blocks, columns), `largest` (blocks, kinds), `histograms`: kind -> (blocks, BINS), `measures`: name -> (n,)
-    of all trajectories, `bounds` (2,) m, `us_per_row`. `seconds`: computing time of the chunks for all trackers,
-    compiling included; only in the totals of a condition's first tracker.
+    `scores`: of blocks of trajectories, `measures`: name -> (n,) of all trajectories, `bounds` (2,) m, `us_per_row`.
+    `seconds`: computing time of the chunks for all trackers, compiling included; only in the totals of a condition's
+    first tracker.
     """
 
-    sums: np.ndarray
-    largest: np.ndarray
-    histograms: dict[str, np.ndarray]
+    scores: Scores
     measures: dict[str, np.ndarray]
     bounds: np.ndarray
     us_per_row: float
     seconds: float
 
 
-class Sample(NamedTuple):
-    """Totals of all trajectories, or of R resamplings with a leading axis (R, …)."""
-
-    sums: np.ndarray
-    largest: np.ndarray
-    histograms: Mapping[str, np.ndarray]
-
-    def sum(self, name: str) -> np.ndarray:
-        """A column of the sums."""
-        column: np.ndarray = self.sums[..., COLUMN[name]]
-        return column
-
-
-def _ratio(numerator: str, denominator: str) -> Callable[[Sample], np.ndarray]:
-    return lambda s: s.sum(numerator) / s.sum(denominator)
-
-
-def _of_kind(kind: str, suffix: str) -> dict[str, Callable[[Sample], np.ndarray]]:
-    at = KINDS.index(kind)
-    made: dict[str, Callable[[Sample], np.ndarray]] = {
-        f"rmse_{suffix}": lambda s: np.sqrt(s.sum(f"squares {kind}") / s.sum(f"n {kind}")),
-        f"mean_{suffix}": _ratio(f"sum {kind}", f"n {kind}"),
-        f"max_{suffix}": lambda s: s.largest[..., at],
-    }
-    for name, share in (("median", 0.5), ("p90", 0.9), ("p95", 0.95), ("p99", 0.99)):
-        made[f"{name}_{suffix}"] = lambda s, share=share: quantile(s.histograms[kind], share)  # type: ignore[misc]
-    return made
-
-
-METRICS: dict[str, Callable[[Sample], np.ndarray]] = {
-    **{name: metric for kind in KINDS for name, metric in _of_kind(kind, kind).items()},
-    "variance_m2": lambda s: s.sum("squares m") / s.sum("n m") - (s.sum("sum m") / s.sum("n m")) ** 2,
-    "nees_mean": _ratio("nees", "nees n"),
-    "nees_3d_mean": _ratio("nees_3d", "nees_3d n"),
-    "coverage_95": _ratio("inside", "nees n"),
-    "nis_ratio": _ratio("nis", "dof"),
-    "lost_fraction": _ratio("lost rows", "rows"),
-}
-"""Metrics as functions of a sample; the SHARES are divided by the number of trajectories, which is not in it."""
-
-SHARES = ("diverged", "failed")
 CONSTANT = ("bound_m", "bound_3d_m", "us_per_row")
-NAMES = (*METRICS, *SHARES, *CONSTANT)
+NAMES = (*METRICS, *CONSTANT)
 
 
 class Results:
@@ -144,7 +101,7 @@ class Results:
 
     def cdf(self, world: str, tracker: str, kind: str = "m", **point: Any) -> tuple[np.ndarray, np.ndarray]:
         """Cumulative distribution of errors: error, m or rad, and the share of rows with at most that error."""
-        histogram = self.totals[self.condition(world, **point).index, tracker].histograms[kind].sum(axis=0)
+        histogram = self.totals[self.condition(world, **point).index, tracker].scores.histograms[kind].sum(axis=0)
         return EDGES, np.cumsum(histogram) / max(histogram.sum(), 1)
 
     def _replicated(self, metric: str, condition: Condition, tracker: str) -> tuple[Any, np.ndarray]:
@@ -156,30 +113,19 @@ class Results:
         weights = resampled(self.study.seed, min(self.runs[condition.index], BLOCKS))
         if metric in totals.measures:
             return _mean_of(totals.measures[metric], weights)
+        if metric not in METRICS:
+            raise KeyError(f"no metric '{metric}'; there are {', '.join((*NAMES, *totals.measures))}")
         key = (condition.index, tracker)
         if key not in self._metrics:
             # All metrics at once: histograms of all resamplings take megabytes, metrics kilobytes.
-            self._metrics[key] = _metrics_of(totals, weights, _block_sizes(self.runs[condition.index]))
-        return self._metrics[key][metric]
+            self._metrics[key] = _metrics_of(totals.scores, weights)
+        return self._metrics[key].get(metric, (np.nan, np.full(REPLICATES, np.nan)))
 
 
-def _metrics_of(totals: Totals, weights: np.ndarray, per_block: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
-    """All metrics of all trajectories, and of the resamplings (R,), for the kinds of errors that the tracker has."""
-    included = weights > 0
-    largest = np.stack(
-        [np.where(included, np.nan_to_num(x, nan=-np.inf), -np.inf).max(axis=1) for x in totals.largest.T], axis=-1
-    )
-    resamples = Sample(weights @ totals.sums, largest, {k: weights @ h for k, h in totals.histograms.items()})
-    top = np.nan_to_num(totals.largest, nan=-np.inf).max(axis=0)
-    whole = Sample(totals.sums.sum(axis=0), top, {k: h.sum(axis=0) for k, h in totals.histograms.items()})
-    found = {}
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for name in SHARES:
-            found[name] = whole.sum(name) / per_block.sum(), resamples.sum(name) / (weights @ per_block)
-        for name, metric in METRICS.items():
-            with contextlib.suppress(KeyError):  # percentiles of kinds of errors that the tracker does not have
-                found[name] = metric(whole), metric(resamples)
-    return found
+def _metrics_of(scores: Scores, weights: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
+    """All metrics of all trajectories, and of the resamplings (R,)."""
+    whole, resamples = metrics(scores.total()), metrics(scores.weighted(weights))
+    return {name: (value[0], resamples[name]) for name, value in whole.items()}
 
 
 @functools.lru_cache(maxsize=8)
@@ -187,10 +133,6 @@ def resampled(seed: int, count: int) -> np.ndarray:
     """How often each of `count` items occurs in each resampling with replacement (REPLICATES, count)."""
     rng = np.random.default_rng([seed, count])
     return rng.multinomial(count, np.full(count, 1.0 / count), size=REPLICATES).astype(float)
-
-
-def _block_sizes(runs: int) -> np.ndarray:
-    return np.bincount(np.arange(runs) % min(runs, BLOCKS)).astype(float)
 
 
 def _mean_of(numbers: np.ndarray, weights: np.ndarray) -> tuple[float, np.ndarray]:
@@ -216,15 +158,15 @@ class ChunkTotals:
 
     def __init__(self, runs: int):
         self.blocks, self.runs = min(runs, BLOCKS), runs
-        self.sums = np.zeros((self.blocks, len(SUMS)))
-        self.largest = np.full((self.blocks, len(KINDS)), np.nan)
+        self.sums: dict[str, np.ndarray] = {}
+        self.largest: dict[str, np.ndarray] = {}
         self.histograms: dict[str, np.ndarray] = {}
         self.measures: dict[str, np.ndarray] = {}
         self.bounds, self.us_per_row, self.seconds = np.full(2, np.nan), np.nan, 0.0
 
     def add(self, start: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Add a chunk whose first trajectory is `start`; trajectories beyond the last run are left out."""
-        stop = min(start + len(arrays["sums"]), self.runs)
+        stop = min(start + len(arrays["sum n"]), self.runs)
         # As slices, each trajectory of another block: adding to repeated indices takes ten times as long.
         for first in range(start - start % self.blocks, stop, self.blocks):
             begin, end = max(start, first), min(stop, first + self.blocks)
@@ -242,17 +184,19 @@ class ChunkTotals:
 
     def _add_to_blocks(self, blocks: slice, which: slice, arrays: Mapping[str, np.ndarray]) -> None:
         """Add the trajectories `which` of a chunk to as many blocks."""
-        self.sums[blocks] += arrays["sums"][which]
-        np.fmax(self.largest[blocks], arrays["largest"][which], out=self.largest[blocks])
-        for name, cells in arrays.items():
-            what, _, kind = name.partition(" ")
-            if what == "cells":
-                table = self.histograms.setdefault(kind, np.zeros((self.blocks, BINS)))
-                own = slice(*np.searchsorted(cells, [which.start * BINS, which.stop * BINS]))
-                table.reshape(-1)[cells[own] + (blocks.start - which.start) * BINS] += arrays[f"counts {kind}"][own]
+        for name, values in arrays.items():
+            what, _, rest = name.partition(" ")
+            if what == "sum":
+                self.sums.setdefault(rest, np.zeros(self.blocks))[blocks] += values[which]
+            elif what == "largest":
+                top = self.largest.setdefault(rest, np.full(self.blocks, np.nan))[blocks]
+                np.fmax(top, values[which], out=top)
+            elif what == "cells":
+                table = self.histograms.setdefault(rest, np.zeros((self.blocks, BINS)))
+                own = slice(*np.searchsorted(values, [which.start * BINS, which.stop * BINS]))
+                table.reshape(-1)[values[own] + (blocks.start - which.start) * BINS] += arrays[f"counts {rest}"][own]
 
     def totals(self) -> Totals:
         """The totals of the chunks added so far."""
-        return Totals(
-            self.sums, self.largest, self.histograms, self.measures, self.bounds, self.us_per_row, self.seconds
-        )
+        scores = Scores(self.sums, self.largest, self.histograms)
+        return Totals(scores, self.measures, self.bounds, self.us_per_row, self.seconds)

@@ -50,12 +50,10 @@ class StopRule:
         return cls(found[1], float(found[2]) / 100)
 
     def reached(self, results: Results, condition: Condition) -> bool:
-        """Whether the interval is narrow enough for every tracker that has the metric."""
-        for tracker in results.study.trackers:
-            value = results.at(self.metric, condition, tracker)
-            if np.isfinite(value.value) and value.high - value.low > 2 * self.half_width * abs(value.value):
-                return False
-        return True
+        """Whether the interval is narrow enough for every tracker that has the metric, and one has it."""
+        values = [results.at(self.metric, condition, tracker) for tracker in results.study.trackers]
+        known = [v for v in values if np.isfinite(v.value)]
+        return bool(known) and all(v.high - v.low <= 2 * self.half_width * abs(v.value) for v in known)
 
 
 def _no_progress(done: int, now: str = "") -> None:

@@ -157,7 +157,7 @@ class ScoredTracks:
             np.full((3, len(rows)), np.nan),
         )
         errors[scored.index], nees[scored.index] = scored.errors, scored.nees
-        miss[scored.index] = np.hypot(*scored.errors[:, :2].T) if scored.angle is None else scored.angle[:, 0]
+        miss[scored.index] = scored.size
         if scored.nees_3d is not None:
             nees_3d[scored.index] = scored.nees_3d
         if not self.bearing:

@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -16,10 +16,14 @@ from rich.table import Table
 from experiments.text.tables import compact_table, rendered, width_of
 from experiments.text.wording import Unit, fixed, length_unit, shown_metric
 from trackers.evaluation.evaluate import Evaluation, Metrics
+from trackers.evaluation.metrics import METRICS, Metric
 from trackers.recordings.atomic import json_text
 
 SHOWN_TRACKS = 10
 """The most tracks listed per recording: the worst."""
+
+SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0)}
+"""Factor and digits of metrics that are no errors, by their units."""
 
 LARGE = 1e4
 """Values in a table from here on have no digits after the point."""
@@ -31,50 +35,9 @@ Line = tuple[list[str], Metrics, str | None]
 """A row of a table: its labels, its metrics and a style."""
 
 
-class Column(NamedTuple):
-    """Column of a metric: heading, name, factor (None for an error, in the table's unit), digits, and its rank.
+COLUMNS = tuple(metric for metric in METRICS.values() if metric.short)
+"""The metrics with a column, in their order."""
 
-    Columns of the highest rank are the first to be left out of a table that is too wide.
-    """
-
-    title: str
-    metric: str
-    scale: float | None = None
-    digits: int = 1
-    rank: int = 0
-
-
-POSITION_COLUMNS = (
-    Column("RMSE", "rmse_m"),
-    Column("median", "median_m", rank=2),
-    Column("p90", "p90_m", rank=3),
-    Column("p95", "p95_m"),
-    Column("p99", "p99_m", rank=3),
-    Column("max", "max_m"),
-    Column("3-D\nRMSE", "rmse_3d_m"),
-    Column("3-D\np95", "p95_3d_m", rank=3),
-)
-BEARING_COLUMNS = (
-    Column("az\nRMSE", "rmse_azimuth_rad"),
-    Column("az\nbias", "bias_azimuth_rad", rank=3),
-    Column("el\nRMSE", "rmse_elevation_rad"),
-    Column("el\nbias", "bias_elevation_rad", rank=3),
-    Column("angle\nRMSE", "rmse_direction_rad", rank=1),
-    Column("angle\nmedian", "median_direction_rad", rank=2),
-    Column("angle\np95", "p95_direction_rad"),
-)
-CONSISTENCY_COLUMNS = (
-    Column("% in\n50 %", "coverage_50", 100.0, 0, rank=1),
-    Column("\n90 %", "coverage_90", 100.0, 0, rank=1),
-    Column("% in\n95 %", "coverage_95", 100.0, 0),
-    Column("\n99 %", "coverage_99", 100.0, 0, rank=1),
-    Column("NEES\n/dof", "nees_ratio", 1.0, 2),
-    Column("NIS\n/dof", "nis_ratio", 1.0, 2, rank=2),
-    Column("NIS r\n0.1 s", "nis_correlation_100ms", 1.0, 2, rank=1),
-    Column("NIS r\n1 s", "nis_correlation_1s", 1.0, 2),
-    Column("NIS r\n5 s", "nis_correlation_5s", 1.0, 2, rank=1),
-    Column("lost\ns", "lost_s", 1.0, 1),
-)
 RANKS = (3, 2, 1, 0)
 
 
@@ -133,8 +96,7 @@ def archive_text(evaluation: Evaluation, width: int = 120) -> str:
 
 
 def _text(evaluation: Evaluation, labels: Sequence[str], lines: Sequence[Line], notes: list[str], width: int) -> str:
-    every = (BEARING_COLUMNS if evaluation.bearing else POSITION_COLUMNS) + CONSISTENCY_COLUMNS
-    every = tuple(c for c in every if any(shown_metric(metrics, c.metric) is not None for _, metrics, _ in lines))
+    every = [c for c in COLUMNS if any(shown_metric(metrics, c.name) is not None for _, metrics, _ in lines)]
     for rank in RANKS:
         columns = [column for column in every if column.rank <= rank]
         table = _table(evaluation, columns, labels, lines)
@@ -143,19 +105,22 @@ def _text(evaluation: Evaluation, labels: Sequence[str], lines: Sequence[Line], 
     return rendered(width, table, *evaluation.statements, *notes, *_notes(evaluation, columns))
 
 
-def _table(evaluation: Evaluation, columns: Sequence[Column], labels: Sequence[str], lines: Sequence[Line]) -> Table:
+def _table(evaluation: Evaluation, columns: Sequence[Metric], labels: Sequence[str], lines: Sequence[Line]) -> Table:
     unit, digits = _unit(evaluation)
     what = "Bearing errors" if evaluation.bearing else "Horizontal and 3-D position errors"
-    table = compact_table(f"{what} in {unit.name}", labels, ["n", *(column.title for column in columns)])
+    table = compact_table(f"{what} in {unit.name}", labels, [title_of(column) for column in columns])
     for words, metrics, style in lines:
         cells = []
         for column in columns:
-            value = shown_metric(metrics, column.metric)
-            scale = column.scale or unit.factor
-            shown = digits if column.scale is None else column.digits
+            value, (scale, shown) = shown_metric(metrics, column.name), SCALES.get(column.unit, (unit.factor, digits))
             cells.append(_cell(None if value is None else value * scale, shown))
-        table.add_row(*words, str(metrics["n"]), *cells, style=style)
+        table.add_row(*words, *cells, style=style)
     return table
+
+
+def title_of(column: Metric) -> str:
+    """The heading of a column, in up to two lines."""
+    return f"{column.short}\ns" if column.unit == "s" else column.short
 
 
 def _cell(value: float | None, digits: int) -> str:
@@ -206,9 +171,9 @@ def _unit(evaluation: Evaluation) -> tuple[Unit, int]:
     return unit, {"m": 3, "cm": 1, "mm": 2}[unit.name]
 
 
-def _notes(evaluation: Evaluation, columns: Sequence[Column]) -> list[str]:
+def _notes(evaluation: Evaluation, columns: Sequence[Metric]) -> list[str]:
     overall, notes = evaluation.overall, []
-    if any(overall[c.metric] is not None for c in columns if c.metric in ("nees_ratio", "nis_ratio")):
+    if any(overall[c.name] is not None for c in columns if c.name in ("nees_ratio", "nis_ratio")):
         notes.append(
             "% in 95 %: of the truth inside the 95 % ellipse. NEES/dof is 1 for correct covariances, above 1 for "
             "covariances that are too small. NIS/dof is 1 where readings scatter as the tracker's own density of them "

@@ -10,31 +10,17 @@ import numpy as np
 
 from experiments.text.expectations import Origin, Value
 from trackers.core.wording import counted
+from trackers.evaluation.metrics import KIND_WORDS, METRICS
 
 MISSING = "–"
-WORDS = {
-    "rmse": "RMSE", "mean": "mean error", "median": "median error", "p90": "90th percentile",
-    "p95": "95th percentile", "p99": "99th percentile", "max": "largest error", "bound": "Cramér–Rao bound",
-    "variance_m2": "variance of the error",
-    "nees_mean": "NEES, 2 expected", "nees_3d_mean": "NEES in 3-D, 3 expected",
-    "nees_ratio": "NEES per degree of freedom, 1 expected",
-    "nees_3d_ratio": "NEES per degree of freedom in 3-D, 1 expected",
-    "sigma_factor": "reported standard deviations too small by a factor of",
-    "sigma_factor_3d": "reported standard deviations too small in 3-D by a factor of",
-    **{f"coverage_{p}": f"inside the {p} % ellipse" for p in (50, 68, 90, 95, 99)},
-    **{f"coverage_{p}_3d": f"inside the {p} % ellipsoid" for p in (50, 68, 90, 95, 99)},
-    "nis_ratio": "NIS per degree of freedom, 1 expected",
-    "nis_correlation_100ms": "autocorrelation of NIS over 0.1 s",
-    "nis_correlation_1s": "autocorrelation of NIS over 1 s",
-    "nis_correlation_5s": "autocorrelation of NIS over 5 s",
-    "nis_inflation_1s": "rows of 1 s with the information of one",
-    "residual_ratio_5s": "residuals' 5 s means, relative to most residuals",
-    "lost_fraction": "rows lost", "losses": "times lost", "diverged": "trajectories lost at least once",
-    "failed": "trajectories without a usable estimate", "us_per_row": "computing time per row",
-}  # fmt: skip
-SUFFIXES = {"3d_m": "in 3-D", "direction_rad": "of direction", "azimuth_rad": "of azimuth",
-            "elevation_rad": "of elevation", "m": "", "rad": "", "m2": "", "s": ""}  # fmt: skip
-PERCENT = ("lost_fraction", "diverged", "failed")
+STUDIES = {
+    "bound_m": "Cramér–Rao bound",
+    "bound_3d_m": "Cramér–Rao bound in 3-D",
+    "us_per_row": "computing time per row",
+}
+"""The metrics of a study that are no metrics of scores."""
+
+SUFFIXES = {**KIND_WORDS, "m": "", "rad": "", "m2": "", "s": ""}
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -46,6 +32,8 @@ class Unit(NamedTuple):
 
 
 NO_UNIT = Unit("", 1.0)
+SHOWN = {"%": Unit("%", 100.0), "rad": Unit("°", float(np.rad2deg(1.0))), "m²": Unit("cm²", 1e4), "rows": NO_UNIT}
+"""The units in which metrics are shown, by those in which they are stored."""
 
 
 def shown_metric(metrics: Mapping[str, Any], name: str) -> float | None:
@@ -67,17 +55,18 @@ def length_unit(size: float) -> Unit:
 def unit_of(metric: str, values: Iterable[float]) -> Unit:
     """The customary unit of a metric of this name and these sizes."""
     known = [abs(v) for v in values if math.isfinite(v)]
-    if metric in PERCENT or metric.startswith("coverage_") or metric.endswith("_share"):
-        return Unit("%", 100.0)
-    if metric.endswith("_rad"):
-        return Unit("°", float(np.rad2deg(1.0)))
-    if metric.endswith("_m2"):
-        return Unit("cm²", 1e4)
-    if metric.endswith("_m"):
+    unit = METRICS[metric].unit if metric in METRICS else _unit_by_name(metric)
+    if unit == "m":
         return length_unit(float(np.median(known)) if known else math.nan)
+    return SHOWN.get(unit, Unit(unit, 1.0))
+
+
+def _unit_by_name(metric: str) -> str:
+    """The unit in which a study's own metric, or the number of another table, is stored."""
     if metric == "us_per_row":
-        return Unit("µs", 1.0)
-    return Unit("s" if metric.endswith("_s") else "", 1.0)
+        return "µs"
+    endings = {"share": "%", "rad": "rad", "m2": "m²", "m": "m", "s": "s"}
+    return next((unit for ending, unit in endings.items() if metric.endswith(f"_{ending}")), "")
 
 
 def units_of(values: Mapping[str, Sequence[float]]) -> dict[str, Unit]:
@@ -93,11 +82,10 @@ def heading(metric: str, unit: Unit = NO_UNIT, space: str = " ") -> str:
 
 
 def _name(metric: str) -> str:
-    if metric in WORDS:
-        return WORDS[metric]
-    what, _, suffix = metric.partition("_")
-    if what in WORDS and suffix in SUFFIXES:
-        return f"{WORDS[what]} {SUFFIXES[suffix]}".strip()
+    if metric in METRICS:
+        return METRICS[metric].words
+    if metric in STUDIES:
+        return STUDIES[metric]
     for ending, words in SUFFIXES.items():
         if metric.endswith(f"_{ending}"):
             return f"{_spaced(metric[: -len(ending) - 1])} {words}".strip()

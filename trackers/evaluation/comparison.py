@@ -15,6 +15,7 @@ import numpy as np
 
 from trackers.core.chi_square import chi_square_quantile
 from trackers.evaluation.association import Association
+from trackers.evaluation.scores import spatial
 from trackers.evaluation.scoring import Scored
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import track_keys
@@ -81,12 +82,12 @@ def errors_by_track(association: Association, scored: Scored) -> dict[Key, Track
     """The scored errors of each track by its recording, tag and station."""
     keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].rows()
     times = float_column(association.rows, "t_s")[scored.index]
-    norm = scored.angle[:, 0] if scored.angle is not None else np.linalg.norm(scored.errors[:, :2], axis=1)
-    in_space = np.linalg.norm(scored.errors, axis=1) if scored.angle is None else np.full(len(norm), math.nan)
+    bearing = scored.nees_3d is None
+    in_space = np.full(len(times), math.nan) if bearing else spatial(scored.errors, scored.size)
     inside = np.where(np.isfinite(scored.nees), scored.nees <= chi_square_quantile(0.95, 2), math.nan)
     ends = np.searchsorted(scored.index, association.starts)
     return {
-        tuple(key): TrackErrors(times[a:b], norm[a:b], in_space[a:b], inside[a:b])
+        tuple(key): TrackErrors(times[a:b], scored.size[a:b], in_space[a:b], inside[a:b])
         for key, a, b in zip(keys, ends[:-1], ends[1:], strict=True)
         if b > a
     }

@@ -1,7 +1,6 @@
 """Error metrics of estimates against truth, by track, by recording and overall.
 
-Names are those of `--fail-if` and of evaluation.json, in metres and radians, horizontal unless the name has `3d`. A
-metric without data (no heights, no reported covariance) is None.
+A metric without data (no heights, no reported covariance) is None.
 """
 
 from __future__ import annotations
@@ -10,14 +9,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cache, partial
-from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import polars as pl
 
-from trackers.core import metrics
 from trackers.core.errors import UnusableInput, one_or_more
 from trackers.core.estimates import Estimates, numbered_names
 from trackers.core.frames import evaluation_html, evaluation_text
@@ -25,21 +21,18 @@ from trackers.core.recording import Recording
 from trackers.core.rig import Station
 from trackers.core.wording import counted
 from trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
-from trackers.evaluation.rank_correlation import LAGS_S, RankSums
+from trackers.evaluation.metrics import metric_rows
 from trackers.evaluation.residuals import residual_ratios
-from trackers.evaluation.scoring import Scored, outside_plane, score
+from trackers.evaluation.scores import Scores
+from trackers.evaluation.scoring import score, scores_of_tracks
 from trackers.evaluation.statements import covariance_statements
 from trackers.recordings.columns import require_columns
 from trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.tracks_table import is_bearing, track_keys
-from trackers.recordings.truth import TruthStatus
 
 T = TypeVar("T")
 OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
-
-LEVELS = (50, 68, 90, 95, 99)
-"""Levels, %, of the ellipses whose share of the truth is a metric."""
 
 Metrics = dict[str, Any]
 """Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
@@ -66,12 +59,6 @@ class Evaluation:
     def statements(self) -> list[str]:
         """Sentences on whether the reported covariances hold; without truth, on what the innovations show."""
         return covariance_statements(self.overall, self.recordings)
-
-    def with_residuals(self, tracks: Tracks) -> Evaluation:
-        """This evaluation with the metric `residual_ratio_5s` of each recording, and the largest overall."""
-        ratios, name = residual_ratios(tracks), "residual_ratio_5s"
-        own = [one | {name: ratios.get(one["recording"])} for one in self.recordings]
-        return replace(self, overall=self.overall | {name: max(ratios.values(), default=None)}, recordings=own)
 
     def to_polars(self) -> pl.DataFrame:
         """A table with one row per track and one column per metric."""
@@ -111,15 +98,55 @@ def evaluate(
             executor.submit(_scored_recording, by_name[name,], _of(name, truths), _of(name, stations), every)
             for name in sorted(str(name) for (name,) in by_name)
         ]
-        done = [part.result() for part in parts]
-        association, scored = Association.joined([x for x, _ in done]), Scored.joined([x for _, x in done])
-        refuse_without_overlap(association, truths)
-        return evaluation_of(association, scored)
+        tracks = ScoredTracks.joined([part.result() for part in parts])
+        if not tracks.scores["n"].any():
+            refuse_without_overlap(associate_truth(estimates, truths), truths)
+        return tracks.evaluation()
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
     if not association.scored.any():
         refuse_without_overlap(association, _truths(recordings))
-    found = evaluate_association(association, stations, every)
-    return found.with_residuals(estimates) if isinstance(estimates, Tracks) else found
+    ratios = residual_ratios(estimates) if isinstance(estimates, Tracks) else {}
+    return evaluate_association(association, stations, every, ratios)
+
+
+class ScoredTracks(NamedTuple):
+    """The scores of tracks: the `keys` that identify each, and whether they are bearings."""
+
+    keys: Sequence[Mapping[str, str]]
+    bearing: bool
+    scores: Scores
+
+    @classmethod
+    def of(
+        cls, association: Association, stations: Mapping[str, Mapping[str, Station]] | None, every: float | None = None
+    ) -> ScoredTracks:
+        """The tracks of associated estimates; `stations`, `every` as in `evaluate_table`."""
+        rows = association.rows
+        keys = rows.select(track_keys(rows))[association.starts[:-1]].to_dicts()
+        return cls(keys, is_bearing(rows), scores_of_tracks(association, score(association, stations, every)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[ScoredTracks]) -> ScoredTracks:
+        """The tracks of all parts."""
+        keys = [key for part in parts for key in part.keys]
+        return cls(keys, parts[0].bearing, Scores.joined([part.scores for part in parts]))
+
+    def recordings(self, ratios: Mapping[str, float]) -> tuple[list[str], Scores]:
+        """The names of the recordings and their scores; `ratios`: of their residuals, see `residual_ratios`."""
+        names = [key["recording"] for key in self.keys]
+        first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
+        scores = self.scores.grouped(np.array([*first, len(names)]))
+        own = [names[k] for k in first]
+        ratio = np.array([ratios.get(name, np.nan) for name in own])
+        return own, replace(scores, largest={**scores.largest, "residual_ratio_5s": ratio})
+
+    def evaluation(self, ratios: Mapping[str, float] | None = None) -> Evaluation:
+        """The metrics by track, by recording and overall."""
+        names, recordings = self.recordings(ratios or {})
+        (overall,) = metric_rows(recordings.grouped(np.array([0, len(names)])))
+        by_recording = [{"recording": name, **row} for name, row in zip(names, metric_rows(recordings), strict=True)]
+        tracks = [{**key, **row} for key, row in zip(self.keys, metric_rows(self.scores), strict=True)]
+        return Evaluation(self.bearing, overall, by_recording, tracks)
 
 
 def _of(name: str, values: Mapping[str, T]) -> dict[str, T]:
@@ -132,10 +159,9 @@ def _scored_recording(
     truths: Mapping[str, pl.DataFrame],
     stations: Mapping[str, Mapping[str, Station]],
     every: float | None,
-) -> tuple[Association, Scored]:
-    """The estimates of one recording with their truth, and their scores."""
-    association = associate_truth(rows, truths)
-    return association, score(association, stations, every)
+) -> ScoredTracks:
+    """The scores of the estimates of one recording."""
+    return ScoredTracks.of(associate_truth(rows, truths), stations, every)
 
 
 def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> Association:
@@ -217,97 +243,15 @@ def evaluate_association(
     association: Association,
     stations: Mapping[str, Mapping[str, Station]] | None = None,
     every: float | None = None,
+    ratios: Mapping[str, float] | None = None,
 ) -> Evaluation:
-    """As `evaluate_table`, of estimates already associated with truth; metrics are None if no row is scored."""
-    return evaluation_of(association, score(association, stations, every))
+    """As `evaluate_table`, of estimates already associated with truth; metrics are None if no row is scored.
+
+    `ratios`: by recording, those of `residual_ratios`.
+    """
+    return ScoredTracks.of(association, stations, every).evaluation(ratios)
 
 
 def metric_names(tracks: pl.DataFrame) -> list[str]:
     """The names of the metrics that such estimates, the columns of tracks.parquet, have overall."""
     return list(evaluate_association(associate_truth(tracks.head(1), {})).overall)
-
-
-def evaluation_of(association: Association, scored: Scored) -> Evaluation:
-    """The metrics by track, by recording and overall of estimates that are associated and scored."""
-    keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].to_dicts()
-    last = len(keys)
-    first = [k for k in range(last) if k == 0 or keys[k]["recording"] != keys[k - 1]["recording"]]
-    # A recording of one track has the metrics of that.
-    of = cache(partial(_metrics, association, scored))
-    recordings = [{"recording": keys[a]["recording"], **of(a, b)} for a, b in pairwise([*first, last])]
-    per_track = [{**key, **of(k, k + 1)} for k, key in enumerate(keys)]
-    return Evaluation(is_bearing(association.rows), of(0, last), recordings, per_track)
-
-
-def _metrics(association: Association, scored: Scored, first: int, end: int) -> Metrics:
-    """The metrics of the tracks `first` … `end` − 1."""
-    begin, stop = association.starts[first], association.starts[end]
-    part = slice(*np.searchsorted(scored.index, (begin, stop)))
-    counts = np.bincount(association.truth_status[begin:stop], minlength=len(TruthStatus)).tolist()
-    found: Metrics = {
-        "n": int(part.stop - part.start),
-        "n_rows": int(stop - begin),
-        "n_no_estimate": counts[TruthStatus.NO_ESTIMATE],
-        "n_no_truth": counts[TruthStatus.NO_TRUTH],
-        "n_hole": counts[TruthStatus.HOLE],
-    }
-    errors = scored.errors[part]
-    if scored.angle is None:
-        found |= _errors_of(errors)
-    else:
-        found |= _errors_of_bearings(scored.angle[part], errors[outside_plane(association, scored.index[part])])
-    found |= _consistency(scored.nees[part], 2, "")
-    if scored.nees_3d is not None:
-        found |= _consistency(scored.nees_3d[part], 3, "_3d")
-    nis, freedom = float(scored.nis[begin:stop].sum()), float(scored.dof[begin:stop].sum())
-    lost = scored.lost[first:end].sum(axis=0).tolist()
-    found |= innovations_and_loss(nis, freedom, scored.nis_ranks.of_tracks(first, end), lost, int(stop - begin))
-    return {name: None if value != value else value for name, value in found.items()}
-
-
-def innovations_and_loss(nis: float, freedom: float, ranks: RankSums, lost: Sequence[float], n_rows: int) -> Metrics:
-    """The metrics of innovations and track loss from sums over tracks; `lost`: seconds, span, s, rows, losses."""
-    seconds, span, rows, losses = lost
-    return {
-        "nis_ratio": nis / freedom if freedom > 0 else None,
-        **{f"nis_correlation_{name}": r for name, r in zip(LAGS_S, ranks.correlations().tolist(), strict=True)},
-        "nis_inflation_1s": ranks.inflation(),
-        "residual_ratio_5s": None,
-        "lost_s": seconds,
-        "lost_fraction": seconds / span if span > 0 else rows / n_rows,
-        "losses": int(losses),
-    }
-
-
-def _errors_of(errors: np.ndarray) -> Metrics:
-    """Of errors (n, 3), m."""
-    solid = errors[np.isfinite(errors[:, 2])]
-    means = [*metrics.bias(errors[:, :2]).tolist(), float(metrics.bias(solid)[2])]
-    bias = dict(zip(("bias_x_m", "bias_y_m", "bias_z_m"), means, strict=True))
-    return _named({"_m": errors[:, :2], "_3d_m": solid}) | bias
-
-
-def _errors_of_bearings(angle: np.ndarray, errors: np.ndarray) -> Metrics:
-    """Of angles between directions (n, 1), and of azimuths and elevations (m, 2) outside the plane of an array, rad."""
-    bias = dict(zip(("bias_azimuth_rad", "bias_elevation_rad"), metrics.bias(errors).tolist(), strict=True))
-    return _named({"_direction_rad": angle, "_azimuth_rad": errors[:, :1], "_elevation_rad": errors[:, 1:]}) | bias
-
-
-def _named(errors: Mapping[str, np.ndarray]) -> Metrics:
-    """The error metrics, with these suffixes."""
-    return {
-        name + suffix: value
-        for suffix, values in errors.items()
-        for name, value in metrics.error_metrics(values)._asdict().items()
-    }
-
-
-def _consistency(nees: np.ndarray, dof: int, suffix: str) -> Metrics:
-    known = nees[np.isfinite(nees)]
-    mean = float(known.mean()) if len(known) else None
-    return {
-        f"nees{suffix}_mean": mean,
-        f"nees{suffix}_ratio": None if mean is None else mean / dof,
-        f"sigma_factor{suffix}": metrics.sigma_factor(known, dof),
-        **{f"coverage_{percent}{suffix}": metrics.covered(known, dof, percent / 100) for percent in LEVELS},
-    }

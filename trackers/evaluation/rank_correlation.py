@@ -6,7 +6,6 @@ A few large values rule an ordinary correlation, and a wrong noise level shifts 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Num
@@ -26,35 +25,24 @@ WINDOW_S = 1.0
 MIN_PAIRS = 30
 """Pairs of rows below which there is no autocorrelation, and rows below which there is no inflation."""
 
+PAIRED, WINDOWED = ("product", "first", "second", "pairs"), ("window sums", "window squares", "window rows")
+"""The sums of each lag, and those over windows of time."""
 
-class RankSums(NamedTuple):
-    """Sums over the ranks u of rows, of each of g tracks.
 
-    `products` (g, lags, 4): of u_i u_j, u_i², u_j² and 1 over pairs of rows at each lag. `windows` (g, 3): of the
-    squared sums of u over windows of time, of u², and of 1 over rows.
+def correlation(both: np.ndarray, first: np.ndarray, second: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """The autocorrelation (g,) from sums of u_i u_j, u_i², u_j² and 1; NaN with fewer than `MIN_PAIRS` pairs."""
+    scale = np.sqrt(first * second)
+    enough = (pairs >= MIN_PAIRS) & (scale > 0)
+    return np.where(enough, both / np.where(enough, scale, 1.0), math.nan)
+
+
+def inflation(sums: np.ndarray, squares: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """The variance (g,) of sums over windows of time relative to that of independent rows, from sums of these.
+
+    So many rows carry the information of one on the noise level. NaN with fewer than `MIN_PAIRS` rows.
     """
-
-    products: Float[np.ndarray, "g lags 4"]
-    windows: Float[np.ndarray, "g 3"]
-
-    def of_tracks(self, first: int, end: int) -> RankSums:
-        """The sums of the tracks `first` … `end` − 1."""
-        return RankSums(self.products[first:end], self.windows[first:end])
-
-    def correlations(self) -> Float[np.ndarray, " lags"]:
-        """The autocorrelation at each lag, pooled over tracks; NaN with fewer than `MIN_PAIRS` pairs."""
-        both, first, second, pairs = self.products.sum(axis=0).T
-        scale = np.sqrt(first * second)
-        enough = (pairs >= MIN_PAIRS) & (scale > 0)
-        return np.where(enough, both / np.where(enough, scale, 1.0), math.nan)
-
-    def inflation(self) -> float:
-        """The variance of sums over windows of time relative to that of independent rows, pooled over tracks.
-
-        So many rows carry the information of one on the noise level. NaN with fewer than `MIN_PAIRS` rows.
-        """
-        sums, squares, rows = self.windows.sum(axis=0)
-        return float(sums / squares) if rows >= MIN_PAIRS and squares > 0 else math.nan
+    enough = (rows >= MIN_PAIRS) & (squares > 0)
+    return np.where(enough, sums / np.where(enough, squares, 1.0), math.nan)
 
 
 def rank_sums(
@@ -62,8 +50,12 @@ def rank_sums(
     values: Float[np.ndarray, " n"],
     dof: Num[np.ndarray, " n"],
     starts: Int[np.ndarray, " g1"],
-) -> RankSums:
+) -> dict[str, Float[np.ndarray, " g"]]:
     """Sums over the ranks of a statistic, from which its autocorrelation follows for any set of tracks.
+
+    By name, of each of g tracks: over pairs of rows at each lag the `product` u_i u_j, `first` u_i², `second` u_j² and
+    the number of `pairs`, as in `pairs 1s`; the `window sums`, squared sums of u over windows of time, and over rows
+    the `window squares` u² and their number, `window rows`.
 
     u: the rank of a row among the rows of its track with the same degrees of freedom, uniform over ±1/2, ties averaged.
     Row j of a pair is nearest to the lag after row i; pairs that miss the lag by more than `TOLERANCE` of it are left
@@ -71,23 +63,25 @@ def rank_sums(
     without time or value, take no part.
     """
     n_tracks = len(starts) - 1
-    products, windows = np.zeros((n_tracks, len(LAGS_S), 4)), np.zeros((n_tracks, 3))
+    found: dict[str, np.ndarray] = {f"{what} {lag}": np.zeros(n_tracks) for lag in LAGS_S for what in PAIRED}
+    found |= {name: np.zeros(n_tracks) for name in WINDOWED}
     rows = np.flatnonzero(np.isfinite(times) & np.isfinite(values) & (dof > 0))
     if not len(rows):
-        return RankSums(products, windows)
+        return found
     track = np.repeat(np.arange(n_tracks), np.diff(starts))[rows]
     u = _ranks(values[rows], dof[rows], track)
     first = np.flatnonzero(_changes(track))
     own = times[rows] - np.repeat(times[rows[first]], np.diff(np.append(first, len(rows))))
-    for k, lag in enumerate(LAGS_S.values()):
+    for name, lag in LAGS_S.items():
         i, j = _pairs(own, track, lag)
-        for m, product in enumerate((u[i] * u[j], u[i] ** 2, u[j] ** 2, np.ones(len(i)))):
-            products[:, k, m] = np.bincount(track[i], product, minlength=n_tracks)
+        for what, x in zip(PAIRED, (u[i] * u[j], u[i] ** 2, u[j] ** 2, np.ones(len(i))), strict=True):
+            found[f"{what} {name}"] = np.bincount(track[i], x, minlength=n_tracks)
     first = np.flatnonzero(_changes(track, np.floor(own / WINDOW_S)))
     sums = np.add.reduceat(u, first)
-    for m, (of_track, x) in enumerate(((track[first], sums**2), (track, u**2), (track, np.ones(len(u))))):
-        windows[:, m] = np.bincount(of_track, x, minlength=n_tracks)
-    return RankSums(products, windows)
+    of_windows = (track[first], sums**2), (track, u**2), (track, np.ones(len(u)))
+    for name, (of_track, x) in zip(WINDOWED, of_windows, strict=True):
+        found[name] = np.bincount(of_track, x, minlength=n_tracks)
+    return found
 
 
 def _ranks(values: np.ndarray, dof: np.ndarray, track: np.ndarray) -> np.ndarray:

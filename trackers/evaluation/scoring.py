@@ -1,10 +1,9 @@
-"""Errors, NEES, NIS and track loss of estimates that are associated with truth: the arrays behind all error metrics."""
+"""Estimates that are associated with truth as errors and NEES of rows, and as the `Scores` of their tracks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import polars as pl
@@ -12,51 +11,39 @@ import polars as pl
 from trackers.core import metrics
 from trackers.core.rig import Station
 from trackers.evaluation.association import Association, true_bearings
-from trackers.evaluation.rank_correlation import RankSums, rank_sums
+from trackers.evaluation.rank_correlation import rank_sums
+from trackers.evaluation.scores import (
+    BEARING,
+    POSITION,
+    Groups,
+    Ordered,
+    Scores,
+    between_directions,
+    error_sums,
+    horizontal,
+    nees_sums,
+    spatial,
+    wrap_azimuths,
+)
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import is_bearing
+from trackers.recordings.truth import TruthStatus
 
 
 @dataclass(frozen=True)
 class Scored:
-    """Errors of the scored rows, and consistency and track loss of all rows.
+    """Errors and NEES of the n scored rows.
 
-    Of the n scored rows: `index`, their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad;
-    `angle` (n, 1), rad, of bearings the angle between estimated and true direction, else None; `nees` of the horizontal
-    position or of both angles; `nees_3d`, None for bearings. Of all rows: `nis` and `dof`, zero without a measurement.
-    Of the g tracks: `nis_ranks`, for the autocorrelation of NIS, and `lost` (g, 4), seconds lost, seconds spanned, rows
-    lost, number of losses.
+    `index`: their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad; `size` (n,): the
+    horizontal error, or of bearings the angle between estimated and true direction; `nees` of the horizontal position
+    or of both angles; `nees_3d`, None for bearings.
     """
 
     index: np.ndarray
     errors: np.ndarray
-    angle: np.ndarray | None
+    size: np.ndarray
     nees: np.ndarray
     nees_3d: np.ndarray | None
-    nis: np.ndarray
-    dof: np.ndarray
-    nis_ranks: RankSums
-    lost: np.ndarray
-
-    @classmethod
-    def joined(cls, parts: Sequence[Scored]) -> Scored:
-        """The scores of all recordings from those of each, in the order of the rows of the joined association."""
-        before = np.cumsum([0, *(len(part.nis) for part in parts)])
-
-        def all_of(name: str) -> np.ndarray:
-            return np.concatenate([getattr(part, name) for part in parts])
-
-        return cls(
-            index=np.concatenate([part.index + n for part, n in zip(parts, before, strict=False)]),
-            errors=all_of("errors"),
-            angle=None if parts[0].angle is None else all_of("angle"),
-            nees=all_of("nees"),
-            nees_3d=None if parts[0].nees_3d is None else all_of("nees_3d"),
-            nis=all_of("nis"),
-            dof=all_of("dof"),
-            nis_ranks=RankSums(*(np.concatenate(xs) for xs in zip(*(p.nis_ranks for p in parts), strict=True))),
-            lost=all_of("lost"),
-        )
 
 
 def score(
@@ -64,11 +51,69 @@ def score(
     stations: Mapping[str, Mapping[str, Station]] | None = None,
     every: float | None = None,
 ) -> Scored:
-    """Errors, NEES, NIS and track loss of associated estimates; `stations`, `every` as in `evaluate_table`."""
+    """Errors and NEES of associated estimates; `stations`, `every` as in `evaluate_table`."""
     kept = last_of_every(association, every) if every else np.flatnonzero(association.scored)
     if is_bearing(association.rows):
         return _bearings(association, kept, stations or {})
     return _positions(association, kept)
+
+
+def scores_of_tracks(association: Association, scored: Scored) -> Scores:
+    """The scores of each track: errors and NEES of its scored rows, NIS and track loss of all of them."""
+    all_rows, status = Groups(association.starts), association.truth_status
+    rows = Groups(np.searchsorted(scored.index, association.starts))
+    sums = {"n": rows.count, "n_rows": all_rows.count}
+    for name, why in EXCLUDED.items():
+        sums[name] = all_rows.sum(status == why)
+    # Residuals are judged by recording.
+    largest = {"residual_ratio_5s": np.full(len(rows.count), np.nan)}
+    values = {}
+    for kind, size, which in _sizes(association, scored):
+        own = rows.where(which)
+        more, top = error_sums(kind, size[which], own)
+        sums, largest, values[kind] = sums | more, largest | top, Ordered.of(size[which], own.starts)
+    for component, errors, which in _components(association, scored):
+        sums[f"bias {component}"] = rows.where(which).sum(errors[which])
+    for name, nees, dof in (("nees", scored.nees, 2), ("nees_3d", scored.nees_3d, 3)):
+        if nees is not None:
+            known = np.isfinite(nees)
+            own = rows.where(known)
+            sums |= nees_sums(name, nees[known], dof, own)
+            values[name] = Ordered.of(nees[known], own.starts)
+    sums |= _innovations(association, all_rows) | _lost(association, all_rows)
+    return Scores(sums, largest, {}, values)
+
+
+EXCLUDED = {
+    "n_no_estimate": TruthStatus.NO_ESTIMATE,
+    "n_no_truth": TruthStatus.NO_TRUTH,
+    "n_hole": TruthStatus.HOLE,
+}
+"""The counts of rows that are not scored, and why."""
+
+Named = Iterator[tuple[str, np.ndarray, np.ndarray]]
+
+
+def _sizes(association: Association, scored: Scored) -> Named:
+    """The kinds of errors, their sizes (n,), and the mask of the rows that have one."""
+    every = np.ones(len(scored.index), bool)
+    if scored.nees_3d is None:
+        sizes = (scored.size, *np.abs(scored.errors.T))
+        beside = _outside_plane(association, scored.index)
+        yield from zip(BEARING, sizes, (every, beside, beside), strict=True)
+    else:
+        yield POSITION[0], scored.size, every
+        yield POSITION[1], spatial(scored.errors, scored.size), np.isfinite(scored.errors[:, 2])
+
+
+def _components(association: Association, scored: Scored) -> Named:
+    """The components of errors (n,), and the mask of the rows that have one."""
+    if scored.nees_3d is None:
+        beside = _outside_plane(association, scored.index)
+        yield from zip(BEARING[1:], scored.errors.T, (beside, beside), strict=True)
+    else:
+        for name, errors in zip(("x_m", "y_m", "z_m"), scored.errors.T, strict=True):
+            yield name, errors, np.isfinite(errors)
 
 
 def last_of_every(association: Association, every: float) -> np.ndarray:
@@ -108,7 +153,7 @@ def _positions(association: Association, kept: np.ndarray) -> Scored:
     errors = np.stack([float_column(rows, f"{axis}_m") for axis in "xyz"], axis=1) - association.truth[kept]
     covs = covariances(rows)
     nees, nees_3d = metrics.nees(errors[:, :2], covs[:, :2, :2]), metrics.nees(errors, covs)
-    return Scored(kept, errors, None, nees, nees_3d, *_innovations(association), _lost(association))
+    return Scored(kept, errors, horizontal(errors), nees, nees_3d)
 
 
 def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str, Mapping[str, Station]]) -> Scored:
@@ -116,16 +161,13 @@ def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str,
     true = true_bearings(association, stations)[kept]
     estimate = np.stack([float_column(rows, "azimuth_rad"), float_column(rows, "elevation_rad")], axis=1)
     errors = estimate - true
-    errors[:, 0] = np.pi - (np.pi - errors[:, 0]) % (2 * np.pi)
-    u, v = _directions(estimate), _directions(true)
-    # arctan2 of sine and cosine: the arc cosine alone is zero below 1e-8 rad
-    angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("nd,nd->n", u, v))
+    wrap_azimuths(errors)
     sigmas = np.stack([float_column(rows, "std_azimuth_rad"), float_column(rows, "std_elevation_rad")], axis=1)
     nees = metrics.nees(errors, sigmas[:, :, None] ** 2 * np.eye(2))
-    return Scored(kept, errors, angle[:, None], nees, None, *_innovations(association), _lost(association))
+    return Scored(kept, errors, between_directions(estimate, true), nees, None)
 
 
-def outside_plane(association: Association, index: np.ndarray) -> np.ndarray:
+def _outside_plane(association: Association, index: np.ndarray) -> np.ndarray:
     """Which bearings of the rows `index` (n,) are outside the plane of an array, where azimuths have errors."""
     return ~in_plane(float_column(association.rows.select("azimuth_rad")[index], "azimuth_rad"))
 
@@ -136,34 +178,36 @@ def in_plane(azimuth: np.ndarray) -> np.ndarray:
     return lying
 
 
-def _directions(angles: np.ndarray) -> np.ndarray:
-    azimuth, elevation = angles.T
-    flat = np.cos(elevation)
-    return np.stack([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat], axis=1)
-
-
-def _innovations(association: Association) -> tuple[np.ndarray, np.ndarray, RankSums]:
-    """NIS and its degrees of freedom (n,) of all rows, zero where there is no measurement, and NIS ranks."""
+def _innovations(association: Association, rows: Groups) -> dict[str, np.ndarray]:
+    """The sums of NIS, of its degrees of freedom and of its ranks; rows without a measurement have none."""
     nis, dof = float_column(association.rows, "nis"), float_column(association.rows, "nis_dof")
     known = np.isfinite(nis) & (dof > 0)
     nis, dof = np.where(known, nis, 0.0), np.where(known, dof, 0.0)
-    return nis, dof, rank_sums(float_column(association.rows, "t_s"), nis, dof, association.starts)
+    ranks = rank_sums(float_column(association.rows, "t_s"), nis, dof, association.starts)
+    return {"nis": rows.sum(nis), "dof": rows.sum(dof), **ranks}
 
 
-def _lost(association: Association) -> np.ndarray:
-    """Of each track (g, 4): seconds lost, seconds spanned, rows lost, and how often it was lost.
+def _lost(association: Association, rows: Groups) -> dict[str, np.ndarray]:
+    """Seconds lost, seconds spanned, rows lost, and how often a track was lost.
 
-    A loss ends where the track starts again, or with the rows.
+    The status of a row holds until the next. A loss ends where the track starts again, or with the rows.
     """
-    times, table = float_column(association.rows, "t_s"), np.zeros((len(association.starts) - 1, 4))
+    times = float_column(association.rows, "t_s")
     if "status" not in association.rows.columns:
-        return table
+        none = np.zeros(len(rows.count))
+        return {"lost s": none, "span s": none, "lost rows": none.astype(int), "losses": none.astype(int)}
     status = association.rows["status"].cast(pl.String).fill_null("ok").to_numpy()
-    lost, restarted = status == "lost", status == "restarted"
-    for k, (a, b) in enumerate(pairwise(association.starts)):
-        known = np.isfinite(times[a:b])
-        at, lost_at = times[a:b][known], lost[a:b][known]
-        if len(at):
-            losses = restarted[a:b].sum() + lost_at[-1]
-            table[k] = metrics.time_lost(at, lost_at).seconds, at[-1] - at[0], lost_at.sum(), losses
-    return table
+    lost, known = status == "lost", np.isfinite(times)
+    timed = rows.where(known)
+    at, lost_at, some = times[known], lost[known], timed.count > 0
+    first, last = timed.starts[:-1][some], timed.starts[1:][some] - 1
+    steps = np.diff(at, append=0.0)
+    steps[last] = 0.0
+    span, ended = np.zeros(len(some)), np.zeros(len(some), int)
+    span[some], ended[some] = at[last] - at[first], lost_at[last]
+    return {
+        "lost s": timed.sum(np.where(lost_at, steps, 0.0)),
+        "span s": span,
+        "lost rows": timed.sum(lost_at),
+        "losses": np.where(some, rows.sum(status == "restarted"), 0) + ended,
+    }

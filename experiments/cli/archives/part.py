@@ -9,21 +9,20 @@ from typing import Any
 
 import polars as pl
 
-from experiments.cli.archives import sums
 from experiments.cli.console import ReadingOptions, ready
 from experiments.cli.tracked_by import late_readings
 from experiments.cli.usable import errors_of
 from experiments.jobs.portable_tracker import PortableTracker
 from trackers.catalogue import fitting, split_name
 from trackers.core.errors import UnusableInput, one_line
-from trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
-from trackers.evaluation.evaluate import Evaluation, evaluation_of
+from trackers.evaluation.association import associate_truth, refuse_without_overlap
+from trackers.evaluation.evaluate import Evaluation, ScoredTracks
 from trackers.evaluation.events import EVENTS, events_of
-from trackers.evaluation.scoring import Scored, score
+from trackers.evaluation.residuals import residual_ratios
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.selection import Selection
-from trackers.recordings.tracks_table import TRACKS, is_bearing
+from trackers.recordings.tracks_table import TRACKS
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Outcome:
     """What one tracker found in one recording.
 
     `summary`: plain values: `tracker`, `short`, its name as that of a folder, `recording`, `bearing`, `endings`, how
-    many trajectories ended how, the metrics of the `recording` and of its `tracks`, and their `sums`. `tables`: by
+    many trajectories ended how, the metrics of the `recording` and of its `tracks`, and its `scores`. `tables`: by
     file name.
     """
 
@@ -115,14 +114,14 @@ class Tracking:
                 refuse_without_overlap(association, truths)
             except UnusableInput as problem:
                 notices.append(f"{folder.path}: not evaluated: {problem}")
-        scored = score(association, {folder.name: folder.rig.stations})
-        evaluation = evaluation_of(association, scored).with_residuals(tracks)
+        scored = ScoredTracks.of(association, {folder.name: folder.rig.stations})
         about = {
             "tracker": tracker.name,
             "short": split_name(tracker.name)[1] or tracker.name,
             "endings": tracks.summaries,
         }
-        return outcome_of(about, association, scored, evaluation, {TRACKS: tracks.table, EVENTS: happened}), notices
+        tables = {TRACKS: tracks.table, EVENTS: happened}
+        return outcome_of(about, scored, residual_ratios(tracks), tables), notices
 
 
 @dataclass(frozen=True)
@@ -146,26 +145,21 @@ class Scoring:
             except UnusableInput as problem:
                 found.refused.append(f"{folder.path}: {about['short']}: {problem}")
                 continue
-            scored = score(association, {folder.name: folder.rig.stations}, self.every)
-            evaluation = evaluation_of(association, scored)
-            found.outcomes.append(outcome_of(about, association, scored, evaluation))
+            scored = ScoredTracks.of(association, {folder.name: folder.rig.stations}, self.every)
+            found.outcomes.append(outcome_of(about, scored, {}, {}))
         return found
 
 
 def outcome_of(
-    about: Mapping[str, Any],
-    association: Association,
-    scored: Scored,
-    evaluation: Evaluation,
-    tables: Mapping[str, pl.DataFrame] | None = None,
+    about: Mapping[str, Any], scored: ScoredTracks, ratios: Mapping[str, float], tables: Mapping[str, pl.DataFrame]
 ) -> Outcome:
-    """The outcome of associated and scored estimates; `about`: tracker, short name and endings."""
-    (recording,) = evaluation.recordings
+    """The outcome of the scored tracks of a recording; `about`: tracker, short name and endings; `ratios`: by name."""
+    evaluation, ((name,), scores) = scored.evaluation(ratios), scored.recordings(ratios)
     summary = {key: about[key] for key in ("tracker", "short", "endings")} | {
-        "recording": recording["recording"],
-        "bearing": is_bearing(association.rows),
-        "metrics": recording,
+        "recording": name,
+        "bearing": scored.bearing,
+        "metrics": evaluation.recordings[0],
         "tracks": evaluation.tracks,
-        "sums": sums.plain(sums.sums_of(association, scored)),
+        "scores": scores.condensed().plain(),
     }
-    return Outcome(summary, evaluation, tables or {})
+    return Outcome(summary, evaluation, tables)

@@ -14,10 +14,11 @@ import polars as pl
 from experiments.cli.archives.folders import RESULTS
 from experiments.cli.archives.rows import Rows
 from experiments.cli.archives.store import RecordingStore
-from experiments.cli.archives.sums import Sums, added, from_plain, metrics_of
 from experiments.text.evaluation_text import json_pieces
 from trackers.core.errors import UnusableInput, has_control, one_line
 from trackers.evaluation.evaluate import Evaluation
+from trackers.evaluation.metrics import metric_rows
+from trackers.evaluation.scores import Scores
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks_table import EVALUATION, SOURCES
 
@@ -38,7 +39,7 @@ class Run:
     tracker: str
     short: str
     bearing: bool
-    sums: Sums | None = None
+    scores: Scores | None = None
     recordings: Rows = field(default_factory=Rows)
     tracks: Rows = field(default_factory=Rows)
     paths: dict[str, Path] = field(default_factory=dict)
@@ -47,8 +48,8 @@ class Run:
 
     def add(self, path: Path, folder: Path, summary: Mapping[str, Any]) -> None:
         """Adds a recording at `path`, with its outcome and the folder of its tables."""
-        own, name = from_plain(summary["sums"]), summary["recording"]
-        self.sums = own if self.sums is None else added([self.sums, own])
+        own, name = Scores.from_plain(summary["scores"]), summary["recording"]
+        self.scores = own if self.scores is None else self.scores + own
         self.paths[name], self.folders[name] = path, folder
         self.recordings.append(summary["metrics"])
         for track in summary["tracks"]:
@@ -58,11 +59,10 @@ class Run:
     @property
     def evaluation(self) -> Evaluation:
         """The metrics over all rows, of each recording and of each track, both by name."""
-        assert self.sums is not None
+        assert self.scores is not None
         recordings, tracks = self.recordings.frame.sort("recording"), self.tracks.frame
         keys = [name for name in ("recording", "tag", "station") if name in tracks.columns]
-        overall = metrics_of(self.sums) | {"residual_ratio_5s": recordings["residual_ratio_5s"].max()}
-        return Evaluation(self.bearing, overall, Rows(recordings), Rows(tracks.sort(keys)))
+        return Evaluation(self.bearing, metric_rows(self.scores)[0], Rows(recordings), Rows(tracks.sort(keys)))
 
     def write(self, out: Path) -> Evaluation:
         """Writes the metrics into the folder `out` and returns them."""

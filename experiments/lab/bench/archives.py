@@ -107,8 +107,8 @@ def write_archive(size: int, folder: str) -> Row:
 def deviations(folder: str) -> Row:
     """The largest relative deviations of the metrics of all rows from those of all rows at once, with their names."""
     from experiments.cli.archives.tables import read_results
-    from experiments.monte_carlo.accumulators import BIN_WIDTH
     from trackers.evaluation.evaluate import evaluate
+    from trackers.evaluation.scores import BIN_WIDTH
     from trackers.recordings.folder import read_truth
     from trackers.recordings.tracks_table import EVALUATION, read_tracks
 

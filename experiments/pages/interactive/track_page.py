@@ -5,6 +5,7 @@ The page is put together from text without jinja, which takes as long to import 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
@@ -20,6 +21,7 @@ from experiments.pages.interactive.recording_data import recording_data
 from experiments.pages.scored_tracks import ScoredTracks
 from experiments.text.wording import shown_metric
 from trackers.evaluation.evaluate import Evaluation
+from trackers.evaluation.metrics import METRICS
 from trackers.recordings.atomic import atomic_write
 
 PAGE = "report.html"
@@ -35,8 +37,9 @@ MOST_RECORDINGS = 60
 MOST_LISTED = 40
 """The most tracks in the table: those with the largest errors."""
 
-METRICS = ("n", "rmse_m", "median_m", "p95_m", "max_m", "rmse_3d_m", "rmse_azimuth_rad", "rmse_elevation_rad",
-           "rmse_direction_rad", "p95_direction_rad", "coverage_95", "nees_ratio", "nis_ratio", "lost_s")  # fmt: skip
+SHOWN = {"m": ("m", 1.0, 3), "rad": ("°", 180 / math.pi, 2), "%": ("", 100.0, 0), "s": ("s", 1.0, 1),
+         "rows": ("", 1.0, 0), "": ("", 1.0, 2)}  # fmt: skip
+"""The unit in a column's heading, the factor to it from the stored one, and the digits, by the stored unit."""
 
 
 def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str, kind: str = "track") -> None:
@@ -57,7 +60,7 @@ def track_page(runs: Sequence[Mapping[str, Any]], command: str = "", kind: str =
         "tracker": escape(runs[0]["tracker"]),
         "style": (SHARED / "style.css").read_text(encoding="utf-8") + (HERE / "track.css").read_text(encoding="utf-8"),
         "plotly": plotting_script(),
-        "data": script_json({"runs": runs, "command": command}),
+        "data": script_json({"runs": runs, "command": command, "columns": _columns()}),
         "theme": (SHARED / "theme.js").read_text(encoding="utf-8"),
         "scripts": f'(() => {{\n"use strict";\n{own}\n}})();',
     }
@@ -99,6 +102,17 @@ def run_data(
     }
 
 
+def _columns() -> list[dict[str, Any]]:
+    """The columns of the table of metrics."""
+    found = []
+    for metric in METRICS.values():
+        if metric.page:
+            (unit, factor, digits), words = SHOWN[metric.unit], metric.short.replace("\n/", "/").replace("\n", " ")
+            title = f"{words}, {unit}" if unit else words
+            found.append({"key": metric.name, "title": title, "factor": factor, "digits": digits})
+    return found
+
+
 def _metrics(evaluation: Evaluation) -> list[dict[str, Any]]:
     """The main metrics of each recording and of the tracks with the largest errors, without those that have no data.
 
@@ -109,10 +123,10 @@ def _metrics(evaluation: Evaluation) -> list[dict[str, Any]]:
         return metrics.get("rmse_m") or metrics.get("rmse_direction_rad") or 0.0
 
     def known(metrics: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        for key in METRICS:
-            value = shown_metric(metrics, key)
+        for column in _columns():
+            value = shown_metric(metrics, column["key"])
             if value is not None:
-                yield key, rounded(value)
+                yield column["key"], rounded(value)
 
     worst = sorted(evaluation.tracks, key=size, reverse=True)[:MOST_LISTED]
     return [

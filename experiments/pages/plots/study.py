@@ -15,12 +15,13 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, PercentFormatter
 
-from experiments.monte_carlo.accumulators import KINDS
 from experiments.monte_carlo.declaration import WORLD, Condition, short
 from experiments.monte_carlo.results import Results
 from experiments.pages.plots.style import HEIGHT, INK, LINES, WIDTH, figure_file, literal, plain, svg_address
 from experiments.text.expectations import Value
-from experiments.text.wording import SUFFIXES, Unit, heading, unit_of
+from experiments.text.wording import Unit, heading, unit_of
+from trackers.evaluation.metrics import KIND_WORDS, METRICS
+from trackers.evaluation.scores import KINDS
 
 MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
 """Their counts differ from that of the colours: combinations of the three repeat late, and trackers look different."""
@@ -78,7 +79,7 @@ def metric_chart(
     if not any(v[0] for v in values.values()):
         return None
     limits = {k: v.value * unit.factor for k, v in (bounds or {}).items() if np.isfinite(v.value)}
-    right = expected(metric)
+    right = METRICS[metric].right if metric in METRICS else None
     target = None if right is None else right * unit.factor
     words = heading(metric)
     title = words[0].upper() + words[1:] + (f", {unit.name}" if unit.name else "")
@@ -88,15 +89,6 @@ def metric_chart(
     if len(study.worlds) * len(study.trackers) > LINES_SHOWN:
         return None
     return _along(results, metric, along, values, limits, title, target)
-
-
-def expected(metric: str) -> float | None:
-    """The value of a metric for right covariances; None where it has none."""
-    share = re.fullmatch(r"coverage_(\d+)(_3d)?", metric)
-    if share:
-        return int(share[1]) / 100
-    ratios = ("nees_ratio", "nees_3d_ratio", "nis_ratio")
-    return {"nees_mean": 2.0, "nees_3d_mean": 3.0, **dict.fromkeys(ratios, 1.0)}.get(metric)
 
 
 def _along(
@@ -209,7 +201,7 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
         for number, tracker in enumerate(study.trackers):
             if tracker in curves[condition]:
                 axes.plot(*curves[condition][tracker], **_look(number), label=literal(tracker))
-        error = f"error {SUFFIXES[kinds[condition]]}".strip()
+        error = f"error {KIND_WORDS[kinds[condition]]}".strip()
         axes.set(xlim=(0, ends[condition]), ylim=(0, 1), xlabel=f"{error}, {units[kinds[condition]].name}")
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
         axes.set_title(literal(title))
@@ -230,7 +222,7 @@ def _curves(
     """Errors times `factor` and their distribution function, for each tracker with errors of this kind."""
     found = {}
     for tracker in results.study.trackers:
-        if kind in results.totals[condition.index, tracker].histograms:
+        if kind in results.totals[condition.index, tracker].scores.histograms:
             edges, share = results.cdf(condition.world, tracker, kind, **condition.point)
             found[tracker] = edges * factor, share
     return found
@@ -283,7 +275,7 @@ def _plain_log(axis: Axis) -> None:
 
 def _kind(results: Results, condition: Condition) -> str:
     """The kind of error of the first metric that has one, else the first kind that exists."""
-    there = {k for t in results.study.trackers for k in results.totals[condition.index, t].histograms}
+    there = {k for t in results.study.trackers for k in results.totals[condition.index, t].scores.histograms}
     # The longer suffixes first: `3d_m` ends in `m` too.
     kinds = sorted(there, key=len, reverse=True)
     asked = (k for f in results.study.metrics for k in kinds if f.endswith(f"_{k}"))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from rich.console import RenderableType
 
 from experiments.pages.reports.runs import StudyRun, TrackRun
-from experiments.text.evaluation_text import BEARING_COLUMNS, CONSISTENCY_COLUMNS, POSITION_COLUMNS, Column
+from experiments.text.evaluation_text import COLUMNS, SCALES, title_of
 from experiments.text.expectations import Value
 from experiments.text.tables import compact_table, rendered, terminal_width
 from experiments.text.wording import (
@@ -28,6 +28,7 @@ from experiments.text.wording import (
 )  # fmt: skip
 from trackers.core.errors import UnusableInput, listed
 from trackers.evaluation.comparison import METRICS, Difference, holm, paired_differences
+from trackers.evaluation.metrics import Metric
 
 SHOWN = (
     "rmse_m", "median_m", "p95_m", "rmse_3d_m", "p95_3d_m", "rmse_direction_rad", "nees_mean", "nees_ratio",
@@ -123,14 +124,14 @@ def tables_of_tracks(runs: Sequence[TrackRun], contrasts: Sequence[Contrast]) ->
     shown = names if len(names) == 1 else [*names, ""]
     columns = _columns(runs)
     rows = [
-        [name or ALL, run.name, str(run.metrics[name]["n"]), *_cells(run.metrics[name], columns, unit)]
+        [name or ALL, run.name, *_cells(run.metrics[name], columns, unit)]
         for name in shown
         for run in runs
         if name in run.metrics
     ]
-    spatial = " and 3-D" if any("_3d" in column.metric for column in columns) else ""
+    spatial = " and 3-D" if any("_3d" in column.name for column in columns) else ""
     what = "Bearing errors in degrees" if runs[0].bearing else f"Horizontal{spatial} position errors in {unit.name}"
-    head = ("recording", "run", "n", *(column.title.replace("\n", " ").strip() for column in columns))
+    head = ("recording", "run", *(title_of(column).replace("\n", " ").strip() for column in columns))
     tables = [Table(what, head, 2, rows)]
     if contrasts:
         tables.append(difference_table(runs[0].name, contrasts, unit))
@@ -164,23 +165,22 @@ def _unit(runs: Sequence[TrackRun]) -> Unit:
     return length_unit(min(sizes, default=math.nan))
 
 
-def _columns(runs: Sequence[TrackRun]) -> list[Column]:
+def _columns(runs: Sequence[TrackRun]) -> list[Metric]:
     """The main columns, and the median, with a value in any run."""
-    every = (BEARING_COLUMNS if runs[0].bearing else POSITION_COLUMNS) + CONSISTENCY_COLUMNS
     return [
         column
-        for column in every
-        if (column.rank == 0 or column.metric.startswith("median"))
-        and any(shown_metric(one, column.metric) is not None for run in runs for one in run.metrics.values())
+        for column in COLUMNS
+        if (column.rank == 0 or column.name.startswith("median"))
+        and any(shown_metric(one, column.name) is not None for run in runs for one in run.metrics.values())
     ]
 
 
-def _cells(metrics: dict, columns: Sequence[Column], unit: Unit) -> list[str]:
+def _cells(metrics: dict, columns: Sequence[Metric], unit: Unit) -> list[str]:
     digits = {"m": 3, "cm": 1, "mm": 2}.get(unit.name, 2)
     cells = []
     for column in columns:
-        value, scale = shown_metric(metrics, column.metric), column.scale or unit.factor
-        cells.append(fixed(None if value is None else value * scale, digits if column.scale is None else column.digits))
+        value, (scale, shown) = shown_metric(metrics, column.name), SCALES.get(column.unit, (unit.factor, digits))
+        cells.append(fixed(None if value is None else value * scale, shown))
     return cells
 
 

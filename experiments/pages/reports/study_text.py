@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
 from experiments.monte_carlo.declaration import Study
@@ -89,13 +90,11 @@ def _all_metrics(results: Results) -> list[dict[str, Any]]:
     reference = next(iter(study.trackers))
     for condition in study.conditions:
         for tracker in study.trackers:
-            values = {n: results.at(n, condition, tracker) for n in names if _has(results, n, condition.index, tracker)}
+            values = {n: results.at(n, condition, tracker) for n in names}
             known = {n: v for n, v in values.items() if v.value == v.value}
-            differences = {
-                n: results.compared(_difference, n, condition, tracker, reference)._asdict()
-                for n in known
-                if tracker != reference and _has(results, n, condition.index, reference)
-            }
+            paired = known if tracker != reference else ()
+            compared = {n: results.compared(np.subtract, n, condition, tracker, reference) for n in paired}
+            differences = {n: v._asdict() for n, v in compared.items() if v.value == v.value}
             made.append(
                 {
                     "world": condition.world,
@@ -107,20 +106,6 @@ def _all_metrics(results: Results) -> list[dict[str, Any]]:
                 }
             )
     return made
-
-
-def _difference(a: Any, b: Any) -> Any:
-    return a - b
-
-
-def _has(results: Results, metric: str, condition: int, tracker: str) -> bool:
-    """Whether the tracker has the kind of error that the metric is of."""
-    kept = results.totals[condition, tracker]
-    kinds = ("3d_m", "direction_rad", "azimuth_rad", "elevation_rad", "m")
-    if metric in kept.measures or metric.startswith("bound"):
-        return True
-    kind = next((k for k in kinds if metric.endswith(f"_{k}")), None)
-    return kind is None or kind in kept.histograms
 
 
 def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:

@@ -7,20 +7,10 @@ import pytest
 
 from experiments.monte_carlo import chunk as one_chunk
 from experiments.monte_carlo import errors
-from experiments.monte_carlo.accumulators import (
-    BIN_WIDTH,
-    BINS,
-    COLUMN,
-    KINDS,
-    SUMS,
-    compact,
-    expanded,
-    histograms,
-    quantile,
-)
 from experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
-from experiments.monte_carlo.errors import TrackedRuns, _position_errors, scored
-from experiments.monte_carlo.results import METRICS, ChunkTotals, Results
+from experiments.monte_carlo.compact import compact, expanded
+from experiments.monte_carlo.errors import Masked, TrackedRuns, _position_errors, scored
+from experiments.monte_carlo.results import ChunkTotals, Results
 from experiments.monte_carlo.runner import StopRule, run_missing, run_study
 from experiments.monte_carlo.sources import load_study
 from experiments.pages.reports.study_text import to_json, to_text
@@ -29,6 +19,8 @@ from tests.in_process import trackwright
 from trackers.core.chi_square import chi_square_quantile
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Status
+from trackers.evaluation.metrics import METRICS
+from trackers.evaluation.scores import BIN_WIDTH, BINS, error_sums, quantile
 
 
 def _sha(results):
@@ -63,11 +55,7 @@ def test_metrics_of_accumulators_equal_those_of_all_rows():
     tracked, errors = _normal_tracked(3)
     found = _results_of(scored(tracked), 7)
     flat, solid = (np.linalg.norm(errors[..., :d], axis=-1)[tracked.known] for d in (2, 3))
-    value = {
-        name: found.at(name, SMALL.conditions[0], "kalman").value
-        for name in (*METRICS, "diverged")
-        if "rad" not in name
-    }
+    value = {name: found.at(name, SMALL.conditions[0], "kalman").value for name in METRICS if "rad" not in name}
     for kind, sizes in (("m", flat), ("3d_m", solid)):
         assert value[f"rmse_{kind}"] == pytest.approx(np.sqrt(np.mean(sizes**2)), rel=1e-12)
         assert value[f"mean_{kind}"] == pytest.approx(sizes.mean(), rel=1e-12)
@@ -100,26 +88,27 @@ def test_chunks_are_added_to_the_blocks_of_their_trajectories_in_order():
     rng, runs = np.random.default_rng(8), 1300
     chunks = [rng.lognormal(size=(700, 6)) for _ in range(2)]
     totals = ChunkTotals(runs)
-    sums, largest, histogram = np.zeros((512, len(SUMS))), np.full((512, len(KINDS)), np.nan), np.zeros((512, BINS))
+    sums, largest, histogram = np.zeros((512, 3)), np.full(512, np.nan), np.zeros((512, BINS))
+    names = ("n m", "sum m", "squares m")
     for start, sizes in zip((0, 700), chunks, strict=True):
         kept = _accumulated(sizes, True)
         totals.add(start, kept)
         dense = np.bincount(kept["cells m"], kept["counts m"], 700 * BINS).reshape(700, BINS)
         for k in range(min(700, runs - start)):
             block = (start + k) % 512
-            sums[block] += kept["sums"][k]
-            largest[block] = np.fmax(largest[block], kept["largest"][k])
+            sums[block] += [kept[f"sum {name}"][k] for name in names]
+            largest[block] = np.fmax(largest[block], kept["largest m"][k])
             histogram[block] += dense[k]
-    found = totals.totals()
-    np.testing.assert_array_equal(found.sums, sums)
-    np.testing.assert_array_equal(found.largest, largest)
+    found = totals.totals().scores
+    np.testing.assert_array_equal(np.stack([found[name] for name in names], axis=-1), sums)
+    np.testing.assert_array_equal(found.largest["m"], largest)
     np.testing.assert_array_equal(found.histograms["m"], histogram)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 10, 30, 100, 1000])
 def test_percentiles_of_few_rows_are_within_a_bin_of_those_of_the_values(rows):
     values = np.random.default_rng(rows).lognormal(size=(40, rows))
-    cells, counts = histograms(values, np.ones(values.shape, bool))
+    cells, counts = Masked(np.ones(values.shape, bool)).histograms(values)
     dense = np.bincount(cells, counts, 40 * BINS).reshape(40, BINS)
     for share in (0.5, 0.9, 0.95, 0.99):
         exact = np.quantile(values, share, axis=1)
@@ -136,7 +125,7 @@ def test_histograms_are_stored_in_few_bits_and_equal_ones_once(flat):
         tracked = tracked._replace(estimates=level)
     arrays = scored(tracked)
     stored = compact(arrays)
-    names = [name for name in stored if name not in ("sums", "largest")]
+    names = [name for name in stored if name not in ("columns", "sums")]
     assert names == (["histograms m 3d_m"] if flat else ["histograms m", "histograms 3d_m"])
     assert {stored[name].dtype for name in names} == {np.dtype(np.uint16)}
     for found in (expanded(stored), expanded(arrays)):
@@ -147,7 +136,7 @@ def test_histograms_are_stored_in_few_bits_and_equal_ones_once(flat):
 
 def test_errors_of_known_heights_are_those_of_three_dimensions_to_the_bit():
     _, errors = _normal_tracked(6)
-    counts, flat = np.ones(errors.shape[:2], bool), errors * [1.0, 1.0, 0.0]
+    counts, flat = Masked(np.ones(errors.shape[:2], bool)), errors * [1.0, 1.0, 0.0]
     (kinds, size, _), (_, spatial, _) = (
         _position_errors(flat, counts)[0],
         _position_errors(errors * [1, 1, 1e-200], counts)[1],
@@ -158,13 +147,12 @@ def test_errors_of_known_heights_are_those_of_three_dimensions_to_the_bit():
 
 def _accumulated(sizes, histogram):
     """Accumulators of errors (n, T)."""
-    sums, largest = np.zeros((len(sizes), len(SUMS))), np.full((len(sizes), len(KINDS)), np.nan)
-    for what, values in (("n", np.ones_like(sizes)), ("sum", sizes), ("squares", sizes**2)):
-        sums[:, COLUMN[f"{what} m"]] = values.sum(axis=1)
-    largest[:, 0] = sizes.max(axis=1)
-    kept = {"sums": sums, "largest": largest}
+    rows = Masked(np.ones(sizes.shape, bool))
+    sums, largest = error_sums("m", sizes, rows)
+    kept = {f"sum {name}": x.astype(float) for name, x in sums.items()}
+    kept |= {"sum n": kept["sum n m"], "largest m": largest["m"]}
     if histogram:
-        kept["cells m"], kept["counts m"] = histograms(sizes, np.ones(sizes.shape, bool))
+        kept["cells m"], kept["counts m"] = rows.histograms(sizes)
     return kept
 
 

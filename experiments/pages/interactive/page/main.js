@@ -245,29 +245,23 @@ function select(number) {
 
 function fillMetrics() {
   const table = byId("metrics"), labels = ["recording", "tag", "station", "tracker"], metrics = metricsOfRuns();
-  const names = { n: "n", rmse_m: "RMSE, m", median_m: "median, m", p95_m: "p95, m", max_m: "max, m", rmse_3d_m: "3-D RMSE, m",
-                  rmse_azimuth_rad: "azimuth RMSE, °", rmse_elevation_rad: "elevation RMSE, °", rmse_direction_rad: "angle RMSE, °",
-                  p95_direction_rad: "angle p95, °", coverage_95: "% in 95 %",
-                  nees_ratio: "NEES/dof", nis_ratio: "NIS/dof", lost_s: "lost, s" };
-  const factor = (key) => key.endsWith("_rad") ? 180 / Math.PI : key === "coverage_95" ? 100 : 1;
-  const digits = (key) => key.endsWith("_m") ? 3 : { n: 0, coverage_95: 0, lost_s: 1 }[key] ?? 2;
-  const used = [...labels, ...Object.keys(names)].filter((key) => metrics.some((one) => one[key] !== undefined));
+  const columns = [...labels.map((key) => ({ key, title: key })), ...data.columns].filter(({ key }) => metrics.some((one) => one[key] !== undefined));
   byId("metrics-section").style.display = metrics.length ? "" : "none";
   const head = table.createTHead().insertRow();
-  for (const key of used) {
+  for (const { title } of columns) {
     const cell = document.createElement("th");
-    cell.textContent = labels.includes(key) ? key : names[key];
+    cell.textContent = title;
     head.append(cell);
   }
   const body = table.createTBody();
   for (const one of metrics) {
     const line = body.insertRow();
     line.className = one.tag === undefined ? "whole" : "";
-    for (const key of used) {
-      const cell = line.insertCell(), value = one[key];
-      cell.className = labels.includes(key) ? "name" : "";
-      cell.dataset.label = labels.includes(key) ? key : names[key];
-      cell.textContent = labels.includes(key) ? value ?? "" : value === undefined ? "–" : fixed(value * factor(key), Math.abs(value * factor(key)) < 1e4 ? digits(key) : 0);
+    for (const { key, title, factor, digits } of columns) {
+      const cell = line.insertCell(), value = one[key], size = value * factor;
+      cell.className = factor === undefined ? "name" : "";
+      cell.dataset.label = title;
+      cell.textContent = factor === undefined ? value ?? "" : value === undefined ? "–" : fixed(size, Math.abs(size) < 1e4 ? digits : 0);
     }
     line.addEventListener("click", () => chooseMetrics(one));
   }

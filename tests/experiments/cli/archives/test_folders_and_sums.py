@@ -14,15 +14,15 @@ import pytest
 
 from experiments.cli.archives.folders import MANY, archive_of, recordings_under
 from experiments.cli.archives.rows import BLOCK, Rows
-from experiments.cli.archives.sums import added, from_plain, metrics_of, plain, sums_of
 from experiments.text.evaluation_text import content, json_pieces, to_json
 from sim import worlds
 from tests.experiments.cli.archives.small_archive import recording
 from trackers.catalogue import build
 from trackers.core.errors import UnusableInput
 from trackers.evaluation.association import associate_truth
-from trackers.evaluation.evaluate import Evaluation, evaluate
-from trackers.evaluation.scoring import score
+from trackers.evaluation.evaluate import Evaluation, ScoredTracks, evaluate
+from trackers.evaluation.metrics import metric_rows
+from trackers.evaluation.scores import Scores
 from trackers.recordings.atomic import json_text
 
 PERCENTILES = ("median", "p90", "p95", "p99", "sigma_factor")
@@ -97,6 +97,11 @@ def _bearings(folder, rng):
     return pl.concat(tables)
 
 
+def _scores(association, stations):
+    """What an archive keeps of the scores of a recording."""
+    return ScoredTracks.of(association, stations).recordings({})[1].condensed()
+
+
 @pytest.mark.parametrize(("bearing", "rows"), [(False, 400), (False, 800), (False, 4), (True, 200)])
 def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
     if bearing:
@@ -109,8 +114,9 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
     parts = []
     for folder, table in zip(folders, tables, strict=True):
         association = associate_truth(table, {folder.name: folder.tables["truth"]})
-        parts.append(sums_of(association, score(association, {folder.name: folder.rig.stations})))
-    found = metrics_of(added([from_plain(plain(part)) for part in parts]))
+        parts.append(_scores(association, {folder.name: folder.rig.stations}))
+    kept = [Scores.from_plain(json.loads(json_text(part.plain()))) for part in parts]
+    (found,) = metric_rows(kept[0] + kept[1] + kept[2])
     expected = evaluate(pl.concat(tables), folders).overall
     assert list(found) == list(expected)
     for name, value in expected.items():
@@ -122,7 +128,7 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
 def test_metrics_without_a_scored_row_have_no_value():
     folder = recording("r", 0)
     association = associate_truth(build("fix-kf", folder).run(folder).table, {})
-    found = metrics_of(sums_of(association, score(association)))
+    (found,) = metric_rows(_scores(association, {}))
     assert (found["n"], found["n_no_truth"]) == (0, 40)
     assert {found[name] for name in ("rmse_m", "p95_m", "max_m", "bias_x_m", "coverage_95", "sigma_factor")} == {None}
     assert found["nis_ratio"] > 0

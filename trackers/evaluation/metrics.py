@@ -1,0 +1,204 @@
+"""The error metrics: each is one entry, a formula of `Scores`, and appears wherever metrics are written or shown.
+
+Names are those of `--fail-if`, of evaluation.json and of the metrics of a study, in metres and radians, horizontal
+unless the name has `3d`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trackers.core.chi_square import chi_square_quantile
+from trackers.evaluation.rank_correlation import LAGS_S, correlation, inflation
+from trackers.evaluation.scores import LEVELS, Scores
+
+Formula = Callable[[Scores], np.ndarray]
+
+
+class Metric(NamedTuple):
+    """A metric: its name, what it is in words, its unit, and its formula (g,) of the scores of g groups.
+
+    `unit`: m, m², rad, s, rows, % of a share, or none. `short`: the heading of its column in tables, in up to two
+    lines; without one, files alone have it. `rank`: of a table too wide for the terminal, the columns of the highest
+    rank are left out first. `page`: whether the page of `track` has it. `right`: its value for right covariances.
+    """
+
+    name: str
+    words: str
+    unit: str
+    formula: Formula
+    short: str = ""
+    rank: int = 0
+    page: bool = False
+    right: float | None = None
+
+
+KIND_WORDS = {
+    "m": "",
+    "3d_m": "in 3-D",
+    "direction_rad": "of direction",
+    "azimuth_rad": "of azimuth",
+    "elevation_rad": "of elevation",
+}
+"""The kinds of errors as they follow the words of a statistic."""
+
+SHORT = {"m": "", "3d_m": "3-D\n", "direction_rad": "angle\n", "azimuth_rad": "az\n", "elevation_rad": "el\n"}
+SHOWN = {
+    "m": {"rmse": (0, True), "median": (2, True), "p90": (3, False), "p95": (0, True), "p99": (3, False),
+          "max": (0, True)},
+    "3d_m": {"rmse": (0, True), "p95": (3, False)},
+    "direction_rad": {"rmse": (1, True), "median": (2, False), "p95": (0, True)},
+    "azimuth_rad": {"rmse": (0, True), "bias": (3, False)},
+    "elevation_rad": {"rmse": (0, True), "bias": (3, False)},
+}  # fmt: skip
+"""Rank and page of the statistics of each kind that have a column."""
+
+TITLES = {"rmse": "RMSE"}
+
+
+def _ratio(numerator: str, denominator: str) -> Formula:
+    return lambda s: s[numerator] / s[denominator]
+
+
+def _quantile(kind: str, share: float) -> Formula:
+    return lambda s: s.quantile(kind, share)
+
+
+def _of_kind(kind: str) -> Iterator[Metric]:
+    """The statistics of the sizes of errors of a kind."""
+    statistics: tuple[tuple[str, str, Formula], ...] = (
+        ("rmse", "RMSE", lambda s: np.sqrt(s[f"squares {kind}"] / s[f"n {kind}"])),
+        ("mean", "mean error", _ratio(f"sum {kind}", f"n {kind}")),
+        ("median", "median error", _quantile(kind, 0.5)),
+        ("p90", "90th percentile", _quantile(kind, 0.9)),
+        ("p95", "95th percentile", _quantile(kind, 0.95)),
+        ("p99", "99th percentile", _quantile(kind, 0.99)),
+        ("max", "largest error", lambda s: s.largest[kind]),
+    )
+    for name, words, formula in statistics:
+        yield _shown(kind, name, Metric(f"{name}_{kind}", f"{words} {KIND_WORDS[kind]}".strip(), _unit(kind), formula))
+
+
+def _bias(component: str, kind: str) -> Metric:
+    """The mean error of a component, of the rows with errors of a kind."""
+    words = f"bias {KIND_WORDS.get(component, f'in {component[0]}')}"
+    formula = _ratio(f"bias {component}", f"n {kind}")
+    return _shown(component, "bias", Metric(f"bias_{component}", words, _unit(component), formula))
+
+
+def _shown(kind: str, name: str, metric: Metric) -> Metric:
+    if name not in SHOWN.get(kind, {}):
+        return metric
+    rank, page = SHOWN[kind][name]
+    return metric._replace(short=SHORT[kind] + TITLES.get(name, name), rank=rank, page=page)
+
+
+def _unit(kind: str) -> str:
+    return kind.rpartition("_")[2]
+
+
+def _consistency(name: str, dof: int) -> Iterator[Metric]:
+    """The metrics of NEES: `nees`, with columns in tables, or `nees_3d`."""
+    flat, suffix = name == "nees", name.removeprefix("nees")
+    shape, space = ("ellipse", "") if flat else ("ellipsoid", " in 3-D")
+    columns = {50: ("% in\n50 %", 1), 90: ("\n90 %", 1), 95: ("% in\n95 %", 0), 99: ("\n99 %", 1)} if flat else {}
+    for p in LEVELS:
+        short, rank = columns.get(p, ("", 0))
+        formula = _ratio(f"inside {p} {name}", f"n {name}")
+        words = f"inside the {p} % {shape}"
+        yield Metric(f"coverage_{p}{suffix}", words, "%", formula, short, rank, flat and p == 95, p / 100)
+    mean = _ratio(f"sum {name}", f"n {name}")
+    yield Metric(f"{name}_mean", f"NEES{space}, {dof} expected", "", mean, right=float(dof))
+    ratio, short = f"NEES per degree of freedom{space}, 1 expected", "NEES\n/dof" if flat else ""
+    yield Metric(f"{name}_ratio", ratio, "", lambda s: mean(s) / dof, short, 0, flat, 1.0)
+    small = f"reported standard deviations too small{space} by a factor of"
+    middle = chi_square_quantile(0.5, dof)
+    # Above 1 the 50 % ellipse holds less than half of the truth.
+    yield Metric(f"sigma_factor{suffix}", small, "", lambda s: np.sqrt(s.quantile(name, 0.5) / middle))
+
+
+def _correlation(lag: str) -> Metric:
+    seconds = f"{LAGS_S[lag]:g} s"
+
+    def formula(s: Scores) -> np.ndarray:
+        return correlation(*(s[f"{what} {lag}"] for what in ("product", "first", "second", "pairs")))
+
+    words = f"autocorrelation of NIS over {seconds}"
+    return Metric(f"nis_correlation_{lag}", words, "", formula, f"NIS r\n{seconds}", int(lag != "1s"))
+
+
+def _lost_fraction(s: Scores) -> np.ndarray:
+    rows = s["lost rows"] / s["n_rows"]
+    return np.where(s["span s"] > 0, s["lost s"] / s["span s"], rows) if "span s" in s.sums else rows
+
+
+def _variance(s: Scores) -> np.ndarray:
+    return s["squares m"] / s["n m"] - (s["sum m"] / s["n m"]) ** 2
+
+
+METRICS = {
+    metric.name: metric
+    for metric in (
+        Metric("n", "scored rows", "rows", lambda s: s["n"], "n", 0, True),
+        Metric("n_rows", "rows", "rows", lambda s: s["n_rows"]),
+        Metric("n_no_estimate", "rows without an estimate", "rows", lambda s: s["n_no_estimate"]),
+        Metric("n_no_truth", "rows outside the truth", "rows", lambda s: s["n_no_truth"]),
+        Metric("n_hole", "rows in gaps of the truth", "rows", lambda s: s["n_hole"]),
+        *_of_kind("m"),
+        Metric("variance_m2", "variance of the error", "m²", _variance),
+        *_of_kind("3d_m"),
+        _bias("x_m", "m"),
+        _bias("y_m", "m"),
+        _bias("z_m", "3d_m"),
+        *_of_kind("azimuth_rad"),
+        _bias("azimuth_rad", "azimuth_rad"),
+        *_of_kind("elevation_rad"),
+        _bias("elevation_rad", "elevation_rad"),
+        *_of_kind("direction_rad"),
+        *_consistency("nees", 2),
+        *_consistency("nees_3d", 3),
+        Metric(
+            "nis_ratio", "NIS per degree of freedom, 1 expected", "", _ratio("nis", "dof"), "NIS\n/dof", 2, True, 1.0
+        ),
+        *map(_correlation, LAGS_S),
+        Metric(
+            "nis_inflation_1s",
+            "rows of 1 s with the information of one",
+            "",
+            lambda s: inflation(s["window sums"], s["window squares"], s["window rows"]),
+        ),
+        Metric(
+            "residual_ratio_5s",
+            "residuals' 5 s means, relative to most residuals",
+            "",
+            lambda s: s.largest["residual_ratio_5s"],
+        ),
+        Metric("lost_s", "time lost", "s", lambda s: s["lost s"], "lost", 0, True),
+        Metric("lost_fraction", "rows lost", "%", _lost_fraction),
+        Metric("losses", "times lost", "", lambda s: s["losses"]),
+        Metric("diverged", "trajectories lost at least once", "%", _ratio("diverged", "trajectories")),
+        Metric("failed", "trajectories without a usable estimate", "%", _ratio("failed", "trajectories")),
+    )
+}
+"""All metrics by name, in the order of files and tables."""
+
+
+def metrics(scores: Scores) -> dict[str, np.ndarray]:
+    """The metrics (g,) of g groups: those whose sums the scores have; NaN where there are no data."""
+    found = {}
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for name, metric in METRICS.items():
+            try:
+                found[name] = metric.formula(scores)
+            except KeyError:  # of other estimates, or of sums that are not taken
+                continue
+    return found
+
+
+def metric_rows(scores: Scores) -> list[dict[str, Any]]:
+    """The metrics of each group by name, None where there are no data."""
+    columns = {name: [None if x != x else x for x in values.tolist()] for name, values in metrics(scores).items()}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
