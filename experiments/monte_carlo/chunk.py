@@ -24,7 +24,7 @@ from trackers.recordings.trajectories import Trajectories
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
-    """The accumulators and measures of the trajectories with these ids, one dictionary per tracker.
+    """The sums, histograms and measures of the trajectories with these ids, one dictionary per tracker.
 
     `first`: whether this is a condition's first chunk, which also gives bounds and computing times. Raises
     UnusableInput where world, trackers and values do not fit each other.

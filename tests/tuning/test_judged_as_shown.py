@@ -49,7 +49,7 @@ def _shown(tracker, folder):
     """RMSE, negative log density and NEES shape, in NumPy from the table of estimates and the table of truth."""
     association = associate(tracker.run(folder), folder)
     scored = score(association, {folder.name: folder.rig.stations})
-    if scored.angle is not None:
+    if scored.nees_3d is None:
         return {"rmse": np.sqrt(np.mean(np.sum(scored.errors**2, axis=1)))}
     errors, P = scored.errors, covariances(association.rows[scored.index])
     nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(P), errors)

@@ -128,16 +128,6 @@ def covered(values: Float[np.ndarray, " N"], dof: int, level: float = 0.95) -> f
     return _mean(known <= chi_square_quantile(level, dof))
 
 
-def sigma_factor(values: Float[np.ndarray, " N"], dof: int) -> float:
-    """The factor on the reported standard deviations with which the 50 % ellipse holds half of the truth.
-
-    √(median NEES / median of chi-square): above 1 the reported ones are too small. NaN is left out, and returned if no
-    value is left.
-    """
-    known = values[np.isfinite(values)]
-    return math.sqrt(float(np.median(known)) / chi_square_quantile(0.5, dof)) if len(known) else math.nan
-
-
 def time_lost(times: Float[np.ndarray, " N"], lost: Bool[np.ndarray, " N"]) -> TimeLost:
     """The time during which a track was lost; a row's status holds until the next row.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -43,18 +43,6 @@ class Association(NamedTuple):
         starts = self.starts[tracks[0] : tracks[-1] + 2] - begin if len(tracks) else np.zeros(1, int)
         part = slice(begin, stop)
         return Association(self.rows[part], self.truth[part], self.truth_status[part], starts)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Association]) -> Association:
-        """The association of all recordings from those of each, in the order of their names."""
-        before = np.cumsum([0, *(len(part.rows) for part in parts)])
-        starts = [part.starts[:-1] + first for part, first in zip(parts, before, strict=False)]
-        return cls(
-            pl.concat([part.rows for part in parts]),
-            np.concatenate([part.truth for part in parts]),
-            np.concatenate([part.truth_status for part in parts]),
-            np.concatenate([*starts, before[-1:]]),
-        )
 
 
 def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> Association:

@@ -98,7 +98,7 @@ def evaluate(
             executor.submit(_scored_recording, by_name[name,], _of(name, truths), _of(name, stations), every)
             for name in sorted(str(name) for (name,) in by_name)
         ]
-        tracks = ScoredTracks.joined([part.result() for part in parts])
+        tracks = TrackScores.joined([part.result() for part in parts])
         if not tracks.scores["n"].any():
             refuse_without_overlap(associate_truth(estimates, truths), truths)
         return tracks.evaluation()
@@ -109,7 +109,7 @@ def evaluate(
     return evaluate_association(association, stations, every, ratios)
 
 
-class ScoredTracks(NamedTuple):
+class TrackScores(NamedTuple):
     """The scores of tracks: the `keys` that identify each, and whether they are bearings."""
 
     keys: Sequence[Mapping[str, str]]
@@ -119,14 +119,14 @@ class ScoredTracks(NamedTuple):
     @classmethod
     def of(
         cls, association: Association, stations: Mapping[str, Mapping[str, Station]] | None, every: float | None = None
-    ) -> ScoredTracks:
+    ) -> TrackScores:
         """The tracks of associated estimates; `stations`, `every` as in `evaluate_table`."""
         rows = association.rows
         keys = rows.select(track_keys(rows))[association.starts[:-1]].to_dicts()
         return cls(keys, is_bearing(rows), scores_of_tracks(association, score(association, stations, every)))
 
     @classmethod
-    def joined(cls, parts: Sequence[ScoredTracks]) -> ScoredTracks:
+    def joined(cls, parts: Sequence[TrackScores]) -> TrackScores:
         """The tracks of all parts."""
         keys = [key for part in parts for key in part.keys]
         return cls(keys, parts[0].bearing, Scores.joined([part.scores for part in parts]))
@@ -159,9 +159,9 @@ def _scored_recording(
     truths: Mapping[str, pl.DataFrame],
     stations: Mapping[str, Mapping[str, Station]],
     every: float | None,
-) -> ScoredTracks:
+) -> TrackScores:
     """The scores of the estimates of one recording."""
-    return ScoredTracks.of(associate_truth(rows, truths), stations, every)
+    return TrackScores.of(associate_truth(rows, truths), stations, every)
 
 
 def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> Association:
@@ -249,7 +249,7 @@ def evaluate_association(
 
     `ratios`: by recording, those of `residual_ratios`.
     """
-    return ScoredTracks.of(association, stations, every).evaluation(ratios)
+    return TrackScores.of(association, stations, every).evaluation(ratios)
 
 
 def metric_names(tracks: pl.DataFrame) -> list[str]:

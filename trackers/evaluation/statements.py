@@ -48,7 +48,7 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     """Sentences on the metrics of all rows, and on the recordings whose covariances do not hold; losses come first.
 
     Covariances hold with a share of `COVERAGE` in the 95 % ellipse and NEES per degree of freedom within `RATIO`. The
-    factor by which they are too small is `trackers.core.metrics.sigma_factor`. Nothing without a covariance.
+    factor by which they are too small is the metric `sigma_factor`. Nothing without a covariance.
     """
     losses = _losses(overall)
     if overall["coverage_95"] is None:

@@ -16,7 +16,7 @@ from experiments.jobs.portable_tracker import PortableTracker
 from trackers.catalogue import fitting, split_name
 from trackers.core.errors import UnusableInput, one_line
 from trackers.evaluation.association import associate_truth, refuse_without_overlap
-from trackers.evaluation.evaluate import Evaluation, ScoredTracks
+from trackers.evaluation.evaluate import Evaluation, TrackScores
 from trackers.evaluation.events import EVENTS, events_of
 from trackers.evaluation.residuals import residual_ratios
 from trackers.recordings.calibration import Calibration
@@ -114,7 +114,7 @@ class Tracking:
                 refuse_without_overlap(association, truths)
             except UnusableInput as problem:
                 notices.append(f"{folder.path}: not evaluated: {problem}")
-        scored = ScoredTracks.of(association, {folder.name: folder.rig.stations})
+        scored = TrackScores.of(association, {folder.name: folder.rig.stations})
         about = {
             "tracker": tracker.name,
             "short": split_name(tracker.name)[1] or tracker.name,
@@ -145,13 +145,13 @@ class Scoring:
             except UnusableInput as problem:
                 found.refused.append(f"{folder.path}: {about['short']}: {problem}")
                 continue
-            scored = ScoredTracks.of(association, {folder.name: folder.rig.stations}, self.every)
+            scored = TrackScores.of(association, {folder.name: folder.rig.stations}, self.every)
             found.outcomes.append(outcome_of(about, scored, {}, {}))
         return found
 
 
 def outcome_of(
-    about: Mapping[str, Any], scored: ScoredTracks, ratios: Mapping[str, float], tables: Mapping[str, pl.DataFrame]
+    about: Mapping[str, Any], scored: TrackScores, ratios: Mapping[str, float], tables: Mapping[str, pl.DataFrame]
 ) -> Outcome:
     """The outcome of the scored tracks of a recording; `about`: tracker, short name and endings; `ratios`: by name."""
     evaluation, ((name,), scores) = scored.evaluation(ratios), scored.recordings(ratios)

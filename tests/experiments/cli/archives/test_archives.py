@@ -186,7 +186,7 @@ def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch
             del one["residual_ratio_5s"]
     assert again == tracked
     with monkeypatch.context() as patched:
-        patched.setattr(part, "score", None)
+        patched.setattr(part, "TrackScores", None)
         refused = trackwright("evaluate", out, "--every", 2, "--fail-if", "rmse > 10")
     assert_refused(refused, "no metric 'rmse' (did you mean rmse_m?)")
     failed = trackwright("evaluate", out, "--every", 1, "--fail-if", "rmse_m > 0.001")

@@ -20,7 +20,7 @@ from tests.experiments.cli.archives.small_archive import recording
 from trackers.catalogue import build
 from trackers.core.errors import UnusableInput
 from trackers.evaluation.association import associate_truth
-from trackers.evaluation.evaluate import Evaluation, ScoredTracks, evaluate
+from trackers.evaluation.evaluate import Evaluation, TrackScores, evaluate
 from trackers.evaluation.metrics import metric_rows
 from trackers.evaluation.scores import Scores
 from trackers.recordings.atomic import json_text
@@ -99,7 +99,7 @@ def _bearings(folder, rng):
 
 def _scores(association, stations):
     """What an archive keeps of the scores of a recording."""
-    return ScoredTracks.of(association, stations).recordings({})[1].condensed()
+    return TrackScores.of(association, stations).recordings({})[1].condensed()
 
 
 @pytest.mark.parametrize(("bearing", "rows"), [(False, 400), (False, 800), (False, 4), (True, 200)])
