@@ -246,14 +246,14 @@ class Estimates:
         """
         last, merged = self.per_time()
         assert merged.times is not None
-        names = np.array(numbered_names(self.names))[:, None] if last.ndim == 2 else np.array(self.names[0])
+        number = np.broadcast_to(np.arange(len(last))[:, None] if last.ndim == 2 else 0, last.shape)[last]
         columns = {name: np.asarray(x, float) for name, x in state_columns(merged).items()}
         state = {name: np.where(merged.usable, x, np.nan) for name, x in columns.items()}
         return pl.DataFrame(
-            {"recording": np.broadcast_to(names, last.shape)[last], "t_s": merged.times}
+            {"recording": pl.Series(numbered_names(self.names)).gather(number), "t_s": merged.times}
             | {name: pl.Series(x, nan_to_null=True) for name, x in state.items()}
             | {name: getattr(merged, name) for name in STEP_COLUMNS}
-            | {"status": [STATUS_WORDS[Status(s)] for s in merged.status]}
+            | {"status": pl.Series([STATUS_WORDS.get(s) for s in Status]).gather(merged.status)}
         )
 
     def to_pandas(self) -> Any:
@@ -281,7 +281,8 @@ class Estimates:
 
 def numbered_names(names: Sequence[str]) -> list[str]:
     """The names, those that occur again with their number among all: `a`, `b`, `a` become `a`, `b`, `a 3`."""
-    return [f"{name} {k + 1}" if name in names[:k] else name for k, name in enumerate(names)]
+    first = {name: k for k, name in reversed([*enumerate(names)])}
+    return [name if first[name] == k else f"{name} {k + 1}" for k, name in enumerate(names)]
 
 
 def state_columns(estimates: Estimates) -> dict[str, Num[np.ndarray, "*rows"]]:

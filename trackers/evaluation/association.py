@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -44,6 +44,18 @@ class Association(NamedTuple):
         part = slice(begin, stop)
         return Association(self.rows[part], self.truth[part], self.truth_status[part], starts)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Association]) -> Association:
+        """The association of all recordings from those of each, in the order of their names."""
+        before = np.cumsum([0, *(len(part.rows) for part in parts)])
+        starts = [part.starts[:-1] + first for part, first in zip(parts, before, strict=False)]
+        return cls(
+            pl.concat([part.rows for part in parts]),
+            np.concatenate([part.truth for part in parts]),
+            np.concatenate([part.truth_status for part in parts]),
+            np.concatenate([*starts, before[-1:]]),
+        )
+
 
 def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> Association:
     """The estimates with the truth linearly interpolated at their `t_s`.
@@ -51,21 +63,10 @@ def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) ->
     There is no truth outside its span, nor in holes longer than `HOLE_S` over which the tag moved more than `HOLE_M`.
     `truths`: by recording, a table of t_s, tag, x_m, y_m and optionally z_m. Raises UnusableInput for missing columns.
     """
-    values = ["azimuth_rad", "elevation_rad"] if is_bearing(tracks) else ["x_m", "y_m"]
-    keys = track_keys(tracks)
-    require_columns(tracks, [*keys, "t_s", *values], "the tracks")
-    rows = tracks.with_columns(pl.col(keys).cast(pl.String)).sort([*keys, "t_s"], maintain_order=True)
-    times = float_column(rows, "t_s")
-    usable = np.isfinite(times)
-    for name in values:
-        usable &= np.isfinite(float_column(rows, name))
-    if "status" in rows.columns:
-        usable &= ~rows["status"].is_in(NO_ESTIMATE).fill_null(False).to_numpy()
-
+    rows, usable, starts = _sorted(tracks)
     paths = {name: TruePaths.of_table(frame, name) for name, frame in truths.items()}
-    truth = np.full((len(rows), 3), np.nan)
-    status = np.where(usable, TruthStatus.NO_TRUTH, TruthStatus.NO_ESTIMATE).astype(np.uint8)
-    starts = run_starts(rows, keys)
+    truth, status = _without_truth(usable)
+    times = float_column(rows, "t_s")
     recordings, tags = (rows[name].gather(starts[:-1]).to_list() for name in ("recording", "tag"))
     first = [k for k, name in enumerate(recordings) if k == 0 or name != recordings[k - 1]]
     for k, end in pairwise([*first, len(recordings)]):
@@ -76,6 +77,36 @@ def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) ->
             kept = np.searchsorted(part, starts[k : end + 1])
             truth[part], status[part] = path.at(tags[k:end], kept, times[part])
     return Association(rows, truth, status, starts)
+
+
+def associate_paths(tracks: pl.DataFrame, paths: TruePaths) -> Association:
+    """As `associate_truth`, of recordings of one tag each, after which the true paths are named."""
+    rows, usable, starts = _sorted(tracks)
+    truth, status = _without_truth(usable)
+    part = np.flatnonzero(usable)
+    names, times = rows["recording"].gather(starts[:-1]).to_list(), float_column(rows, "t_s")
+    truth[part], status[part] = paths.at(names, np.searchsorted(part, starts), times[part])
+    return Association(rows, truth, status, starts)
+
+
+def _sorted(tracks: pl.DataFrame) -> tuple[pl.DataFrame, np.ndarray, np.ndarray]:
+    """The rows sorted by track and time, the mask of those with an estimate, and the first row of each track."""
+    values = ["azimuth_rad", "elevation_rad"] if is_bearing(tracks) else ["x_m", "y_m"]
+    keys = track_keys(tracks)
+    require_columns(tracks, [*keys, "t_s", *values], "the tracks")
+    rows = tracks.with_columns(pl.col(keys).cast(pl.String)).sort([*keys, "t_s"], maintain_order=True)
+    usable = np.isfinite(float_column(rows, "t_s"))
+    for name in values:
+        usable &= np.isfinite(float_column(rows, name))
+    if "status" in rows.columns:
+        usable &= ~rows["status"].is_in(NO_ESTIMATE).fill_null(False).to_numpy()
+    return rows, usable, run_starts(rows, keys)
+
+
+def _without_truth(usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Truth (n, 3) and its status (n,) of rows before any is found."""
+    status = np.where(usable, TruthStatus.NO_TRUTH, TruthStatus.NO_ESTIMATE).astype(np.uint8)
+    return np.full((len(usable), 3), np.nan), status
 
 
 def true_bearings(association: Association, stations: Mapping[str, Mapping[str, Station]]) -> np.ndarray:

@@ -20,7 +20,7 @@ from trackers.core.frames import evaluation_html, evaluation_text
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
 from trackers.core.wording import counted
-from trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
+from trackers.evaluation.association import Association, associate_paths, associate_truth, refuse_without_overlap
 from trackers.evaluation.metrics import metric_rows
 from trackers.evaluation.residuals import residual_ratios
 from trackers.evaluation.scores import Scores
@@ -30,6 +30,7 @@ from trackers.recordings.columns import require_columns
 from trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.tracks_table import is_bearing, track_keys
+from trackers.recordings.truth import TruePaths
 
 T = TypeVar("T")
 OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
@@ -169,11 +170,15 @@ def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMor
 
     Arguments as of `evaluate`. Raises UnusableInput if no recording has a truth.
     """
-    truths = _required_truths(recordings)
+    several = _several(recordings)
     if isinstance(estimates, Estimates):
-        _refuse_other_places(estimates.names, [recording.name for recording in _several(recordings)])
-        # an array recording has one trajectory, so its name identifies it
-        return associate_truth(estimates.to_polars().with_columns(tag=pl.lit("")), truths)
+        _refuse_other_places(estimates.names, [recording.name for recording in several])
+        table = estimates.to_polars().with_columns(tag=pl.lit(""))
+        arrays = [one for one in several if isinstance(one, Recording)]
+        if len(arrays) == len(several) and any("position" in one.truth for one in arrays):
+            return associate_paths(table, _true_paths(arrays))
+        return associate_truth(table, _required_truths(recordings))
+    truths = _required_truths(recordings)
     return associate_truth(estimates.to_polars() if isinstance(estimates, Tracks) else estimates, truths)
 
 
@@ -212,6 +217,22 @@ def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
         elif "position" in recording.truth:
             truths[name] = _true_positions(recording)
     return truths
+
+
+def _true_paths(recordings: Sequence[Recording]) -> TruePaths:
+    """The true paths of recordings in arrays, each of one trajectory, which its name identifies."""
+    names, times, positions = [], [], []
+    for name, recording in zip(numbered_names([one.name for one in recordings]), recordings, strict=True):
+        if "position" in recording.truth:
+            values, known = recording.truth["position"]
+            # Of rows of one time the first counts, as in a table.
+            first = np.diff(recording.times[known], prepend=-np.inf) > 0
+            path = np.full((int(first.sum()), 3), np.nan)
+            path[:, : values.shape[1]] = values[known][first]
+            names.append(name)
+            times.append(recording.times[known][first])
+            positions.append(path)
+    return TruePaths(names, np.cumsum([0, *map(len, times)]), np.concatenate(times), np.concatenate(positions))
 
 
 def _true_positions(recording: Recording) -> pl.DataFrame:
