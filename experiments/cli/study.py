@@ -103,7 +103,7 @@ def study(
         finished = len([*(folder / CHUNKS).glob("[0-9]*.npz")])
         print(f"{folder}: {finished} of {total} chunks; merge the shards with `trackwright study merge`")
         return 0
-    expected = [] if declared.expected is None else declared.expected(results)
+    expected = [] if declared.expected is None else [*declared.expected(results)]
     print(to_text(results, expected), end="")
     atomic_write(folder / RESULTS, lambda path: path.write_text(to_json(results, expected), "utf-8"))
     drawn = [] if declared.draw is None or no_figures else declared.draw(results, folder)

@@ -7,17 +7,18 @@ from experiments.text.expectations import (
     DERIVED,
     FITTED,
     PREDICTED,
+    Claim,
     Conclusion,
     ExpectedResult,
     Origin,
     Value,
-    inherited,
 )
 
 __all__ = [
     "DERIVED",
     "FITTED",
     "PREDICTED",
+    "Claim",
     "Conclusion",
     "Condition",
     "ExpectedResult",
@@ -28,7 +29,6 @@ __all__ = [
     "TrackerConfig",
     "Value",
     "World",
-    "inherited",
     "load_study",
     "run_study",
 ]

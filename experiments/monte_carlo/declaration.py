@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from experiments.monte_carlo.errors import TrackedRuns
-from experiments.text.expectations import Conclusion, ExpectedResult
+from experiments.text.expectations import Claim
 from trackers.catalogue import spec_of
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder
@@ -103,7 +103,7 @@ class Study:
     measures: Mapping[str, Callable[[TrackedRuns], np.ndarray]] = field(default_factory=dict)
     metrics: Sequence[str] = DEFAULT_METRICS
     # Functions of `Results`, which holds the study: its type stays out of this module.
-    expected: Callable[..., list[ExpectedResult | Conclusion]] | None = None
+    expected: Callable[..., Iterable[Claim]] | None = None
     draw: Callable[..., list[str]] | None = None
     source: str = ""
     declared_in: str = ""

@@ -35,11 +35,6 @@ class Origin(StrEnum):
 FITTED, DERIVED, PREDICTED = Origin
 
 
-def inherited(*origins: Origin) -> Origin:
-    """The origin of a conclusion from numbers of these origins: predicted if all of them are, else derived."""
-    return PREDICTED if all(origin is PREDICTED for origin in origins) else DERIVED
-
-
 @dataclass(frozen=True)
 class ExpectedResult:
     """A number that a paper prints, and the study's own, both in `unit`.
@@ -79,10 +74,13 @@ class ExpectedResult:
 class Conclusion:
     """A statement, whether it holds in the study, and the numbers that support or contradict it.
 
-    `origin`: FITTED where a choice was made for it to hold; otherwise `inherited` from the numbers that it rests on.
+    `origin`: FITTED where a choice was made for it to hold; DERIVED where it rests on a number that is not predicted.
     """
 
     statement: str
     holds: bool
     evidence: str
     origin: Origin
+
+
+Claim = ExpectedResult | Conclusion

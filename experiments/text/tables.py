@@ -1,4 +1,4 @@
-"""Tables as text for a terminal."""
+"""Tables as text, for a terminal and in Markdown."""
 
 from __future__ import annotations
 
@@ -52,6 +52,13 @@ def aligned(rows: Sequence[Sequence[str]], numbers: Iterable[int] = ()) -> str:
     for row in rows:
         table.add_row(*row)
     return rendered(UNLIMITED, table).rstrip("\n")
+
+
+def markdown(rows: Sequence[Sequence[str]], numbers: Iterable[int] = ()) -> str:
+    """Rows as a table in Markdown, the first one its head; columns `numbers` are aligned right."""
+    right = set(numbers)
+    rule = ["---:" if k in right else "---" for k in range(len(rows[0]))]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (rows[0], rule, *rows[1:]))
 
 
 def width_of(table: Table) -> int:

@@ -1,11 +1,16 @@
-"""Parameters that a paper does not print, fitted to results that it does: fitting, writing and reading them."""
+"""Parameters that a paper does not print, fitted to what it does: `python -m experiments.lab.papers.fitting NAME`.
+
+NAME is the path of a study's file below experiments/lab, such as papers/kwon_2021/table_4. What its `fit` returns is
+written to `fitted/table_4.toml` beside it, where the study reads it.
+"""
 
 from __future__ import annotations
 
+import importlib
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,8 +18,10 @@ import numpy as np
 import tomli_w
 from scipy.optimize import least_squares
 
-from experiments.monte_carlo import Results, Study, run_study
-from experiments.monte_carlo.chunk import run_chunk
+import experiments.monte_carlo as mc
+from experiments.cli.main import run_alone
+from experiments.lab.papers.declared import Printed
+from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
 
 LAB = Path(__file__).parents[1]
@@ -23,39 +30,41 @@ STEP = 0.05
 
 
 class Fitted(NamedTuple):
-    """A fitted parameter: value, unit, and the printed results it was fitted to."""
+    """A fitted parameter: value, or where its search starts; unit; and the printed results that it is fitted to."""
 
     value: float
     unit: str
     to: str
 
 
-def fitted(name: str) -> dict[str, float]:
-    """The parameters of a fit by its name, such as `will_2020/table_1`."""
-    content = tomllib.loads(fitted_file(name).read_text("utf-8"))
-    return {number: table["value"] for number, table in content["numbers"].items()}
+@dataclass(frozen=True)
+class Fit:
+    """A fit of a study's parameters: of every group in `to` our numbers equal the printed ones, in geometric mean.
 
+    `study(numbers, runs, seed)`: the study with values of the parameters. `free`: they, by name. `left`: the degrees of
+    freedom left, in words. `rounds`: most steps of the search.
+    """
 
-def fitted_file(name: str) -> Path:
-    """The file of a fit: `will_2020/table_1` is papers/will_2020/fitted/table_1.toml."""
-    folder, _, stem = name.rpartition("/")
-    home = LAB / folder if folder == "questions" else LAB / "papers" / folder
-    return home / "fitted" / f"{stem}.toml"
+    study: Callable[[dict[str, float], int, int], mc.Study]
+    free: Mapping[str, Fitted]
+    to: Sequence[Sequence[Printed]]
+    left: str
+    runs: int
+    rounds: int = 3
+    seed: int = 0
 
+    def ratios(self, numbers: dict[str, float]) -> np.ndarray:
+        """Our numbers over the printed ones, a geometric mean for each group."""
+        study, every = self.study(numbers, self.runs, self.seed), [one for group in self.to for one in group]
+        worlds = {world: study.worlds[world] for one in every for world in one.worlds}
+        trackers = {one.tracker: study.trackers[one.tracker] for one in every}
+        results = unsaved(replace(study, worlds=worlds, trackers=trackers, metrics=()))
+        return np.exp([np.mean([np.log(p.ours(results).value / p.number) for p in group]) for group in self.to])
 
-def write_fitted(name: str, free: str, numbers: Mapping[str, Fitted]) -> Path:
-    """Write the parameters of a fit, to four digits; `free`: the degrees of freedom left, in words."""
-    folder, _, stem = name.rpartition("/")
-    package = folder if folder == "questions" else f"papers.{folder}"
-    table = {
-        "degrees_of_freedom_left": free,
-        "numbers": {
-            number: {"value": float(f"{value:.4g}"), "unit": unit, "fitted_to": to}
-            for number, (value, unit, to) in numbers.items()
-        },
-    }
-    text = f"# Written by `python -m experiments.{package}.fit_{stem}`.\n{tomli_w.dumps(table)}"
-    return atomic_write(fitted_file(name), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    def __call__(self) -> tuple[str, dict[str, Fitted]]:
+        """The degrees of freedom left and the fitted parameters."""
+        found = solved(self.ratios, {name: start.value for name, start in self.free.items()}, self.rounds)
+        return self.left, {name: start._replace(value=found[name]) for name, start in self.free.items()}
 
 
 def solved(
@@ -78,28 +87,52 @@ def solved(
     return numbers(found.x)
 
 
-def unsaved(study: Study) -> Results:
+def unsaved(study: mc.Study) -> mc.Results:
     """The results of a study whose chunks are not kept."""
     with tempfile.TemporaryDirectory() as folder:
-        results = run_study(study, Path(folder))
+        results = mc.run_study(study, Path(folder))
     assert results is not None
     return results
 
 
-def means(study: Study, runs: int, tracker: str | None = None) -> dict[tuple[str, str], dict[str, float]]:
-    """Means of the measures over `runs` trajectories, by (world, tracker) and measure, at the grid's last point.
+def fitted(name: str) -> dict[str, float]:
+    """The parameters of a fit by its name, such as `papers/will_2020/table_1`."""
+    content = tomllib.loads(fitted_file(name).read_text("utf-8"))
+    return {number: table["value"] for number, table in content["numbers"].items()}
 
-    Of one tracker, or of all if none is named.
+
+def fitted_file(name: str) -> Path:
+    """The file of a fit: `papers/will_2020/table_1` is papers/will_2020/fitted/table_1.toml."""
+    study = LAB / name
+    return study.parent / "fitted" / f"{study.name}.toml"
+
+
+def write_fitted(name: str, left: str, numbers: Mapping[str, Fitted]) -> Path:
+    """Write the parameters of a fit, to four digits; `left`: the degrees of freedom left, in words."""
+    table = {
+        "degrees_of_freedom_left": left,
+        "numbers": {
+            number: {"value": float(f"{value:.4g}"), "unit": unit, "fitted_to": to}
+            for number, (value, unit, to) in numbers.items()
+        },
+    }
+    text = f"# Written by `python -m experiments.lab.papers.fitting {name}`.\n{tomli_w.dumps(table)}"
+    return atomic_write(fitted_file(name), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def main(name: str) -> None:
+    """Fit the parameters of a study and write their file.
+
+    Args:
+        name: path of the study's file below experiments/lab, without `.py`.
     """
-    if tracker is not None:
-        study = replace(study, trackers={tracker: study.trackers[tracker]})
-    found = {}
-    for condition in study.conditions:
-        kept = run_chunk(study, condition, np.arange(runs), first=False)
-        for name, arrays in zip(study.trackers, kept, strict=True):
-            found[condition.world, name] = {
-                key.removeprefix("measure "): float(np.nanmean(values))
-                for key, values in arrays.items()
-                if key.startswith("measure ")
-            }
-    return found
+    known = sorted(str(file.relative_to(LAB).with_suffix("")) for file in LAB.rglob("fitted/*.toml"))
+    known = [file.replace("/fitted/", "/") for file in known]
+    if name not in known:
+        raise UnusableInput(f"fit '{name}': unknown; expected one of {', '.join(known)}")
+    left, numbers = importlib.import_module(f"experiments.lab.{name.replace('/', '.')}").fit()
+    print(f"wrote {write_fitted(name, left, numbers)}")
+
+
+if __name__ == "__main__":
+    run_alone(main, "python -m experiments.lab.papers.fitting")

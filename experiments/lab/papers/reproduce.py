@@ -19,6 +19,7 @@ from experiments.cli.main import run_alone
 from experiments.lab.subprocesses import new_interpreter
 from experiments.monte_carlo import Value
 from experiments.monte_carlo.sources import available_studies, load_study
+from experiments.text.tables import markdown
 from experiments.text.terminal import notice, progress
 from experiments.text.wording import Unit, headline, ratio_text, with_interval
 from trackers.core.errors import UnusableInput
@@ -26,6 +27,7 @@ from trackers.recordings.atomic import atomic_write
 
 LIMIT_S = 1800.0
 RESULTS = Path("docs/results.md")
+HEAD = ("result", "printed", "ours", "ratio", "origin", "within tolerance")
 
 
 def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
@@ -87,23 +89,20 @@ the study's runs.
 
 def part(found: dict[str, Any]) -> str:
     """The section of a study, from its results.json."""
-    claims = [c for c in found["claims"] if "printed" in c]
-    lines = [f"## {found['study']}", "", found["about"], "", f"**{_headline(found['claims'])}**", ""]
-    if claims:
-        lines += [
-            "| result | printed | ours | ratio | origin | within tolerance |",
-            "| --- | --- | --- | --- | --- | --- |",
-        ]
-        lines += [*(_row(c) for c in claims), ""]
-        lines += [f"- {c['figure']}: {c['note']}" for c in claims if c["note"]]
-        lines += [""] if any(c["note"] for c in claims) else []
-    stated = [c for c in found["claims"] if "says" in c]
-    lines += [
+    printed = [claim for claim in found["claims"] if "printed" in claim]
+    stated = [claim for claim in found["claims"] if "says" in claim]
+    paragraphs = [f"## {found['study']}", found["about"], f"**{_headline(found['claims'])}**"]
+    if printed:
+        paragraphs.append(markdown([HEAD, *map(_row, printed)]).rstrip())
+    notes = [f"- {claim['figure']}: {claim['note']}" for claim in printed if claim["note"]]
+    conclusions = [
         f"- {'Holds' if c['holds'] else '**Does not hold**'} (*{c['origin']}*): {c['says']}. {c['evidence']}"
         for c in stated
     ]
-    lines += ["", f"`trackwright study {found['study']}`, {found['computing_s']:.0f} s of computing.", ""]
-    return "\n".join(lines)
+    paragraphs += ["\n".join(lines) for lines in (notes, conclusions) if lines]
+    return "\n\n".join(
+        [*paragraphs, f"`trackwright study {found['study']}`, {found['computing_s']:.0f} s of computing.\n"]
+    )
 
 
 def _headline(claims: Sequence[dict[str, Any]]) -> str:
@@ -113,13 +112,12 @@ def _headline(claims: Sequence[dict[str, Any]]) -> str:
     )
 
 
-def _row(claim: dict[str, Any]) -> str:
+def _row(claim: dict[str, Any]) -> tuple[str, ...]:
     ours = Value(*(float("nan") if claim["ours"][k] is None else claim["ours"][k] for k in Value._fields))
     reached = {True: "yes", False: "**no**", None: ""}[claim["reached"]]
-    value = with_interval(ours, Unit(claim["unit"], 1.0))
-    printed = f"{claim['printed']:g} {claim['unit']}"
+    value, printed = with_interval(ours, Unit(claim["unit"], 1.0)), f"{claim['printed']:g} {claim['unit']}"
     ratio = ratio_text(claim["ratio"], claim["compares_rest"])
-    return f"| {claim['figure']} | {printed} | {value} | {ratio} | {claim['origin']} | {reached} |"
+    return claim["figure"], printed, value, ratio, claim["origin"], reached
 
 
 if __name__ == "__main__":

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -14,10 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from experiments.lab.papers.fitting import Fitted, fitted_file, write_fitted
-from experiments.monte_carlo import PREDICTED, Conclusion, Results, TrackedRuns, Value
+import experiments.monte_carlo as mc
+from experiments.lab.papers.fitting import Fitted, fitted
 from experiments.monte_carlo.results import resampled
-from experiments.pages.plots.style import write_svg
 from sim.paths import WORK_VOLUME
 from sim.stations import work_station
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
@@ -73,33 +70,26 @@ class Design(NamedTuple):
     thousands: float
 
 
-def design_of(layout: AbstractLayout, found: SearchResult, points: np.ndarray) -> Design:
-    """The positions that a search found, and their mean bound without the weight of constraints."""
-    theta = jnp.asarray(found.theta)
-    bound = float(mean_bound(layout.sensors(theta), jnp.asarray(points)))
-    return Design(np.asarray(layout.positions(theta)), bound, found.evaluations / 1000)
-
-
-def write_designs(name: str, designs: Mapping[str, Design]) -> None:
-    """Write the designs by layout to `questions/fitted/design_<name>.toml`, and print them."""
+def searched(
+    layout: AbstractLayout, points: np.ndarray, found: Mapping[str, SearchResult]
+) -> tuple[str, dict[str, Fitted]]:
+    """The positions that each search found, and their mean bound over points without the weight of constraints."""
     numbers = {}
-    for layout, (positions, bound, thousands) in designs.items():
-        print(f"{layout}: mean bound {100 * bound:.3f} cm after {1000 * thousands:.0f} evaluations")
-        how = "chosen" if layout == "default" else f"smallest mean bound, by {layout}"
-        numbers[f"{layout}_bound"] = Fitted(bound, "m", "computed from this layout")
-        numbers[f"{layout}_evaluations"] = Fitted(thousands, "thousand", "evaluations of the objective")
-        for k, position in enumerate(positions):
-            print("   " + " ".join(f"{x:9.4f}" for x in position))
-            for axis, x in zip("xyz", position, strict=False):
-                numbers[f"{layout}_{axis}_{k + 1}"] = Fitted(float(x), "m", how)
-    print(f"wrote {write_fitted(f'questions/design_{name}', 'nothing printed was used', numbers)}")
+    for name, result in found.items():
+        theta = jnp.asarray(result.theta)
+        bound = float(mean_bound(layout.sensors(theta), jnp.asarray(points)))
+        print(f"{name}: mean bound {100 * bound:.3f} cm after {result.evaluations} evaluations")
+        how = "chosen" if name == "default" else f"smallest mean bound, by {name}"
+        numbers[f"{name}_bound"] = Fitted(bound, "m", "computed from this layout")
+        numbers[f"{name}_evaluations"] = Fitted(result.evaluations / 1000, "thousand", "evaluations of the objective")
+        for k, position in enumerate(np.asarray(layout.positions(theta)), 1):
+            numbers |= {f"{name}_{a}_{k}": Fitted(float(x), "m", how) for a, x in zip("xyz", position, strict=False)}
+    return "nothing printed was used", numbers
 
 
 def designs(name: str) -> dict[str, Design]:
-    """The designs that `fit_design_<name>` wrote, by layout."""
-    content = tomllib.loads(fitted_file(f"questions/design_{name}").read_text("utf-8"))
-    numbers = {key: table["value"] for key, table in content["numbers"].items()}
-    made = {}
+    """The designs of the fit of `design_<name>`, by layout."""
+    numbers, made = fitted(f"questions/design_{name}"), {}
     for layout in LAYOUTS:
         axes = [[v for k, v in numbers.items() if k.startswith(f"{layout}_{axis}_")] for axis in "xyz"]
         positions = np.array([a for a in axes if a]).T
@@ -113,68 +103,68 @@ def bound_map(layout: AbstractLayout, theta: np.ndarray, points: np.ndarray) -> 
         return np.asarray(jax.jit(lambda t, p: bounds(layout.sensors(t), p))(jnp.asarray(theta), jnp.asarray(points)))
 
 
-def mean_square(tracked: TrackedRuns) -> np.ndarray:
+def mean_square(tracked: mc.TrackedRuns) -> np.ndarray:
     """The mean squared 3-D error (n,), m², after the first three seconds."""
     later = tracked.times - tracked.times[:, :1] >= 3.0
     return np.asarray(np.nanmean(np.where(later, np.sum(tracked.error**2, axis=-1), np.nan), axis=1))
 
 
-def against_grid(name: str) -> Conclusion:
-    """Search by gradient against search on the grid, as `fit_design_<name>` found them; no study searches again."""
+def against_grid(name: str) -> mc.Conclusion:
+    """Search by gradient against search on the grid, as the fit found them; no study searches again."""
     default, grid, gradient = (designs(name)[layout] for layout in LAYOUTS)
-    searched = (("gradient", gradient), ("grid", grid))
-    each = ", ".join(f"{name} {100 * d.bound:.2f} cm after {d.thousands:.1f} thousand" for name, d in searched)
-    return Conclusion(
+    tried = (("gradient", gradient), ("grid", grid))
+    each = ", ".join(f"{how} {100 * d.bound:.2f} cm after {d.thousands:.1f} thousand" for how, d in tried)
+    return mc.Conclusion(
         "the gradient finds a layout at least as good as the grid, with fewer evaluations",
         gradient.bound <= grid.bound and gradient.thousands < grid.thousands,
         f"mean bound over the whole volume: {each} evaluations; default {100 * default.bound:.2f} cm; "
         f"bounds and counts are those of fitted/design_{name}.toml, written by "
-        f"`python -m experiments.lab.questions.fit_design_{name}`",
-        PREDICTED,
+        f"`python -m experiments.lab.papers.fitting questions/design_{name}`",
+        mc.PREDICTED,
     )
 
 
-def rmse_ratio(results: Results, tracker: str, layout: str) -> Value:
+def rmse_ratio(results: mc.Results, tracker: str, layout: str) -> mc.Value:
     """The tracker's RMSE with a layout over that with the default layout, paired."""
     own, default = (results.numbers("square_3d_m2", world, tracker) for world in (layout, "default"))
     weights = resampled(results.study.seed, len(own))
     low, high = np.percentile(np.sqrt((weights @ own) / (weights @ default)), [2.5, 97.5])
-    return Value(float(np.sqrt(own.mean() / default.mean())), float(low), float(high))
+    return mc.Value(float(np.sqrt(own.mean() / default.mean())), float(low), float(high))
 
 
 def maps(
-    folder: Path,
-    name: str,
-    fields: Mapping[str, np.ndarray],
-    x: np.ndarray,
-    y: np.ndarray,
-    mark: Callable[[Axes, str], object],
+    layout: WallAnchors | PlanarArray,
+    designs: Mapping[str, Design],
+    axes: tuple[np.ndarray, np.ndarray, float],
+    mark: Callable[[Axes, Design], object],
     title: str,
-    stacked: bool = False,
-) -> str:
-    """Write an SVG with a map for each of the `fields` (len(x), len(y)), m, on one colour scale in cm; its name.
+    stacked: bool,
+    figure: Figure,
+) -> None:
+    """A map of the bound for each design, on one colour scale in cm.
 
-    `mark` draws the anchors or antennas of a layout into its panel. `title` of the figure. `x`, `y` m.
+    `axes`: x and y (k,), m, and the height, m. `mark` draws the anchors or antennas of a design into its panel.
     """
+    x, y, z = axes
+    points = np.stack([a.ravel() for a in np.meshgrid(x, y, [z], indexing="ij")], axis=1)
+    fields = {
+        name: bound_map(layout, layout.theta(design.positions), points).reshape(len(x), len(y))
+        for name, design in designs.items()
+    }
     every = 100 * np.stack(list(fields.values()))
-
-    def draw(figure: Figure) -> None:
-        shape = (len(fields), 1) if stacked else (1, len(fields))
-        panels: Sequence[Axes] = figure.subplots(*shape, sharex=True, sharey=True).ravel()
-        for axes, (layout, field) in zip(panels, fields.items(), strict=True):
-            levels = np.linspace(every.min(), every.max(), 13)
-            shades = axes.contourf(x, y, 100 * field.T, levels=levels, cmap="viridis_r")
-            mark(axes, layout)
-            mean = 100 * float(np.sqrt(np.mean(field**2)))
-            axes.set_title(f"{layout}: {mean:.1f} cm on the map")
-            axes.set_aspect("equal")
-            axes.grid(visible=False)
-            axes.set(xlabel="" if stacked and axes is not panels[-1] else "x, m")
-            axes.set(ylabel="y, m" if stacked or axes is panels[0] else "")
-            axes.xaxis.set_major_locator(MaxNLocator(7 if stacked else 3))
-            axes.yaxis.set_major_locator(MaxNLocator(3))
-        bar = figure.colorbar(shades, ax=list(panels), label="bound, cm", shrink=0.9)
-        bar.ax.yaxis.set_major_formatter("{x:.1f}")
-        figure.suptitle(title, x=0.01, ha="left", fontsize=9)
-
-    return write_svg(folder, name, draw, 7.0, 6.0 if stacked else 3.0)
+    shape = (len(fields), 1) if stacked else (1, len(fields))
+    panels: Sequence[Axes] = figure.subplots(*shape, sharex=True, sharey=True).ravel()
+    for panel, (name, field) in zip(panels, fields.items(), strict=True):
+        levels = np.linspace(every.min(), every.max(), 13)
+        shades = panel.contourf(x, y, 100 * field.T, levels=levels, cmap="viridis_r")
+        mark(panel, designs[name])
+        panel.set_title(f"{name}: {100 * float(np.sqrt(np.mean(field**2))):.1f} cm on the map")
+        panel.set_aspect("equal")
+        panel.grid(visible=False)
+        panel.set(xlabel="" if stacked and panel is not panels[-1] else "x, m")
+        panel.set(ylabel="y, m" if stacked or panel is panels[0] else "")
+        panel.xaxis.set_major_locator(MaxNLocator(7 if stacked else 3))
+        panel.yaxis.set_major_locator(MaxNLocator(3))
+    bar = figure.colorbar(shades, ax=list(panels), label="bound, cm", shrink=0.9)
+    bar.ax.yaxis.set_major_formatter("{x:.1f}")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=9)

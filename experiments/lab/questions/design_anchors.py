@@ -1,7 +1,8 @@
 """Four anchors in a hall: in its corners, on the best grid points, and at a minimum of the Cramér–Rao bound.
 
 Two low and two high anchors stand on the walls of a hall of 30 m × 10 m; tags move 0.8 m to 1.8 m above the floor. The
-layouts were found by `python -m experiments.lab.questions.fit_design_anchors`; no printed number was used. The study
+layouts were searched beforehand (`fit`), by gradient from 48 random starts, and exhaustively on a grid: twelve
+positions along the walls at the limits of both height bands, 76,176 layouts; no printed number was used. The study
 tests whether a lower bound improves tracking. The errors of a filter decrease in proportion to the bound of one epoch.
 Those of multilateration, which has no memory, decrease less: with four ranges it sometimes converges to the wrong
 solution, and the bound holds for small errors only.
@@ -9,41 +10,36 @@ solution, and the bound holds for small errors only.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
+from itertools import combinations
 
+import jax
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from experiments.lab.papers.constant_biases import CONSTANT
-from experiments.lab.questions._designs import (
-    HALL,
-    LAYOUTS,
-    SIGMA_R,
-    TAGS,
-    against_grid,
-    bound_map,
-    designs,
-    hall,
-    maps,
-    mean_square,
-    rmse_ratio,
-)
-from experiments.monte_carlo import PREDICTED, Conclusion, ExpectedResult, Results, Study, TrackerConfig, World
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import plot
+from experiments.lab.papers.fitting import Fitted
+from experiments.lab.papers.trackers import CONSTANT
+from experiments.lab.questions import _designs as of
+from experiments.lab.questions._designs import LAYOUTS, SIGMA_R
 from experiments.pages.plots.style import BLACK, VERMILION
 from sim.corruptions import white_noise
 from sim.paths import hand_motion
 from sim.ranging import Protocol, chamber, simulate_ranges
 from trackers.recordings.folder import RecordingFolder
+from tuning.design.search import SearchResult, descend, exhaust
 
-DESIGNS = designs("anchors")
+DESIGNS = of.designs("anchors")
 EXACT = Protocol(drift=0.0, sigma_stamp=0.0)
 HEIGHT = 1.3
 
 
 def walks(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
     """Tags that move through the hall at 0.7 m/s, with ranges to all four anchors ten times a second."""
-    path = partial(hand_motion, volume=TAGS, speed=0.7)
+    path = partial(hand_motion, volume=of.TAGS, speed=0.7)
     world = simulate_ranges(
         chamber(DESIGNS[layout].positions), path, len(ids), seed, rate_hz=10.0, n_points=200, protocol=EXACT,
         corruptions={"white": white_noise(SIGMA_R)}, ids=ids,
@@ -51,51 +47,40 @@ def walks(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
     return world.folder("hall")
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Search by gradient against the grid, and errors of trackers against bounds."""
     default, _, gradient = (DESIGNS[layout] for layout in LAYOUTS)
-    bound, found = gradient.bound / default.bound, rmse_ratio(results, "uwb", "gradient")
+    bound, found = gradient.bound / default.bound, of.rmse_ratio(results, "uwb", "gradient")
     median, rmse = (
         results.value(metric, "gradient", "multilateration").value
         / results.value(metric, "default", "multilateration").value
         for metric in ("median_3d_m", "rmse_3d_m")
     )
-    return [
-        against_grid("anchors"),
-        Conclusion(
-            "the filter's RMSE decreases in proportion to the bound of an epoch, within 10 %",
-            abs(found.value / bound - 1) < 0.10,
-            f"ratio to the corners: RMSE {found.value:.3f} [{found.low:.3f}, {found.high:.3f}], bound {bound:.3f}",
-            PREDICTED,
-        ),
-        Conclusion(
-            "the median error without a filter does so too, within 10 %, its RMSE does not",
-            abs(median / bound - 1) < 0.10 and rmse > median,
-            f"multilateration: median {median:.3f}, RMSE {rmse:.3f}, since four ranges also have wrong solutions",
-            PREDICTED,
-        ),
-    ]
+    yield of.against_grid("anchors")
+    yield mc.Conclusion(
+        "the filter's RMSE decreases in proportion to the bound of an epoch, within 10 %",
+        abs(found.value / bound - 1) < 0.10,
+        f"ratio to the corners: RMSE {found.value:.3f} [{found.low:.3f}, {found.high:.3f}], bound {bound:.3f}",
+        mc.PREDICTED,
+    )
+    yield mc.Conclusion(
+        "the median error without a filter does so too, within 10 %, its RMSE does not",
+        abs(median / bound - 1) < 0.10 and rmse > median,
+        f"multilateration: median {median:.3f}, RMSE {rmse:.3f}, since four ranges also have wrong solutions",
+        mc.PREDICTED,
+    )
 
 
-def draw(results: Results, folder: Path) -> list[str]:
+def bounds(results: mc.Results, figure: Figure) -> None:
     """Map of the bound for each layout, 1.3 m above the floor, with its anchors."""
-    x, y = np.linspace(0, HALL[1, 0], 61), np.linspace(0, HALL[2, 1], 21)
-    grid = np.stack([a.ravel() for a in np.meshgrid(x, y, [HEIGHT], indexing="ij")], axis=1)
-    layout = hall()
-    fields = {}
-    for name, design in DESIGNS.items():
-        fields[name] = bound_map(layout, layout.theta(design.positions), grid).reshape(len(x), len(y))
+    axes = np.linspace(0, of.HALL[1, 0], 61), np.linspace(0, of.HALL[2, 1], 21), HEIGHT
 
-    def anchors(axes: Axes, name: str) -> None:
-        for px, py, pz in DESIGNS[name].positions:
-            high = pz > HEIGHT
-            axes.plot(px, py, "^" if high else "v", color=VERMILION if high else BLACK, markersize=8, clip_on=False)
+    def anchors(panel: Axes, design: of.Design) -> None:
+        for x, y, z in design.positions:
+            high = z > HEIGHT
+            panel.plot(x, y, "^" if high else "v", color=VERMILION if high else BLACK, markersize=8, clip_on=False)
 
-    return [
-        maps(
-            folder, "layouts.svg", fields, x, y, anchors, "Bound in the hall, and anchors: ▲ high, ▼ low", stacked=True
-        )
-    ]
+    of.maps(of.hall(), DESIGNS, axes, anchors, "Bound in the hall, and anchors: ▲ high, ▼ low", True, figure)
 
 
 NOISE = {
@@ -110,17 +95,37 @@ NOISE = {
 } | CONSTANT
 """Tunables that agree with the noise of this world, which has no biases."""
 
-STUDY = Study(
+STUDY = mc.Study(
     name="design-anchors",
     about="Which positions of four anchors in a hall give the smallest errors? Corners, grid and gradient compared",
-    worlds={layout: World(walks, {"layout": layout}) for layout in LAYOUTS},
+    worlds={layout: mc.World(walks, {"layout": layout}) for layout in LAYOUTS},
     trackers={
-        "uwb": TrackerConfig("uwb", NOISE),
-        "multilateration": TrackerConfig("multilateration", {"sigma_r": SIGMA_R}),
+        "uwb": mc.TrackerConfig("uwb", NOISE),
+        "multilateration": mc.TrackerConfig("multilateration", {"sigma_r": SIGMA_R}),
     },
     runs=100,
-    measures={"square_3d_m2": mean_square},
+    measures={"square_3d_m2": of.mean_square},
     metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "rmse_m"),
     expected=expected,
-    draw=draw,
+    draw=plot("layouts.svg", bounds, 7.0, 6.0),
 )
+
+
+STARTS, STEPS, RATE = 48, 150, 0.05
+POSITIONS = 12
+
+
+def fit() -> tuple[str, dict[str, Fitted]]:
+    """Both searches, in double precision."""
+    with jax.enable_x64(True):
+        layout = of.hall()
+        objective = layout.objective(of.TAG_POINTS)
+        starts = np.random.default_rng(0).random((STARTS, *layout.shape))
+        choices = np.array([(k / POSITIONS, z) for k in range(POSITIONS) for z in (0.0, 1.0)])
+        pairs = list(combinations(range(len(choices)), 2))
+        found = {
+            "default": SearchResult(of.default_hall(), 0.0, 0),
+            "grid": exhaust(objective, choices, (low + high for low in pairs for high in pairs)),
+            "gradient": descend(objective, layout.project, starts, STEPS, RATE),
+        }
+        return of.searched(layout, of.TAG_POINTS, found)

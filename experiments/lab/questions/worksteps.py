@@ -12,10 +12,9 @@ tag in Table 2 of C. The trackers' tunables agree with the noise of this world, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -23,23 +22,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from scipy.stats import norm
 
-from experiments.lab.papers.constant_biases import CONSTANT, CONSTANT_INERTIAL
-from experiments.monte_carlo import (
-    DERIVED,
-    FITTED,
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    Value,
-    World,
-    inherited,
-)
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import plot
+from experiments.lab.papers.trackers import CONSTANT, CONSTANT_INERTIAL
 from experiments.monte_carlo.results import resampled
-from experiments.pages.plots.style import BLUE, GREY, ORANGE, VERMILION, plain, write_svg
+from experiments.pages.plots.style import BLUE, GREY, ORANGE, VERMILION, plain
 from sim.corruptions import white_noise
 from sim.imu import simulate_uwb_imu
 from sim.paths import point_to_point
@@ -82,7 +69,7 @@ def bench(ids: np.ndarray, seed: int, spacing: float) -> RecordingFolder:
     return replace(inertial, rig=replace(inertial.rig, stations=stations.rig.stations), tables=tables)
 
 
-def decisions_of(tracked: TrackedRuns) -> tuple[Decisions, np.ndarray]:
+def decisions_of(tracked: mc.TrackedRuns) -> tuple[Decisions, np.ndarray]:
     """The decisions of all rows of concatenated trajectories, and the point at which the tool rests (n, T)."""
     table = tracked.folder.tables["points"]
     points = FasteningPoints(tuple(table["name"]), table.select("x_m", "y_m").to_numpy())
@@ -92,10 +79,10 @@ def decisions_of(tracked: TrackedRuns) -> tuple[Decisions, np.ndarray]:
     return decide(means, spread, points, points.tolerance(), 0.0), at.reshape(tracked.known.shape)
 
 
-def _fraction(hit: Callable[[Decisions, np.ndarray], np.ndarray]) -> Callable[[TrackedRuns], np.ndarray]:
+def _fraction(hit: Callable[[Decisions, np.ndarray], np.ndarray]) -> Callable[[mc.TrackedRuns], np.ndarray]:
     """The mean of `hit` over the rows at rest of each trajectory, NaN without such rows."""
 
-    def measure(tracked: TrackedRuns) -> np.ndarray:
+    def measure(tracked: mc.TrackedRuns) -> np.ndarray:
         decisions, at = decisions_of(tracked)
         rest = at != NO_POINT
         hits = np.where(rest, hit(decisions, at.ravel()).reshape(at.shape), 0.0).sum(axis=1)
@@ -126,14 +113,14 @@ OF_UWB = CONSTANT | {
     "motion.memory": 5.0,
 }
 CONFIGS = {
-    "direct": TrackerConfig("direct", {"sensors.*.sigma_p": SIGMA_P, "motion.sigma_a": 0.3}, free_height=True),
-    "cascade": TrackerConfig(
+    "direct": mc.TrackerConfig("direct", {"sensors.*.sigma_p": SIGMA_P, "motion.sigma_a": 0.3}, free_height=True),
+    "cascade": mc.TrackerConfig(
         "cascade",
         {"beams.*.sensors.*.sigma_p": SIGMA_P, "fusion.sensors.bearings.reported_std_scale": 2.0},
         free_height=True,
     ),
-    "uwb": TrackerConfig("uwb", OF_RANGES | OF_UWB),
-    "uwb-imu": TrackerConfig(
+    "uwb": mc.TrackerConfig("uwb", OF_RANGES | OF_UWB),
+    "uwb-imu": mc.TrackerConfig(
         "uwb-imu", OF_RANGES | CONSTANT_INERTIAL | {"sensors.ranges.bias": [0.0] * 4}, free_height=True
     ),
 }
@@ -146,55 +133,49 @@ With the probability q of an error beyond half the spacing, one way along one ax
 OF_A, OF_C = ("direct", "cascade"), ("uwb", "uwb-imu")
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The two spacings that the papers mention, and the calibration at 95 %."""
     at = {t: [_at(results, "named_right", t, s) for s in SPACINGS] for t in CONFIGS}
     near, far = SPACINGS.index(0.005), SPACINGS.index(0.2)
     unlocked = {t: _at(results, "released_right", t, 0.005) for t in OF_A}
-    found: list[ExpectedResult | Conclusion] = [
-        Conclusion(
-            "holes 5 mm apart need a gantry: A names a wrong one most of the time",
-            all(at[t][near].high < 0.5 for t in OF_A) and all(v.high < 0.05 for v in unlocked.values()),
-            "; ".join(f"{t}: right one named {_percent(at[t][near])}, unlocked {_percent(unlocked[t])}" for t in OF_A),
-            inherited(FITTED),
+    wrong = {t: _at(results, "released_wrong", t, 0.2) for t in OF_C}
+    yield mc.Conclusion(
+        "holes 5 mm apart need a gantry: A names a wrong one most of the time",
+        all(at[t][near].high < 0.5 for t in OF_A) and all(v.high < 0.05 for v in unlocked.values()),
+        "; ".join(f"{t}: right one named {_percent(at[t][near])}, unlocked {_percent(unlocked[t])}" for t in OF_A),
+        mc.DERIVED,
+    )
+    yield mc.Conclusion(
+        "C distinguishes points 200 mm apart",
+        all(at[t][far].low > 0.9 for t in OF_C),
+        "; ".join(
+            f"{t}: right one named {_percent(at[t][far])}, wrong one unlocked {_percent(wrong[t])}" for t in OF_C
         ),
-        Conclusion(
-            "C distinguishes points 200 mm apart",
-            all(at[t][far].low > 0.9 for t in OF_C),
-            "; ".join(
-                f"{t}: right one named {_percent(at[t][far])}, wrong one unlocked "
-                f"{_percent(_at(results, 'released_wrong', t, 0.2))}"
-                for t in OF_C
-            ),
-            inherited(FITTED),
-        ),
-    ]
+        mc.DERIVED,
+    )
     every = {t: [_false_fraction(results, t, s) for s in SPACINGS] for t in CONFIGS}
     false = {t: max(values, key=lambda v: np.nan_to_num(v.value, nan=-1.0)) for t, values in every.items()}
-    found.append(
-        Conclusion(
-            "at most 5 % of the unlock decisions at 95 % are at a wrong point, within the intervals",
-            all(v.low <= 0.05 for v in false.values()),
-            "at the spacing with most of them: " + ", ".join(f"{t} {_percent(v)}" for t, v in false.items()),
-            PREDICTED,
-        )
+    yield mc.Conclusion(
+        "at most 5 % of the unlock decisions at 95 % are at a wrong point, within the intervals",
+        all(v.low <= 0.05 for v in false.values()),
+        "at the spacing with most of them: " + ", ".join(f"{t} {_percent(v)}" for t, v in false.items()),
+        mc.PREDICTED,
     )
     size = {t: _at(results, "rmse_m", t, 0.05 if t in OF_A else 0.2).value for t in CONFIGS}
-    enough = {t: _spacing_for(0.95, [v.value for v in at[t]]) / size[t] for t in CONFIGS}
-    found.append(
-        Conclusion(
-            "the named point is right in 95 % of the rows from a spacing of two to four times the horizontal RMSE on",
-            all(2.0 < ratio < 4.0 for ratio in enough.values()),
-            ", ".join(f"{t} {ratio:.1f} times {1000 * size[t]:.0f} mm" for t, ratio in enough.items())
-            + f"; normal errors give {NORMAL_SPACING:.1f} times; a spacing of 5 mm requires an RMSE of "
-            f"{5 / max(enough.values()):.1f} mm",
-            DERIVED,
-        )
+    # The spacing from which on 95 % of the named points are right, interpolated logarithmically.
+    named = {t: np.maximum.accumulate([v.value for v in at[t]]) for t in CONFIGS}
+    enough = {t: np.exp(np.interp(0.95, named[t], np.log(SPACINGS))) / size[t] for t in CONFIGS}
+    yield mc.Conclusion(
+        "the named point is right in 95 % of the rows from a spacing of two to four times the horizontal RMSE on",
+        all(2.0 < ratio < 4.0 for ratio in enough.values()),
+        ", ".join(f"{t} {ratio:.1f} times {1000 * size[t]:.0f} mm" for t, ratio in enough.items())
+        + f"; normal errors give {NORMAL_SPACING:.1f} times; a spacing of 5 mm requires an RMSE of "
+        f"{5 / max(enough.values()):.1f} mm",
+        mc.DERIVED,
     )
-    return found
 
 
-def draw(results: Results, folder: Path) -> list[str]:
+def fractions(results: mc.Results, figure: Figure) -> None:
     """Fractions named and unlocked against spacing, one panel per tracker."""
     lines = {
         "named right": ("named_right", GREY, "--"),
@@ -202,61 +183,52 @@ def draw(results: Results, folder: Path) -> list[str]:
         "unlocked wrong": ("released_wrong", VERMILION, "-"),
         "missed": ("missed", ORANGE, ":"),
     }
-
-    def panels(figure: Figure) -> None:
-        axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
-        for ax, tracker in zip(axes, CONFIGS, strict=True):
-            for label, (measure, colour, style) in lines.items():
-                values = np.array([_at(results, measure, tracker, s) for s in SPACINGS])
-                ax.plot(SPACINGS, values[:, 0], style, color=colour, label=label)
-                ax.fill_between(SPACINGS, values[:, 1], values[:, 2], color=colour, alpha=0.15, linewidth=0)
-            ax.set(xscale="log", xlim=(0.004, 0.7), ylim=(-0.02, 1.02))
-            ax.set_xticks((0.005, 0.02, 0.1, 0.5), ["5 mm", "2 cm", "10 cm", "50 cm"])
-            ax.yaxis.set_major_formatter(PercentFormatter(1.0))
-            ax.set_title(f"{tracker} ({'A' if tracker in OF_A else 'C'})")
-            plain(ax)
-        figure.supxlabel("spacing of the fastening points", fontsize=9)
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
-
-    return [write_svg(folder, "right-place.svg", panels, 7.0, 4.6)]
+    panels = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
+    for axes, tracker in zip(panels, CONFIGS, strict=True):
+        for label, (measure, colour, style) in lines.items():
+            values = np.array([_at(results, measure, tracker, s) for s in SPACINGS])
+            axes.plot(SPACINGS, values[:, 0], style, color=colour, label=label)
+            axes.fill_between(SPACINGS, values[:, 1], values[:, 2], color=colour, alpha=0.15, linewidth=0)
+        axes.set(xscale="log", xlim=(0.004, 0.7), ylim=(-0.02, 1.02))
+        axes.set_xticks((0.005, 0.02, 0.1, 0.5), ["5 mm", "2 cm", "10 cm", "50 cm"])
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.set_title(f"{tracker} ({'A' if tracker in OF_A else 'C'})")
+        plain(axes)
+    figure.supxlabel("spacing of the fastening points", fontsize=9)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
 
 
-def _at(results: Results, measure: str, tracker: str, spacing: float) -> Value:
+def _at(results: mc.Results, measure: str, tracker: str, spacing: float) -> mc.Value:
     return results.value(measure, "bench", tracker, **{"world.spacing": spacing})
 
 
-def _false_fraction(results: Results, tracker: str, spacing: float) -> Value:
+def _false_fraction(results: mc.Results, tracker: str, spacing: float) -> mc.Value:
     """The fraction of unlock decisions at a wrong point, with trajectories resampled; interval 0 to 1 without any."""
     right, wrong = (
         results.numbers(f"released_{x}", "bench", tracker, **{"world.spacing": spacing}) for x in ("right", "wrong")
     )
     if not np.any(right + wrong):
-        return Value(np.nan, 0.0, 1.0)
+        return mc.Value(np.nan, 0.0, 1.0)
     weights = resampled(results.study.seed, len(right))
     with np.errstate(invalid="ignore"):
         shares = (weights @ wrong) / (weights @ (right + wrong))
     low, high = np.nanpercentile(shares, [2.5, 97.5])
-    return Value(float(wrong.sum() / (right + wrong).sum()), float(low), float(high))
+    return mc.Value(float(wrong.sum() / (right + wrong).sum()), float(low), float(high))
 
 
-def _spacing_for(share: float, named: list[float]) -> float:
-    """The spacing, m, from which on this fraction of named points is right, interpolated logarithmically."""
-    return float(np.exp(np.interp(share, np.maximum.accumulate(named), np.log(SPACINGS))))
-
-
-def _percent(value: Value) -> str:
+def _percent(value: mc.Value) -> str:
     return f"{100 * value.value:.1f} % [{100 * value.low:.1f}, {100 * value.high:.1f}]"
 
 
-STUDY = Study(
+STUDY = mc.Study(
     name="worksteps",
     about="Right place? How often is a hand tool unlocked at the right fastening point, by the points' spacing?",
-    worlds={"bench": World(bench)},
+    worlds={"bench": mc.World(bench)},
     trackers=CONFIGS,
     runs=40,
     grid={"world.spacing": SPACINGS},
     measures=MEASURES,
     metrics=(*MEASURES, "rmse_m", "nees_mean"),
     expected=expected,
-    draw=draw,
+    draw=plot("right-place.svg", fractions, 7.0, 4.6),
 )

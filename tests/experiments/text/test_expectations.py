@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.monte_carlo import DERIVED, FITTED, PREDICTED, ExpectedResult, Value, inherited
+from experiments.monte_carlo import DERIVED, FITTED, PREDICTED, ExpectedResult, Value
 from experiments.pages.reports.study import Picture, _expected, _picture
 from experiments.text.wording import headline
 
@@ -39,12 +39,6 @@ def test_a_derived_number_and_one_without_tolerance_are_not_judged():
     assert _result(10.0, 10.0, DERIVED).reached is None
     assert _result(10.0, 10.0, FITTED, within=None).reached is None
     assert _result(10.0, 10.0, FITTED).reached
-
-
-def test_a_conclusion_is_predicted_only_where_all_its_numbers_are():
-    assert inherited(PREDICTED, PREDICTED) is PREDICTED
-    for weaker in (FITTED, DERIVED):
-        assert inherited(PREDICTED, weaker) is inherited(weaker) is DERIVED
 
 
 def test_the_headline_counts_what_was_free_and_nothing_that_follows_from_it():

@@ -9,33 +9,21 @@ listed beside them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from itertools import product
 
 import numpy as np
 
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.moving_windows import RAW
-from experiments.monte_carlo import (
-    FITTED,
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    Value,
-    World,
-    inherited,
-)
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import Printed
+from experiments.lab.papers.fitting import Fit, Fitted, fitted
+from experiments.lab.papers.trackers import RAW
 from experiments.text.wording import listed
 from sim.agv import Route, simulate_agv
 from sim.corruptions import gauss_markov, outliers
 from sim.fixes import correlated_noise
 from trackers.mhk.tracker import STILL
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec
 
 ROUTE = Route()
 LASTING_S = 10.0
@@ -50,128 +38,106 @@ def workshop(
     return simulate_agv(ids.tolist(), seed, route=ROUTE, speed=speed, errors=errors).folder("workshop")
 
 
-def off_route(tracked: TrackedRuns) -> np.ndarray:
+def off_route(tracked: mc.TrackedRuns) -> np.ndarray:
     """Distances (n, T), m, of the estimates to the designed route; NaN without an estimate."""
     return np.where(tracked.known, ROUTE.distance(tracked.estimates[..., :2]), np.nan)
 
 
-def raw_off_route(tracked: TrackedRuns) -> np.ndarray:
+def raw_off_route(tracked: mc.TrackedRuns) -> np.ndarray:
     """The same of the fixes themselves."""
     fixes = tracked.folder.tables["fixes"].select("x_m", "y_m").to_numpy()
     return ROUTE.distance(fixes.reshape(-1, len(tracked.estimates), 2)).T
 
 
-def _each(metric: Callable[[np.ndarray], np.ndarray]) -> Callable[[TrackedRuns], np.ndarray]:
-    return lambda tracked: metric(off_route(tracked))
+def _share(tracked: mc.TrackedRuns, hits: np.ndarray) -> np.ndarray:
+    """Fraction (n,) of the estimates that are hits."""
+    return np.asarray(np.nanmean(np.where(tracked.known, hits, np.nan), axis=1))
 
 
-def _improved(tracked: TrackedRuns) -> np.ndarray:
-    """Fraction (n,) of the estimates that are closer to the route than the raw fixes."""
-    nearer = np.where(tracked.known, off_route(tracked) < raw_off_route(tracked), np.nan)
-    share: np.ndarray = np.nanmean(nearer, axis=1)
-    return share
-
-
-def _within(limit: float) -> Callable[[TrackedRuns], np.ndarray]:
-    return lambda tracked: np.nanmean(np.where(tracked.known, off_route(tracked) < limit, np.nan), axis=1)
-
-
-MEASURES: dict[str, Callable[[TrackedRuns], np.ndarray]] = {
-    "route_mean_m": _each(lambda e: np.nanmean(e, axis=1)),
-    "route_max_m": _each(lambda e: np.nanmax(e, axis=1)),
-    "route_variance_m2": _each(lambda e: np.nanvar(e, axis=1)),
-    "under_10_cm": _within(0.10),
-    "under_15_cm": _within(0.15),
-    "improved": _improved,
+MEASURES: dict[str, Callable[[mc.TrackedRuns], np.ndarray]] = {
+    "route_mean_m": lambda tracked: np.nanmean(off_route(tracked), axis=1),
+    "route_max_m": lambda tracked: np.nanmax(off_route(tracked), axis=1),
+    "route_variance_m2": lambda tracked: np.nanvar(off_route(tracked), axis=1),
+    "under_10_cm": lambda tracked: _share(tracked, off_route(tracked) < 0.10),
+    "under_15_cm": lambda tracked: _share(tracked, off_route(tracked) < 0.15),
+    # Closer to the route than the raw fixes.
+    "improved": lambda tracked: _share(tracked, off_route(tracked) < raw_off_route(tracked)),
 }
 
 
-class Printed(NamedTuple):
-    """A printed metric in `unit`: our measure, in SI units, times `factor`; printed for raw fixes and for MH-K."""
-
-    measure: str
-    factor: float
-    unit: str
-    raw: float | None
-    mhk: float
+def _printed(metric: str, tracker: str, number: float, unit: str, measure: str, origin: mc.Origin) -> Printed:
+    return Printed(f"Figure 7, {metric}, {tracker}", number, unit, measure, ("workshop",), tracker, origin)
 
 
-PRINTED = {
-    "mean error": Printed("route_mean_m", 100.0, "cm", 8.82, 4.42),
-    "largest error": Printed("route_max_m", 100.0, "cm", 57.89, 16.0),
-    "variance": Printed("route_variance_m2", 1e4, "cm²", 76.79, 10.5),
-    "under 10 cm": Printed("under_10_cm", 100.0, "%", None, 98.3),
-    "under 15 cm": Printed("under_15_cm", 100.0, "%", None, 99.3),
-    "fixes improved": Printed("improved", 100.0, "%", None, 71.6),
-}
-FITTED_OF_MHK = ("mean error", "largest error")
+OF_RAW = (
+    _printed("mean error", "raw", 8.82, "cm", "route_mean_m", mc.FITTED),
+    _printed("largest error", "raw", 57.89, "cm", "route_max_m", mc.FITTED),
+    _printed("variance", "raw", 76.79, "cm²", "route_variance_m2", mc.FITTED),
+)
+OF_MHK = (
+    _printed("mean error", "mhk", 4.42, "cm", "route_mean_m", mc.FITTED),
+    _printed("largest error", "mhk", 16.0, "cm", "route_max_m", mc.FITTED),
+    _printed("variance", "mhk", 10.5, "cm²", "route_variance_m2", mc.PREDICTED),
+    _printed("under 10 cm", "mhk", 98.3, "%", "under_10_cm", mc.PREDICTED),
+    _printed("under 15 cm", "mhk", 99.3, "%", "under_15_cm", mc.PREDICTED),
+    _printed("fixes improved", "mhk", 71.6, "%", "improved", mc.PREDICTED),
+)
+PRINTED = (*(one for pair in zip(OF_RAW, OF_MHK[:3], strict=True) for one in pair), *OF_MHK[3:])
 CM = "{:.1f} cm"
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The nine printed metrics, and the paper's conclusions."""
-    found: list[ExpectedResult | Conclusion] = []
-    for metric, printed in PRINTED.items():
-        for tracker, number in (("raw", printed.raw), ("mhk", printed.mhk)):
-            if number is not None:
-                ours = results.value(printed.measure, "workshop", tracker).times(printed.factor)
-                origin = FITTED if tracker == "raw" or metric in FITTED_OF_MHK else PREDICTED
-                name, share = f"Figure 7, {metric}, {tracker}", printed.unit == "%"
-                note = f"the rest is {100 - ours.value:.2f} %, printed {100 - number:.1f} %" if share else ""
-                found.append(ExpectedResult(name, number, ours, printed.unit, origin, note=note, share=share))
-    return [*found, *_conclusions(results)]
+    for one in PRINTED:
+        ours, is_share = one.ours(results).value, one.unit == "%"
+        note = f"the rest is {100 - ours:.2f} %, printed {100 - one.number:.1f} %" if is_share else ""
+        yield one.beside(results, note)
+    cm = {m: {t: results.value(m, "workshop", t).times(100.0) for t in results.study.trackers} for m in ROUTE_AND_TIME}
+    largest, mean = ({t: cm[m][t] for t in ("raw", "median", "mhk")} for m in ROUTE_AND_TIME[:2])
+    in_time = {t: cm["mean_m"][t] for t in ("raw", "mhk", "mhk-stamped")}
+    yield mc.Conclusion(
+        "the drift is alleviated by the median as well as by MH-K",
+        max(largest["median"].value, largest["mhk"].value) < 0.5 * largest["raw"].value,
+        "largest distance to the route " + listed(largest, CM),
+        mc.DERIVED,
+    )
+    yield mc.Conclusion(
+        "where the drift is largest MH-K is closer to the route than the median alone",
+        results.difference("route_max_m", "workshop", "mhk", "median").high < 0,
+        f"largest distance to the route {listed(largest, CM)}; but in the mean {listed(mean, CM)}",
+        mc.DERIVED,
+    )
+    yield mc.Conclusion(
+        "the location error is less than 20 cm",
+        largest["mhk"].value < 20.0,
+        f"largest distance to the route {largest['mhk'].value:.1f} cm",
+        mc.DERIVED,
+    )
+    yield mc.Conclusion(
+        "in time MH-K as printed is worse than the raw fixes, and better with the times of its windows' middles",
+        in_time["mhk"].low > in_time["raw"].high and in_time["mhk-stamped"].high < in_time["raw"].low,
+        "mean distance to the place at that time " + listed(in_time, CM),
+        mc.PREDICTED,
+    )
 
 
-def _conclusions(results: Results) -> list[ExpectedResult | Conclusion]:
-    def cm(measure: str, tracker: str) -> Value:
-        return results.value(measure, "workshop", tracker).times(100.0)
-
-    largest = {name: cm("route_max_m", name) for name in ("raw", "median", "mhk")}
-    mean = {name: cm("route_mean_m", name) for name in ("raw", "median", "mhk")}
-    in_time = {name: cm("mean_m", name) for name in ("raw", "mhk", "mhk-stamped")}
-    return [
-        Conclusion(
-            "the drift is alleviated by the median as well as by MH-K",
-            max(largest["median"].value, largest["mhk"].value) < 0.5 * largest["raw"].value,
-            "largest distance to the route " + listed(largest, CM),
-            inherited(FITTED, PREDICTED),
-        ),
-        Conclusion(
-            "where the drift is largest MH-K is closer to the route than the median alone",
-            results.difference("route_max_m", "workshop", "mhk", "median").high < 0,
-            f"largest distance to the route {listed(largest, CM)}; but in the mean {listed(mean, CM)}",
-            inherited(FITTED, PREDICTED),
-        ),
-        Conclusion(
-            "the location error is less than 20 cm",
-            largest["mhk"].value < 20.0,
-            f"largest distance to the route {largest['mhk'].value:.1f} cm",
-            inherited(FITTED),
-        ),
-        Conclusion(
-            "in time MH-K as printed is worse than the raw fixes, and better with the times of its windows' middles",
-            in_time["mhk"].low > in_time["raw"].high and in_time["mhk-stamped"].high < in_time["raw"].low,
-            "mean distance to the place at that time " + listed(in_time, CM),
-            PREDICTED,
-        ),
-    ]
+ROUTE_AND_TIME = ("route_max_m", "route_mean_m", "mean_m")
+OF_WORLD = ("drift", "share", "size")
 
 
-def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Study:
+def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> mc.Study:
     """The study with these parameters of the world and of MH-K; its seed differs from the fit's, 0."""
     own = {"fusion.motion.sigma_a": numbers["sigma_a"], "median.speed_limit": numbers["speed_limit"]}
-    world = World(workshop, {name: numbers[name] for name in ("drift", "share", "size")})
-    configs: dict[str, str | TrackerSpec] = {
-        "mhk": "mhk",
-        "raw": RAW,
-        "median": "median",
-        "mhk-stamped": "mhk-stamped",
-    }
-    return Study(
+    return mc.Study(
         name="workshop",
         about="Figures 6 and 7 of Huang et al. 2018: how far from its route a vehicle seems to be, raw and by MH-K",
-        worlds={"workshop": world},
-        trackers={k: TrackerConfig(e, own if k.startswith("mhk") else {}) for k, e in configs.items()},
+        worlds={"workshop": mc.World(workshop, {name: numbers[name] for name in OF_WORLD})},
+        trackers={
+            "mhk": mc.TrackerConfig("mhk", own),
+            "raw": mc.TrackerConfig(RAW),
+            "median": mc.TrackerConfig("median"),
+            "mhk-stamped": mc.TrackerConfig("mhk-stamped", own),
+        },
         runs=runs,
         seed=seed,
         measures=MEASURES,
@@ -180,4 +146,27 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
     )
 
 
-STUDY = study_with(fitted("huang_2018/workshop"))
+STUDY = study_with(fitted("papers/huang_2018/workshop"))
+
+SIGMAS_A = (0.02, 0.03, 0.04, 0.05, 0.07, 0.1)
+SPEED_LIMITS = (0.55, 0.6, 0.8, 1.0, 2.0, 4.0)
+"""m/s; the vehicle's speed is 0.5 m/s, and a closer limit would slow its estimates."""
+
+ALL_RAW, BOTH = "mean, maximum and variance of the raw fixes", "mean and maximum of MH-K, from a grid"
+START = {"drift": Fitted(0.05, "m", ALL_RAW), "share": Fitted(0.45, "1", ALL_RAW), "size": Fitted(0.16, "m", ALL_RAW)}
+LEFT = "4 of 9 printed figures are predictions: variance, under 10 cm, under 15 cm and improved of MH-K"
+
+
+def fit() -> tuple[str, dict[str, Fitted]]:
+    """The world by least squares, then Q and speed limit of MH-K from a grid."""
+    mhk = {"sigma_a": 0.05, "speed_limit": 0.6}
+    world = Fit(lambda numbers, *rest: study_with(mhk | numbers, *rest), START, [[p] for p in OF_RAW], LEFT, 100, 6)
+    left, numbers = world()
+    of_world, of_mhk = {name: numbers[name].value for name in OF_WORLD}, [[p] for p in OF_MHK[:2]]
+    tried = {}
+    for sigma_a, limit in product(SIGMAS_A, SPEED_LIMITS):
+        own = of_world | {"sigma_a": sigma_a, "speed_limit": limit}
+        tried[sigma_a, limit] = float(np.sum(np.log(Fit(study_with, {}, of_mhk, left, 100).ratios(own)) ** 2))
+    sigma_a, limit = min(tried, key=tried.__getitem__)
+    chosen = {"sigma_a": Fitted(sigma_a, "m/s^2/sqrt(Hz)", BOTH), "speed_limit": Fitted(limit, "m/s", BOTH)}
+    return left, numbers | chosen

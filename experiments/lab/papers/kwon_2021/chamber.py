@@ -9,24 +9,14 @@ room.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from experiments.lab.papers.constant_biases import CONSTANT_BIASES
-from experiments.lab.papers.fitting import fitted
-from experiments.monte_carlo import (
-    DERIVED,
-    FITTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    World,
-    inherited,
-)
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import Printed
+from experiments.lab.papers.fitting import Fit, Fitted, fitted
+from experiments.lab.papers.trackers import CONSTANT_BIASES
 from experiments.text.wording import listed
 from sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
 from trackers.recordings.folder import RecordingFolder
@@ -36,7 +26,18 @@ SIDE, TURN = 5.0, np.deg2rad(15.0)
 """Side of the anchors' square, m, and its angle to the tags' square, rad."""
 
 ROWS = 100
-PRINTED_MM = {"x": 55.75, "y": 57.0, "z": 144.25}
+
+
+def _printed(axis: str, number: float, origin: mc.Origin, note: str = "") -> Printed:
+    quantity = f"Table 2, largest deviation in {axis}, mean over four places"
+    return Printed(quantity, number, "mm", f"largest_{axis}_m", tuple(PLACES), "least squares", origin, note)
+
+
+PRINTED = {
+    "x": _printed("x", 55.75, mc.FITTED),
+    "y": _printed("y", 57.0, mc.DERIVED, "follows from x by the symmetry of the room"),
+    "z": _printed("z", 144.25, mc.FITTED),
+}
 
 
 def anchors(height: float) -> np.ndarray:
@@ -56,7 +57,7 @@ def corner(
         len(ids),
         seed,
         n_points=ROWS,
-        protocol=Protocol(sigma_stamp=fitted("kwon_2021/table_4")["sigma_stamp"]),
+        protocol=Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"]),
         corruptions={"biases": antenna_biases(sigma_bias)},
         ids=ids,
     )
@@ -69,45 +70,34 @@ def under(z: np.ndarray, folder: RecordingFolder) -> np.ndarray:
     return plane - np.abs(z - plane)
 
 
-def deviations(tracked: TrackedRuns) -> np.ndarray:
+def deviations(tracked: mc.TrackedRuns) -> np.ndarray:
     """Errors (n, T, 3), m, of each axis, with heights above the anchors mirrored; NaN without an estimate."""
     found = tracked.estimates.copy()
     found[..., 2] = under(found[..., 2], tracked.folder)
     return tracked._replace(estimates=found).error
 
 
-def _largest(axis: int) -> Callable[[TrackedRuns], np.ndarray]:
+def _largest(axis: int) -> Callable[[mc.TrackedRuns], np.ndarray]:
     return lambda tracked: np.nanmax(np.abs(deviations(tracked)[..., axis]), axis=1)
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Table 2."""
-    found: list[ExpectedResult | Conclusion] = []
-    ours = {a: results.average(f"largest_{a}_m", [(w, TRACKER) for w in PLACES]).times(1e3) for a in PRINTED_MM}
-    for axis, printed in PRINTED_MM.items():
-        claim = f"Table 2, largest deviation in {axis}, mean over four places"
-        found.append(
-            ExpectedResult(claim, printed, ours[axis], "mm", DERIVED, note="follows from x by the symmetry of the room")
-            if axis == "y"
-            else ExpectedResult(claim, printed, ours[axis], "mm", FITTED)
-        )
+    yield from (one.beside(results) for one in PRINTED.values())
+    ours = {axis: one.ours(results) for axis, one in PRINTED.items()}
     larger = ours["z"].low > max(ours["x"].high, ours["y"].high)
-    says = "errors in z are larger than in x and y"
-    return [*found, Conclusion(says, larger, listed(ours, "{:.0f} mm"), inherited(FITTED, DERIVED))]
+    yield mc.Conclusion("errors in z are larger than in x and y", larger, listed(ours, "{:.0f} mm"), mc.DERIVED)
 
 
-TRACKER = "least squares"
-
-
-def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Study:
+def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> mc.Study:
     """The study with these parameters of the chamber; its seed differs from the fit's, 0."""
-    return Study(
+    return mc.Study(
         name="chamber",
         about="Table 2 of Kwon et al. 2021: the largest deviations of a still tag in a chamber",
-        worlds={name: World(corner, {"place": place, **numbers}) for name, place in PLACES.items()},
+        worlds={name: mc.World(corner, {"place": place, **numbers}) for name, place in PLACES.items()},
         trackers={
-            TRACKER: TrackerConfig("multilateration", free_height=True),
-            "filter": TrackerConfig("uwb", CONSTANT_BIASES, free_height=True),
+            "least squares": mc.TrackerConfig("multilateration", free_height=True),
+            "filter": mc.TrackerConfig("uwb", CONSTANT_BIASES, free_height=True),
         },
         runs=runs,
         seed=seed,
@@ -117,4 +107,11 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
     )
 
 
-STUDY = study_with(fitted("kwon_2021/chamber"))
+fit = Fit(
+    study_with,
+    {"sigma_bias": Fitted(0.05, "m", "x"), "height": Fitted(2.45, "m", "z")},
+    [[PRINTED["x"]], [PRINTED["z"]]],
+    "1 of 3 printed figures: y",
+    runs=100,
+)
+STUDY = study_with(fitted("papers/kwon_2021/chamber"))

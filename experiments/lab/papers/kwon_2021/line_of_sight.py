@@ -10,33 +10,35 @@ parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from experiments.lab.papers.fitting import fitted
-from experiments.monte_carlo import (
-    FITTED,
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    World,
-    inherited,
-)
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import Printed
+from experiments.lab.papers.fitting import Fit, Fitted, fitted
+from experiments.text.wording import listed
 from sim.corruptions import Corruption, gauss_markov
-from sim.keys import Keys
 from sim.ranging import Protocol, chamber, obstruction, on_anchors, simulate_ranges
 from trackers.recordings.folder import RecordingFolder
 
 HALL = np.array([[0.0, 0.0, 1.8], [8.0, 0.0, 1.8], [0.0, 8.0, 1.8]])
 HIDDEN = (1,)
 REPEATS = 20
-PRINTED_MM = {"in sight": {"x": (-194, 195), "y": (-194, 188)}, "hidden": {"x": (-382, 289), "y": (-237, 107)}}
 TRACKER = "trilateration"
+
+
+def _printed(world: str, axis: str, least: float, largest: float, origin: mc.Origin) -> Printed:
+    quantity = f"Table 1, {world}, {axis}, largest less smallest"
+    return Printed(quantity, largest - least, "mm", f"span_{axis}_m", (world,), TRACKER, origin)
+
+
+PRINTED = (
+    _printed("in sight", "x", -194, 195, mc.FITTED),
+    _printed("in sight", "y", -194, 188, mc.FITTED),
+    _printed("hidden", "x", -382, 289, mc.FITTED),
+    _printed("hidden", "y", -237, 107, mc.PREDICTED),
+)
 
 
 def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: float = 0.0) -> RecordingFolder:
@@ -44,10 +46,6 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
     side = round(places**0.5)
     spots = np.stack(np.meshgrid(np.linspace(1.0, 3.0, side), np.linspace(1.0, 3.0, side)), -1).reshape(-1, 2)
     stops = np.column_stack([spots, np.full(places, 1.2)]).repeat(REPEATS, axis=0)
-
-    def visits(keys: Keys, times: np.ndarray) -> np.ndarray:
-        return np.tile(stops, (len(keys), 1, 1))
-
     # Echoes are constant at a position and independent between positions.
     pieces: dict[str, Corruption] = {"echoes": gauss_markov(sigma_echo, REPEATS / 10)}
     if detour:
@@ -55,74 +53,60 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
         pieces["hidden"] = on_anchors(HIDDEN, obstruction(0.5, REPEATS / 10, detour, detour / 2))
     world = simulate_ranges(
         chamber(HALL),
-        visits,
+        lambda keys, times: np.tile(stops, (len(keys), 1, 1)),
         len(ids),
         seed,
         n_points=len(stops),
-        protocol=Protocol(sigma_stamp=fitted("kwon_2021/table_4")["sigma_stamp"]),
+        protocol=Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"]),
         corruptions=pieces,
         ids=ids,
     )
     return world.folder("hall")
 
 
-def _largest(tracked: TrackedRuns) -> np.ndarray:
+def _largest(tracked: mc.TrackedRuns) -> np.ndarray:
     return np.asarray(np.nanmax(np.abs(tracked.error[..., :2]), axis=(1, 2)))
 
 
-def _span(axis: int) -> Callable[[TrackedRuns], np.ndarray]:
-    def span(tracked: TrackedRuns) -> np.ndarray:
-        error = tracked.error[..., axis]
-        return np.asarray(np.nanmax(error, axis=1) - np.nanmin(error, axis=1))
-
-    return span
+def _span(axis: int) -> Callable[[mc.TrackedRuns], np.ndarray]:
+    return lambda tracked: np.nanmax(tracked.error[..., axis], axis=1) - np.nanmin(tracked.error[..., axis], axis=1)
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Table 1."""
-    found: list[ExpectedResult | Conclusion] = []
-    for world, axes in PRINTED_MM.items():
-        for axis, (low, high) in axes.items():
-            ours = results.value(f"span_{axis}_m", world, TRACKER).times(1e3)
-            found.append(
-                ExpectedResult(
-                    f"Table 1, {world}, {axis}, largest less smallest",
-                    high - low,
-                    ours,
-                    "mm",
-                    PREDICTED if (world, axis) == ("hidden", "y") else FITTED,
-                )
-            )
-    spans = {w: results.value("span_x_m", w, TRACKER).times(1e3) for w in PRINTED_MM}
-    largest = {w: results.value("largest_m", w, TRACKER).times(1e3) for w in PRINTED_MM}
-    return [
-        *found,
-        Conclusion(
-            "errors without line of sight are slightly higher than with it",
-            spans["hidden"].low > spans["in sight"].high,
-            ", ".join(f"{w}: x over {v.value:.0f} mm" for w, v in spans.items()),
-            inherited(FITTED),
-        ),
-        Conclusion(
-            "all errors indoors are within ±200 mm (Table 1 itself holds 289, −382 and −237)",
-            max(v.value for v in largest.values()) < 200,
-            ", ".join(f"{w}: largest {v.value:.0f} mm" for w, v in largest.items()),
-            inherited(FITTED),
-        ),
-    ]
+    yield from (one.beside(results) for one in PRINTED)
+    spans, largest = (
+        {w: results.value(measure, w, TRACKER).times(1e3) for w in results.study.worlds}
+        for measure in ("span_x_m", "largest_m")
+    )
+    yield mc.Conclusion(
+        "errors without line of sight are slightly higher than with it",
+        spans["hidden"].low > spans["in sight"].high,
+        listed({f"{w}: x over": v for w, v in spans.items()}, "{:.0f} mm"),
+        mc.DERIVED,
+    )
+    yield mc.Conclusion(
+        "all errors indoors are within ±200 mm (Table 1 itself holds 289, −382 and −237)",
+        max(v.value for v in largest.values()) < 200,
+        listed({f"{w}: largest": v for w, v in largest.items()}, "{:.0f} mm"),
+        mc.DERIVED,
+    )
 
 
-def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Study:
+def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> mc.Study:
     """The study with these parameters of the hall; its seed differs from the fit's, 0."""
     echo = {"sigma_echo": numbers["sigma_echo"]}
-    return Study(
+    return mc.Study(
         name="line-of-sight",
         about="Table 1 of Kwon et al. 2021: errors of still tags in sight of three anchors, and hidden from them",
         worlds={
-            "in sight": World(hall, {"places": 16, **echo}),
-            "hidden": World(hall, {"places": 4, "detour": numbers["detour"], **echo}),
+            "in sight": mc.World(hall, {"places": 16, **echo}),
+            "hidden": mc.World(hall, {"places": 4, "detour": numbers["detour"], **echo}),
         },
-        trackers={TRACKER: TrackerConfig("trilateration"), "with (14)": TrackerConfig("trilateration-compensated")},
+        trackers={
+            TRACKER: mc.TrackerConfig("trilateration"),
+            "with (14)": mc.TrackerConfig("trilateration-compensated"),
+        },
         runs=runs,
         seed=seed,
         measures={"span_x_m": _span(0), "span_y_m": _span(1), "largest_m": _largest},
@@ -131,4 +115,14 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
     )
 
 
-STUDY = study_with(fitted("kwon_2021/line_of_sight"))
+fit = Fit(
+    study_with,
+    {
+        "sigma_echo": Fitted(0.07, "m", "in sight, geometric mean of x and y"),
+        "detour": Fitted(0.3, "m", "hidden, x"),
+    },
+    [PRINTED[:2], PRINTED[2:3]],
+    "2 of 4 printed figures",
+    runs=60,
+)
+STUDY = study_with(fitted("papers/kwon_2021/line_of_sight"))

@@ -9,31 +9,18 @@ strokes and the true end. Two printed errors contradict their own rows (3,190 mm
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.lab.papers.constant_biases import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import Printed, plot
 from experiments.lab.papers.fitting import fitted
 from experiments.lab.papers.kwon_2021.chamber import anchors, deviations, under
-from experiments.monte_carlo import (
-    DERIVED,
-    FITTED,
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    Value,
-    World,
-    inherited,
-)
+from experiments.lab.papers.trackers import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL
 from experiments.monte_carlo.chunk import tracked_runs
-from experiments.pages.plots.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain, write_svg
+from experiments.pages.plots.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain
 from experiments.text.wording import fixed_interval, listed
 from sim.imu import level, simulate_uwb_imu
 from sim.keys import Keys, trajectory_keys
@@ -43,11 +30,26 @@ from trackers.recordings.folder import RecordingFolder
 LOW, HIGH = np.array([2.80, 2.71, 1.50]), np.array([3.19, 3.09, 1.89])
 STROKES, STROKE_S, RATE_HZ = 5, 4.0, 10.0
 AXIS_S = STROKES * STROKE_S
-
-PRINTED_MM = {"x": (40.0, 41.0), "y": (30.0, 37.0), "z": (179.0, 95.0)}
-"""Table 3, mean errors at the least and at the largest coordinate."""
-
+MEASURED = "measured"
 HEIGHTS = "the higher end is nearer to the anchors' plane, where heights are seen worse; printed is the reverse"
+FOLLOWS = "follows from the ends above"
+
+
+def _printed(what: str, number: float, measure: str, origin: mc.Origin, note: str = "") -> Printed:
+    return Printed(f"Table 3, {what}", number, "mm", measure, ("robot",), MEASURED, origin, note)
+
+
+PRINTED = (
+    _printed("x, least, mean error", 40.0, "least_x_m", mc.PREDICTED),
+    _printed("x, largest, mean error", 41.0, "largest_x_m", mc.PREDICTED),
+    _printed("y, least, mean error", 30.0, "least_y_m", mc.PREDICTED),
+    _printed("y, largest, mean error", 37.0, "largest_y_m", mc.PREDICTED),
+    _printed("z, least, mean error", 179.0, "least_z_m", mc.FITTED, HEIGHTS),
+    _printed("z, largest, mean error", 95.0, "largest_z_m", mc.FITTED, HEIGHTS),
+    _printed("x and y, both ends, mean", 37.0, "flat_m", mc.DERIVED, FOLLOWS),
+    _printed("z, both ends, mean", 137.0, "height_m", mc.DERIVED, FOLLOWS),
+)
+"""Mean errors at the least and at the largest coordinate, and their means."""
 
 
 def strokes(keys: Keys, times: np.ndarray) -> np.ndarray:
@@ -69,7 +71,7 @@ def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> Recor
         seed,
         rate_hz=RATE_HZ,
         n_points=round(3 * AXIS_S * RATE_HZ),
-        protocol=Protocol(sigma_stamp=fitted("kwon_2021/table_4")["sigma_stamp"]),
+        protocol=Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"]),
         corruptions={"biases": antenna_biases(sigma_bias)},
         attitude=level,
         ids=ids,
@@ -77,10 +79,10 @@ def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> Recor
     return world.folder("robot")
 
 
-def _end(axis: int, largest: bool) -> Callable[[TrackedRuns], np.ndarray]:
+def _end(axis: int, largest: bool) -> Callable[[mc.TrackedRuns], np.ndarray]:
     """Error, m, of the mean of the strokes' smallest or largest coordinates."""
 
-    def off(tracked: TrackedRuns) -> np.ndarray:
+    def off(tracked: mc.TrackedRuns) -> np.ndarray:
         found = (deviations(tracked) + tracked.truth)[..., axis]
         if not largest:
             found = -found
@@ -92,82 +94,61 @@ def _end(axis: int, largest: bool) -> Callable[[TrackedRuns], np.ndarray]:
     return off
 
 
-def _mean_of(axes: range) -> Callable[[TrackedRuns], np.ndarray]:
+def _mean_of(axes: range) -> Callable[[mc.TrackedRuns], np.ndarray]:
     """The mean error of both ends of some axes."""
     ends = [_end(axis, largest) for axis in axes for largest in (False, True)]
     return lambda tracked: np.mean([end(tracked) for end in ends], axis=0)
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Table 3, and the benefit of the IMU."""
-    found: list[ExpectedResult | Conclusion] = []
-    means: dict[str, Value] = {}
-    for axis, printed in PRINTED_MM.items():
-        ours = {end: results.value(f"{end}_{axis}_m", "robot", MEASURED).times(1e3) for end in ("least", "largest")}
-        for (end, value), number in zip(ours.items(), printed, strict=True):
-            origin, note = (FITTED, HEIGHTS) if axis == "z" else (PREDICTED, "")
-            found.append(ExpectedResult(f"Table 3, {axis}, {end}, mean error", number, value, "mm", origin, note=note))
-        means[axis] = ours["least"]
-    for figure, measure, printed_mean in (
-        ("x and y, both ends", "flat_m", np.mean([*PRINTED_MM["x"], *PRINTED_MM["y"]])),
-        ("z, both ends", "height_m", np.mean(PRINTED_MM["z"])),
-    ):
-        ours_mean = results.value(measure, "robot", MEASURED).times(1e3)
-        name, note = f"Table 3, {figure}, mean", "follows from the ends above"
-        found.append(ExpectedResult(name, float(printed_mean), ours_mean, "mm", DERIVED, note=note))
-    without = results.difference("rmse_m", "robot", "with IMU", "without IMU").times(1e3)
-    raw = results.difference("rmse_m", "robot", "with IMU", MEASURED).times(1e3)
-    return [
-        *found,
-        Conclusion(
-            "tracking is accurate in x and y, the error in z is larger",
-            means["z"].low > max(means["x"].high, means["y"].high),
-            listed(means, "{:.0f} mm"),
-            inherited(FITTED, PREDICTED),
-        ),
-        Conclusion(
-            "with an IMU the horizontal error is smaller than without",
-            without.high < 0,
-            f"{fixed_interval(without, '+.1f', ' mm')} beside the filter of ranges, "
-            f"{raw.value:+.1f} mm beside least squares: the remaining errors are biases, which an IMU does not measure",
-            PREDICTED,
-        ),
-    ]
+    yield from (one.beside(results) for one in PRINTED)
+    means = {axis: results.value(f"least_{axis}_m", "robot", MEASURED).times(1e3) for axis in "xyz"}
+    yield mc.Conclusion(
+        "tracking is accurate in x and y, the error in z is larger",
+        means["z"].low > max(means["x"].high, means["y"].high),
+        listed(means, "{:.0f} mm"),
+        mc.DERIVED,
+    )
+    without, raw = (
+        results.difference("rmse_m", "robot", "with IMU", other).times(1e3) for other in ("without IMU", MEASURED)
+    )
+    yield mc.Conclusion(
+        "with an IMU the horizontal error is smaller than without",
+        without.high < 0,
+        f"{fixed_interval(without, '+.1f', ' mm')} beside the filter of ranges, "
+        f"{raw.value:+.1f} mm beside least squares: the remaining errors are biases, which an IMU does not measure",
+        mc.PREDICTED,
+    )
 
 
-def figure_9(results: Results, folder: Path) -> list[str]:
+def figure_9(results: mc.Results, figure: Figure) -> None:
     """The coordinates of the first tag."""
     runs = tracked_runs(results.study, "robot", np.arange(1))
-
-    def draw(figure: Figure) -> None:
-        panels = figure.subplots(3, 1, sharex=True)
-        for colour, name in zip((GREY, VERMILION, BLUE), (MEASURED, "without IMU", "with IMU"), strict=True):
-            run = runs[name]
-            last = np.append(np.diff(run.times[0]) > 0, True)
-            x, y, z = run.estimates[0, last].T
-            for axes, values in zip(panels, (x, y, under(z, run.folder)), strict=True):
-                axes.plot(run.times[0, last], values, color=colour, label=name)
-        times = np.arange(0, 3 * AXIS_S, 0.05)
-        for axes, true, letter in zip(panels, strokes(trajectory_keys(0, [0]), times)[0].T, "xyz", strict=True):
-            axes.plot(times, true, color=BLACK, linewidth=0.8, linestyle="--", label="robot")
-            axes.set_title(f"{letter}, m")
-            plain(axes)
-        panels[2].set_xlabel("time, s")
-        figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center")
-
-    return [write_svg(folder, "figure_9.svg", draw, height=2 * HEIGHT)]
+    panels = figure.subplots(3, 1, sharex=True)
+    for colour, name in zip((GREY, VERMILION, BLUE), (MEASURED, "without IMU", "with IMU"), strict=True):
+        run = runs[name]
+        last = np.append(np.diff(run.times[0]) > 0, True)
+        x, y, z = run.estimates[0, last].T
+        for axes, values in zip(panels, (x, y, under(z, run.folder)), strict=True):
+            axes.plot(run.times[0, last], values, color=colour, label=name)
+    times = np.arange(0, 3 * AXIS_S, 0.05)
+    for axes, true, letter in zip(panels, strokes(trajectory_keys(0, [0]), times)[0].T, "xyz", strict=True):
+        axes.plot(times, true, color=BLACK, linewidth=0.8, linestyle="--", label="robot")
+        axes.set_title(f"{letter}, m")
+        plain(axes)
+    panels[2].set_xlabel("time, s")
+    figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center")
 
 
-MEASURED = "measured"
-
-STUDY = Study(
+STUDY = mc.Study(
     name="robot",
     about="Table 3 and Figure 9 of Kwon et al. 2021: a tag that a robot moves along each axis, with and without IMU",
-    worlds={"robot": World(robot, fitted("kwon_2021/chamber"))},
+    worlds={"robot": mc.World(robot, fitted("papers/kwon_2021/chamber"))},
     trackers={
-        "with IMU": TrackerConfig("uwb-imu", CONSTANT_BIASES_INERTIAL, every=1 / RATE_HZ),
-        "without IMU": TrackerConfig("uwb", CONSTANT_BIASES, every=1 / RATE_HZ),
-        MEASURED: TrackerConfig("multilateration"),
+        "with IMU": mc.TrackerConfig("uwb-imu", CONSTANT_BIASES_INERTIAL, every=1 / RATE_HZ),
+        "without IMU": mc.TrackerConfig("uwb", CONSTANT_BIASES, every=1 / RATE_HZ),
+        MEASURED: mc.TrackerConfig("multilateration"),
     },
     runs=60,
     seed=1,
@@ -178,5 +159,5 @@ STUDY = Study(
     },
     metrics=("flat_m", "height_m", "rmse_m", "p95_m"),
     expected=expected,
-    draw=figure_9,
+    draw=plot("figure_9.svg", figure_9, height=2 * HEIGHT),
 )

@@ -10,33 +10,26 @@ freedom are left. A tag at rest does not show a filter's lag.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
+import polars as pl
 from matplotlib.figure import Figure
 
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.kwon_2021._fixes_from_ranges import fixes_from_ranges
-from experiments.lab.papers.moving_windows import RAW, window
-from experiments.monte_carlo import (
-    FITTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    World,
-    inherited,
-)
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import Printed, plot
+from experiments.lab.papers.fitting import Fit, Fitted, fitted
+from experiments.lab.papers.trackers import RAW, window
 from experiments.monte_carlo.chunk import tracked_runs
-from experiments.pages.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain, write_svg
+from experiments.pages.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain
 from sim.corruptions import gauss_markov
 from sim.imu import constant_bias, level, simulate_uwb_imu, white_density
 from sim.ranging import Protocol, chamber, on_anchors
+from trackers.catalogue import spec_of
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracks import batches
 
 TAG = np.array([2.7, 2.7, 1.8])
 RATE_HZ, SCORED, SETTLING = 40.0, 380, 300
@@ -45,13 +38,19 @@ ONE_SIDE = (0, 1)
 SIGMA_ACCEL, SIGMA_RANGE = 0.001, 0.007
 """m/s²/√Hz and m."""
 
-PRINTED = {
+SPREADS_MM = {
     "raw": (34.6, 49.9),
     "moving average": (18.4, 31.7),
     "Kalman": (15.0, 26.2),
     "proposed": (10.8, 18.4),
 }
 """Table 4, largest less smallest: x and y, mm."""
+
+PRINTED = {
+    (name, axis): Printed(f"Table 4, {name}, {axis}", number, "mm", f"spread_{axis}_m", ("still",), name, mc.FITTED)
+    for name, spreads in SPREADS_MM.items()
+    for axis, number in zip("xy", spreads, strict=True)
+}
 
 
 def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: float, tau: float) -> RecordingFolder:
@@ -75,61 +74,69 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
         attitude=level,
         ids=ids,
     )
-    return fixes_from_ranges(world.folder("still tag"), "trilateration")
+    return _with_fixes(world.folder("still tag"))
 
 
-def settled(tracked: TrackedRuns) -> list[np.ndarray]:
-    """The last 380 places (380, 2), m, of every tag."""
-    return [e[k][-SCORED:, :2] for e, k in zip(tracked.estimates, tracked.known, strict=True)]
+def _with_fixes(folder: RecordingFolder) -> RecordingFolder:
+    """The folder with a table of fixes: the usable positions that trilateration estimates from its ranges."""
+    tables = []
+    for group in spec_of("trilateration").batches([folder], "trilateration", False):
+        for trajectories, batch in batches(group.trajectories):
+            estimates, columns = group.tracker.run(batch), trajectories.columns
+            rows = np.arange(estimates.status.shape[1]) < np.diff(columns.starts)[:, None]
+            axes = [np.asarray(x, float)[rows] for x in estimates.mean.position]
+            axes += [columns.of_each(trajectories.heights)] * (3 - len(axes))
+            tag = pl.Series(trajectories.tags).gather(columns.of_each(np.arange(len(columns))))
+            places = {f"{a}_m": x for a, x in zip("xyz", axes, strict=True)}
+            fixes = pl.DataFrame({"t_s": columns.times, "tag": tag, **places})
+            tables.append(fixes.filter(pl.Series(estimates.usable[rows])))
+    return replace(folder, tables={**folder.tables, "fixes": pl.concat(tables).sort("t_s", maintain_order=True)})
 
 
-def _spread(axis: int) -> Callable[[TrackedRuns], np.ndarray]:
-    return lambda tracked: np.array([np.ptp(places[:, axis]) for places in settled(tracked)])
+def _spread(axis: int) -> Callable[[mc.TrackedRuns], np.ndarray]:
+    """The range (n,), m, of the last 380 places along an axis."""
+
+    def spread(tracked: mc.TrackedRuns) -> np.ndarray:
+        pairs = zip(tracked.estimates, tracked.known, strict=True)
+        return np.array([np.ptp(estimates[known][-SCORED:, axis]) for estimates, known in pairs])
+
+    return spread
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Table 4."""
-    found: list[ExpectedResult | Conclusion] = []
-    for name, printed in PRINTED.items():
-        for axis, number in zip("xy", printed, strict=True):
-            ours = results.value(f"spread_{axis}_m", "still", name).times(1e3)
-            found.append(ExpectedResult(f"Table 4, {name}, {axis}", number, ours, "mm", FITTED))
-    order = list(PRINTED)
+    yield from (one.beside(results) for one in PRINTED.values())
     less = [
         results.difference(f"spread_{axis}_m", "still", after, before).high < 0
-        for before, after in pairwise(order)
+        for before, after in pairwise(SPREADS_MM)
         for axis in "xy"
     ]
-    listed = ", ".join(f"{n} {results.value('spread_x_m', 'still', n).value * 1e3:.1f} mm" for n in order)
+    listed = ", ".join(f"{name} {PRINTED[name, 'x'].ours(results).value:.1f} mm" for name in SPREADS_MM)
     says = "raw > moving average > Kalman > proposed, in x and in y"
-    return [*found, Conclusion(says, all(less), f"in x {listed}", inherited(FITTED))]
+    yield mc.Conclusion(says, all(less), f"in x {listed}", mc.DERIVED)
 
 
-def figure_10(results: Results, folder: Path) -> list[str]:
+def figure_10(results: mc.Results, figure: Figure) -> None:
     """The estimates of the first tag."""
     runs = tracked_runs(results.study, "still", np.arange(1))
-
-    def draw(figure: Figure) -> None:
-        panels = figure.subplots(2, 1, sharex=True)
-        for colour, name in zip((GREY, GREEN, BLUE, VERMILION), PRINTED, strict=True):
-            run = runs[name]
-            last = np.append(np.diff(run.times[0]) > 0, True) & (run.times[0] >= SETTLING / RATE_HZ)
-            for axes, values, letter in zip(panels, run.estimates[0, last].T, "xy", strict=False):
-                axes.plot(run.times[0, last], 1e3 * values, color=colour, label=name)
-                axes.axhline(1e3 * TAG[0], color=BLACK, linewidth=0.6)
-                axes.set_title(f"{letter}, mm")
-        panels[1].set_xlabel("time, s")
-        figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center")
-        for axes in panels:
-            plain(axes)
-
-    return [write_svg(folder, "figure_10.svg", draw, height=2 * HEIGHT)]
+    panels = figure.subplots(2, 1, sharex=True)
+    for colour, name in zip((GREY, GREEN, BLUE, VERMILION), SPREADS_MM, strict=True):
+        run = runs[name]
+        last = np.append(np.diff(run.times[0]) > 0, True) & (run.times[0] >= SETTLING / RATE_HZ)
+        for axes, values, letter in zip(panels, run.estimates[0, last].T, "xy", strict=False):
+            axes.plot(run.times[0, last], 1e3 * values, color=colour, label=name)
+            axes.axhline(1e3 * TAG[0], color=BLACK, linewidth=0.6)
+            axes.set_title(f"{letter}, mm")
+    panels[1].set_xlabel("time, s")
+    figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center")
+    for axes in panels:
+        plain(axes)
 
 
-def configs(sigma_a: float) -> dict[str, TrackerConfig]:
-    """The paper's four; σa of the Kalman filter, m/s² per √Hz."""
+def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> mc.Study:
+    """The study with these numbers of the world and of the Kalman filter; other tags than the fit's, of seed 0."""
     kalman = {
-        "motion.sigma_a": sigma_a,
+        "motion.sigma_a": numbers["sigma_a"],
         "sensors.fixes.sigma_horizontal": SIGMA_RANGE,
         "sensors.fixes.dof": 1e3,
     }
@@ -142,28 +149,40 @@ def configs(sigma_a: float) -> dict[str, TrackerConfig]:
         "sensors.ranges.dof": 1e3,
         "sensors.ranges.bias": np.zeros(3),
     }
-    return {
-        "proposed": TrackerConfig("uwb-imu", proposed, every=1 / RATE_HZ),
-        "raw": TrackerConfig(RAW),
-        "moving average": TrackerConfig(window(WINDOW)),
-        "Kalman": TrackerConfig("fix-kf", kalman),
-    }
-
-
-def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Study:
-    """The study with these numbers of the world and of the Kalman filter; other tags than the fit's, of seed 0."""
-    return Study(
+    return mc.Study(
         name="table-4",
         about="Table 4 and Figure 10 of Kwon et al. 2021: how far the estimates of a still tag spread",
-        worlds={"still": World(still, {k: v for k, v in numbers.items() if k != "sigma_a"})},
-        trackers=configs(numbers["sigma_a"]),
+        worlds={"still": mc.World(still, {k: v for k, v in numbers.items() if k != "sigma_a"})},
+        trackers={
+            "proposed": mc.TrackerConfig("uwb-imu", proposed, every=1 / RATE_HZ),
+            "raw": mc.TrackerConfig(RAW),
+            "moving average": mc.TrackerConfig(window(WINDOW)),
+            "Kalman": mc.TrackerConfig("fix-kf", kalman),
+        },
         runs=runs,
         seed=seed,
         measures={f"spread_{axis}_m": _spread(k) for k, axis in enumerate("xy")},
         metrics=("spread_x_m", "spread_y_m", "rmse_m", "nis_ratio"),
         expected=expected,
-        draw=figure_10,
+        draw=plot("figure_10.svg", figure_10, height=2 * HEIGHT),
     )
 
 
-STUDY = study_with(fitted("kwon_2021/table_4"))
+fit = Fit(
+    study_with,
+    {
+        "sigma_stamp": Fitted(2.7e-11, "s", "raw x"),
+        "base": Fitted(6.0, "m", "raw y"),
+        "slow": Fitted(5.4e-3, "m", "moving average y"),
+        "tau": Fitted(0.55, "s", "proposed x and y, their geometric mean"),
+        "sigma_a": Fitted(0.028, "m/s^2/sqrt(Hz)", "Kalman x and y, their geometric mean"),
+    },
+    [
+        *([PRINTED[one]] for one in (("raw", "x"), ("raw", "y"), ("moving average", "y"))),
+        *([PRINTED[name, axis] for axis in "xy"] for name in ("Kalman", "proposed")),
+    ],
+    f"2 of 8 printed figures: beside these five numbers the window's length, {WINDOW}, was chosen",
+    runs=48,
+    rounds=2,
+)
+STUDY = study_with(fitted("papers/kwon_2021/table_4"))

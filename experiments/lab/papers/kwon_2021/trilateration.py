@@ -7,21 +7,13 @@ unit is not printed, is taken as the standard deviation of a range. Time stamps 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
-from experiments.lab.papers.constant_biases import CONSTANT_BIASES
-from experiments.monte_carlo import (
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    World,
-)
+import experiments.monte_carlo as mc
+from experiments.lab.papers.trackers import CONSTANT_BIASES
 from experiments.text.wording import fixed_interval
 from sim.corruptions import Corruption
 from sim.paths import hand_motion
@@ -43,47 +35,41 @@ def walk(ids: np.ndarray, seed: int, hidden: float = 0.0, rows: int = 300) -> Re
     return world.folder("chamber")
 
 
-def settled(tracked: TrackedRuns) -> np.ndarray:
+def settled(tracked: mc.TrackedRuns) -> np.ndarray:
     """The root mean square of the horizontal errors after the first seconds."""
     size = np.linalg.norm(tracked.error[..., :2], axis=-1)
     return np.asarray(np.sqrt(np.nanmean(np.where(tracked.times >= SETTLED_S, size, np.nan) ** 2, axis=1)))
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Effect of (14), which the paper claims without a figure, and of the fourth range."""
-    found: list[ExpectedResult | Conclusion] = []
     for world in results.study.worlds:
         more = results.difference("settled_rmse_m", world, "with (14)", "trilateration").times(100)
-        found.append(
-            Conclusion(
-                f"{world}: lengthening every range by (14) prevents errors",
-                more.high < 0,
-                f"RMSE with (14) less without: {fixed_interval(more, '+.1f', ' cm')}",
-                PREDICTED,
-            )
+        yield mc.Conclusion(
+            f"{world}: lengthening every range by (14) prevents errors",
+            more.high < 0,
+            f"RMSE with (14) less without: {fixed_interval(more, '+.1f', ' cm')}",
+            mc.PREDICTED,
         )
     for world in results.study.worlds:
         less = results.difference("settled_rmse_m", world, "least squares", "trilateration").times(100)
-        found.append(
-            Conclusion(
-                f"{world}: all four ranges are better than three",
-                less.high < 0,
-                f"RMSE of least squares less that of trilateration: {less.value:+.1f} cm",
-                PREDICTED,
-            )
+        yield mc.Conclusion(
+            f"{world}: all four ranges are better than three",
+            less.high < 0,
+            f"RMSE of least squares less that of trilateration: {less.value:+.1f} cm",
+            mc.PREDICTED,
         )
-    return found
 
 
-STUDY = Study(
+STUDY = mc.Study(
     name="trilateration",
     about="What the confidence compensation (14) of Kwon et al. 2021 does to trilateration",
-    worlds={"line of sight": World(walk), "hidden for a third": World(walk, {"hidden": 1 / 3})},
+    worlds={"line of sight": mc.World(walk), "hidden for a third": mc.World(walk, {"hidden": 1 / 3})},
     trackers={
-        "trilateration": TrackerConfig("trilateration"),
-        "with (14)": TrackerConfig("trilateration-compensated"),
-        "least squares": TrackerConfig("multilateration"),
-        "filter": TrackerConfig("uwb", CONSTANT_BIASES),
+        "trilateration": mc.TrackerConfig("trilateration"),
+        "with (14)": mc.TrackerConfig("trilateration-compensated"),
+        "least squares": mc.TrackerConfig("multilateration"),
+        "filter": mc.TrackerConfig("uwb", CONSTANT_BIASES),
     },
     runs=100,
     measures={"settled_rmse_m": settled},

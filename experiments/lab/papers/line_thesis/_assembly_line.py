@@ -8,14 +8,14 @@ the path enter both, and are therefore underestimated.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from experiments.lab.papers.moving_windows import RAW as FIXES_ALONE
-from experiments.monte_carlo import Results, TrackedRuns, TrackerConfig, World
+import experiments.monte_carlo as mc
+from experiments.lab.papers.trackers import RAW as FIXES_ALONE
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from trackers.baselines.fixes import fix_tracker
@@ -25,10 +25,10 @@ from trackers.core.tracker import AbstractTracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import LineMotion
 from trackers.line.rows import TRACKERS, path_of
-from trackers.line.tracker import line_tracker
+from trackers.line.tracker import line_grid_tracker, line_tracker
 from trackers.line.truth import knot_times
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectory
+from trackers.recordings.tracker_spec import TrackerSpec
 
 SITUATIONS = {"situation 1": "constant", "situation 2": "halts", "situation 3": "speeds"}
 
@@ -91,21 +91,14 @@ def _recording(
     return world.folder(f"recording-{number}-{seed}")
 
 
-def worlds(numbers: Mapping[str, float], names: Sequence[str] = RECORDINGS) -> dict[str, World]:
-    """The recordings as worlds, from parameters such as `fitted("line_thesis/table_3_1")`."""
-    common = {name: numbers[name] for name in ("slow", "tau", "speed", "rate_hz")}
-    return {
-        name: World(
-            recording,
-            {
-                "number": RECORDINGS.index(name) + 1,
-                "situation": SITUATIONS[name.partition(",")[0]],
-                "white": numbers[noise_of(name)],
-                **common,
-            },
-        )
-        for name in names
-    }
+def worlds(numbers: Mapping[str, float], names: Sequence[str] = RECORDINGS) -> dict[str, mc.World]:
+    """The recordings as worlds, from parameters such as `fitted("papers/line_thesis/table_3_1")`."""
+    made = {}
+    for name in names:
+        own = {"number": RECORDINGS.index(name) + 1, "situation": SITUATIONS[name.partition(",")[0]]}
+        common = {key: numbers[key] for key in ("slow", "tau", "speed", "rate_hz")}
+        made[name] = mc.World(recording, {**own, "white": numbers[noise_of(name)], **common})
+    return made
 
 
 def noise_of(name: str) -> str:
@@ -120,57 +113,71 @@ def open_ended(knots: Any) -> Polyline:
     return Polyline(np.vstack([knots[:-1], knots[-1] + BEYOND * along]))
 
 
-def _particles(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    path_of(trajectory.folder)
-    return line_tracker(
-        LineMotion(open_ended(trajectory.folder.rig.path_knots), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)}
-    )
+def _thesis_filter(
+    spec: TrackerSpec, about: str, build: Callable[[RecordingFolder, bool], AbstractTracker]
+) -> mc.TrackerConfig:
+    """A tracker of the catalogue as the thesis has it, built from the folder and whether the height is known."""
+    made = dataclasses.replace(spec, about=about, build=lambda trajectory, planar: build(trajectory.folder, planar))
+    return mc.TrackerConfig(made)
 
 
-def _particles_that_stop(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return line_tracker(LineMotion(path_of(trajectory.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
+def measured_fixes() -> dict[str, FloorFixes]:
+    """The sensor of all filters on the path."""
+    return {FIXES: FloorFixes(MEASUREMENT_NOISE)}
 
 
-def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+def _open_particles(folder: RecordingFolder, planar: bool) -> AbstractTracker:
+    path_of(folder)
+    return line_tracker(LineMotion(open_ended(folder.rig.path_knots), 0.1), measured_fixes())
+
+
+def _kalman(folder: RecordingFolder, planar: bool) -> AbstractTracker:
     return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, dof=None, planar=planar)
 
 
-RAW = TrackerConfig(dataclasses.replace(FIXES_ALONE, about="the measurements themselves"))
-KALMAN = TrackerConfig(
-    dataclasses.replace(BASELINES["fix-kf"], about="the thesis's Kalman filter, (1.3)-(1.21)", build=_kalman)
+RAW = mc.TrackerConfig(dataclasses.replace(FIXES_ALONE, about="the measurements themselves"))
+KALMAN = _thesis_filter(BASELINES["fix-kf"], "the thesis's Kalman filter, (1.3)-(1.21)", _kalman)
+PARTICLE = _thesis_filter(TRACKERS["line-pf"], "the thesis's particle filter, (2.1)-(2.5)", _open_particles)
+STOPPING = _thesis_filter(
+    TRACKERS["line-pf"],
+    "the same on a path that ends at its last knot",
+    lambda folder, planar: line_tracker(LineMotion(path_of(folder), 0.1), measured_fixes()),
 )
-PARTICLE = TrackerConfig(
-    dataclasses.replace(TRACKERS["line-pf"], about="the thesis's particle filter, (2.1)-(2.5)", build=_particles)
-)
-STOPPING = TrackerConfig(
-    dataclasses.replace(
-        TRACKERS["line-pf"], about="the same on a path that ends at its last knot", build=_particles_that_stop
-    )
+GRID = _thesis_filter(
+    TRACKERS["line-grid"],
+    "grid, no segment",
+    lambda folder, planar: line_grid_tracker(LineMotion(path_of(folder), 0.1), measured_fixes()),
 )
 
 
-def distances(tracked: TrackedRuns) -> np.ndarray:
+def distances(tracked: mc.TrackedRuns) -> np.ndarray:
     """Horizontal errors (n, T), m; NaN for rows that are not scored."""
     return np.hypot(tracked.error[..., 0], tracked.error[..., 1])
 
 
-def error(tracked: TrackedRuns) -> np.ndarray:
+def error(tracked: mc.TrackedRuns) -> np.ndarray:
     """Mean distance from the truth (n,), m: (2.8) by its text."""
     return np.asarray(np.nanmean(distances(tracked), axis=1))
 
 
-def root_mean_square(tracked: TrackedRuns) -> np.ndarray:
+def root_mean_square(tracked: mc.TrackedRuns) -> np.ndarray:
     """Root mean square distance from the truth (n,), m: (2.8) by its name."""
     return np.asarray(np.sqrt(np.nanmean(distances(tracked) ** 2, axis=1)))
 
 
-def least(results: Results, tracker: str, measure: str = "error_m") -> float:
+def least(results: mc.Results, tracker: str, measure: str = "error_m") -> float:
     """The dynamic noise with the least average error over all worlds."""
     swept = results.study.grid[SIGMA]
     pairs = [(world, tracker) for world in results.study.worlds]
     return float(swept[int(np.argmin([results.average(measure, pairs, **{SIGMA: s}).value for s in swept]))])
 
 
-def with_noise(config: TrackerConfig, sigma: float) -> TrackerConfig:
+def with_noise(config: mc.TrackerConfig, sigma: float) -> mc.TrackerConfig:
     """The tracker with dynamic noise `sigma`."""
     return dataclasses.replace(config, tunables={SIGMA: sigma})
+
+
+def with_middle_95(value: float, drawn: np.ndarray) -> mc.Value:
+    """A value with the middle 95 % of its resamplings as its interval."""
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return mc.Value(float(value), float(low), float(high))

@@ -12,38 +12,17 @@ runs, because a single one "does not necessarily provide a representative output
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
+import experiments.monte_carlo as mc
 from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.line_thesis._assembly_line import (
-    KALMAN,
-    PARTICLE,
-    RAW,
-    SITUATIONS,
-    distances,
-    error,
-    open_ended,
-    recording,
-    with_noise,
-    worlds,
-)
-from experiments.monte_carlo import (
-    DERIVED,
-    FITTED,
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    World,
-    inherited,
-)
+from experiments.lab.papers.line_thesis import _assembly_line as line
 from experiments.monte_carlo.chunk import tracked_runs
 from experiments.pages.plots.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
 from trackers.recordings.folder import RecordingFolder
@@ -51,14 +30,14 @@ from trackers.recordings.folder import RecordingFolder
 PRINTED = {"situation 1": (31.1, 8.1), "situation 2": (30.3, 9.6), "situation 3": (38.7, 11.3)}
 """Measurement error and improvement, cm: captions of Figures 3.2, 3.4 and 3.6."""
 
-FIRST = {situation: f"{situation}, set 1" for situation in SITUATIONS}
-NUMBERS = fitted("line_thesis/table_3_1")
+FIRST = {situation: f"{situation}, set 1" for situation in line.SITUATIONS}
+NUMBERS = fitted("papers/line_thesis/table_3_1")
 COLOURS = {"raw": GREY, "Kalman": BLUE, "particle": VERMILION}
 
 
 def over_and_over(ids: np.ndarray, seed: int, **numbers: float) -> RecordingFolder:
     """The first draw of a recording, repeated under the names of all ids."""
-    one = recording(np.array([0]), seed, **numbers)  # type: ignore[arg-type]
+    one = line.recording(np.array([0]), seed, **numbers)  # type: ignore[arg-type]
     tags = pl.DataFrame({"tag": [str(i) for i in ids]})
     tables = {
         name: table.drop("tag").join(tags, how="cross").select(table.columns).sort("t_s", maintain_order=True)
@@ -68,115 +47,115 @@ def over_and_over(ids: np.ndarray, seed: int, **numbers: float) -> RecordingFold
     return dataclasses.replace(one, rig=rig, tables=tables)
 
 
-def off_path(tracked: TrackedRuns) -> np.ndarray:
+def off_path(tracked: mc.TrackedRuns) -> np.ndarray:
     """Mean distance (n,), m, of the estimates from the path, extended beyond its last knot as in (2.5)."""
-    distance = open_ended(tracked.folder.rig.path_knots).nearest(np.nan_to_num(tracked.estimates[..., :2]))[1]
+    path = line.open_ended(tracked.folder.rig.path_knots)
+    distance = path.nearest(np.nan_to_num(tracked.estimates[..., :2]))[1]
     return np.asarray(np.nanmean(np.where(tracked.known, distance, np.nan), axis=1))
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The captions' numbers, and the conclusions of chapter 3."""
-    made: list[ExpectedResult | Conclusion] = []
-    largest = {"Kalman": 0.0, "particle": 0.0}
-    shares, scatter, spread = [], [], []
+    shares = []
     for number, (situation, (measured, better)) in enumerate(PRINTED.items()):
         world, figure = FIRST[situation], f"Figure 3.{2 * number + 2}"
-        raw = results.value("error_m", world, "raw").times(100)
-        note = "printed in Table 3.1, too"
-        made.append(ExpectedResult(f"{figure}, average measurement error", measured, raw, "cm", DERIVED, note=note))
+        yield mc.ExpectedResult(
+            f"{figure}, average measurement error",
+            measured,
+            results.value("error_m", world, "raw").times(100),
+            "cm",
+            mc.DERIVED,
+            note="printed in Table 3.1, too",
+        )
         gain = results.difference("error_m", world, "Kalman", "particle").times(100)
         gains = 100 * (results.numbers("error_m", world, "Kalman") - results.numbers("error_m", world, "particle"))
         note = (
             f"follows from Table 3.1; one recording scatters by ± {gains.std(ddof=1):.1f} cm, and the printed one lies "
             f"{(better - gain.value) / gains.std(ddof=1):+.1f} of that away"
         )
-        made.append(
-            ExpectedResult(f"{figure}, improvement of the particle filter", better, gain, "cm", DERIVED, note=note)
-        )
-        for tracker in largest:
-            largest[tracker] = max(largest[tracker], results.value("off_path_m", world, tracker).value)
+        quantity = f"{figure}, improvement of the particle filter"
+        yield mc.ExpectedResult(quantity, better, gain, "cm", mc.DERIVED, note=note)
         runs = tracked_runs(results.study, world, np.arange(results.study.chunk))
-        below = distances(runs["particle"]) < distances(runs["Kalman"])
+        below = line.distances(runs["particle"]) < line.distances(runs["Kalman"])
         shares.append(float(below[runs["particle"].known].mean()))
-        scatter.append(100 * results.numbers("error_m", f"{world}, run again", "particle").std(ddof=1))
-        spread.append(100 * results.numbers("error_m", world, "particle").std(ddof=1))
-    stays = Conclusion(
-        "the particle filter's output always stays on the assembly line, the Kalman filter strays away",
-        largest["particle"] < 1e-3 < largest["Kalman"],
-        f"{100 * largest['particle']:.2f} and up to {100 * largest['Kalman']:.1f} cm from the path on average",
-        DERIVED,
+    particle, kalman = (
+        max(results.value("off_path_m", world, tracker).value for world in FIRST.values())
+        for tracker in ("particle", "Kalman")
     )
-    below_ = Conclusion(
+    scatter, spread = (
+        [100 * results.numbers("error_m", f"{world}{again}", "particle").std(ddof=1) for world in FIRST.values()]
+        for again in (", run again", "")
+    )
+    yield mc.Conclusion(
+        "the particle filter's output always stays on the assembly line, the Kalman filter strays away",
+        particle < 1e-3 < kalman,
+        f"{100 * particle:.2f} and up to {100 * kalman:.1f} cm from the path on average",
+        mc.DERIVED,
+    )
+    yield mc.Conclusion(
         "the particle filter's error is below the Kalman filter's for a large part of the time",
         min(shares) > 0.6,
         "of the time: " + ", ".join(f"{100 * s:.0f} %" for s in shares),
-        inherited(FITTED),
+        mc.DERIVED,
     )
-    single = Conclusion(
+    yield mc.Conclusion(
         "a single trial is not representative: other random numbers give other errors",
         min(scatter) > 0,
         f"runs on one recording scatter by ± {min(scatter):.1f} to {max(scatter):.1f} cm, recordings by "
         f"± {min(spread):.1f} to {max(spread):.1f} cm: ten runs average the lesser of the two",
-        PREDICTED,
+        mc.PREDICTED,
     )
-    return [*made, stays, below_, single]
 
 
-def draw(results: Results, folder: Path) -> list[str]:
+def draw(results: mc.Results, folder: Path) -> list[str]:
     """The path and the errors over time, for each situation."""
     names = []
     for number, (situation, world) in enumerate(FIRST.items()):
         runs = tracked_runs(results.study, f"{world}, run again", np.arange(results.study.chunk))
-        pair = f"Figures 3.{2 * number + 1} and 3.{2 * number + 2}"
-        names.append(
-            write_svg(folder, f"{situation.replace(' ', '_')}.svg", _panels(runs, f"{pair}: {situation}"), 5.0, 6.4)
-        )
-    return names  # fmt: skip
+        title = f"Figures 3.{2 * number + 1} and 3.{2 * number + 2}: {situation}"
+        panels = partial(_panels, runs, title)
+        names.append(write_svg(folder, f"{situation.replace(' ', '_')}.svg", panels, 5.0, 6.4))
+    return names
 
 
-def _panels(runs: dict[str, TrackedRuns], title: str) -> Callable[[Figure], None]:
-    def draw_(figure: Figure) -> None:
-        path, measured, filtered = figure.subplots(3, 1, height_ratios=[2.2, 1, 1])
-        any_run = runs["raw"]
-        knots = np.asarray(any_run.folder.rig.path_knots)
-        raw = any_run.estimates[0]
-        path.plot(knots[:, 0], knots[:, 1], color=BLACK, linewidth=4, alpha=0.15, label="path", zorder=1)
-        path.plot(raw[:, 0], raw[:, 1], ".", color=GREY, markersize=2, label="measurements", zorder=2)
-        for tracker in ("Kalman", "particle"):
-            place = runs[tracker].estimates[0]
-            path.plot(place[:, 0], place[:, 1], color=COLOURS[tracker], linewidth=1, label=f"{tracker} filter")
-        path.set(aspect="equal", xlabel="x, m", ylabel="y, m")
-        path.set_title(title, pad=20)
-        path.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=7.5, columnspacing=1.0)
-        plain(path, "both")
-        for axes, trackers in ((measured, ["raw"]), (filtered, ["Kalman", "particle"])):
-            for tracker in trackers:
-                size = 100 * distances(runs[tracker])[0]
-                name = "measurements" if tracker == "raw" else f"{tracker} filter"
-                label = f"{name}, {np.nanmean(size):.1f} cm"
-                axes.plot(runs[tracker].times[0], size, color=COLOURS[tracker], linewidth=0.9, label=label)
-                axes.axhline(np.nanmean(size), color=COLOURS[tracker], linestyle=(0, (4, 3)), linewidth=1)
-            axes.set(ylim=(0, None), ylabel="error, cm")
-            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=2, fontsize=7.5)
-            plain(axes)
-        filtered.set_xlabel("time, s")
-        measured.tick_params(labelbottom=False)
-
-    return draw_
+def _panels(runs: dict[str, mc.TrackedRuns], title: str, figure: Figure) -> None:
+    path, measured, filtered = figure.subplots(3, 1, height_ratios=[2.2, 1, 1])
+    knots, raw = np.asarray(runs["raw"].folder.rig.path_knots), runs["raw"].estimates[0]
+    path.plot(knots[:, 0], knots[:, 1], color=BLACK, linewidth=4, alpha=0.15, label="path", zorder=1)
+    path.plot(raw[:, 0], raw[:, 1], ".", color=GREY, markersize=2, label="measurements", zorder=2)
+    for tracker in ("Kalman", "particle"):
+        place = runs[tracker].estimates[0]
+        path.plot(place[:, 0], place[:, 1], color=COLOURS[tracker], linewidth=1, label=f"{tracker} filter")
+    path.set(aspect="equal", xlabel="x, m", ylabel="y, m")
+    path.set_title(title, pad=20)
+    path.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=7.5, columnspacing=1.0)
+    plain(path, "both")
+    for axes, trackers in ((measured, ["raw"]), (filtered, ["Kalman", "particle"])):
+        for tracker in trackers:
+            size = 100 * line.distances(runs[tracker])[0]
+            name = "measurements" if tracker == "raw" else f"{tracker} filter"
+            label = f"{name}, {np.nanmean(size):.1f} cm"
+            axes.plot(runs[tracker].times[0], size, color=COLOURS[tracker], linewidth=0.9, label=label)
+            axes.axhline(np.nanmean(size), color=COLOURS[tracker], linestyle=(0, (4, 3)), linewidth=1)
+        axes.set(ylim=(0, None), ylabel="error, cm")
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=2, fontsize=7.5)
+        plain(axes)
+    filtered.set_xlabel("time, s")
+    measured.tick_params(labelbottom=False)
 
 
-_MANY = worlds(NUMBERS, tuple(FIRST.values()))
-STUDY = Study(
+_MANY = line.worlds(NUMBERS, tuple(FIRST.values()))
+STUDY = mc.Study(
     name="figures-3",
     about="How do both filters' errors run over one recording of each situation, and which is the better, when?",
-    worlds=_MANY | {f"{name}, run again": World(over_and_over, world.numbers) for name, world in _MANY.items()},
+    worlds=_MANY | {f"{name}, run again": mc.World(over_and_over, world.numbers) for name, world in _MANY.items()},
     trackers={
-        "particle": with_noise(PARTICLE, NUMBERS["sigma_particle"]),
-        "Kalman": with_noise(KALMAN, NUMBERS["sigma_kalman"]),
-        "raw": RAW,
+        "particle": line.with_noise(line.PARTICLE, NUMBERS["sigma_particle"]),
+        "Kalman": line.with_noise(line.KALMAN, NUMBERS["sigma_kalman"]),
+        "raw": line.RAW,
     },
     runs=40,
-    measures={"error_m": error, "off_path_m": off_path},
+    measures={"error_m": line.error, "off_path_m": off_path},
     metrics=("mean_m", "rmse_m", "p95_m"),
     expected=expected,
     draw=draw,

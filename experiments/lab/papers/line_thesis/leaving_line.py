@@ -11,35 +11,17 @@ limit at any time in a recording, of about a minute, of a tag that stays.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import plot
 from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.line_thesis._assembly_line import (
-    KALMAN,
-    MEASUREMENT_NOISE,
-    PARTICLE,
-    SIGMA,
-    error,
-    with_noise,
-)
-from experiments.monte_carlo import (
-    FITTED,
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    Value,
-    World,
-)
-from experiments.pages.plots.style import LINES, plain, write_svg
+from experiments.lab.papers.line_thesis import _assembly_line as line
+from experiments.pages.plots.style import LINES, plain
 from experiments.text.wording import fixed_interval, listed
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
@@ -49,7 +31,7 @@ from trackers.evaluation.events import LEFT_LIMIT, LEFT_SLACK
 from trackers.line.leaving import cusum
 from trackers.recordings.folder import RecordingFolder
 
-NUMBERS = fitted("line_thesis/table_3_1")
+NUMBERS = fitted("papers/line_thesis/table_3_1")
 LEFT_S, AWAY_S, AFTER_S = 25.0, 10.0, 3.0
 TOWARDS = np.array([0.6, 0.8])
 SIZES = {"0.5 m": 0.5, "0.75 m": 0.75, "1 m": 1.0, "2 m": 2.0}
@@ -70,79 +52,86 @@ def carried(ids: np.ndarray, seed: int, size: float, white: float) -> RecordingF
     return world.folder(f"carried-{size}-{seed}")
 
 
-_LAST: list[tuple[TrackedRuns, np.ndarray]] = []
+_LAST: list[tuple[mc.TrackedRuns, np.ndarray]] = []
 """The distances found last: all measures use the same."""
 
 
-def deviation(tracked: TrackedRuns) -> np.ndarray:
+def deviation(tracked: mc.TrackedRuns) -> np.ndarray:
     """The distances (n, T), m, between the constrained estimates and the free Kalman filter's."""
     if not (_LAST and _LAST[0][0] is tracked):
-        (group,) = KALMAN.spec.batches([tracked.folder], "Kalman", False)
+        (group,) = line.KALMAN.spec.batches([tracked.folder], "Kalman", False)
+        tracker = with_values(group.tracker, {line.SIGMA: NUMBERS["sigma_kalman"]}, "leaving-line")
         trajectories = sorted(group.trajectories, key=lambda trajectory: int(trajectory.tag))
-        found = with_values(group.tracker, {SIGMA: NUMBERS["sigma_kalman"]}, "leaving-line").run(
-            stack([trajectory.recording for trajectory in trajectories])
-        )
+        found = tracker.run(stack([trajectory.recording for trajectory in trajectories]))
         free = np.stack([np.asarray(x) for x in found.mean.position], axis=-1)
         _LAST[:] = [(tracked, np.linalg.norm(free - tracked.estimates[..., :2], axis=-1))]
     return _LAST[0][1]
 
 
-def _sums(tracked: TrackedRuns, slack: float) -> np.ndarray:
+def _sums(tracked: mc.TrackedRuns, slack: float) -> np.ndarray:
     return np.stack([cusum(t, x, slack) for t, x in zip(tracked.times, deviation(tracked), strict=True)])
 
 
-def _largest(slack: float, away: bool) -> Callable[[TrackedRuns], np.ndarray]:
+def _may_be_away(tracked: mc.TrackedRuns) -> np.ndarray:
+    """Rows (n, T) in which an alarm counts as a detection."""
+    return np.asarray((tracked.times >= LEFT_S) & (tracked.times < LEFT_S + AWAY_S + AFTER_S))
+
+
+def _largest(slack: float, away: bool) -> Callable[[mc.TrackedRuns], np.ndarray]:
     """Largest sum (n,), m·s, during the time away or over the whole recording."""
 
-    def largest(tracked: TrackedRuns) -> np.ndarray:
-        inside = (tracked.times >= LEFT_S) & (tracked.times < LEFT_S + AWAY_S + AFTER_S)
-        return np.where(inside if away else np.isfinite(tracked.times), _sums(tracked, slack), 0.0).max(axis=1)
+    def largest(tracked: mc.TrackedRuns) -> np.ndarray:
+        rows = _may_be_away(tracked) if away else np.isfinite(tracked.times)
+        return np.where(rows, _sums(tracked, slack), 0.0).max(axis=1)
 
     return largest
 
 
-def _delay(limit: float) -> Callable[[TrackedRuns], np.ndarray]:
+def _delay(limit: float) -> Callable[[mc.TrackedRuns], np.ndarray]:
     """Seconds (n,) from leaving to a sum above the limit; NaN without a detection."""
 
-    def delay(tracked: TrackedRuns) -> np.ndarray:
-        after = (tracked.times >= LEFT_S) & (tracked.times < LEFT_S + AWAY_S + AFTER_S)
-        over = after & (_sums(tracked, SHOWN_SLACK) >= limit)
+    def delay(tracked: mc.TrackedRuns) -> np.ndarray:
+        over = _may_be_away(tracked) & (_sums(tracked, SHOWN_SLACK) >= limit)
         first = np.take_along_axis(tracked.times, over.argmax(axis=1)[:, None], axis=1)[:, 0]
         return np.where(over.any(axis=1), first - LEFT_S, np.nan)
 
     return delay
 
 
-def curve(results: Results, world: str, tracker: str, slack: float) -> tuple[np.ndarray, np.ndarray]:
+def _sums_of(results: mc.Results, world: str, tracker: str, slack: float) -> tuple[np.ndarray, np.ndarray]:
+    """The largest sums (n,), m·s, of tags that stay and, while they are away, of tags that leave."""
+    stay = results.numbers(f"at any time, slack {slack}", STAYS, tracker)
+    return stay, results.numbers(f"while away, slack {slack}", world, tracker)
+
+
+def curve(results: mc.Results, world: str, tracker: str, slack: float) -> tuple[np.ndarray, np.ndarray]:
     """Rates of false alarms and of detections (k,) over all limits, from the highest."""
-    stay = results.numbers(f"at any time, slack {slack}", STAYS, tracker)
-    leave = results.numbers(f"while away, slack {slack}", world, tracker)
+    stay, leave = _sums_of(results, world, tracker, slack)
     limits = np.r_[np.inf, np.sort(np.concatenate([stay, leave]))[::-1]]
-    return tuple((x[None, :] >= limits[:, None]).mean(axis=1) for x in (stay, leave))  # type: ignore[return-value]
+    return (stay >= limits[:, None]).mean(axis=1), (leave >= limits[:, None]).mean(axis=1)
 
 
-def area(results: Results, world: str, tracker: str, slack: float) -> Value:
+def area(results: mc.Results, world: str, tracker: str, slack: float) -> mc.Value:
     """Area under the ROC: probability that the sum of a leaving tag exceeds that of a staying one."""
-    stay = results.numbers(f"at any time, slack {slack}", STAYS, tracker)
-    leave = results.numbers(f"while away, slack {slack}", world, tracker)
+    stay, leave = _sums_of(results, world, tracker, slack)
     wins = (leave[:, None] > stay[None, :]) + 0.5 * (leave[:, None] == stay[None, :])
     rng = np.random.default_rng(results.study.seed)
     weights = rng.multinomial(len(stay), np.full(len(stay), 1 / len(stay)), size=1000) / len(stay)
     # A tag has the same noise whether it leaves or stays; both are resampled together.
-    low, high = np.quantile(np.einsum("ri,ij,rj->r", weights, wins, weights, optimize=True), [0.025, 0.975])
-    return Value(float(wins.mean()), float(low), float(high))
+    return line.with_middle_95(wins.mean(), np.einsum("ri,ij,rj->r", weights, wins, weights, optimize=True))
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Detection rates and delays of tags that leave."""
-    made: list[ExpectedResult | Conclusion] = []
     for tracker in results.study.trackers:
         areas = {world: area(results, world, tracker, SHOWN_SLACK) for world in SIZES}
-        told = ", ".join(f"{w} {fixed_interval(a, '.3f')}" for w, a in areas.items())
         values = [a.value for a in areas.values()]
-        says = f"{tracker}: the growing difference tells tags that left, the better the farther they are"
-        ordered = values[-1] > 0.95 and values == sorted(values)
-        made.append(Conclusion(says, ordered, f"area under the ROC: {told}", PREDICTED))
+        yield mc.Conclusion(
+            f"{tracker}: the growing difference tells tags that left, the better the farther they are",
+            values[-1] > 0.95 and values == sorted(values),
+            "area under the ROC: " + ", ".join(f"{w} {fixed_interval(a, '.3f')}" for w, a in areas.items()),
+            mc.PREDICTED,
+        )
         stay = results.numbers(f"at any time, slack {SHOWN_SLACK}", STAYS, tracker)
         limit = next((x for x in LIMITS if (stay >= x).mean() <= FALSE_ALARMS), LIMITS[-1])
         delays = {w: results.numbers(f"delay at {limit}", w, tracker) for w in SIZES}
@@ -152,70 +141,67 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             for w, d in noticed.items()
         )
         false = (stay >= limit).mean()
-        says = f"{tracker}: at most {100 * FALSE_ALARMS:.0f} % of recordings with a false alarm, and 2 m are noticed"
-        holds = bool(false <= FALSE_ALARMS and len(noticed["2 m"]) > 0.9 * len(stay))
-        how = (
+        yield mc.Conclusion(
+            f"{tracker}: at most {100 * FALSE_ALARMS:.0f} % of recordings with a false alarm, and 2 m are noticed",
+            bool(false <= FALSE_ALARMS and len(noticed["2 m"]) > 0.9 * len(stay)),
             f"slack {SHOWN_SLACK} m, limit {limit} m·s, the least that these recordings allow, "
-            f"{100 * false:.1f} % false alarms; {told}"
+            f"{100 * false:.1f} % false alarms; {told}",
+            mc.FITTED,
         )
-        made.append(Conclusion(says, holds, how, FITTED))
-    at = f"slack {LEFT_SLACK}"
-    usual = {w: (results.numbers(f"while away, {at}", w, "grid") >= LEFT_LIMIT).mean() for w in SIZES}
-    false = (results.numbers(f"at any time, {at}", STAYS, "grid") >= LEFT_LIMIT).mean()
-    says = f"the slack and limit of `track`, {LEFT_SLACK:g} m and {LEFT_LIMIT:g} m·s, give next to no false alarms"
-    told = listed({w: 100 * share for w, share in usual.items()}, "{:.0f} %")
-    made.append(Conclusion(says, bool(false <= 0.01), f"{100 * false:.1f} %; noticed: {told}", PREDICTED))
-    return made
+    usual = {w: 100 * (_sums_of(results, w, "grid", LEFT_SLACK)[1] >= LEFT_LIMIT).mean() for w in SIZES}
+    false = (_sums_of(results, STAYS, "grid", LEFT_SLACK)[0] >= LEFT_LIMIT).mean()
+    yield mc.Conclusion(
+        f"the slack and limit of `track`, {LEFT_SLACK:g} m and {LEFT_LIMIT:g} m·s, give next to no false alarms",
+        bool(false <= 0.01),
+        f"{100 * false:.1f} %; noticed: {listed(usual, '{:.0f} %')}",
+        mc.PREDICTED,
+    )
 
 
-def draw(results: Results, folder: Path) -> list[str]:
+def roc(results: mc.Results, figure: Figure) -> None:
     """The ROC, and detection delay against false alarms."""
     stay = results.numbers(f"at any time, slack {SHOWN_SLACK}", STAYS, "particle")
-
-    def roc(figure: Figure) -> None:
-        left, right = figure.subplots(1, 2)
-        for colour, world in zip(LINES, SIZES, strict=False):
-            label = f"{world} off, area {area(results, world, 'particle', SHOWN_SLACK).value:.2f}"
-            left.plot(*curve(results, world, "particle", SHOWN_SLACK), color=colour, label=label)
-            delays = [results.numbers(f"delay at {x}", world, "particle") for x in LIMITS]
-            half = [k for k, d in enumerate(delays) if np.isfinite(d).mean() >= 0.5]
-            shares = [(stay >= LIMITS[k]).mean() for k in half]
-            right.plot(shares, [np.nanmedian(delays[k]) for k in half], "o-", color=colour, markersize=3)
-        left.plot([0, 1], [0, 1], color="#9aa5b1", linewidth=0.7, linestyle=(0, (4, 3)))
-        left.set(xlim=(0, 1), ylim=(0, 1), xlabel="recordings with a false alarm", ylabel="departures noticed")
-        left.set_title("ROC over limits")
-        right.set(xlim=(0, None), ylim=(0, None), xlabel="recordings with a false alarm", ylabel="median delay, s")
-        right.set_title("Delay, where half are noticed")
-        for axis in (left.xaxis, left.yaxis, right.xaxis):
-            axis.set_major_formatter(PercentFormatter(1.0))
-        left.legend(loc="lower right")
-        for axes in (left, right):
-            plain(axes, "both")
-
-    return [write_svg(folder, "leaving_line.svg", roc, 7.2, 3.4)]
+    left, right = figure.subplots(1, 2)
+    for colour, world in zip(LINES, SIZES, strict=False):
+        label = f"{world} off, area {area(results, world, 'particle', SHOWN_SLACK).value:.2f}"
+        left.plot(*curve(results, world, "particle", SHOWN_SLACK), color=colour, label=label)
+        delays = [results.numbers(f"delay at {x}", world, "particle") for x in LIMITS]
+        half = [k for k, d in enumerate(delays) if np.isfinite(d).mean() >= 0.5]
+        shares = [(stay >= LIMITS[k]).mean() for k in half]
+        right.plot(shares, [np.nanmedian(delays[k]) for k in half], "o-", color=colour, markersize=3)
+    left.plot([0, 1], [0, 1], color="#9aa5b1", linewidth=0.7, linestyle=(0, (4, 3)))
+    left.set(xlim=(0, 1), ylim=(0, 1), xlabel="recordings with a false alarm", ylabel="departures noticed")
+    left.set_title("ROC over limits")
+    right.set(xlim=(0, None), ylim=(0, None), xlabel="recordings with a false alarm", ylabel="median delay, s")
+    right.set_title("Delay, where half are noticed")
+    for axis in (left.xaxis, left.yaxis, right.xaxis):
+        axis.set_major_formatter(PercentFormatter(1.0))
+    left.legend(loc="lower right")
+    for axes in (left, right):
+        plain(axes, "both")
 
 
-STUDY = Study(
+STUDY = mc.Study(
     name="leaving-line",
     about="How surely and how soon is it noticed that a tag has left its line, for how many false alarms?",
     worlds={
-        name: World(carried, {"size": size, "white": NUMBERS["white_1_2"]})
+        name: mc.World(carried, {"size": size, "white": NUMBERS["white_1_2"]})
         for name, size in {STAYS: 0.0, **SIZES}.items()
     },
     trackers={
-        "particle": with_noise(PARTICLE, NUMBERS["sigma_particle"]),
-        "grid": TrackerConfig(
-            "line-grid", {"sensors.fixes.sigma_p": MEASUREMENT_NOISE, SIGMA: NUMBERS["sigma_particle"]}
+        "particle": line.with_noise(line.PARTICLE, NUMBERS["sigma_particle"]),
+        "grid": mc.TrackerConfig(
+            "line-grid", {"sensors.fixes.sigma_p": line.MEASUREMENT_NOISE, line.SIGMA: NUMBERS["sigma_particle"]}
         ),
     },
     runs=200,
     measures={
-        "error_m": error,
+        "error_m": line.error,
         **{f"at any time, slack {s}": _largest(s, away=False) for s in SLACKS},
         **{f"while away, slack {s}": _largest(s, away=True) for s in SLACKS},
         **{f"delay at {x}": _delay(x) for x in LIMITS},
     },
     metrics=("mean_m", "p95_m"),
     expected=expected,
-    draw=draw,
+    draw=plot("leaving_line.svg", roc, 7.2, 3.4),
 )

@@ -10,43 +10,20 @@ shows the cost of the extra state. Scored against the simulated truth.
 
 from __future__ import annotations
 
-import dataclasses
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.figure import Figure
 
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import plot
 from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.line_thesis._assembly_line import (
-    MEASUREMENT_NOISE,
-    SIGMA,
-    STOPPING,
-    distances,
-    error,
-    least,
-    worlds,
-)
-from experiments.monte_carlo import (
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    Value,
-    World,
-)
+from experiments.lab.papers.line_thesis import _assembly_line as line
+from experiments.lab.papers.line_thesis._assembly_line import SIGMA, least
 from experiments.monte_carlo.chunk import tracked_runs
-from experiments.pages.plots.style import BLACK, BLUE, VERMILION, plain, write_svg
+from experiments.pages.plots.style import BLACK, BLUE, VERMILION, plain
 from experiments.text.wording import fixed_interval
 from trackers.core.polyline import Polyline
-from trackers.core.tracker import AbstractTracker
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.motion import LineMotion
-from trackers.line.rows import TRACKERS, path_of
-from trackers.line.tracker import line_grid_tracker
-from trackers.recordings.trajectories import Trajectory
 
 SWEPT = (0.02, 0.04, 0.08, 0.16, 0.3)
 RESTS, TRAVELS = "rests at joins", "no rests"
@@ -54,27 +31,23 @@ PAIRS = {"particles": "particles, segment", "grid": "grid, segment"}
 """Without and with the segment in the state."""
 
 
-def _plain_grid(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return line_grid_tracker(LineMotion(path_of(trajectory.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
-
-
-def arclengths(tracked: TrackedRuns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def arclengths(tracked: mc.TrackedRuns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Arclengths (n, T), m, of estimates and truth, and mask (n, T) of rests at a join."""
     assert tracked.folder.rig.path_knots is not None
-    line = Polyline(tracked.folder.rig.path_knots)
-    found, true = (line.nearest(np.nan_to_num(x[..., :2]))[0] for x in (tracked.estimates, tracked.truth))
+    path = Polyline(tracked.folder.rig.path_knots)
+    found, true = (path.nearest(np.nan_to_num(x[..., :2]))[0] for x in (tracked.estimates, tracked.truth))
     still = np.diff(true, axis=1, append=np.nan) == 0
     # The bends of the path; the truth's arclength at them is exact up to rounding.
-    at_join = np.abs(true[..., None] - np.asarray(line.starts)[1:]).min(axis=-1) < 1e-6
+    at_join = np.abs(true[..., None] - np.asarray(path.starts)[1:]).min(axis=-1) < 1e-6
     return found, true, still & at_join & tracked.known
 
 
-def rest_error(tracked: TrackedRuns) -> np.ndarray:
+def rest_error(tracked: mc.TrackedRuns) -> np.ndarray:
     """Mean distance from the truth (n,), m, during rests at joins; NaN without rests."""
-    return _mean_of(distances(tracked), arclengths(tracked)[2])
+    return _mean_of(line.distances(tracked), arclengths(tracked)[2])
 
 
-def overshoot(tracked: TrackedRuns) -> np.ndarray:
+def overshoot(tracked: mc.TrackedRuns) -> np.ndarray:
     """Mean signed distance (n,), m, of the estimate past the join during rests."""
     found, true, rests = arclengths(tracked)
     return _mean_of(found - true, rests)
@@ -85,100 +58,90 @@ def _mean_of(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.where(count > 0, np.where(rows, values, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Overshoot of the plain motion, and improvement by the segment."""
-    made: list[ExpectedResult | Conclusion] = []
     for without, known in PAIRS.items():
         past, past_known = (100 * _numbers(results, "overshoot_m", RESTS, t).mean() for t in (without, known))
         at_rest = 100 * _numbers(results, "rest_error_m", RESTS, without).mean()
         rest = _gain(results, "rest_error_m", RESTS, without)
         whole = _gain(results, "error_m", RESTS, without)
         travel = _gain(results, "error_m", TRAVELS, without)
-        made += [
-            Conclusion(
-                f"{without}: without the segment rests are overshot, with it less",
-                bool(past > 0 and abs(past_known) < past),
-                f"while the tag rests the estimate is {past:+.1f} cm past the join, with it {past_known:+.1f} cm",
-                PREDICTED,
-            ),
-            Conclusion(
-                f"{without}: the segment in the state makes rests more accurate",
-                rest.high < 0,
-                f"{at_rest:.1f} cm, with the segment {_text(rest)}; over whole recordings {_text(whole)}",
-                PREDICTED,
-            ),
-            Conclusion(
-                f"{without}: where no rests come, expecting them does no harm",
-                travel.low <= 0,
-                f"{_text(travel)} over whole recordings",
-                PREDICTED,
-            ),
-        ]
-    return made
+        yield mc.Conclusion(
+            f"{without}: without the segment rests are overshot, with it less",
+            bool(past > 0 and abs(past_known) < past),
+            f"while the tag rests the estimate is {past:+.1f} cm past the join, with it {past_known:+.1f} cm",
+            mc.PREDICTED,
+        )
+        yield mc.Conclusion(
+            f"{without}: the segment in the state makes rests more accurate",
+            rest.high < 0,
+            f"{at_rest:.1f} cm, with the segment {_text(rest)}; over whole recordings {_text(whole)}",
+            mc.PREDICTED,
+        )
+        yield mc.Conclusion(
+            f"{without}: where no rests come, expecting them does no harm",
+            travel.low <= 0,
+            f"{_text(travel)} over whole recordings",
+            mc.PREDICTED,
+        )
 
 
-def _numbers(results: Results, measure: str, world: str, tracker: str) -> np.ndarray:
+def _numbers(results: mc.Results, measure: str, world: str, tracker: str) -> np.ndarray:
     """The measure per trajectory, at the tracker's best dynamic noise over both worlds."""
     return results.numbers(measure, world, tracker, **{SIGMA: least(results, tracker)})
 
 
-def _gain(results: Results, measure: str, world: str, without: str) -> Value:
+def _gain(results: mc.Results, measure: str, world: str, without: str) -> mc.Value:
     """What the segment adds, cm, paired."""
     gap = 100 * (_numbers(results, measure, world, PAIRS[without]) - _numbers(results, measure, world, without))
     drawn = gap[np.random.default_rng(results.study.seed).integers(len(gap), size=(1000, len(gap)))].mean(axis=1)
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    return Value(float(gap.mean()), float(low), float(high))
+    return line.with_middle_95(gap.mean(), drawn)
 
 
-def _text(cm: Value) -> str:
+def _text(cm: mc.Value) -> str:
     return fixed_interval(cm, "+.1f", " cm")
 
 
-def draw(results: Results, folder: Path) -> list[str]:
+def past_the_place(results: mc.Results, figure: Figure) -> None:
     """How far past the place of a tag the estimates of its arclength are, over one recording with rests."""
-    at = {tracker: least(results, tracker) for tracker in results.study.trackers}
-    ids = np.arange(results.study.chunk)
+    at, ids = {tracker: least(results, tracker) for tracker in results.study.trackers}, np.arange(results.study.chunk)
     runs = {t: tracked_runs(results.study, RESTS, ids, **{SIGMA: x})[t] for t, x in at.items()}
-
-    def both(figure: Figure) -> None:
-        panels = figure.subplots(2, 1, sharex=True)
-        for axes, (without, known) in zip(panels, PAIRS.items(), strict=True):
-            for tracker, colour in ((without, VERMILION), (known, BLUE)):
-                found, true, rests = arclengths(runs[tracker])
-                mean = 100 * np.nanmean(np.where(runs[tracker].known, found - true, np.nan), axis=0)
-                axes.plot(runs[tracker].times[0], mean, color=colour, linewidth=1, label=tracker)
-            axes.fill_between(
-                runs[without].times[0], 0, 1, where=rests[0], transform=axes.get_xaxis_transform(), color=BLACK,
-                alpha=0.08, linewidth=0, label="rest at a join",
-            )  # fmt: skip
-            axes.axhline(0, color=BLACK, linewidth=0.6)
-            axes.set(ylabel="ahead of truth, cm")
-            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.98), ncols=3, fontsize=7.5)
-            plain(axes)
-        panels[-1].set_xlabel(f"time, s; mean over {len(found)} recordings")
-
-    return [write_svg(folder, "rests.svg", both, 5.0, 4.4)]
+    panels = figure.subplots(2, 1, sharex=True)
+    for axes, (without, known) in zip(panels, PAIRS.items(), strict=True):
+        for tracker, colour in ((without, VERMILION), (known, BLUE)):
+            found, true, rests = arclengths(runs[tracker])
+            mean = 100 * np.nanmean(np.where(runs[tracker].known, found - true, np.nan), axis=0)
+            axes.plot(runs[tracker].times[0], mean, color=colour, linewidth=1, label=tracker)
+        axes.fill_between(
+            runs[without].times[0], 0, 1, where=rests[0], transform=axes.get_xaxis_transform(), color=BLACK,
+            alpha=0.08, linewidth=0, label="rest at a join",
+        )  # fmt: skip
+        axes.axhline(0, color=BLACK, linewidth=0.6)
+        axes.set(ylabel="ahead of truth, cm")
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.98), ncols=3, fontsize=7.5)
+        plain(axes)
+    panels[-1].set_xlabel(f"time, s; mean over {len(found)} recordings")
 
 
-_LINES = worlds(fitted("line_thesis/table_3_1"), ("situation 2, set 2", "situation 1, set 2"))
-_NOISE = {"sensors.fixes.sigma_p": MEASUREMENT_NOISE}
-STUDY = Study(
+_LINES = line.worlds(fitted("papers/line_thesis/table_3_1"), ("situation 2, set 2", "situation 1, set 2"))
+_NOISE = {"sensors.fixes.sigma_p": line.MEASUREMENT_NOISE}
+STUDY = mc.Study(
     name="rests-at-joins",
     about="Does a segment in the state keep the filter from overshooting rests where segments meet?",
     worlds={
-        name: World(world.make, {**world.numbers, "fitted_truth": False})
+        name: mc.World(world.make, {**world.numbers, "fitted_truth": False})
         for name, world in zip((RESTS, TRAVELS), _LINES.values(), strict=True)
     },
     trackers={
-        "particles": STOPPING,
-        "particles, segment": TrackerConfig(TRACKERS["line-pf"], _NOISE),
-        "grid": TrackerConfig(dataclasses.replace(TRACKERS["line-grid"], about="grid, no segment", build=_plain_grid)),
-        "grid, segment": TrackerConfig(TRACKERS["line-grid"], _NOISE),
+        "particles": line.STOPPING,
+        "particles, segment": mc.TrackerConfig("line-pf", _NOISE),
+        "grid": line.GRID,
+        "grid, segment": mc.TrackerConfig("line-grid", _NOISE),
     },
     runs=30,
     grid={SIGMA: SWEPT},
-    measures={"error_m": error, "rest_error_m": rest_error, "overshoot_m": overshoot},
+    measures={"error_m": line.error, "rest_error_m": rest_error, "overshoot_m": overshoot},
     metrics=("mean_m", "rmse_m", "nees_mean"),
     expected=expected,
-    draw=draw,
+    draw=plot("rests.svg", past_the_place, 5.0, 4.4),
 )

@@ -10,106 +10,98 @@ The thesis's particle filter, whose path has no end (2.5), is compared with the 
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.figure import Figure
 
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import plot
 from experiments.lab.papers.fitting import fitted
 from experiments.lab.papers.line_thesis._assembly_line import KALMAN, PARTICLE, SIGMA, STOPPING, error, least, worlds
-from experiments.monte_carlo import FITTED, PREDICTED, Conclusion, ExpectedResult, Results, Study, inherited
-from experiments.pages.plots.style import BLUE, GREEN, VERMILION, plain, write_svg
+from experiments.pages.plots.style import BLUE, GREEN, VERMILION, plain
 
 SWEPT = (0.01, 0.03, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.6, 1.0)
 WORLDS = ("situation 1, set 2", "situation 2, set 2", "situation 3, set 2")
 COLOURS = {"Kalman": BLUE, "particle": VERMILION, "particle, path ends": GREEN}
+BOTH = ("Kalman", "particle")
 NEAR = 1.05
 """Ratio to the least error up to which the curve counts as flat."""
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Positions of the minima, and the cost of a wrong noise."""
     best = {tracker: least(results, tracker) for tracker in results.study.trackers}
-    curves = {tracker: _curve(results, tracker)[:, 0] for tracker in results.study.trackers}
-    inside = all(SWEPT[0] < x < SWEPT[-1] for x in best.values())
-    minima = ", ".join(f"{t} {100 * curves[t].min():.1f} cm at {best[t]:.2f} m/s per √s" for t in best)
-    made: list[ExpectedResult | Conclusion] = [
-        Conclusion("both filters have a least error inside the range", inside, minima, PREDICTED),
-        Conclusion(
-            "the particle filter is better than the Kalman filter at the best noise of each",
-            curves["particle"].min() < curves["Kalman"].min(),
-            minima,
-            inherited(FITTED),
-        ),
-        Conclusion(
-            "too little noise costs more than too much",
-            all(curves[t][0] > curves[t][-1] for t in ("Kalman", "particle")),
-            ", ".join(
-                f"{t} {100 * curves[t][0]:.0f} cm at {SWEPT[0]}, {100 * curves[t][-1]:.0f} cm at {SWEPT[-1]}"
-                for t in ("Kalman", "particle")
-            ),
-            PREDICTED,
-        ),
-    ]
-    widths = {t: np.array(SWEPT)[curves[t] <= NEAR * curves[t].min()] for t in ("Kalman", "particle")}
-    made.append(
-        Conclusion(
-            "both minima are flat: over a factor of two in noise either filter loses less than 5 %",
-            all(w.max() >= 2 * w.min() for w in widths.values()),
-            ", ".join(f"{t} within 5 % of its least from {w.min():g} to {w.max():g}" for t, w in widths.items()),
-            PREDICTED,
-        )
+    cm = {tracker: 100 * _curve(results, tracker)[:, 0] for tracker in results.study.trackers}
+    minima = ", ".join(f"{t} {cm[t].min():.1f} cm at {best[t]:.2f} m/s per √s" for t in best)
+    yield mc.Conclusion(
+        "both filters have a least error inside the range",
+        all(SWEPT[0] < x < SWEPT[-1] for x in best.values()),
+        minima,
+        mc.PREDICTED,
     )
-    gain = 100 * (curves["particle"].min() - curves["particle, path ends"].min())
-    made.append(
-        Conclusion(
-            "knowing where the path ends helps the particles",
-            gain > 0,
-            f"{gain:.1f} cm less at the best noise; the path was left open for Table 3.1 after this was seen",
-            inherited(FITTED, PREDICTED),
-        )
+    yield mc.Conclusion(
+        "the particle filter is better than the Kalman filter at the best noise of each",
+        cm["particle"].min() < cm["Kalman"].min(),
+        minima,
+        mc.DERIVED,
     )
-    return made
+    yield mc.Conclusion(
+        "too little noise costs more than too much",
+        all(cm[t][0] > cm[t][-1] for t in BOTH),
+        ", ".join(f"{t} {cm[t][0]:.0f} cm at {SWEPT[0]}, {cm[t][-1]:.0f} cm at {SWEPT[-1]}" for t in BOTH),
+        mc.PREDICTED,
+    )
+    widths = {t: np.array(SWEPT)[cm[t] <= NEAR * cm[t].min()] for t in BOTH}
+    yield mc.Conclusion(
+        "both minima are flat: over a factor of two in noise either filter loses less than 5 %",
+        all(w.max() >= 2 * w.min() for w in widths.values()),
+        ", ".join(f"{t} within 5 % of its least from {w.min():g} to {w.max():g}" for t, w in widths.items()),
+        mc.PREDICTED,
+    )
+    gain = cm["particle"].min() - cm["particle, path ends"].min()
+    yield mc.Conclusion(
+        "knowing where the path ends helps the particles",
+        gain > 0,
+        f"{gain:.1f} cm less at the best noise; the path was left open for Table 3.1 after this was seen",
+        mc.DERIVED,
+    )
 
 
-def _curve(results: Results, tracker: str) -> np.ndarray:
+def _curve(results: mc.Results, tracker: str) -> np.ndarray:
     """Average error and its interval (values, 3), m."""
     pairs = [(world, tracker) for world in results.study.worlds]
     return np.array([results.average("error_m", pairs, **{SIGMA: x}) for x in SWEPT])
 
 
-def draw(results: Results, folder: Path) -> list[str]:
+def curves(results: mc.Results, figure: Figure) -> None:
     """The curves with their intervals and least values."""
-
-    def curves(figure: Figure) -> None:
-        axes = figure.subplots()
-        for tracker, colour in COLOURS.items():
-            curve = 100 * _curve(results, tracker)
-            k = int(np.argmin(curve[:, 0]))
-            label = f"{tracker}: least {curve[k, 0]:.1f} cm at {SWEPT[k]:g}"
-            axes.plot(SWEPT, curve[:, 0], "o-", color=colour, markersize=3, label=label)
-            axes.fill_between(SWEPT, curve[:, 1], curve[:, 2], color=colour, alpha=0.18, linewidth=0)
-            axes.plot(SWEPT[k], curve[k, 0], "o", color=colour, markersize=8, fillstyle="none")
-        top = 2.2 * 100 * _curve(results, "Kalman")[:, 0].min()
-        axes.set_xscale("log")
-        axes.set_xticks(SWEPT, [f"{x:g}" for x in SWEPT])
-        axes.set(ylim=(0, top), xlabel="dynamic noise, m/s per √s", ylabel="average error, cm")
-        axes.set_title("Average error over the three situations")
-        axes.legend(loc="lower left")
-        plain(axes)
-
-    return [write_svg(folder, "sweep_curves.svg", curves)]
+    axes = figure.subplots()
+    for tracker, colour in COLOURS.items():
+        curve = 100 * _curve(results, tracker)
+        k = int(np.argmin(curve[:, 0]))
+        label = f"{tracker}: least {curve[k, 0]:.1f} cm at {SWEPT[k]:g}"
+        axes.plot(SWEPT, curve[:, 0], "o-", color=colour, markersize=3, label=label)
+        axes.fill_between(SWEPT, curve[:, 1], curve[:, 2], color=colour, alpha=0.18, linewidth=0)
+        axes.plot(SWEPT[k], curve[k, 0], "o", color=colour, markersize=8, fillstyle="none")
+    top = 2.2 * 100 * _curve(results, "Kalman")[:, 0].min()
+    axes.set_xscale("log")
+    axes.set_xticks(SWEPT, [f"{x:g}" for x in SWEPT])
+    axes.set(ylim=(0, top), xlabel="dynamic noise, m/s per √s", ylabel="average error, cm")
+    axes.set_title("Average error over the three situations")
+    axes.legend(loc="lower left")
+    plain(axes)
 
 
-STUDY = Study(
+STUDY = mc.Study(
     name="sweep-curves",
     about="How do the errors of both filters depend on their dynamic noise?",
-    worlds=worlds(fitted("line_thesis/table_3_1"), WORLDS),
+    worlds=worlds(fitted("papers/line_thesis/table_3_1"), WORLDS),
     trackers={"particle": PARTICLE, "Kalman": KALMAN, "particle, path ends": STOPPING},
     runs=30,
     grid={SIGMA: SWEPT},
     measures={"error_m": error},
     metrics=("mean_m", "rmse_m", "p95_m"),
     expected=expected,
-    draw=draw,
+    draw=plot("sweep_curves.svg", curves),
 )

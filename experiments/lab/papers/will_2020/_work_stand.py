@@ -9,26 +9,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+import experiments.monte_carlo as mc
 from experiments.lab.papers.fitting import fitted
-from experiments.monte_carlo import TrackerConfig
+from experiments.lab.papers.will_2020.fit_array_layout import TABLE_1_DEG
 from sim.corruptions import Corruption, lose_station, outliers
 from sim.keys import Keys
 from sim.stations import simulate_phases, work_station
 from trackers.aoa.beam import beam_tracker
 from trackers.aoa.rows import PHASES, TRACKERS
 from trackers.core.rig import Rig
-from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.recordings.trajectories import Trajectory
 
 ALL = "full array"
 SETS = ("3-7-8", "2-7-8", "1-2-5", "2-3-6", ALL)
 """Antennas in use, counted from 1, in the order of Table 1."""
+
+PRINTED_DEG = {
+    name: TABLE_1_DEG[tuple(range(1, 9)) if name == ALL else tuple(int(k) for k in name.split("-"))] for name in SETS
+}
+"""Table 1: antenna set -> root mean square error of azimuth and elevation, degrees."""
 
 POINTS, RATE_HZ = 200, 10.0
 """Rows and rate of the helix; only σa ΔT² enters the filter, so that the rate is chosen and σa follows."""
@@ -37,7 +41,7 @@ HELIX = "helix"
 
 
 def antennas_of(numbers: Mapping[str, float]) -> np.ndarray:
-    """The array (8, 2), m, from parameters such as `fitted("will_2020/table_1")`."""
+    """The array (8, 2), m, from parameters such as `fitted("papers/will_2020/table_1")`."""
     return np.array([[numbers[f"{axis}_{k}"] for axis in "xy"] for k in range(1, 9)]) / 1000
 
 
@@ -88,7 +92,7 @@ def recorded(
     `antennas`: a set of `SETS`. `lost`: number of a lost station, 0 for none. `outlying`: fraction of outliers, with an
     additional error of standard deviation `size`, rad.
     """
-    numbers = fitted("will_2020/table_1")
+    numbers = fitted("papers/will_2020/table_1")
     corruptions: dict[str, Corruption] = {"covered": covered(antennas)} if antennas != ALL else {}
     if lost:
         corruptions["lost station"] = lose_station(lost - 1)
@@ -102,35 +106,35 @@ def recorded(
     return world.folder("work stand")
 
 
-def _as_printed(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return beam_tracker(trajectory.folder.rig.stations[trajectory.station], PHASES, paper_form=True)
-
-
-PRINTED_FORM = TrackerSpec(
-    **{
-        **vars(TRACKERS["beam"]),
-        "about": "the beam tracker with each of the 28 differences wrapped, (8)-(17)",
-        "build": _as_printed,
-    },
+PRINTED_FORM = replace(
+    TRACKERS["beam"],
+    about="the beam tracker with each of the 28 differences wrapped, (8)-(17)",
+    build=lambda trajectory, planar: beam_tracker(
+        trajectory.folder.rig.stations[trajectory.station], PHASES, paper_form=True
+    ),
 )
 
 
-def beam(tracker: str | TrackerSpec = "beam") -> TrackerConfig:
+def radius() -> float:
+    """The fitted distance of the stations from the centre line, m."""
+    return fitted("papers/will_2020/figure_8")["radius"]
+
+
+def beam(tracker: str | TrackerSpec = "beam") -> mc.TrackerConfig:
     """A beam tracker with the fitted noise levels."""
-    return TrackerConfig(tracker, _noise(fitted("will_2020/table_1"), "motion.sigma_a", "sensors.*.sigma_p"))
+    return _tuned(tracker, {"motion.sigma_a": "sigma_a", "sensors.*.sigma_p": "sigma_p"})
 
 
-def cascade() -> TrackerConfig:
+def cascade() -> mc.TrackerConfig:
     """The paper's cascade, with the fitted noise levels in its beam trackers and the default ones in its fusion."""
-    return TrackerConfig(
-        "cascade", _noise(fitted("will_2020/table_1"), "beams.*.motion.sigma_a", "beams.*.sensors.*.sigma_p")
-    )
+    return _tuned("cascade", {"beams.*.motion.sigma_a": "sigma_a", "beams.*.sensors.*.sigma_p": "sigma_p"})
 
 
-def direct() -> TrackerConfig:
+def direct() -> mc.TrackerConfig:
     """The filter from phases to position, with the fitted phase noise."""
-    return TrackerConfig("direct", {"sensors.*.sigma_p": fitted("will_2020/table_1")["sigma_p"]})
+    return _tuned("direct", {"sensors.*.sigma_p": "sigma_p"})
 
 
-def _noise(numbers: Mapping[str, float], sigma_a: str, sigma_p: str) -> dict[str, Any]:
-    return {sigma_a: numbers["sigma_a"], sigma_p: numbers["sigma_p"]}
+def _tuned(tracker: str | TrackerSpec, levels: Mapping[str, str]) -> mc.TrackerConfig:
+    numbers = fitted("papers/will_2020/table_1")
+    return mc.TrackerConfig(tracker, {pattern: numbers[name] for pattern, name in levels.items()})

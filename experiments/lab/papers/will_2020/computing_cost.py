@@ -9,28 +9,16 @@ the same estimates. The start of a track, one search by the beamformer, is not c
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import experiments.monte_carlo as mc
 from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.will_2020._work_stand import beam, recorded, stand
-from experiments.lab.papers.will_2020.fit_figure_8 import radius
-from experiments.monte_carlo import (
-    DERIVED,
-    FITTED,
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackerConfig,
-    World,
-    inherited,
-)
+from experiments.lab.papers.will_2020._work_stand import beam, radius, recorded, stand
 from experiments.text.wording import listed
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
@@ -41,20 +29,23 @@ from trackers.core.filter import Gaussian
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
 from trackers.core.tracker import AbstractTracker
-from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.recordings.trajectories import Trajectory
 
 RESOLUTIONS = {"DAS, 1.2 deg": 1.2, "DAS, 0.6 deg": 0.6, "DAS, 0.3 deg": 0.3}
 
 
-def _searching(resolution: float) -> TrackerSpec:
-    """The beamformer on a grid with a resolution in degrees."""
+def _grid(station: Station, resolution: float) -> Grid:
+    """The beamformer's grid with a resolution in degrees."""
+    return Grid.of(station, resolution=np.deg2rad(resolution))
+
+
+def _searching(resolution: float) -> mc.TrackerConfig:
+    """The beamformer on such a grid."""
 
     def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        station = trajectory.folder.rig.stations[trajectory.station]
-        return DelayAndSum(Grid.of(station, resolution=np.deg2rad(resolution)), PHASES)
+        return DelayAndSum(_grid(trajectory.folder.rig.stations[trajectory.station], resolution), PHASES)
 
-    return dataclasses.replace(TRACKERS["das"], build=build)
+    return mc.TrackerConfig(dataclasses.replace(TRACKERS["das"], build=build))
 
 
 def operations(function: Callable[..., Any], *arguments: Any) -> int:
@@ -65,7 +56,7 @@ def operations(function: Callable[..., Any], *arguments: Any) -> int:
 
 def search_operations(station: Station, resolution: float) -> int:
     """Those of a row of the beamformer on a grid with a resolution in degrees."""
-    grid = Grid.of(station, resolution=np.deg2rad(resolution))
+    grid = _grid(station, resolution)
     antennas = len(grid.cosine)
 
     def row(phases: Any, seen: Any) -> Any:
@@ -87,31 +78,39 @@ def filter_operations(station: Station) -> int:
     return operations(row, belief, [zero] * antennas, [zero == zero] * antennas, zero)
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The paper's conclusions on both costs."""
-    station = next(iter(stand(fitted("will_2020/table_1"), radius()).stations.values()))
+    station = next(iter(stand(fitted("papers/will_2020/table_1"), radius()).stations.values()))
     effort = {"EKF": filter_operations(station)}
     effort |= {name: search_operations(station, resolution) for name, resolution in RESOLUTIONS.items()}
     rmse = {t: np.rad2deg(results.value("rmse_direction_rad", "stand", t).value) for t in results.study.trackers}
     coarse, usual, fine = (effort[name] for name in RESOLUTIONS)
-    return [
-        Conclusion("the EKF costs less than a beamformer of 10,000 hypotheses", effort["EKF"] < usual,
-                   f"operations of a row: {listed(effort, '{:,}')}; {usual / effort['EKF']:.0f} times less",
-                   PREDICTED),
-        Conclusion("the beamformer's effort grows with the resolution of its search space, the EKF has none",
-                   3.5 * coarse < usual < fine / 3.5,
-                   f"operations at half the step {fine / usual:.2f} times, at twice the step {usual / coarse:.2f} "
-                   "times less: in proportion to the number of hypotheses", DERIVED),
-        Conclusion("no finer search makes the beamformer as accurate as the EKF", rmse["DAS, 0.3 deg"] > rmse["EKF"],
-                   listed(rmse, "{:.2f} deg"), inherited(FITTED, PREDICTED)),
-    ]  # fmt: skip
+    yield mc.Conclusion(
+        "the EKF costs less than a beamformer of 10,000 hypotheses",
+        effort["EKF"] < usual,
+        f"operations of a row: {listed(effort, '{:,}')}; {usual / effort['EKF']:.0f} times less",
+        mc.PREDICTED,
+    )
+    yield mc.Conclusion(
+        "the beamformer's effort grows with the resolution of its search space, the EKF has none",
+        3.5 * coarse < usual < fine / 3.5,
+        f"operations at half the step {fine / usual:.2f} times, at twice the step {usual / coarse:.2f} "
+        "times less: in proportion to the number of hypotheses",
+        mc.DERIVED,
+    )
+    yield mc.Conclusion(
+        "no finer search makes the beamformer as accurate as the EKF",
+        rmse["DAS, 0.3 deg"] > rmse["EKF"],
+        listed(rmse, "{:.2f} deg"),
+        mc.DERIVED,
+    )
 
 
-STUDY = Study(
+STUDY = mc.Study(
     name="computing-cost",
     about="What does a direction cost, by delay-and-sum on finer and coarser grids and by the EKF?",
-    worlds={"stand": World(recorded, {"radius": radius()})},
-    trackers={"EKF": beam()} | {name: TrackerConfig(_searching(r)) for name, r in RESOLUTIONS.items()},
+    worlds={"stand": mc.World(recorded, {"radius": radius()})},
+    trackers={"EKF": beam()} | {name: _searching(r) for name, r in RESOLUTIONS.items()},
     runs=40,
     metrics=("us_per_row", "rmse_direction_rad", "median_direction_rad"),
     expected=expected,

@@ -7,30 +7,16 @@ whose number and size are not printed; a second world has some of chosen number 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.lab.papers.will_2020._work_stand import beam, recorded
-from experiments.lab.papers.will_2020.fit_figure_8 import radius
-from experiments.lab.papers.will_2020.fit_table_1 import PRINTED
-from experiments.monte_carlo import (
-    DERIVED,
-    FITTED,
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Results,
-    Study,
-    TrackedRuns,
-    TrackerConfig,
-    World,
-    inherited,
-)
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import Printed, plot
+from experiments.lab.papers.will_2020._work_stand import ALL, PRINTED_DEG, beam, radius, recorded
 from experiments.monte_carlo.chunk import tracked_runs
-from experiments.pages.plots.style import BLUE, GREY, ORANGE, plain, write_svg
+from experiments.pages.plots.style import BLUE, GREY, ORANGE, plain
 from experiments.text.wording import fixed_interval
 
 AXES = ("azimuth", "elevation")
@@ -41,87 +27,77 @@ OUTLIERS, SIZE = 0.02, 1.5
 OUTLIER = np.deg2rad(5.0)
 
 
-def outliers(tracked: TrackedRuns) -> np.ndarray:
+def outliers(tracked: mc.TrackedRuns) -> np.ndarray:
     """Fraction (n,) of directions with an error above 5° in either angle."""
     return np.asarray((np.abs(tracked.error).max(axis=-1) > OUTLIER).mean(axis=(1, 2)))
 
 
-def _rms(angle: int) -> Callable[[TrackedRuns], np.ndarray]:
+def _rms(angle: int) -> Callable[[mc.TrackedRuns], np.ndarray]:
     """Root mean square error (n,), rad, of azimuth or elevation, by trajectory."""
-    return lambda tracked: np.asarray(np.sqrt(np.nanmean(tracked.error[..., angle] ** 2, axis=(1, 2))))
+    return lambda tracked: np.sqrt(np.nanmean(tracked.error[..., angle] ** 2, axis=(1, 2)))
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The errors printed with Figure 7, and the EKF's advantage."""
-    made: list[ExpectedResult | Conclusion] = []
-    for axis, printed in zip(AXES, PRINTED["full array"], strict=True):
-        ours = results.value(f"rmse_{axis}_rad", HELIX, "EKF").times(180 / np.pi)
-        note = "printed in Table 1, too"
-        made.append(ExpectedResult(f"Figure 7, EKF, {axis}", printed, ours, "deg", DERIVED, note=note))
+    for axis, number in zip(AXES, PRINTED_DEG[ALL], strict=True):
+        note, metric = "printed in Table 1, too", f"rmse_{axis}_rad"
+        printed = Printed(f"Figure 7, EKF, {axis}", number, "deg", metric, (HELIX,), "EKF", mc.DERIVED, note)
+        yield printed.beside(results)
     for world in results.study.worlds:
         for axis in AXES:
             mine, its = (results.value(f"rmse_{axis}_rad", world, t).times(180 / np.pi) for t in ("EKF", "DAS"))
             ratio = results.ratio(f"rmse_{axis}_rad", world, "DAS", "EKF")
             each = results.numbers(f"{axis}_rad", world, "EKF") < results.numbers(f"{axis}_rad", world, "DAS")
-            told = f"{mine.value:.2f} against {its.value:.2f} deg, {fixed_interval(ratio, '.2f')}"
-            made.append(
-                Conclusion(
-                    f"{world}: the EKF's {axis} is better than the beamformer's",
-                    ratio.low > 1 and bool(each.mean() > 0.95),
-                    f"{told} times; better on {100 * each.mean():.0f} % of the trajectories",
-                    inherited(FITTED, PREDICTED) if world == HELIX else PREDICTED,
-                )
+            yield mc.Conclusion(
+                f"{world}: the EKF's {axis} is better than the beamformer's",
+                ratio.low > 1 and bool(each.mean() > 0.95),
+                f"{mine.value:.2f} against {its.value:.2f} deg, {fixed_interval(ratio, '.2f')} times; "
+                f"better on {100 * each.mean():.0f} % of the trajectories",
+                mc.DERIVED if world == HELIX else mc.PREDICTED,
             )
     shares = {t: results.value("wild", OUTLYING, t).times(100) for t in ("EKF", "DAS")}
-    made.append(
-        Conclusion(
-            "outliers are smoothed out by the EKF",
-            shares["EKF"].high < 0.2 * shares["DAS"].low,
-            f"off by more than 5 deg: {shares['EKF'].value:.2f} % of its directions, of the beamformer's "
-            f"{shares['DAS'].value:.2f} %",
-            PREDICTED,
-        )
+    yield mc.Conclusion(
+        "outliers are smoothed out by the EKF",
+        shares["EKF"].high < 0.2 * shares["DAS"].low,
+        f"off by more than 5 deg: {shares['EKF'].value:.2f} % of its directions, of the beamformer's "
+        f"{shares['DAS'].value:.2f} %",
+        mc.PREDICTED,
     )
-    return made
 
 
-def draw(results: Results, folder: Path) -> list[str]:
+def angles(results: mc.Results, figure: Figure) -> None:
     """Angles and deviations of the first trajectory at station 1, with outlying phases."""
     runs = tracked_runs(results.study, OUTLYING, np.arange(results.study.chunk))
-
-    def draw_(figure: Figure) -> None:
-        panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.5, 1])
-        points = np.arange(1, runs["EKF"].times.shape[1] + 1)
-        for k, axis in enumerate(AXES):
-            truth = np.rad2deg(runs["EKF"].truth[0, :, 0, k])
-            above, below = panels[:, k]
-            for name, colour, style in (("DAS", ORANGE, "--"), ("EKF", BLUE, "-")):
-                found = np.rad2deg(runs[name].estimates[0, :, 0, k])
-                above.plot(points, found, style, color=colour, label=name)
-                below.plot(points, found - truth, style, color=colour)
-            above.plot(points, truth, color=GREY, linewidth=0.9, label="ideal")
-            above.set(title=axis.capitalize(), ylim=(-32, 32))
-            below.set(ylim=(-10, 10), xlabel="measurement point")
-            plain(above)
-            plain(below)
-        panels[0, 0].set_ylabel("angle, deg")
-        panels[1, 0].set_ylabel("deviation, deg")
-        panels[0, 0].legend(loc="lower left", ncols=3)
-
-    return [write_svg(folder, "figures_6_7.svg", draw_, 7.5, 4.6)]
+    panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.5, 1])
+    points = np.arange(1, runs["EKF"].times.shape[1] + 1)
+    for k, axis in enumerate(AXES):
+        truth = np.rad2deg(runs["EKF"].truth[0, :, 0, k])
+        above, below = panels[:, k]
+        for name, colour, style in (("DAS", ORANGE, "--"), ("EKF", BLUE, "-")):
+            found = np.rad2deg(runs[name].estimates[0, :, 0, k])
+            above.plot(points, found, style, color=colour, label=name)
+            below.plot(points, found - truth, style, color=colour)
+        above.plot(points, truth, color=GREY, linewidth=0.9, label="ideal")
+        above.set(title=axis.capitalize(), ylim=(-32, 32))
+        below.set(ylim=(-10, 10), xlabel="measurement point")
+        plain(above)
+        plain(below)
+    panels[0, 0].set_ylabel("angle, deg")
+    panels[1, 0].set_ylabel("deviation, deg")
+    panels[0, 0].legend(loc="lower left", ncols=3)
 
 
-STUDY = Study(
+STUDY = mc.Study(
     name="figures-6-7",
     about="How well do a Kalman filter and a delay-and-sum beamformer follow a beacon on a helix?",
     worlds={
-        HELIX: World(recorded, {"radius": radius()}),
-        OUTLYING: World(recorded, {"radius": radius(), "outlying": OUTLIERS, "size": SIZE}),
+        HELIX: mc.World(recorded, {"radius": radius()}),
+        OUTLYING: mc.World(recorded, {"radius": radius(), "outlying": OUTLIERS, "size": SIZE}),
     },
-    trackers={"EKF": beam(), "DAS": TrackerConfig("das")},
+    trackers={"EKF": beam(), "DAS": mc.TrackerConfig("das")},
     runs=100,
     measures={"wild": outliers, "azimuth_rad": _rms(0), "elevation_rad": _rms(1)},
     metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "median_direction_rad", "p95_direction_rad", "wild"),
     expected=expected,
-    draw=draw,
+    draw=plot("figures_6_7.svg", angles, 7.5, 4.6),
 )

@@ -11,15 +11,15 @@ the array's largest extent.
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.lab.papers.will_2020._work_stand import ALL, beam, recorded
-from experiments.lab.papers.will_2020.fit_figure_8 import radius
-from experiments.monte_carlo import PREDICTED, Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
-from experiments.pages.plots.style import LINES, plain, write_svg
+import experiments.monte_carlo as mc
+from experiments.lab.papers.declared import plot
+from experiments.lab.papers.will_2020._work_stand import ALL, beam, radius, recorded
+from experiments.pages.plots.style import LINES, plain
 
 RATES, APERTURES = (2.5, 5.0, 10.0, 20.0), (0.5, 1.0, 2.0, 4.0)
 THREE = "2-3-6"
@@ -27,7 +27,7 @@ HELD = 2.0
 """Percentage of directions that may be astray in a track that counts as held."""
 
 
-def astray(tracked: TrackedRuns) -> np.ndarray:
+def astray(tracked: mc.TrackedRuns) -> np.ndarray:
     """Fraction (n,) of directions on a wrong lobe."""
     station = next(iter(tracked.folder.rig.stations.values()))
     assert station.antennas is not None
@@ -37,89 +37,82 @@ def astray(tracked: TrackedRuns) -> np.ndarray:
     return np.asarray(np.where(tracked.known, error > limit, np.nan).mean(axis=(1, 2)))
 
 
-def expected(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The paper's conclusions on the trade-off."""
     fast, slow, large = RATES[-1], RATES[0], APERTURES[-1]
     usual = [_degrees(results, ALL, fast, a, "median") for a in APERTURES]
     lost = {(w, r, a): 100 * _astray(results, w, r, a) for w in (ALL, THREE) for r in RATES for a in APERTURES}
     sure = {w: [max([a for a in APERTURES if lost[w, r, a] < HELD], default=0.0) for r in RATES] for w in (ALL, THREE)}
-    return [
-        Conclusion(
-            "a larger aperture is more accurate while the track holds",
-            usual == sorted(usual, reverse=True),
-            f"median at {fast:g} Hz, all antennas: "
-            + ", ".join(f"{a:g} x {m:.2f} deg" for a, m in zip(APERTURES, usual, strict=True)),
-            PREDICTED,
-        ),
-        Conclusion(
-            "a larger aperture needs a higher rate to keep track",
-            all(lost[w, slow, large] > 5 + lost[w, fast, large] for w in (ALL, THREE)),
-            f"antennas {THREE}, {large:g} times the aperture, astray: "
-            + ", ".join(f"{lost[THREE, r, large]:.1f} % at {r:g} Hz" for r in RATES),
-            PREDICTED,
-        ),
-        Conclusion(
-            "the largest aperture that keeps its track is the larger, the higher the rate",
-            all(found == sorted(found) and found[0] < found[-1] for found in sure.values()),
-            f"less than {HELD:g} % astray: " + "; ".join(f"{w} {_listed(found)}" for w, found in sure.items()),
-            PREDICTED,
-        ),
-        Conclusion(
-            "three antennas lose the track sooner than eight",
-            all(lost[THREE, r, a] >= lost[ALL, r, a] for r in RATES for a in APERTURES),
-            f"at {slow:g} Hz and {large:g} times the aperture {lost[THREE, slow, large]:.1f} against "
-            f"{lost[ALL, slow, large]:.1f} % astray",
-            PREDICTED,
-        ),
-    ]
+    largest = {
+        w: ", ".join(f"{a:g} x at {r:g} Hz" for a, r in zip(found, RATES, strict=True)) for w, found in sure.items()
+    }
+    yield mc.Conclusion(
+        "a larger aperture is more accurate while the track holds",
+        usual == sorted(usual, reverse=True),
+        f"median at {fast:g} Hz, all antennas: "
+        + ", ".join(f"{a:g} x {m:.2f} deg" for a, m in zip(APERTURES, usual, strict=True)),
+        mc.PREDICTED,
+    )
+    yield mc.Conclusion(
+        "a larger aperture needs a higher rate to keep track",
+        all(lost[w, slow, large] > 5 + lost[w, fast, large] for w in (ALL, THREE)),
+        f"antennas {THREE}, {large:g} times the aperture, astray: "
+        + ", ".join(f"{lost[THREE, r, large]:.1f} % at {r:g} Hz" for r in RATES),
+        mc.PREDICTED,
+    )
+    yield mc.Conclusion(
+        "the largest aperture that keeps its track is the larger, the higher the rate",
+        all(found == sorted(found) and found[0] < found[-1] for found in sure.values()),
+        f"less than {HELD:g} % astray: " + "; ".join(f"{w} {told}" for w, told in largest.items()),
+        mc.PREDICTED,
+    )
+    yield mc.Conclusion(
+        "three antennas lose the track sooner than eight",
+        all(lost[THREE, r, a] >= lost[ALL, r, a] for r in RATES for a in APERTURES),
+        f"at {slow:g} Hz and {large:g} times the aperture {lost[THREE, slow, large]:.1f} against "
+        f"{lost[ALL, slow, large]:.1f} % astray",
+        mc.PREDICTED,
+    )
 
 
-def _listed(apertures: list[float]) -> str:
-    return ", ".join(f"{a:g} x at {r:g} Hz" for a, r in zip(apertures, RATES, strict=True))
-
-
-def _degrees(results: Results, world: str, rate: float, aperture: float, metric: str = "rmse") -> float:
+def _degrees(results: mc.Results, world: str, rate: float, aperture: float, metric: str = "rmse") -> float:
     point = {"world.rate_hz": rate, "world.aperture": aperture}
     return results.value(f"{metric}_direction_rad", world, "EKF", **point).times(180 / np.pi).value
 
 
-def _astray(results: Results, world: str, rate: float, aperture: float) -> float:
+def _astray(results: mc.Results, world: str, rate: float, aperture: float) -> float:
     return results.value("astray", world, "EKF", **{"world.rate_hz": rate, "world.aperture": aperture}).value
 
 
-def draw(results: Results, folder: Path) -> list[str]:
+def panels(results: mc.Results, figure: Figure) -> None:
     """Error and fraction astray against the rate, one line per aperture."""
-
-    def draw_(figure: Figure) -> None:
-        panels = figure.subplots(2, 2, sharex=True, sharey="row")
-        for column, world in zip(panels.T, (ALL, THREE), strict=True):
-            for aperture, colour in zip(APERTURES, LINES, strict=False):
-                label = f"{aperture:g} x aperture"
-                found = [(_degrees(results, world, r, aperture), _astray(results, world, r, aperture)) for r in RATES]
-                for axes, values in zip(column, np.transpose(found) * [[1], [100]], strict=True):
-                    axes.plot(RATES, values, "o-", color=colour, markersize=3, label=label)
-                    plain(axes)
-            column[0].set(title=world if world == ALL else f"antennas {world}", xscale="log", yscale="log")
-            column[1].set(xlabel="rate, Hz", ylim=(0, 100))
-            column[1].set_xticks(RATES, [f"{r:g}" for r in RATES])
-            column[1].minorticks_off()
-        panels[0, 0].set_ylabel("RMSE, deg")
-        panels[0, 0].set_yticks([0.5, 1, 2, 5, 10, 20, 50], ["0.5", "1", "2", "5", "10", "20", "50"])
-        panels[1, 0].set_ylabel("astray, % of rows")
-        panels[1, 0].legend(loc="upper right")
-
-    return [write_svg(folder, "rate_aperture.svg", draw_, 7.0, 4.8)]
+    grid = figure.subplots(2, 2, sharex=True, sharey="row")
+    for column, world in zip(grid.T, (ALL, THREE), strict=True):
+        for aperture, colour in zip(APERTURES, LINES, strict=False):
+            label = f"{aperture:g} x aperture"
+            found = [(_degrees(results, world, r, aperture), _astray(results, world, r, aperture)) for r in RATES]
+            for axes, values in zip(column, np.transpose(found) * [[1], [100]], strict=True):
+                axes.plot(RATES, values, "o-", color=colour, markersize=3, label=label)
+                plain(axes)
+        column[0].set(title=world if world == ALL else f"antennas {world}", xscale="log", yscale="log")
+        column[1].set(xlabel="rate, Hz", ylim=(0, 100))
+        column[1].set_xticks(RATES, [f"{r:g}" for r in RATES])
+        column[1].minorticks_off()
+    grid[0, 0].set_ylabel("RMSE, deg")
+    grid[0, 0].set_yticks([0.5, 1, 2, 5, 10, 20, 50], ["0.5", "1", "2", "5", "10", "20", "50"])
+    grid[1, 0].set_ylabel("astray, % of rows")
+    grid[1, 0].legend(loc="upper right")
 
 
-STUDY = Study(
+STUDY = mc.Study(
     name="rate-aperture",
     about="How large may an array be at which measurement rate before a moving beacon's track is lost?",
-    worlds={name: World(recorded, {"radius": radius(), "wave": "plane", "antennas": name}) for name in (ALL, THREE)},
+    worlds={name: mc.World(recorded, {"radius": radius(), "wave": "plane", "antennas": name}) for name in (ALL, THREE)},
     trackers={"EKF": beam()},
     runs=40,
     grid={"world.rate_hz": RATES, "world.aperture": APERTURES},
     measures={"astray": astray},
     metrics=("rmse_direction_rad", "median_direction_rad", "astray", "diverged"),
     expected=expected,
-    draw=draw,
+    draw=plot("rate_aperture.svg", panels, 7.0, 4.8),
 )

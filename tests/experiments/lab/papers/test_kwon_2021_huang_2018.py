@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.lab.papers import fitting
-from experiments.lab.papers.fitting import Fitted, fitted, means, solved, write_fitted
+from experiments.lab.papers.fitting import Fitted, fitted, solved, unsaved, write_fitted
 from experiments.lab.papers.huang_2018 import mhk_against, workshop
 from experiments.lab.papers.kwon_2021 import chamber, line_of_sight, robot, table_4, trilateration
 from experiments.monte_carlo.errors import TrackedRuns
@@ -14,6 +14,7 @@ from experiments.monte_carlo.runner import run_study
 from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.text.expectations import PREDICTED, Conclusion, ExpectedResult
 from tests.oracles import distances_to_path
+from trackers.core.errors import UnusableInput
 from trackers.mhk.tracker import STILL
 
 MINE = (
@@ -59,15 +60,28 @@ def test_a_fit_finds_the_parameters_at_which_the_ratios_are_one():
 
 def test_fitted_parameters_are_read_as_they_were_written(tmp_path, monkeypatch):
     monkeypatch.setattr(fitting, "LAB", tmp_path)
-    (tmp_path / "papers" / "someone" / "fitted").mkdir(parents=True)
+    (tmp_path / "someone" / "fitted").mkdir(parents=True)
     write_fitted(
         "someone/x", "none", {"drift": Fitted(0.0123456, "m", "the mean"), "share": Fitted(0.5, "1", "the rest")}
     )
     assert fitted("someone/x") == {"drift": 0.01235, "share": 0.5}
 
 
+def test_a_fit_of_an_unknown_name_is_refused_with_the_names_there_are():
+    with pytest.raises(UnusableInput, match="'papers/kwon_2021/table_5': unknown; expected one of .*kwon_2021/table_4"):
+        fitting.main("papers/kwon_2021/table_5")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", [chamber, line_of_sight, table_4], ids=lambda m: m.STUDY.name)
+def test_at_the_fitted_parameters_our_numbers_are_the_printed_ones(module):
+    numbers = fitted("/".join(module.__name__.split(".")[2:]))
+    # A fit that has more printed numbers than it can reach, ends within some per cent of them.
+    np.testing.assert_allclose(module.fit.ratios(numbers), 1.0, atol=0.03)
+
+
 def test_the_raw_fixes_of_the_workshop_are_as_far_off_the_route_as_its_polyline_says():
-    numbers = {name: fitted("huang_2018/workshop")[name] for name in ("drift", "share", "size")}
+    numbers = {name: fitted("papers/huang_2018/workshop")[name] for name in ("drift", "share", "size")}
     folder = workshop.workshop(np.arange(2), 3, **numbers)
     fixes = folder.tables["fixes"].filter(tag="1").select("x_m", "y_m").to_numpy()[:100]
     empty = np.zeros((2, 2000, 3))
@@ -78,7 +92,7 @@ def test_the_raw_fixes_of_the_workshop_are_as_far_off_the_route_as_its_polyline_
 
 @pytest.mark.slow
 def test_the_workshop_has_nine_printed_figures_of_which_four_are_predicted(tmp_path):
-    found = workshop.expected(_results(workshop.STUDY, 4, tmp_path))
+    found = list(workshop.expected(_results(workshop.STUDY, 4, tmp_path)))
     claims = [c for c in found if isinstance(c, ExpectedResult)]
     assert [c.origin for c in claims].count(PREDICTED) == 4
     assert [c.share for c in claims] == [c.unit == "%" for c in claims]
@@ -99,8 +113,8 @@ def test_lengthening_every_range_makes_trilateration_worse_and_a_fourth_range_ma
     study = trilateration.STUDY
     three = {k: study.trackers[k] for k in ("trilateration", "with (14)", "least squares")}
     worlds = {"line of sight": replace(study.worlds["line of sight"], numbers={"rows": 100})}
-    found = means(replace(study, trackers=three, worlds=worlds), 10)
-    rmse = {tracker: m["settled_rmse_m"] for (_, tracker), m in found.items()}
+    found = unsaved(replace(study, trackers=three, worlds=worlds, runs=10))
+    rmse = {tracker: found.value("settled_rmse_m", "line of sight", tracker).value for tracker in three}
     # 1.96 · 0.1 m / √3 = 11 cm on each of three ranges, where the noise is 3 cm.
     assert rmse["with (14)"] > 1.5 * rmse["trilateration"]
     assert rmse["least squares"] < rmse["trilateration"]
@@ -144,7 +158,7 @@ def test_the_ends_of_strokes_are_measured_by_the_mean_of_what_was_estimated():
 
 
 def test_a_still_tags_fixes_come_of_its_ranges():
-    numbers = {k: v for k, v in fitted("kwon_2021/table_4").items() if k != "sigma_a"}
+    numbers = {k: v for k, v in fitted("papers/kwon_2021/table_4").items() if k != "sigma_a"}
     folder = table_4.still(np.arange(2), 0, **numbers)
     fixes = folder.tables["fixes"]
     assert len(fixes) == 2 * (table_4.SETTLING + table_4.SCORED)
@@ -168,7 +182,7 @@ def test_the_hall_hides_the_anchor_along_x_alone():
 def test_a_study_says_what_it_found(name, tmp_path):
     study = load_study(name)
     results = _results(study, 2, tmp_path)
-    found = results.study.expected(results)
+    found = list(results.study.expected(results))
     assert found
     assert all(np.isfinite(c.ours.value) for c in found if isinstance(c, ExpectedResult))
     assert all(c.evidence for c in found if isinstance(c, Conclusion))

@@ -115,7 +115,7 @@ def test_the_area_under_the_roc_is_the_share_of_pairs_in_the_right_order():
 
 
 def test_every_number_of_the_worlds_is_in_the_file_of_the_fit():
-    made = worlds(fitted("line_thesis/table_3_1"))
+    made = worlds(fitted("papers/line_thesis/table_3_1"))
     assert list(made) == list(RECORDINGS) == list(PRINTED)
     assert all(0 < w.numbers["white"] < 1 for w in made.values())
 
@@ -127,7 +127,7 @@ def test_a_study_is_called_as_its_file(module):
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
-    best = fitted("line_thesis/table_3_1")["sigma_particle"]
+    best = fitted("papers/line_thesis/table_3_1")["sigma_particle"]
     study = dataclasses.replace(table_3_1.STUDY, runs=2, grid={SIGMA: (best,)})
     return run_study(study, tmp_path_factory.mktemp("table"))
 
@@ -144,7 +144,7 @@ def test_the_filters_stand_in_the_order_of_the_table(table):
 
 @pytest.mark.slow
 def test_the_table_has_its_27_figures_and_says_which_were_fitted(table):
-    claims = table_3_1.expected(table)
+    claims = list(table_3_1.expected(table))
     cells = [c for c in claims if isinstance(c, ExpectedResult) and ", set " in c.quantity]
     assert [c.printed for c in cells] == [x for row in PRINTED.values() for x in row]
     # The particles' path was left open after both of their averages had been seen.

@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.text.evaluation_text import _cell
 from experiments.text.expectations import Value
-from experiments.text.tables import aligned, compact_table, rendered, ruled_table
+from experiments.text.tables import aligned, compact_table, markdown, rendered, ruled_table
 from experiments.text.wording import duration, fixed, heading, rounded, unit_of, units_of, with_interval
 from trackers.core.wording import counted, significant
 
@@ -12,6 +12,11 @@ from trackers.core.wording import counted, significant
 def test_aligned_columns_have_two_spaces_between_them_and_none_at_the_end():
     text = aligned([("name", "value", ""), ("a", "12.5", "x"), ("[b] :car:", "3", "")], numbers=[1])
     assert text.splitlines() == ["name       value", "a           12.5  x", "[b] :car:      3"]
+
+
+def test_a_table_in_markdown_has_its_head_and_a_rule_that_aligns_numbers():
+    rows = [("name", "m"), ("a", "1.5"), ("b", "")]
+    assert markdown(rows, numbers=[1]) == "| name | m |\n| --- | ---: |\n| a | 1.5 |\n| b |  |\n"
 
 
 def test_a_long_cell_of_aligned_columns_is_not_wrapped():
