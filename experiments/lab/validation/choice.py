@@ -21,6 +21,7 @@ from experiments.cli.runtime import keep_programs, set_flags
 from experiments.lab.bench.timing import replace_tables
 from experiments.lab.subprocesses import REPOSITORY, required_recordings
 from experiments.lab.validation.folds import SEEN_BY_DEFAULTS
+from experiments.text.tables import markdown
 from trackers.catalogue import PREFERENCE, TRACKERS, build
 from trackers.evaluation.evaluate import evaluate
 from trackers.recordings.folder import RecordingFolder, read_recordings
@@ -154,21 +155,19 @@ def written(figures: Sequence[Figure], seconds: float) -> str:
 
 def _section(kind: str, order: Sequence[str], own: Mapping[tuple[str, str], Figure], figures: Sequence[Figure]) -> str:
     """The figures of a kind of readings, and the first choice beside each other tracker."""
-    lines = [f"### {kind[0].upper()}{kind[1:]}", "", f"Order: {', '.join(f'`{name}`' for name in order)}.", ""]
-    lines += [_row("recording", *(f"`{name}`" for name in order)), _row("---", *["---:"] * len(order))]
+    rows = [["recording", *(f"`{name}`" for name in order)]]
     for recording in dict.fromkeys(name for name, _ in own):
         cells = [own.get((recording, name)) for name in order]
-        lines.append(_row(recording, *("" if one is None else _cell(one) for one in cells)))
-    lines.append("")
+        rows.append([recording, *("" if one is None else _cell(one) for one in cells)])
+    parts = [f"### {kind[0].upper()}{kind[1:]}\n", f"Order: {', '.join(f'`{name}`' for name in order)}.\n"]
+    parts.append(markdown(rows, range(1, len(order) + 1)))
     if len(order) > 1:
-        lines += [_row(f"`{order[0]}` beside", "ratio of errors", "recordings that decide"), _row("---", "---:", "---")]
+        rows = [[f"`{order[0]}` beside", "ratio of errors", "recordings that decide"]]
         for name in order[1:]:
             ratio, names = beside(figures, order[0], name)
-            lines.append(
-                _row(f"`{name}`", f"{ratio:.2f}" if names else "", ", ".join(names) or "none: the simpler one")
-            )
-        lines.append("")
-    return "\n".join(lines)
+            rows.append([f"`{name}`", f"{ratio:.2f}" if names else "", ", ".join(names) or "none: the simpler one"])
+        parts.append(markdown(rows, [1]))
+    return "\n".join(parts)
 
 
 def _cell(one: Figure) -> str:
@@ -177,10 +176,6 @@ def _cell(one: Figure) -> str:
     inside = "" if one.inside is None else f", {100 * one.inside:.0f} %"
     rows = f" ({100 * one.share:.0f} % of the rows)" if one.share < 0.985 else ""
     return f"{error}{inside}{rows}{'*' if one.fitted else ''}"
-
-
-def _row(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

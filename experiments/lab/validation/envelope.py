@@ -21,16 +21,17 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from scipy.stats import binom
 
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.lab.bench.timing import replace_tables
 from experiments.lab.validation.envelope_oracles import METHODS, difference
-from experiments.lab.validation.envelope_verdicts import NONSENSE, Run, Verdict, judged
 from experiments.lab.validation.envelope_worlds import Cell, Walks, recorded
+from experiments.text.tables import markdown
 from trackers.catalogue import build
 from trackers.core.errors import UnusableInput
-from trackers.core.estimates import Status
+from trackers.core.estimates import STATUS_WORDS, Status
 from trackers.core.tunable import Covariance, tunables
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
@@ -43,6 +44,20 @@ STEPS = (0.0, 1e-3, 1.0, 1e3, 1e6)
 ROOMS = (0.01, 10.0, 1e3, 1e5)
 TAGS, ALONE, CHECKED = 256, 32, 2
 """Tags of a recording, those tracked one by one, and those whose double precision is compared with another method."""
+
+
+AGREES, OFF, WIDER, FEW = 1.0, 6.0, 1.5, 0.05
+"""Most standard deviations between single and double precision; from the truth, beyond which an estimate is off; ratio
+of standard deviations from which on an estimate counts as coarser; greatest share of tracks that part."""
+
+CHANCE = 1e-4
+"""Probability of so many more tracks off in single than in double precision, below which it is not by chance."""
+
+NONSENSE = "SILENT NONSENSE"
+
+
+COLUMNS = ("tracker", "cells", "agree", "coarser", "differ", "no estimate", "off the model", "silently wrong",
+           "largest σ", "tracks that part", "tracks off: single, double", "checked by", "off by σ")  # fmt: skip
 
 
 class Subject(NamedTuple):
@@ -98,23 +113,8 @@ def main(trackers: tuple[str, ...] = (), *, seed: int = 0, tags: int = TAGS, pag
     versions = f"Python {sys.version.split()[0]}, JAX {jax.__version__}, NumPy {np.__version__}"
     command = " ".join(["python", "-m", MODULE, *sys.argv[1:]])
     heading = f"{datetime.now(UTC):%Y-%m-%d}, seed {seed}, {versions}, {time.monotonic() - began:.0f} s: `{command}`.\n"
-    columns = (
-        "tracker",
-        "cells",
-        "agree",
-        "coarser",
-        "differ",
-        "no estimate",
-        "off the model",
-        "silently wrong",
-        "largest σ",
-        "tracks that part",
-        "tracks off: single, double",
-        "checked by",
-        "off by σ",
-    )
-    text = "\n".join([heading, markdown([columns, *summary]), *parts])
-    print(markdown([columns, *summary]))
+    text = "\n".join([heading, markdown([COLUMNS, *summary]), *parts])
+    print(markdown([COLUMNS, *summary]))
     if page is not None:
         replace_tables(page, MODULE, text)
     return int(wrong > 0)
@@ -187,6 +187,65 @@ def _run(group: TrackerBatch, some: Sequence[Trajectory], walks: Walks) -> Run:
     return Run(positions, sigmas, truth, status, np.isin(status, (Status.OK, Status.RESTARTED)))
 
 
+class Run(NamedTuple):
+    """Positions, their standard deviations and the truth (n, T, d), m; statuses (n, T), and which claim a track."""
+
+    positions: np.ndarray
+    sigmas: np.ndarray
+    truth: np.ndarray
+    status: np.ndarray
+    usable: np.ndarray
+
+    def off(self) -> np.ndarray:
+        """Estimates that claim a track (n, T), and are not within six standard deviations of the truth."""
+        with np.errstate(all="ignore"):
+            return self.usable & ~(np.max(np.abs(self.positions - self.truth) / self.sigmas, axis=-1) <= OFF)
+
+
+class Verdict(NamedTuple):
+    """What becomes of a cell, in words.
+
+    `difference`: the largest one of both precisions in reported standard deviations, without the tracks that part.
+    `parted`: their number. `off`: the numbers of tracks that are off in single and in double precision.
+    """
+
+    words: str
+    difference: float = np.nan
+    parted: int = 0
+    off: tuple[int, int] = (0, 0)
+
+
+def judged(single: Run, double: Run) -> Verdict:
+    """What single precision makes of a cell, beside double precision and the truth."""
+    known = np.isfinite(single.positions).all(axis=-1) & (np.isfinite(single.sigmas) & (single.sigmas > 0)).all(axis=-1)
+    impossible = (single.usable & ~known).sum()
+    if impossible:
+        return Verdict(f"{NONSENSE}: no numbers in {impossible} of {known.size} rows")
+    lost, exact_lost = single.off(), double.off()
+    off = int(lost.any(axis=1).sum()), int(exact_lost.any(axis=1).sum())
+    if 2 * off[1] > len(lost):
+        return Verdict("off the model", np.nan, 0, off)
+    # A sign test: where only the model does not hold, as many tracks are worse in either precision.
+    worse, better = ((a.sum(axis=1) > b.sum(axis=1)).sum() for a, b in ((lost, exact_lost), (exact_lost, lost)))
+    if worse and binom.sf(worse - 1, worse + better, 0.5) < CHANCE:
+        return Verdict(f"{NONSENSE}: worse in {worse}, better in {better} of {len(lost)} tracks", np.nan, 0, off)
+    if not single.usable.any():
+        return Verdict(STATUS_WORDS[Status(int(np.bincount(single.status.ravel()).argmax()))])
+    sound = single.usable & double.usable & ~lost & ~exact_lost
+    if not sound.any():
+        return Verdict("differs", np.nan, len(lost), off)
+    with np.errstate(all="ignore"):
+        apart = np.where(sound, np.max(np.abs(single.positions - double.positions) / single.sigmas, axis=-1), 0.0)
+        # An estimate that makes less of the readings differs from the best by the root of the difference of variances.
+        most = AGREES + OFF * np.sqrt(np.maximum(1.0 - np.min(double.sigmas / single.sigmas, axis=-1) ** 2, 0.0))
+        wider = np.median(np.max(single.sigmas / double.sigmas, axis=-1)[sound])
+    parted = (sound & ~(apart <= most)).any(axis=1)
+    if parted.mean() > FEW:
+        return Verdict("differs", float(np.max(apart)), int(parted.sum()), off)
+    words = "coarser" if wider > WIDER else "agrees"
+    return Verdict(words, float(np.max(apart[~parted])), int(parted.sum()), off)
+
+
 def table(name: str, found: Mapping[Cell, Verdict]) -> str:
     """The verdicts of a tracker over noise and room, the worst over time steps, in Markdown."""
     heading = ["σ of a reading", *(f"{room:g} m" for room in ROOMS)]
@@ -219,21 +278,8 @@ def summarised(name: str, found: Mapping[Cell, Verdict], off: float) -> list[str
     none = len(words) - sum(counts) - wrong - model
     numbers = (len(words), *counts, none, model, wrong)
     parted = sum(v.parted for v in found.values())
-    return [
-        f"`{name}`",
-        *map(str, numbers),
-        f"{worst:.1g}",
-        f"{parted:,}",
-        f"{tracks[0]:,}, {tracks[1]:,}",
-        checked,
-        shown,
-    ]
-
-
-def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown, its first row the heading."""
-    lines = [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join([lines[0], "|" + " --- |" * len(rows[0]), *lines[1:], ""])
+    off_by_both = f"{tracks[0]:,}, {tracks[1]:,}"
+    return [f"`{name}`", *map(str, numbers), f"{worst:.1g}", f"{parted:,}", off_by_both, checked, shown]
 
 
 if __name__ == "__main__":

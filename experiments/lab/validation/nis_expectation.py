@@ -18,31 +18,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import trackwright as tw
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
-
-set_flags()
-
-from experiments.lab.validation.own_worlds import own_world  # noqa: E402  (flags come before jax)
-from sim import SimulatedWorld, work_station, worlds  # noqa: E402
-from trackers import (  # noqa: E402
-    TRACKERS,
-    AbstractTracker,
-    Estimates,
-    Recording,
-    Tracker,
-    TrackLossPolicy,
-    bearing_recording,
-    bearing_tracker,
-    fix_recording,
-)
-from trackers.baselines.fixes import floor_tracker  # noqa: E402
-from trackers.parts.walls import Walls  # noqa: E402
-from tuning.diagnostics import nis_band  # noqa: E402
-from tuning.pit_uniformity import student_t_dof_of  # noqa: E402
+from experiments.lab.validation.own_worlds import own_world
+from experiments.text.tables import markdown
+from experiments.text.terminal import progress
+from sim import SimulatedWorld, work_station, worlds
+from trackers.baselines.fixes import floor_tracker
+from trackers.parts.walls import Walls
+from tuning.diagnostics import nis_band
+from tuning.pit_uniformity import student_t_dof_of
 
 TAGS, WORLDS, SETTLED, WINDOW = 24, 5, 5.0, 50
-NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
+NEVER_LOST = tw.TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 FAR = 200.0 * np.array([[-1, -1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, 1, -1, -1]])
 """Walls that no tag reaches, m."""
 
@@ -50,8 +39,8 @@ FAR = 200.0 * np.array([[-1, -1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, 1, -
 class Case(NamedTuple):
     """A tracker with recordings, for their times and geometry; `narrower`: as of `own_world`, None for no own world."""
 
-    tracker: AbstractTracker
-    recordings: list[Recording]
+    tracker: tw.AbstractTracker
+    recordings: list[tw.Recording]
     narrower: float | None
 
 
@@ -59,7 +48,7 @@ def simulated(
     name: str, make: Callable[..., SimulatedWorld], seed: int, narrower: float | None = 1.0, **options: Any
 ) -> Case:
     """A tracker of the catalogue with the recordings of a simulated world."""
-    batch = TRACKERS[name].batches([make(n=TAGS, seed=seed, **options).folder()], name, False)[0]
+    batch = tw.TRACKERS[name].batches([make(n=TAGS, seed=seed, **options).folder()], name, False)[0]
     return Case(batch.tracker, [trajectory.recording for trajectory in batch.trajectories], narrower)
 
 
@@ -67,13 +56,13 @@ def bearings(seed: int) -> Case:
     """Tags amid the stations of the work station, which hear them in turn."""
     stations, times = work_station().stations, np.arange(240) / 10.0
     turn = [list(stations)[k % len(stations)] for k in range(len(times))]
-    one = bearing_recording(times, np.zeros((len(times), 2)), turn, stations)
-    return Case(bearing_tracker(len(stations)), [one] * TAGS, 1.0)
+    one = tw.bearing_recording(times, np.zeros((len(times), 2)), turn, stations)
+    return Case(tw.bearing_tracker(len(stations)), [one] * TAGS, 1.0)
 
 
 def floor(seed: int) -> Case:
     """Tags on a wide floor."""
-    one = fix_recording(np.arange(200) / 10.0, np.zeros((200, 3)), height=1.0)
+    one = tw.fix_recording(np.arange(200) / 10.0, np.zeros((200, 3)), height=1.0)
     return Case(floor_tracker(Walls(FAR)), [one] * TAGS, 1.0)
 
 
@@ -96,18 +85,18 @@ CASES: Mapping[str, Callable[[int], Case]] = {
 }
 
 
-def estimates(name: str, seed: int) -> tuple[AbstractTracker, Estimates]:
+def estimates(name: str, seed: int) -> tuple[tw.AbstractTracker, tw.Estimates]:
     """The tracker and its estimates in a world of its own model, or in a simulated one."""
     tracker, recordings, narrower = CASES[name](seed)
     if narrower is None:
         return tracker, tracker.run(recordings)
-    assert isinstance(tracker, Tracker)
+    assert isinstance(tracker, tw.Tracker)
     tracker = dataclasses.replace(tracker, track_loss=NEVER_LOST)
     own, priors = own_world(tracker, recordings, seed, narrower)
     return tracker, tracker.run(own, initial=priors)
 
 
-def means(found: Estimates, tracker: AbstractTracker) -> tuple[float, float]:
+def means(found: tw.Estimates, tracker: tw.AbstractTracker) -> tuple[float, float]:
     """NIS per degree of freedom of all settled rows, and the share of the means over `WINDOW` rows inside the band."""
     assert found.times is not None
     used = np.isfinite(found.nis) & (found.nis_dof > 0) & (found.times >= found.times[:, :1] + SETTLED)
@@ -128,13 +117,19 @@ def main(trackers: tuple[str, ...] = ()) -> int:
     Args:
         trackers: names of the catalogue; all with a NIS where none is named.
     """
-    print("| tracker | world | NIS/dof in five worlds | means inside the 95 % band |")
-    print("| --- | --- | --- | ---: |")
-    for name in trackers or CASES:
-        found = [means(run, tracker) for tracker, run in (estimates(name, seed) for seed in range(WORLDS))]
-        kind = "simulated" if CASES[name](0).narrower is None else "own model"
-        ratios, inside = ", ".join(f"{ratio:.2f}" for ratio, _ in found), np.mean([share for _, share in found])
-        print(f"| `{name}` | {kind} | {ratios} | {100 * inside:.0f} % |", flush=True)
+    set_flags()
+    rows, names = (
+        [("tracker", "world", "NIS/dof in five worlds", "means inside the 95 % band")],
+        trackers or tuple(CASES),
+    )
+    with progress("NIS", len(names)) as advance:
+        for name in names:
+            found = [means(run, tracker) for tracker, run in (estimates(name, seed) for seed in range(WORLDS))]
+            kind = "simulated" if CASES[name](0).narrower is None else "own model"
+            ratios, inside = ", ".join(f"{ratio:.2f}" for ratio, _ in found), np.mean([share for _, share in found])
+            rows.append((f"`{name}`", kind, ratios, f"{100 * inside:.0f} %"))
+            advance(1, name)
+    print(markdown(rows, numbers=[3]), end="")
     return 0
 
 

@@ -12,53 +12,26 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
+import trackwright as tw
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.text.terminal import progress
-
-set_flags()
-
-import equinox as eqx  # noqa: E402  (flags come before jax)
-import jax.numpy as jnp  # noqa: E402
-
-from sim import work_station  # noqa: E402
-from trackers import (  # noqa: E402
-    AbstractStart,
-    ConstantVelocity,
-    Gaussian,
-    Kinematic,
-    LineMotion,
-    Polyline,
-    Readings,
-    Recording,
-    Tracker,
-    TrackLossPolicy,
-    Vector,
-    beam_tracker,
-    diagonal,
-    line_grid_tracker,
-    mhk_tracker,
-    stack,
-)
-from trackers.aoa.beam import Beam  # noqa: E402
-from trackers.core.recording import Batch  # noqa: E402
-from trackers.line.fixes import FIXES, FloorFixes  # noqa: E402
-from trackers.line.motion import PathState  # noqa: E402
-from trackers.parts.ranges import RANGES, RangeSensor  # noqa: E402
-from tuning import NegativeLogLikelihood, fit  # noqa: E402
-from tuning.parameters import (  # noqa: E402
-    Parameter,
-    component_names,
-    flatten,
-    select_parameters,
-    with_parameters,
-)
-from tuning.uncertainty import By, unused  # noqa: E402
+from sim import work_station
+from trackers.aoa.beam import Beam
+from trackers.core.recording import Batch
+from trackers.line.fixes import FIXES, FloorFixes
+from trackers.line.motion import PathState
+from trackers.parts.ranges import RANGES, RangeSensor
+from tuning import NegativeLogLikelihood, fit
+from tuning.parameters import Parameter, component_names, flatten, select_parameters, with_parameters
+from tuning.uncertainty import By, unused
 
 REPLICATES = 200
 COVERED = (0.89, 0.99)
@@ -66,10 +39,10 @@ COVERED = (0.89, 0.99)
 
 UNBIASED = 3.0
 WRONG = np.log(10.0)
-NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
+NEVER_LOST = tw.TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 
 
-class Known(AbstractStart):
+class Known(tw.AbstractStart):
     """Start at the first row, with the distribution from which the world draws its states."""
 
     state: Any = eqx.field(static=True)
@@ -82,10 +55,10 @@ class Known(AbstractStart):
     def candidate(self, sensors: Any, row: Any) -> Any:
         return row.dt
 
-    def belief(self, candidate: Any, row: Any) -> Gaussian:
+    def belief(self, candidate: Any, row: Any) -> tw.Gaussian:
         zero = jnp.zeros_like(row.dt)
         variances = [zero + d * d for d in self.deviations]
-        return Gaussian(self.state([zero + m for m in self.mean]), diagonal(variances, zero))
+        return tw.Gaussian(self.state([zero + m for m in self.mean]), tw.diagonal(variances, zero))
 
 
 @dataclass(frozen=True)
@@ -95,7 +68,7 @@ class System:
     `read` maps the observation view of n states and a random generator to measurements (n, m). `inputs`: of every row.
     """
 
-    tracker: Tracker
+    tracker: tw.Tracker
     tune: tuple[str, ...]
     read: Callable[[Any, np.random.Generator], np.ndarray]
     inputs: dict[str, np.ndarray]
@@ -108,31 +81,31 @@ class System:
         n, rng = replicates * self.trajectories, np.random.default_rng(seed)
         start: Any = self.tracker.start
         motion = self.tracker.motion
-        first = np.array(start.mean)[:, None] + np.array(start.deviations)[:, None] * rng.normal(
-            size=(len(start.mean), n)
-        )
+        mean, deviations = np.array(start.mean)[:, None], np.array(start.deviations)[:, None]
+        first = mean + deviations * rng.normal(size=(len(mean), n))
         state, values = start.state(list(jnp.asarray(first))), []
         for row in range(self.rows):
             if row:
                 w = rng.normal(size=(motion.noise_dimension, n))
-                state = motion.step(state, {}, jnp.asarray(self.dt), Vector(*jnp.asarray(w)))
+                state = motion.step(state, {}, jnp.asarray(self.dt), tw.Vector(*jnp.asarray(w)))
             values.append(self.read(motion.view(state), rng))
         readings, times = np.stack(values, axis=1), self.dt * np.arange(self.rows)
         name = next(iter(self.tracker.sensors))
         inputs = {key: np.tile(value, (self.rows, 1)) for key, value in self.inputs.items()}
         seen = np.ones(readings.shape[1:], bool)
         recordings = [
-            Recording(times, {name: Readings(x, seen)}, inputs, name=f"trajectory {k}") for k, x in enumerate(readings)
+            tw.Recording(times, {name: tw.Readings(x, seen)}, inputs, name=f"trajectory {k}")
+            for k, x in enumerate(readings)
         ]
         m = self.trajectories
-        return [stack(recordings[k * m : (k + 1) * m]) for k in range(replicates)]
+        return [tw.stack(recordings[k * m : (k + 1) * m]) for k in range(replicates)]
 
 
 def beams() -> System:
     """A: azimuth and elevation from the phases of eight antennas with an unknown common phase."""
     station, sigma_p = work_station().stations["1"], 0.2
     assert station.wavelength is not None
-    tracker = beam_tracker(station, "1", 0.15, sigma_p)
+    tracker = tw.beam_tracker(station, "1", 0.15, sigma_p)
     wave = 2 * np.pi / station.wavelength * np.asarray(station.antennas).T
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
@@ -143,7 +116,7 @@ def beams() -> System:
 
     # Within one lobe of the array: a start in another lobe would violate the model.
     start = Known(lambda x: Beam(*x), (0.0,) * 4, (0.01, 0.01, 0.05, 0.05))
-    known = Tracker(tracker.motion, tracker.sensors, start, tracker.filter, NEVER_LOST)
+    known = replace(tracker, start=start, track_loss=NEVER_LOST)
     return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), read, {}, 16, 60, 0.05)
 
 
@@ -153,15 +126,15 @@ def _positions(view: Any) -> np.ndarray:
 
 def carts() -> System:
     """B: a cart on a bent line, by the grid filter; a coarser grid would bias the noise of the fixes low."""
-    line, sigma_p = Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]]), 0.3
-    tracker = line_grid_tracker(LineMotion(line, 0.04), {FIXES: FloorFixes(sigma_p)}, 0.03, 0.6, 32)
+    line, sigma_p = tw.Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]]), 0.3
+    tracker = tw.line_grid_tracker(tw.LineMotion(line, 0.04), {FIXES: FloorFixes(sigma_p)}, 0.03, 0.6, 32)
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
         position = _positions(view)[:, :2]
         return position + sigma_p * rng.normal(size=position.shape)
 
     start = Known(lambda x: PathState(*x), (0.5, 0.15), (0.15, 0.03))
-    known = Tracker(tracker.motion, tracker.sensors, start, tracker.filter, NEVER_LOST)
+    known = replace(tracker, start=start, track_loss=NEVER_LOST)
     return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), read, {}, 16, 32, 0.5)
 
 
@@ -179,14 +152,14 @@ def ranges() -> System:
 
     # A spread of half a metre would make the linearisation error 3 cm, which the fit takes for noise.
     start = Known(_moving, (4.0, 3.0, 1.2, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1, 0.3, 0.3, 0.1))
-    tracker = Tracker(ConstantVelocity(0.5, 3), {RANGES: sensor}, start, track_loss=NEVER_LOST)
+    tracker = tw.Tracker(tw.ConstantVelocity(0.5, 3), {RANGES: sensor}, start, track_loss=NEVER_LOST)
     inputs = {"anchors": anchors.ravel(), "anchor": np.arange(count, dtype=float), "height": np.zeros(())}
     return System(tracker, ("motion.sigma_a", "sensors.*.sigma_r"), read, inputs, 8, 60, 0.1)
 
 
 def fixes() -> System:
     """D: fixes with correlated errors, as MH-K fuses them."""
-    fusion = mhk_tracker(sigma_a=0.8).fusion
+    fusion = tw.mhk_tracker(sigma_a=0.8).fusion
     sensor = fusion.sensors[FIXES]
     factor = np.linalg.cholesky(np.array(sensor.covariance.value))  # type: ignore[attr-defined]
 
@@ -195,18 +168,18 @@ def fixes() -> System:
         return position + rng.normal(size=position.shape) @ factor.T
 
     start = Known(_moving, (0.0,) * 6, (0.5,) * 6)
-    tracker = Tracker(fusion.motion, {FIXES: sensor}, start, track_loss=NEVER_LOST)
+    tracker = tw.Tracker(fusion.motion, {FIXES: sensor}, start, track_loss=NEVER_LOST)
     return System(tracker, ("motion.sigma_a", "sensors.fixes.covariance"), read, {}, 8, 60, 0.1)
 
 
-def _moving(x: Sequence[Any]) -> Kinematic:
-    return Kinematic(Vector(*x[:3]), Vector(*x[3:]))
+def _moving(x: Sequence[Any]) -> tw.Kinematic:
+    return tw.Kinematic(tw.Vector(*x[:3]), tw.Vector(*x[3:]))
 
 
 SYSTEMS = {"A": beams, "B": carts, "C": ranges, "D": fixes}
 
 
-def wrong(system: System, replicate: int) -> Tracker:
+def wrong(system: System, replicate: int) -> tw.Tracker:
     """The tracker with process and measurement noise each ten times too small or too large, by replicate."""
     parameters = select_parameters(system.tracker, system.tune)
     corners = [(a, b) for a in (WRONG, -WRONG) for b in (WRONG, -WRONG)]
@@ -219,7 +192,7 @@ def wrong(system: System, replicate: int) -> Tracker:
         # For a covariance: the logarithms of its Cholesky factor's diagonal.
         vector[at : at + size] += np.ravel(step * (np.eye(len(parameter.example.raw)) if shape else np.ones(shape)))
         at += size
-    made: Tracker = with_parameters(system.tracker, parameters, vector)
+    made: tw.Tracker = with_parameters(system.tracker, parameters, vector)
     return made
 
 
@@ -271,6 +244,7 @@ def main(systems: tuple[str, ...] = ()) -> int:
     Args:
         systems: of A, B, C and D; all where none is named.
     """
+    set_flags()
     unknown = [name for name in systems if name not in SYSTEMS]
     if unknown:
         print(f"unknown system {unknown[0]}: expected some of {', '.join(SYSTEMS)}", file=sys.stderr)

@@ -7,8 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from experiments.lab.validation.envelope import SUBJECTS, envelope, table
-from experiments.lab.validation.envelope_verdicts import NONSENSE, Run, judged
+from experiments.lab.validation.envelope import NONSENSE, SUBJECTS, Run, envelope, judged, table
 from experiments.lab.validation.envelope_worlds import Cell, recorded
 from trackers.core.estimates import Status
 

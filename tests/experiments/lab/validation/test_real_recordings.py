@@ -6,11 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.lab.validation.fold_runs import Figures
+from experiments.lab.validation.fold_runs import Figures, Outside, farthest_outside, room
 from experiments.lab.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, Fold
-from experiments.lab.validation.real_recordings import main
-from experiments.lab.validation.real_recordings_page import all_checks, quoted, written
-from experiments.lab.validation.rooms import Outside, farthest_outside, room
+from experiments.lab.validation.real_recordings import all_checks, main, quoted, written
 from trackers.catalogue import tracker_for
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder, read_recording
