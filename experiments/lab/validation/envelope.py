@@ -73,13 +73,12 @@ class Subject(NamedTuple):
 
 
 _FIXES = Subject("fixes", ("sensors.fixes.sigma_*",))
+_AS_READ = {"sensors.fixes.offset": 0.0, "sensors.fixes.shrink": 1.0}
 SUBJECTS: dict[str, Subject] = {
     "fix-kf": _FIXES,
     "fix-singer": _FIXES,
     "imm": _FIXES,
-    "fix-mirror": Subject(
-        "mirrored", ("sensors.fixes.sigma_*",), known={"sensors.fixes.offset": 0.0, "sensors.fixes.shrink": 1.0}
-    ),
+    "fix-mirror": Subject("mirrored", ("sensors.fixes.sigma_*",), known=_AS_READ),
     "mhk": Subject("fixes", ("*.fixes.covariance", "*.sigma_displacement")),
     "uwb": Subject("ranges", ("sensors.ranges.sigma_r",)),
     "multilateration": Subject("ranges", ("sigma_r",)),

@@ -73,21 +73,16 @@ def _switched(
     assert isinstance(motion, SwitchingMotion)
     prior = np.asarray(tracker.filter.mode_prior.value, float)
     prior, rate = prior / prior.sum(), float(tracker.filter.switching_rate.value)
-    moves, channels = (
-        [ground(mode, False) for mode in motion.modes if isinstance(mode, GroundMotion)],
-        fix_channels(sensor, recording, False),
-    )
-    dof = float(sensor.dof.value)
+    moves = [ground(mode, False) for mode in motion.modes if isinstance(mode, GroundMotion)]
+    channels, dof = fix_channels(sensor, recording, False), float(sensor.dof.value)
     means, covs, weights = np.stack([x] * len(prior)), np.stack([P] * len(prior)), prior.copy()
     found = []
     for row in range(first, len(dts)):
         stays = np.exp(-rate * dts[row])
         joint = weights[:, None] * (stays * np.eye(len(prior)) + (1 - stays) * prior)
         predicted = joint.sum(axis=0)
-        log_weights, mixed = (
-            np.log(predicted),
-            [_mixture(joint[:, j] / predicted[j], means, covs) for j in range(len(prior))],
-        )
+        log_weights = np.log(predicted)
+        mixed = [_mixture(joint[:, j] / predicted[j], means, covs) for j in range(len(prior))]
         for j, (mean, cov) in enumerate(mixed):
             mean, F, Q = moves[j](mean, cov, row, dts[row])
             cov, at = F @ cov @ F.T + Q, mean.copy()
@@ -128,8 +123,6 @@ def _of_least_squares(tracker: Multilateration, recording: Recording) -> float:
         def residual(x: np.ndarray, row: int = row, seen: np.ndarray = seen) -> np.ndarray:
             return np.linalg.norm(x - places[row, seen], axis=1) - readings.values[row, seen]
 
-        fit = least_squares(
-            residual, own[row], loss="cauchy", f_scale=3 * sigma, x_scale=sigma, xtol=1e-15, ftol=1e-15, gtol=1e-15
-        )
-        found.append(fit.x)
+        exact = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+        found.append(least_squares(residual, own[row], loss="cauchy", f_scale=3 * sigma, x_scale=sigma, **exact).x)
     return _largest(estimates, np.array(found), rows)

@@ -132,11 +132,7 @@ def _positions(table: pl.DataFrame) -> np.ndarray:
 def checks(fold: Fold, figures: Sequence[Figures]) -> list[Check]:
     """The limits of a fold: of mean errors, and of the covariances of each recording, filtered and smoothed."""
     found = []
-    for what, limit, metric, smoothed in (
-        ("RMSE", fold.rmse, "rmse_m", False),
-        ("RMSE", fold.smoothed, "rmse_m", True),
-        ("3-D RMSE", fold.spatial, "rmse_3d_m", False),
-    ):
+    for what, metric, smoothed, limit in fold.limits:
         if limit is not None:
             mean = mean_of(figures, metric, smoothed)
             found.append(Check(fold.name, what, round(mean, 3), 0.0, limit, smoothed=smoothed))

@@ -72,6 +72,12 @@ class Fold(NamedTuple):
     free_height: bool = False
     quick: bool = False
 
+    @property
+    def limits(self) -> tuple[tuple[str, str, bool, float | None], ...]:
+        """Name, metric, whether smoothed, and highest mean of each error."""
+        horizontal = ("RMSE", "rmse_m", False, self.rmse), ("RMSE", "rmse_m", True, self.smoothed)
+        return *horizontal, ("3-D RMSE", "rmse_3d_m", False, self.spatial)
+
 
 SECOND_RUNS = tuple(f"ble51-walk-u{k}-r2" for k in (1, 2, 3))
 STILL = ("lias-still-p1-0", "lias-still-p3-180", "lias-still-p5-0")

@@ -49,10 +49,7 @@ def own_world(
             predicted = np.asarray(modes.chosen([view(state, inputs) for view in views[name]]))
             values[name].append(_read(sensor, predicted, rng))
     drawn = {name: np.stack(rows) for name, rows in values.items()}
-    own = [
-        _with_readings(one, {name: x[: len(one), :, k] for name, x in drawn.items()})
-        for k, one in enumerate(recordings)
-    ]
+    own = [_with_readings(one, {n: x[: len(one), :, k] for n, x in drawn.items()}) for k, one in enumerate(recordings)]
     return own, [jax.tree_util.tree_map(lambda x, k=k: x[..., k], prior) for k in range(batch.size)]
 
 

@@ -21,19 +21,16 @@ from experiments.cli.runtime import keep_programs, set_flags
 from experiments.lab.bench.timing import replace_tables
 from experiments.lab.subprocesses import REPOSITORY, required_recordings
 from experiments.lab.validation.fold_runs import MARGIN, Check, Figures, checks, covariance_checks, mean_of, run_fold
-from experiments.lab.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, SEEN_BY_DEFAULTS, Fold, Honest
+from experiments.lab.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, SEEN_BY_DEFAULTS, Fold
 from experiments.text.tables import markdown
 from experiments.text.wording import fixed
-from trackers.evaluation.statements import covariance_statements
 from trackers.evaluation.evaluate import Metrics
+from trackers.evaluation.statements import covariance_statements
 
 MODULE = "experiments.lab.validation.real_recordings"
 PAGE = REPOSITORY / "docs" / "real-recordings.md"
 QUICK_PAGE = Path("out/real-recordings.md")
 PACKAGES = ("trackwright", "jax", "numpy")
-
-Baselines = Mapping[str, float]
-"""Horizontal RMSE, m, of a Kalman filter tuned on the recording itself, by recording."""
 
 INTRODUCTION = """# Accuracy and covariances on real recordings
 
@@ -87,19 +84,14 @@ SOURCES = """## Sources
 """
 
 
-def written(figures: Sequence[Figures], best: Baselines, command: str, seconds: float) -> str:
-    """The page as Markdown."""
+def written(figures: Sequence[Figures], best: Mapping[str, float], command: str, seconds: float) -> str:
+    """The page as Markdown; `best`: the baselines, m, by recording."""
     every = all_checks(figures)
     missed = [check for check in every if not check.met]
     versions = ", ".join([f"{name} {version(name)}" for name in PACKAGES] + [f"Python {platform.python_version()}"])
+    verdict, date = f"**{len(every) - len(missed)} of {len(every)} limits are met.**", f"{datetime.now(UTC):%Y-%m-%d}"
     parts = [
-        INTRODUCTION.format(
-            command=command,
-            date=f"{datetime.now(UTC):%Y-%m-%d}",
-            seconds=seconds,
-            versions=versions,
-            verdict=f"**{len(every) - len(missed)} of {len(every)} limits are met.**",
-        ),
+        INTRODUCTION.format(command=command, date=date, seconds=seconds, versions=versions, verdict=verdict),
         LIMITS,
         _summary(figures),
         FIGURES,
@@ -145,13 +137,8 @@ def quoted(figures: Sequence[Figures]) -> str:
 def all_checks(figures: Sequence[Figures]) -> list[Check]:
     """The limits of all folds, then those of rooms."""
     found = [check for fold, own in groupby(figures, key=lambda one: one.fold) for check in checks(fold, list(own))]
-    return [
-        *found,
-        *(
-            Check("room", "m outside", round(one.outside.distance, 2), 0.0, MARGIN, name)
-            for name, one in _farthest(figures).items()
-        ),
-    ]
+    outside = {name: round(one.outside.distance, 2) for name, one in _farthest(figures).items()}
+    return found + [Check("room", "m outside", distance, 0.0, MARGIN, name) for name, distance in outside.items()]
 
 
 def line_of(figures: Figures) -> str:
@@ -187,14 +174,7 @@ def _summary(figures: Sequence[Figures]) -> str:
     rows = []
     for fold, group in groupby(figures, key=lambda one: one.fold):
         own = list(group)
-        means = [
-            _with_limit(mean_of(own, metric, smoothed), limit)
-            for metric, smoothed, limit in (
-                ("rmse_m", False, fold.rmse),
-                ("rmse_m", True, fold.smoothed),
-                ("rmse_3d_m", False, fold.spatial),
-            )
-        ]
+        means = [_with_limit(mean_of(own, metric, smoothed), limit) for _, metric, smoothed, limit in fold.limits]
         if all(one.metrics["coverage_95_3d"] is None for one in own):
             means[2] = ""
         rows.append((fold.name, *means, *(_honest([one for one in own if one.smoothed == s]) for s in (False, True))))
@@ -203,11 +183,8 @@ def _summary(figures: Sequence[Figures]) -> str:
 
 
 def _with_limit(figure: float, limit: float | None) -> str:
-    if figure != figure:
-        return ""
-    return (
-        fixed(figure, 3) if limit is None else f"{_marked(fixed(figure, 3), round(figure, 3) <= limit)} (≤ {limit:g})"
-    )
+    text = "" if figure != figure else fixed(figure, 3)
+    return text if limit is None or not text else f"{_marked(text, round(figure, 3) <= limit)} (≤ {limit:g})"
 
 
 def _honest(own: Sequence[Figures]) -> str:
@@ -220,17 +197,13 @@ def _marked(text: str, met: bool) -> str:
     return text if met else f"**{text}**"
 
 
-def _section(fold: Fold, own: Sequence[Figures], best: Baselines) -> str:
+def _section(fold: Fold, own: Sequence[Figures], best: Mapping[str, float]) -> str:
     smoothed = {one.recording for one in own if one.smoothed}
-    rows = [
-        (
-            f"{one.recording}{'*' if one.recording in SEEN_BY_DEFAULTS.get(fold.tracker, ()) else ''}",
-            "smoothed" if one.smoothed else "filtered",
-            *_cells(one),
-            fixed(best.get(one.recording), 3) if not one.smoothed else "",
-        )
-        for one in own
-    ]
+    rows = []
+    for one in own:
+        name = one.recording + "*" * (one.recording in SEEN_BY_DEFAULTS.get(fold.tracker, ()))
+        kind, baseline = ("smoothed", "") if one.smoothed else ("filtered", fixed(best.get(one.recording), 3))
+        rows.append((name, kind, *_cells(one), baseline))
     head = ("recording", "", "RMSE", "3-D RMSE", "inside 95 %", "NEES/dof", "NIS over 1 s", "baseline")
     title = f"### {fold.name[0].upper()}{fold.name[1:]}\n\nTracker `{fold.tracker}`; {saw(fold)}. {_limits(fold)}\n"
     note = "" if smoothed else "\nThis tracker has no smoother.\n"
@@ -248,21 +221,23 @@ def _innovations(own: Sequence[Figures]) -> str:
     """What the innovations alone show of the recordings outside the targets of `DEFAULTS`; nothing without any."""
     lines = []
     for one in own:
-        if not one.smoothed and not _within(one.metrics, DEFAULTS):
+        if not one.smoothed and not _as_expected(one.metrics):
             without_truth = {**one.metrics, "coverage_95": None, "recording": one.recording}
             found = covariance_statements(without_truth, [without_truth])
             lines.append(f"- {one.recording}: {found[-1] if found else 'the tracker has no innovations.'}\n")
-    if not lines:
-        return ""
     (least, most), (low, high) = DEFAULTS
     outside = f"outside {100 * least:.0f} to {100 * most:.0f} % or NEES/dof {low:g} to {high:g}"
-    return f"\nThe innovations of recordings {outside} (filtered), without truth:\n\n" + "".join(lines)
+    return (
+        "".join(["\nThe innovations of recordings ", outside, " (filtered), without truth:\n\n", *lines])
+        if lines
+        else ""
+    )
 
 
-def _within(metrics: Metrics, limits: Honest) -> bool:
-    share, ratio = metrics["coverage_95"], metrics["nees_ratio"]
-    (least, most), (low, high) = limits
-    return share is None or (least <= share <= most and low <= ratio <= high)
+def _as_expected(metrics: Metrics) -> bool:
+    """Whether the covariances are within the targets of `DEFAULTS`, or none is reported."""
+    share, ((least, most), (low, high)) = metrics["coverage_95"], DEFAULTS
+    return share is None or (least <= share <= most and low <= metrics["nees_ratio"] <= high)
 
 
 def _cells(one: Figures) -> list[str]:

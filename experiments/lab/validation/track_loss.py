@@ -130,12 +130,8 @@ def main() -> None:
             rows.append([sensor, label, str(TRAJECTORIES), str(found.false_alarms), share, delay, *errors])
     print(aligned(rows, range(2, 8)))
     rows = [["world", "tracker", "tags", "rows", "tags lost"]]
-    for name, make, tracker in (
-        ("ranges", tw.simulate.ranges, "uwb"),
-        ("tool", tw.simulate.tool, "uwb"),
-        ("tool", tw.simulate.tool, "uwb-imu"),
-    ):
-        rows.append([name, tracker, *map(str, lost(make(n=TRAJECTORIES, seed=7).folder(), tracker))])
+    for make, tracker in ((tw.simulate.ranges, "uwb"), (tw.simulate.tool, "uwb"), (tw.simulate.tool, "uwb-imu")):
+        rows.append([make.__name__, tracker, *map(str, lost(make(n=TRAJECTORIES, seed=7).folder(), tracker))])
     print()
     print(aligned(rows, range(2, 5)))
 

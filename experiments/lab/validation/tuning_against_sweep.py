@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,8 +48,7 @@ CLOSE, FEWER = 0.02, 20.0
 """Allowed relative excess over the sweep's best, and required ratio of filter runs."""
 
 
-@dataclass(frozen=True)
-class Found:
+class Found(NamedTuple):
     """The σ_a at which a method minimised `goal`, its number of filter runs, and seconds, compiling included.
 
     `tracker`: particles or grid.
@@ -63,8 +62,7 @@ class Found:
     seconds: float
 
 
-@dataclass(frozen=True)
-class Score:
+class Score(NamedTuple):
     """RMSE, m, and negative log-likelihood per measurement, nats, of a tracker at a value."""
 
     rmse: float
@@ -94,8 +92,7 @@ def main(*, values: int = VALUES, repeats: int = REPEATS, tags: int = 3) -> int:
     return 1 if failures else 0
 
 
-@dataclass(frozen=True)
-class World:
+class World(NamedTuple):
     """The recordings, and a particle filter and a grid filter with the same model."""
 
     rows: list[Batch]
@@ -181,15 +178,11 @@ def failed(swept: Sequence[Found], fitted: Sequence[Found], scores: Sequence[Sco
 def table(every: Sequence[Found], scores: Sequence[Score]) -> str:
     """The methods side by side."""
     first = every[0]
-    rows: list[tuple[str, ...]] = [
-        ("method", "tracker", "objective", "σ_a", "RMSE cm", "nll", "runs", "fewer", "seconds", "faster")
-    ]
-    for found, one in zip(every, scores, strict=True):
-        rows.append(
-            (found.method, found.tracker, found.goal, f"{found.sigma:.4f}", f"{100 * one.rmse:.2f}", f"{one.nll:.4f}",
-             str(found.runs), f"{first.runs / found.runs:.1f}", f"{found.seconds:.1f}",
-             f"{first.seconds / found.seconds:.1f}")
-        )  # fmt: skip
+    rows = [("method", "tracker", "objective", "σ_a", "RMSE cm", "nll", "runs", "fewer", "seconds", "faster")]
+    for (method, tracker, goal, sigma, runs, seconds), (rmse, nll) in zip(every, scores, strict=True):
+        figures = f"{sigma:.4f}", f"{100 * rmse:.2f}", f"{nll:.4f}"
+        costs = str(runs), f"{first.runs / runs:.1f}", f"{seconds:.1f}", f"{first.seconds / seconds:.1f}"
+        rows.append((method, tracker, goal, *figures, *costs))
     return aligned(rows, range(3, 10))
 
 
