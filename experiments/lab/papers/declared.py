@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -21,17 +21,19 @@ UNITS = {"cm": 100.0, "mm": 1e3, "cm²": 1e4, "deg": 180 / np.pi, "%": 100.0}
 class Printed:
     """A number that a paper prints in `unit`, and what of a study is compared with it.
 
-    `metric`: a metric or measure; of several `worlds` its mean. The rest as of `ExpectedResult`.
+    `metric`: a metric or measure; of several `worlds` its mean. The rest as of `ExpectedResult`. What the numbers of a
+    table have in common is given by keyword, once, by `functools.partial`.
     """
 
     quantity: str
     number: float
-    unit: str
     metric: str
-    worlds: tuple[str, ...]
-    tracker: str
     origin: mc.Origin
     note: str = ""
+    _: KW_ONLY
+    unit: str
+    worlds: tuple[str, ...]
+    tracker: str
 
     def ours(self, results: mc.Results, **point: float) -> mc.Value:
         """The study's own number, in the same unit."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
-from trackers.baselines.rows import TRACKERS
+from experiments.monte_carlo import TrackerConfig
 from trackers.baselines.windows import MovingWindow
-from trackers.recordings.tracker_spec import TrackerSpec
+from trackers.catalogue import spec_of
+from trackers.core.tracker import AbstractTracker
+from trackers.recordings.trajectories import Trajectory
 
 CONSTANT = MappingProxyType({"motion.time_constant": 1000.0, "motion.length": 1e4, "start.sigma_shared": 1e-3})
 """Levels of `uwb` for biases that neither time nor the way changes, and that the anchors do not share."""
@@ -30,11 +34,20 @@ CONSTANT_INERTIAL = MappingProxyType({"motion.noise.sigma_range_walk": 0.005})
 CONSTANT_BIASES_INERTIAL = CONSTANT_INERTIAL | {"start.sigma_bias": 0.05, "sensors.ranges.bias": [0.03] * 4}
 
 
-def window(rows: int, median: bool = False) -> TrackerSpec:
-    """The mean or median of the last `rows` fixes, per axis."""
-    spec = TRACKERS["median" if median else "moving-average"]
-    about = f"{'median' if median else 'mean'} of the last {rows} fixes"
-    return replace(spec, about=about, build=lambda trajectory, planar: MovingWindow(rows, median, planar))
+def built(
+    base: str,
+    about: str,
+    build: Callable[[Trajectory, bool], AbstractTracker],
+    tunables: Mapping[str, Any] = MappingProxyType({}),
+) -> TrackerConfig:
+    """The tracker `base` of the catalogue as `build(trajectory, planar)` makes it, with these tunables."""
+    return TrackerConfig(replace(spec_of(base), about=about, build=build), tunables)
 
 
-RAW = replace(window(1), about="the fixes as they are")
+def window(rows: int) -> TrackerConfig:
+    """The mean of the last `rows` fixes, per axis."""
+    about = f"mean of the last {rows} fixes"
+    return built("moving-average", about, lambda trajectory, planar: MovingWindow(rows, False, planar))
+
+
+RAW = built("moving-average", "the fixes as they are", lambda trajectory, planar: MovingWindow(1, False, planar))

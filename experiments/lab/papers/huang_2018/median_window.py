@@ -7,14 +7,13 @@ the lag; the error in time shows it, and time stamps at the middle of the window
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 import experiments.monte_carlo as mc
 from experiments.lab.papers.fitting import fitted
 from experiments.lab.papers.huang_2018.workshop import MEASURES, OF_WORLD, workshop
-from trackers.mhk.rows import TRACKERS
+from experiments.lab.papers.trackers import built
 from trackers.mhk.tracker import mhk_tracker
 
 WINDOWS = (1, 3, 5, 9, 13, 21)
@@ -26,8 +25,7 @@ OWN = {"fusion.motion.sigma_a": NUMBERS["sigma_a"], "median.speed_limit": 4.0}
 def of_window(rows: int, stamped: bool = False) -> mc.TrackerConfig:
     """MH-K with a median of `rows` fixes."""
     made = mhk_tracker(window=rows, stamped=stamped)
-    spec = replace(TRACKERS["mhk"], about=f"MH-K with a median of {rows}", build=lambda trajectory, planar: made)
-    return mc.TrackerConfig(spec, OWN)
+    return built("mhk", f"MH-K with a median of {rows}", lambda trajectory, planar: made, OWN)
 
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:

@@ -7,19 +7,18 @@ might be closer.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from functools import partial
 
 import equinox as eqx
 
 import experiments.monte_carlo as mc
 from experiments.lab.papers.fitting import fitted
 from experiments.lab.papers.huang_2018.workshop import MEASURES, OF_WORLD, workshop
+from experiments.lab.papers.trackers import built
 from experiments.text.wording import fixed_interval
 from trackers.core.ekf import ExtendedKalman
-from trackers.mhk.rows import TRACKERS
 from trackers.mhk.tracker import mhk_tracker
-from trackers.recordings.tracker_spec import TrackerSpec
 
 NUMBERS = fitted("papers/huang_2018/workshop")
 NOISE = {name: NUMBERS[name] for name in OF_WORLD}
@@ -39,15 +38,15 @@ The default, and the standard deviation along x of the difference of two success
 """
 
 
-def _mhk(about: str, chain: bool = True, rate: float | None = None) -> TrackerSpec:
+def _mhk(about: str, tunables: Mapping[str, float], chain: bool = True, rate: float | None = None) -> mc.TrackerConfig:
     """MH-K with a chain whose accelerations last 1/`rate` s, or without a chain."""
     made = mhk_tracker(rate=rate, stamped=True)
     if not chain:
         made = eqx.tree_at(lambda t: t.fusion.filter, made, ExtendedKalman())
-    return replace(TRACKERS["mhk-stamped"], about=about, build=lambda trajectory, planar: made)
+    return built("mhk-stamped", about, lambda trajectory, planar: made, tunables)
 
 
-STICKY = _mhk("MH-K with accelerations that last a second", rate=1.0)
+STICKY = partial(_mhk, "MH-K with accelerations that last a second", rate=1.0)
 
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
@@ -100,10 +99,10 @@ STUDY = mc.Study(
     trackers={
         "mhk-stamped": mc.TrackerConfig("mhk-stamped", MHK),
         "mhk": mc.TrackerConfig("mhk", MHK),
-        "no chain": mc.TrackerConfig(_mhk("MH-K without its Markov chain: median and Kalman filter", chain=False), MHK),
-        "sticky chain": mc.TrackerConfig(STICKY, MHK),
+        "no chain": _mhk("MH-K without its Markov chain: median and Kalman filter", MHK, chain=False),
+        "sticky chain": STICKY(MHK),
         "mhk-stamped, 0.7 cm": mc.TrackerConfig("mhk-stamped", CLOSER),
-        "sticky chain, 0.7 cm": mc.TrackerConfig(STICKY, CLOSER),
+        "sticky chain, 0.7 cm": STICKY(CLOSER),
         **{name: mc.TrackerConfig(name) for name in ("fix-kf", "fix-singer", "imm")},
     },
     runs=50,

@@ -10,6 +10,7 @@ listed beside them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -65,22 +66,19 @@ MEASURES: dict[str, Callable[[mc.TrackedRuns], np.ndarray]] = {
 }
 
 
-def _printed(metric: str, tracker: str, number: float, unit: str, measure: str, origin: mc.Origin) -> Printed:
-    return Printed(f"Figure 7, {metric}, {tracker}", number, unit, measure, ("workshop",), tracker, origin)
-
-
+_raw, _mhk = (partial(Printed, worlds=("workshop",), tracker=tracker) for tracker in ("raw", "mhk"))
 OF_RAW = (
-    _printed("mean error", "raw", 8.82, "cm", "route_mean_m", mc.FITTED),
-    _printed("largest error", "raw", 57.89, "cm", "route_max_m", mc.FITTED),
-    _printed("variance", "raw", 76.79, "cm²", "route_variance_m2", mc.FITTED),
+    _raw("Figure 7, mean error, raw", 8.82, "route_mean_m", mc.FITTED, unit="cm"),
+    _raw("Figure 7, largest error, raw", 57.89, "route_max_m", mc.FITTED, unit="cm"),
+    _raw("Figure 7, variance, raw", 76.79, "route_variance_m2", mc.FITTED, unit="cm²"),
 )
 OF_MHK = (
-    _printed("mean error", "mhk", 4.42, "cm", "route_mean_m", mc.FITTED),
-    _printed("largest error", "mhk", 16.0, "cm", "route_max_m", mc.FITTED),
-    _printed("variance", "mhk", 10.5, "cm²", "route_variance_m2", mc.PREDICTED),
-    _printed("under 10 cm", "mhk", 98.3, "%", "under_10_cm", mc.PREDICTED),
-    _printed("under 15 cm", "mhk", 99.3, "%", "under_15_cm", mc.PREDICTED),
-    _printed("fixes improved", "mhk", 71.6, "%", "improved", mc.PREDICTED),
+    _mhk("Figure 7, mean error, mhk", 4.42, "route_mean_m", mc.FITTED, unit="cm"),
+    _mhk("Figure 7, largest error, mhk", 16.0, "route_max_m", mc.FITTED, unit="cm"),
+    _mhk("Figure 7, variance, mhk", 10.5, "route_variance_m2", mc.PREDICTED, unit="cm²"),
+    _mhk("Figure 7, under 10 cm, mhk", 98.3, "under_10_cm", mc.PREDICTED, unit="%"),
+    _mhk("Figure 7, under 15 cm, mhk", 99.3, "under_15_cm", mc.PREDICTED, unit="%"),
+    _mhk("Figure 7, fixes improved, mhk", 71.6, "improved", mc.PREDICTED, unit="%"),
 )
 PRINTED = (*(one for pair in zip(OF_RAW, OF_MHK[:3], strict=True) for one in pair), *OF_MHK[3:])
 CM = "{:.1f} cm"
@@ -134,7 +132,7 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> mc.
         worlds={"workshop": mc.World(workshop, {name: numbers[name] for name in OF_WORLD})},
         trackers={
             "mhk": mc.TrackerConfig("mhk", own),
-            "raw": mc.TrackerConfig(RAW),
+            "raw": RAW,
             "median": mc.TrackerConfig("median"),
             "mhk-stamped": mc.TrackerConfig("mhk-stamped", own),
         },

@@ -10,6 +10,7 @@ room.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -26,17 +27,12 @@ SIDE, TURN = 5.0, np.deg2rad(15.0)
 """Side of the anchors' square, m, and its angle to the tags' square, rad."""
 
 ROWS = 100
-
-
-def _printed(axis: str, number: float, origin: mc.Origin, note: str = "") -> Printed:
-    quantity = f"Table 2, largest deviation in {axis}, mean over four places"
-    return Printed(quantity, number, "mm", f"largest_{axis}_m", tuple(PLACES), "least squares", origin, note)
-
-
+_of = partial(Printed, unit="mm", worlds=tuple(PLACES), tracker="least squares")
+_LARGEST = "Table 2, largest deviation in {}, mean over four places"
 PRINTED = {
-    "x": _printed("x", 55.75, mc.FITTED),
-    "y": _printed("y", 57.0, mc.DERIVED, "follows from x by the symmetry of the room"),
-    "z": _printed("z", 144.25, mc.FITTED),
+    "x": _of(_LARGEST.format("x"), 55.75, "largest_x_m", mc.FITTED),
+    "y": _of(_LARGEST.format("y"), 57.0, "largest_y_m", mc.DERIVED, "follows from x by the symmetry of the room"),
+    "z": _of(_LARGEST.format("z"), 144.25, "largest_z_m", mc.FITTED),
 }
 
 

@@ -10,6 +10,7 @@ strokes and the true end. Two printed errors contradict their own rows (3,190 mm
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -34,20 +35,16 @@ MEASURED = "measured"
 HEIGHTS = "the higher end is nearer to the anchors' plane, where heights are seen worse; printed is the reverse"
 FOLLOWS = "follows from the ends above"
 
-
-def _printed(what: str, number: float, measure: str, origin: mc.Origin, note: str = "") -> Printed:
-    return Printed(f"Table 3, {what}", number, "mm", measure, ("robot",), MEASURED, origin, note)
-
-
+_of = partial(Printed, unit="mm", worlds=("robot",), tracker=MEASURED)
 PRINTED = (
-    _printed("x, least, mean error", 40.0, "least_x_m", mc.PREDICTED),
-    _printed("x, largest, mean error", 41.0, "largest_x_m", mc.PREDICTED),
-    _printed("y, least, mean error", 30.0, "least_y_m", mc.PREDICTED),
-    _printed("y, largest, mean error", 37.0, "largest_y_m", mc.PREDICTED),
-    _printed("z, least, mean error", 179.0, "least_z_m", mc.FITTED, HEIGHTS),
-    _printed("z, largest, mean error", 95.0, "largest_z_m", mc.FITTED, HEIGHTS),
-    _printed("x and y, both ends, mean", 37.0, "flat_m", mc.DERIVED, FOLLOWS),
-    _printed("z, both ends, mean", 137.0, "height_m", mc.DERIVED, FOLLOWS),
+    _of("Table 3, x, least, mean error", 40.0, "least_x_m", mc.PREDICTED),
+    _of("Table 3, x, largest, mean error", 41.0, "largest_x_m", mc.PREDICTED),
+    _of("Table 3, y, least, mean error", 30.0, "least_y_m", mc.PREDICTED),
+    _of("Table 3, y, largest, mean error", 37.0, "largest_y_m", mc.PREDICTED),
+    _of("Table 3, z, least, mean error", 179.0, "least_z_m", mc.FITTED, HEIGHTS),
+    _of("Table 3, z, largest, mean error", 95.0, "largest_z_m", mc.FITTED, HEIGHTS),
+    _of("Table 3, x and y, both ends, mean", 37.0, "flat_m", mc.DERIVED, FOLLOWS),
+    _of("Table 3, z, both ends, mean", 137.0, "height_m", mc.DERIVED, FOLLOWS),
 )
 """Mean errors at the least and at the largest coordinate, and their means."""
 

@@ -47,7 +47,9 @@ SPREADS_MM = {
 """Table 4, largest less smallest: x and y, mm."""
 
 PRINTED = {
-    (name, axis): Printed(f"Table 4, {name}, {axis}", number, "mm", f"spread_{axis}_m", ("still",), name, mc.FITTED)
+    (name, axis): Printed(
+        f"Table 4, {name}, {axis}", number, f"spread_{axis}_m", mc.FITTED, unit="mm", worlds=("still",), tracker=name
+    )
     for name, spreads in SPREADS_MM.items()
     for axis, number in zip("xy", spreads, strict=True)
 }
@@ -155,8 +157,8 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> mc.
         worlds={"still": mc.World(still, {k: v for k, v in numbers.items() if k != "sigma_a"})},
         trackers={
             "proposed": mc.TrackerConfig("uwb-imu", proposed, every=1 / RATE_HZ),
-            "raw": mc.TrackerConfig(RAW),
-            "moving average": mc.TrackerConfig(window(WINDOW)),
+            "raw": RAW,
+            "moving average": window(WINDOW),
             "Kalman": mc.TrackerConfig("fix-kf", kalman),
         },
         runs=runs,

@@ -8,7 +8,7 @@ the path enter both, and are therefore underestimated.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -16,19 +16,19 @@ import numpy as np
 
 import experiments.monte_carlo as mc
 from experiments.lab.papers.trackers import RAW as FIXES_ALONE
+from experiments.lab.papers.trackers import built
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from trackers.baselines.fixes import fix_tracker
-from trackers.baselines.rows import TRACKERS as BASELINES
 from trackers.core.polyline import Polyline
 from trackers.core.tracker import AbstractTracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import LineMotion
-from trackers.line.rows import TRACKERS, path_of
+from trackers.line.rows import path_of
 from trackers.line.tracker import line_grid_tracker, line_tracker
 from trackers.line.truth import knot_times
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec
+from trackers.recordings.trajectories import Trajectory
 
 SITUATIONS = {"situation 1": "constant", "situation 2": "halts", "situation 3": "speeds"}
 
@@ -69,22 +69,12 @@ def recording(ids: np.ndarray, seed: int, number: int, **numbers: Any) -> Record
 
 
 @lru_cache(maxsize=8)
-def _recording(
-    ids: tuple[int, ...],
-    seed: int,
-    number: int,
-    situation: str,
-    white: float,
-    slow: float,
-    tau: float,
-    speed: float,
-    rate_hz: float,
-    fitted_truth: bool = True,
-) -> RecordingFolder:
+def _recording(ids: tuple[int, ...], seed: int, number: int, fitted_truth: bool = True, **of: Any) -> RecordingFolder:
     """Cached: a sweep uses the same recordings at every value, and the least squares are slow."""
-    errors = {"white": white_noise(white), "slow": gauss_markov(slow, tau)}
+    errors = {"white": white_noise(of["white"]), "slow": gauss_markov(of["slow"], of["tau"])}
     # Nine recordings are nine draws, each with its own seed.
-    world = simulate_line(situation, ids, 10 * seed + number, speed=speed, rate_hz=rate_hz, errors=errors)
+    seed_of = 10 * seed + number
+    world = simulate_line(of["situation"], ids, seed_of, speed=of["speed"], rate_hz=of["rate_hz"], errors=errors)
     if fitted_truth:
         places = [knot_times(world.knots, world.times, fixes).positions(world.times) for fixes in world.fixes]
         world = dataclasses.replace(world, positions=np.stack(places))
@@ -113,41 +103,32 @@ def open_ended(knots: Any) -> Polyline:
     return Polyline(np.vstack([knots[:-1], knots[-1] + BEYOND * along]))
 
 
-def _thesis_filter(
-    spec: TrackerSpec, about: str, build: Callable[[RecordingFolder, bool], AbstractTracker]
-) -> mc.TrackerConfig:
-    """A tracker of the catalogue as the thesis has it, built from the folder and whether the height is known."""
-    made = dataclasses.replace(spec, about=about, build=lambda trajectory, planar: build(trajectory.folder, planar))
-    return mc.TrackerConfig(made)
-
-
-def measured_fixes() -> dict[str, FloorFixes]:
-    """The sensor of all filters on the path."""
+def _sensors() -> dict[str, FloorFixes]:
     return {FIXES: FloorFixes(MEASUREMENT_NOISE)}
 
 
-def _open_particles(folder: RecordingFolder, planar: bool) -> AbstractTracker:
-    path_of(folder)
-    return line_tracker(LineMotion(open_ended(folder.rig.path_knots), 0.1), measured_fixes())
+def _ended(trajectory: Trajectory) -> LineMotion:
+    return LineMotion(path_of(trajectory.folder), 0.1)
 
 
-def _kalman(folder: RecordingFolder, planar: bool) -> AbstractTracker:
+def _open(trajectory: Trajectory) -> LineMotion:
+    path_of(trajectory.folder)
+    return LineMotion(open_ended(trajectory.folder.rig.path_knots), 0.1)
+
+
+def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, dof=None, planar=planar)
 
 
-RAW = mc.TrackerConfig(dataclasses.replace(FIXES_ALONE, about="the measurements themselves"))
-KALMAN = _thesis_filter(BASELINES["fix-kf"], "the thesis's Kalman filter, (1.3)-(1.21)", _kalman)
-PARTICLE = _thesis_filter(TRACKERS["line-pf"], "the thesis's particle filter, (2.1)-(2.5)", _open_particles)
-STOPPING = _thesis_filter(
-    TRACKERS["line-pf"],
-    "the same on a path that ends at its last knot",
-    lambda folder, planar: line_tracker(LineMotion(path_of(folder), 0.1), measured_fixes()),
+RAW = built("moving-average", "the measurements themselves", FIXES_ALONE.spec.build)
+KALMAN = built("fix-kf", "the thesis's Kalman filter, (1.3)-(1.21)", _kalman)
+PARTICLE = built(
+    "line-pf", "the thesis's particle filter, (2.1)-(2.5)", lambda t, planar: line_tracker(_open(t), _sensors())
 )
-GRID = _thesis_filter(
-    TRACKERS["line-grid"],
-    "grid, no segment",
-    lambda folder, planar: line_grid_tracker(LineMotion(path_of(folder), 0.1), measured_fixes()),
+STOPPING = built(
+    "line-pf", "the same on a path that ends at its last knot", lambda t, planar: line_tracker(_ended(t), _sensors())
 )
+GRID = built("line-grid", "grid, no segment", lambda t, planar: line_grid_tracker(_ended(t), _sensors()))
 
 
 def distances(tracked: mc.TrackedRuns) -> np.ndarray:

@@ -15,15 +15,15 @@ import numpy as np
 
 import experiments.monte_carlo as mc
 from experiments.lab.papers.fitting import fitted
+from experiments.lab.papers.trackers import built
 from experiments.lab.papers.will_2020.fit_array_layout import TABLE_1_DEG
 from sim.corruptions import Corruption, lose_station, outliers
 from sim.keys import Keys
 from sim.stations import simulate_phases, work_station
 from trackers.aoa.beam import beam_tracker
-from trackers.aoa.rows import PHASES, TRACKERS
+from trackers.aoa.rows import PHASES
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec
 
 ALL = "full array"
 SETS = ("3-7-8", "2-7-8", "1-2-5", "2-3-6", ALL)
@@ -106,35 +106,37 @@ def recorded(
     return world.folder("work stand")
 
 
-PRINTED_FORM = replace(
-    TRACKERS["beam"],
-    about="the beam tracker with each of the 28 differences wrapped, (8)-(17)",
-    build=lambda trajectory, planar: beam_tracker(
-        trajectory.folder.rig.stations[trajectory.station], PHASES, paper_form=True
-    ),
-)
-
-
 def radius() -> float:
     """The fitted distance of the stations from the centre line, m."""
     return fitted("papers/will_2020/figure_8")["radius"]
 
 
-def beam(tracker: str | TrackerSpec = "beam") -> mc.TrackerConfig:
-    """A beam tracker with the fitted noise levels."""
-    return _tuned(tracker, {"motion.sigma_a": "sigma_a", "sensors.*.sigma_p": "sigma_p"})
+def _levels(sigma_p: str, sigma_a: str | None = None) -> dict[str, float]:
+    """The fitted phase noise, and the fitted process noise if it is named."""
+    numbers = fitted("papers/will_2020/table_1")
+    return ({sigma_a: numbers["sigma_a"]} if sigma_a else {}) | {sigma_p: numbers["sigma_p"]}
+
+
+def beam() -> mc.TrackerConfig:
+    """The beam tracker with the fitted noise levels."""
+    return mc.TrackerConfig("beam", _levels("sensors.*.sigma_p", "motion.sigma_a"))
+
+
+def printed_beam() -> mc.TrackerConfig:
+    """The same with each of the 28 differences wrapped."""
+    return built(
+        "beam",
+        "the beam tracker with each of the 28 differences wrapped, (8)-(17)",
+        lambda t, planar: beam_tracker(t.folder.rig.stations[t.station], PHASES, paper_form=True),
+        beam().tunables,
+    )
 
 
 def cascade() -> mc.TrackerConfig:
     """The paper's cascade, with the fitted noise levels in its beam trackers and the default ones in its fusion."""
-    return _tuned("cascade", {"beams.*.motion.sigma_a": "sigma_a", "beams.*.sensors.*.sigma_p": "sigma_p"})
+    return mc.TrackerConfig("cascade", _levels("beams.*.sensors.*.sigma_p", "beams.*.motion.sigma_a"))
 
 
 def direct() -> mc.TrackerConfig:
     """The filter from phases to position, with the fitted phase noise."""
-    return _tuned("direct", {"sensors.*.sigma_p": "sigma_p"})
-
-
-def _tuned(tracker: str | TrackerSpec, levels: Mapping[str, str]) -> mc.TrackerConfig:
-    numbers = fitted("papers/will_2020/table_1")
-    return mc.TrackerConfig(tracker, {pattern: numbers[name] for pattern, name in levels.items()})
+    return mc.TrackerConfig("direct", _levels("sensors.*.sigma_p"))

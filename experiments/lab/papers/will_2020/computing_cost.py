@@ -8,7 +8,6 @@ the same estimates. The start of a track, one search by the beamformer, is not c
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -18,18 +17,18 @@ import numpy as np
 
 import experiments.monte_carlo as mc
 from experiments.lab.papers.fitting import fitted
+from experiments.lab.papers.trackers import built
 from experiments.lab.papers.will_2020._work_stand import beam, radius, recorded, stand
 from experiments.text.wording import listed
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
 from trackers.aoa.das import DelayAndSum
-from trackers.aoa.rows import PHASES, TRACKERS
+from trackers.aoa.rows import PHASES
+from trackers.catalogue import spec_of
 from trackers.core.algebra import diagonal
 from trackers.core.filter import Gaussian
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
-from trackers.core.tracker import AbstractTracker
-from trackers.recordings.trajectories import Trajectory
 
 RESOLUTIONS = {"DAS, 1.2 deg": 1.2, "DAS, 0.6 deg": 0.6, "DAS, 0.3 deg": 0.3}
 
@@ -42,10 +41,8 @@ def _grid(station: Station, resolution: float) -> Grid:
 def _searching(resolution: float) -> mc.TrackerConfig:
     """The beamformer on such a grid."""
 
-    def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        return DelayAndSum(_grid(trajectory.folder.rig.stations[trajectory.station], resolution), PHASES)
-
-    return mc.TrackerConfig(dataclasses.replace(TRACKERS["das"], build=build))
+    about = spec_of("das").about
+    return built("das", about, lambda t, _: DelayAndSum(_grid(t.folder.rig.stations[t.station], resolution), PHASES))
 
 
 def operations(function: Callable[..., Any], *arguments: Any) -> int:

@@ -28,13 +28,11 @@ from experiments.text.wording import fixed_interval
 STAND, APART, PLANE = "stand", "stations 0.4 m off the middle", "stand, plane waves"
 COLOURS = {"cascade": BLUE, "direct": VERMILION}
 UNKNOWN = "a prediction of the array of Table 1 and stations where simulations have them; the paper's places are lost"
-
-
-def _printed(what: str, world: str, origin: mc.Origin, note: str = "") -> Printed:
-    return Printed(f"section 4.2, RMSE in space{what}", 3.18, "cm", "rmse_3d_m", (world,), "cascade", origin, note)
-
-
-PRINTED = (_printed("", STAND, mc.FITTED), _printed(f", {APART}", APART, mc.PREDICTED, UNKNOWN))
+_of = partial(Printed, number=3.18, metric="rmse_3d_m", unit="cm", tracker="cascade")
+PRINTED = (
+    _of("section 4.2, RMSE in space", origin=mc.FITTED, worlds=(STAND,)),
+    _of(f"section 4.2, RMSE in space, {APART}", origin=mc.PREDICTED, note=UNKNOWN, worlds=(APART,)),
+)
 
 
 def offset(tracked: mc.TrackedRuns) -> np.ndarray:

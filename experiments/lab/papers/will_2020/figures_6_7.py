@@ -40,8 +40,8 @@ def _rms(angle: int) -> Callable[[mc.TrackedRuns], np.ndarray]:
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The errors printed with Figure 7, and the EKF's advantage."""
     for axis, number in zip(AXES, PRINTED_DEG[ALL], strict=True):
-        note, metric = "printed in Table 1, too", f"rmse_{axis}_rad"
-        printed = Printed(f"Figure 7, EKF, {axis}", number, "deg", metric, (HELIX,), "EKF", mc.DERIVED, note)
+        name, metric, note = f"Figure 7, EKF, {axis}", f"rmse_{axis}_rad", "printed in Table 1, too"
+        printed = Printed(name, number, metric, mc.DERIVED, note, unit="deg", worlds=(HELIX,), tracker="EKF")
         yield printed.beside(results)
     for world in results.study.worlds:
         for axis in AXES:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -33,10 +34,11 @@ from trackers.core.recording import Batch
 from trackers.core.sensor import Reading
 
 AXES = ("azimuth", "elevation")
+_of = partial(Printed, origin=mc.FITTED, unit="deg", tracker="EKF")
 PRINTED = {
-    (name, axis): Printed(f"Table 1, {name}, {axis}", number, "deg", f"rmse_{axis}_rad", (name,), "EKF", mc.FITTED)
+    (name, axis): _of(f"Table 1, {name}, {axis}", PRINTED_DEG[name][k], f"rmse_{axis}_rad", worlds=(name,))
     for name in SETS
-    for axis, number in zip(AXES, PRINTED_DEG[name], strict=True)
+    for k, axis in enumerate(AXES)
 }
 
 
@@ -73,7 +75,7 @@ STUDY = mc.Study(
     name="table-1",
     about="How well do five sets of antennas follow azimuth and elevation of a beacon?",
     worlds={name: mc.World(work.recorded, {"antennas": name, "radius": radius()}) for name in SETS},
-    trackers={"EKF": beam(), "EKF, each difference wrapped": beam(work.PRINTED_FORM)},
+    trackers={"EKF": beam(), "EKF, each difference wrapped": work.printed_beam()},
     metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "p95_direction_rad", "diverged", "nis_ratio"),
     expected=expected,
 )
