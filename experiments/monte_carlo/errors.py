@@ -9,18 +9,9 @@ import numpy as np
 
 from trackers.core.estimates import Status
 from trackers.core.metrics import nees_of_leading
-from trackers.evaluation.scores import (
-    BEARING,
-    BINS,
-    POSITION,
-    between_directions,
-    bins,
-    error_sums,
-    horizontal,
-    nees_sums,
-    spatial,
-    wrap_azimuths,
-)
+from trackers.evaluation.metrics import bearing_sizes, position_sizes
+from trackers.evaluation.scores import BINS, bins, error_sums, nees_sums
+from trackers.evaluation.scoring import COMPONENTS
 from trackers.recordings.folder import RecordingFolder
 
 
@@ -112,58 +103,43 @@ def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     bearing = tracked.estimates.ndim == 4
     # The rows of all stations count as rows of their trajectory.
     counts = Masked(tracked.known.reshape(n, -1))
-    error = (tracked.estimates - tracked.truth).reshape(n, counts.valid.shape[1], -1)
     if bearing:
-        wrap_azimuths(error)
+        error, sizes = bearing_sizes(tracked.estimates, tracked.truth)
+        sizes = {kind: size.reshape(counts.valid.shape) for kind, size in sizes.items()}
+    else:
+        error = tracked.estimates - tracked.truth
+        sizes = position_sizes(error)
+    error = error.reshape(n, counts.valid.shape[1], -1)
     sums, largest = {"n": counts.count}, dict[str, np.ndarray]()
     arrays: dict[str, np.ndarray] = {}
-    for kinds, size, valid in _bearing_errors(tracked, error, counts) if bearing else _position_errors(error, counts):
-        cells, numbers = valid.histograms(size)
-        for kind in kinds:
-            more, top = error_sums(kind, size, valid)
-            sums, largest = sums | more, largest | top
-            arrays |= {f"cells {kind}": cells, f"counts {kind}": numbers}
-    for k, component in enumerate(BEARING[1:] if bearing else ("x_m", "y_m", "z_m")):
+    main, latest = next(iter(sizes.values())), None
+    for kind, size in sizes.items():
+        rows = counts if bearing or size is main else Masked(counts.valid & np.isfinite(size))
+        if size is not latest:
+            latest, histogram = size, rows.histograms(size)
+        more, top = error_sums(kind, size, rows)
+        sums, largest = sums | more, largest | top
+        arrays[f"cells {kind}"], arrays[f"counts {kind}"] = histogram
+    for k, component in enumerate(COMPONENTS[error.shape[-1]]):
         sums[f"bias {component}"] = Masked(counts.valid & np.isfinite(error[..., k])).sum(error[..., k])
     d = tracked.covariance.shape[-1]
     sums |= _nees(error[..., :d], tracked.covariance.reshape(n, counts.valid.shape[1], d, d), counts)
     status = tracked.status.reshape(n, -1)
-    rows = status != Status.PADDING
+    there = status != Status.PADDING
     nis, dof = tracked.nis.reshape(n, -1).astype(float), tracked.dof.reshape(n, -1).astype(float)
-    has_nis = Masked(np.isfinite(nis) & (dof > 0) & rows)
+    has_nis = Masked(np.isfinite(nis) & (dof > 0) & there)
     bad = np.isin(status, (Status.LOST, Status.RESTARTED, Status.NON_FINITE))
     sums |= {
         "nis": has_nis.sum(nis),
         "dof": has_nis.sum(dof),
         "lost rows": (status == Status.LOST).sum(axis=1),
-        "n_rows": rows.sum(axis=1),
+        "n_rows": there.sum(axis=1),
         "diverged": np.any(bad, axis=1),
         "failed": np.isin(status, Status.NON_FINITE).any(axis=1) | (counts.count == 0),
         "trajectories": np.ones(n),
     }
     arrays |= {f"sum {name}": x.astype(float) for name, x in sums.items()}
     return arrays | {f"largest {name}": x for name, x in largest.items()}
-
-
-Errors = list[tuple[tuple[str, ...], np.ndarray, Masked]]
-"""Kinds of errors, their size (n, T), and the rows that have one."""
-
-
-def _position_errors(error: np.ndarray, counts: Masked) -> Errors:
-    """Horizontal and 3-D errors."""
-    flat = horizontal(error)
-    if not error[..., 2].any() and np.isfinite(flat).all():
-        # The height is known: the same numbers, since the root of a number's square is exactly that number.
-        return [(POSITION, flat, counts)]
-    size = spatial(error, flat)
-    return [(POSITION[:1], flat, counts), (POSITION[1:], size, Masked(counts.valid & np.isfinite(size)))]
-
-
-def _bearing_errors(tracked: TrackedRuns, error: np.ndarray, counts: Masked) -> Errors:
-    """Errors of the angle between the two directions, of azimuth and of elevation."""
-    angle = between_directions(tracked.estimates, tracked.truth).reshape(counts.valid.shape)
-    sizes = (angle, np.abs(error[..., 0]), np.abs(error[..., 1]))
-    return [((kind,), size, counts) for kind, size in zip(BEARING, sizes, strict=True)]
 
 
 def _nees(error: np.ndarray, covariance: np.ndarray, counts: Masked) -> dict[str, np.ndarray]:

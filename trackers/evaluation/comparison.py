@@ -15,7 +15,6 @@ import numpy as np
 
 from trackers.core.chi_square import chi_square_quantile
 from trackers.evaluation.association import Association
-from trackers.evaluation.scores import spatial
 from trackers.evaluation.scoring import Scored
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import track_keys
@@ -82,8 +81,7 @@ def errors_by_track(association: Association, scored: Scored) -> dict[Key, Track
     """The scored errors of each track by its recording, tag and station."""
     keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].rows()
     times = float_column(association.rows, "t_s")[scored.index]
-    bearing = scored.nees_3d is None
-    in_space = np.full(len(times), math.nan) if bearing else spatial(scored.errors, scored.size)
+    in_space = scored.sizes.get("3d_m", np.full(len(times), math.nan))
     inside = np.where(np.isfinite(scored.nees), scored.nees <= chi_square_quantile(0.95, 2), math.nan)
     ends = np.searchsorted(scored.index, association.starts)
     return {

@@ -136,7 +136,8 @@ class TrackScores(NamedTuple):
         """The names of the recordings and their scores; `ratios`: of their residuals, see `residual_ratios`."""
         names = [key["recording"] for key in self.keys]
         first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
-        scores = self.scores.grouped(np.array([*first, len(names)]))
+        single = len(first) == len(names)
+        scores = self.scores if single else self.scores.grouped(np.array([*first, len(names)]))
         own = [names[k] for k in first]
         ratio = np.array([ratios.get(name, np.nan) for name in own])
         return own, replace(scores, largest={**scores.largest, "residual_ratio_5s": ratio})

@@ -1,4 +1,4 @@
-"""The error metrics: each is one entry, a formula of `Scores`, and appears wherever metrics are written or shown.
+"""The kinds of errors, and the metrics: each is one entry, and appears wherever metrics are written or shown.
 
 Names are those of `--fail-if`, of evaluation.json and of the metrics of a study, in metres and radians, horizontal
 unless the name has `3d`.
@@ -43,7 +43,33 @@ KIND_WORDS = {
     "azimuth_rad": "of azimuth",
     "elevation_rad": "of elevation",
 }
-"""The kinds of errors as they follow the words of a statistic."""
+"""The kinds of errors, suffixes of the names of metrics, as they follow the words of a statistic."""
+
+
+def position_sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
+    """The sizes (…) of errors (…, 3), m, by kind, the main one first; NaN of rows without one."""
+    flat, height = np.hypot(errors[..., 0], errors[..., 1]), errors[..., 2]
+    # Of known heights they are the same numbers, since the root of a number's square is exactly that number.
+    return {"m": flat, "3d_m": np.sqrt(flat * flat + height**2) if height.any() else flat}
+
+
+def bearing_sizes(estimates: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """The errors (…, 2) of azimuth and elevation, rad, and their sizes (…) by kind, the main one first."""
+    errors = estimates - truth
+    errors[..., 0] = np.pi - (np.pi - errors[..., 0]) % (2 * np.pi)
+    (x, y, z), (p, q, r) = _direction(estimates), _direction(truth)
+    cross = np.sqrt((y * r - z * q) ** 2 + (z * p - x * r) ** 2 + (x * q - y * p) ** 2)
+    # arctan2 of sine and cosine: the arc cosine alone is zero below 1e-8 rad.
+    sizes = {"direction_rad": np.arctan2(cross, x * p + z * r + y * q)}
+    return errors, sizes | {"azimuth_rad": np.abs(errors[..., 0]), "elevation_rad": np.abs(errors[..., 1])}
+
+
+def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The components of the unit vectors of angles (…, 2)."""
+    azimuth, elevation = angles[..., 0], angles[..., 1]
+    flat = np.cos(elevation)
+    return np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat
+
 
 SHORT = {"m": "", "3d_m": "3-D\n", "direction_rad": "angle\n", "azimuth_rad": "az\n", "elevation_rad": "el\n"}
 SHOWN = {

@@ -25,10 +25,6 @@ EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))
 EXACT = 2000
 """Values that are kept beside the histogram: of more rows a percentile differs little by its bins."""
 
-POSITION, BEARING = ("m", "3d_m"), ("direction_rad", "azimuth_rad", "elevation_rad")
-KINDS = (*POSITION, *BEARING)
-"""Kinds of errors, which are suffixes of the names of metrics."""
-
 LEVELS = (50, 68, 90, 95, 99)
 """Levels, %, of the ellipses whose share of the truth is a metric."""
 
@@ -243,39 +239,6 @@ def nees_sums(name: str, values: np.ndarray, dof: int, rows: Rows) -> dict[str, 
         f"sum {name}": rows.sum(values),
         **{f"inside {p} {name}": n for p, n in inside.items()},
     }
-
-
-def horizontal(errors: np.ndarray) -> np.ndarray:
-    """The horizontal size (…) of errors (…, 3), m."""
-    found: np.ndarray = np.hypot(errors[..., 0], errors[..., 1])
-    return found
-
-
-def spatial(errors: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """The size (…) in three dimensions of errors (…, 3), m, whose horizontal size is `flat`."""
-    found: np.ndarray = np.sqrt(flat * flat + errors[..., 2] ** 2)
-    return found
-
-
-def wrap_azimuths(errors: np.ndarray) -> None:
-    """Bring those of azimuth, of errors of azimuth and elevation (…, 2), rad, into ±π."""
-    errors[..., 0] = np.pi - (np.pi - errors[..., 0]) % (2 * np.pi)
-
-
-def between_directions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The angle (…), rad, between directions of these azimuths and elevations (…, 2), rad."""
-    (x, y, z), (p, q, r) = _direction(first), _direction(second)
-    cross = np.sqrt((y * r - z * q) ** 2 + (z * p - x * r) ** 2 + (x * q - y * p) ** 2)
-    # arctan2 of sine and cosine: the arc cosine alone is zero below 1e-8 rad.
-    found: np.ndarray = np.arctan2(cross, x * p + z * r + y * q)
-    return found
-
-
-def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The components of the unit vectors of angles (…, 2)."""
-    azimuth, elevation = angles[..., 0], angles[..., 1]
-    flat = np.cos(elevation)
-    return np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat
 
 
 def bins(values: np.ndarray) -> np.ndarray:

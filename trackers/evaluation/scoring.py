@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,20 +11,9 @@ import polars as pl
 from trackers.core import metrics
 from trackers.core.rig import Station
 from trackers.evaluation.association import Association, true_bearings
+from trackers.evaluation.metrics import bearing_sizes, position_sizes
 from trackers.evaluation.rank_correlation import rank_sums
-from trackers.evaluation.scores import (
-    BEARING,
-    POSITION,
-    Groups,
-    Ordered,
-    Scores,
-    between_directions,
-    error_sums,
-    horizontal,
-    nees_sums,
-    spatial,
-    wrap_azimuths,
-)
+from trackers.evaluation.scores import Groups, Ordered, Scores, error_sums, nees_sums
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import is_bearing
 from trackers.recordings.truth import TruthStatus
@@ -34,16 +23,20 @@ from trackers.recordings.truth import TruthStatus
 class Scored:
     """Errors and NEES of the n scored rows.
 
-    `index`: their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad; `size` (n,): the
-    horizontal error, or of bearings the angle between estimated and true direction; `nees` of the horizontal position
-    or of both angles; `nees_3d`, None for bearings.
+    `index`: their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad; `sizes` (n,) by kind,
+    NaN of rows without one; `nees` of the horizontal position or of both angles; `nees_3d`, None for bearings.
     """
 
     index: np.ndarray
     errors: np.ndarray
-    size: np.ndarray
+    sizes: Mapping[str, np.ndarray]
     nees: np.ndarray
     nees_3d: np.ndarray | None
+
+    @property
+    def size(self) -> np.ndarray:
+        """The horizontal error (n,), m, or of bearings the angle between estimated and true direction, rad."""
+        return next(iter(self.sizes.values()))
 
 
 def score(
@@ -68,11 +61,13 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
     # Residuals are judged by recording.
     largest = {"residual_ratio_5s": np.full(len(rows.count), np.nan)}
     values = {}
-    for kind, size, which in _sizes(association, scored):
+    for kind, size in scored.sizes.items():
+        which = ~np.isnan(size)
         own = rows.where(which)
         more, top = error_sums(kind, size[which], own)
         sums, largest, values[kind] = sums | more, largest | top, Ordered.of(size[which], own.starts)
-    for component, errors, which in _components(association, scored):
+    for component, errors in zip(COMPONENTS[scored.errors.shape[1]], scored.errors.T, strict=True):
+        which = ~np.isnan(scored.sizes.get(component, errors))
         sums[f"bias {component}"] = rows.where(which).sum(errors[which])
     for name, nees, dof in (("nees", scored.nees, 2), ("nees_3d", scored.nees_3d, 3)):
         if nees is not None:
@@ -91,29 +86,8 @@ EXCLUDED = {
 }
 """The counts of rows that are not scored, and why."""
 
-Named = Iterator[tuple[str, np.ndarray, np.ndarray]]
-
-
-def _sizes(association: Association, scored: Scored) -> Named:
-    """The kinds of errors, their sizes (n,), and the mask of the rows that have one."""
-    every = np.ones(len(scored.index), bool)
-    if scored.nees_3d is None:
-        sizes = (scored.size, *np.abs(scored.errors.T))
-        beside = _outside_plane(association, scored.index)
-        yield from zip(BEARING, sizes, (every, beside, beside), strict=True)
-    else:
-        yield POSITION[0], scored.size, every
-        yield POSITION[1], spatial(scored.errors, scored.size), np.isfinite(scored.errors[:, 2])
-
-
-def _components(association: Association, scored: Scored) -> Named:
-    """The components of errors (n,), and the mask of the rows that have one."""
-    if scored.nees_3d is None:
-        beside = _outside_plane(association, scored.index)
-        yield from zip(BEARING[1:], scored.errors.T, (beside, beside), strict=True)
-    else:
-        for name, errors in zip(("x_m", "y_m", "z_m"), scored.errors.T, strict=True):
-            yield name, errors, np.isfinite(errors)
+COMPONENTS = {3: ("x_m", "y_m", "z_m"), 2: ("azimuth_rad", "elevation_rad")}
+"""The components of errors by their number, of positions and of bearings."""
 
 
 def last_of_every(association: Association, every: float) -> np.ndarray:
@@ -149,27 +123,24 @@ def covariances(rows: pl.DataFrame) -> np.ndarray:
 
 
 def _positions(association: Association, kept: np.ndarray) -> Scored:
-    rows = association.rows[kept]
+    rows = association.rows if len(kept) == len(association.rows) else association.rows[kept]
     errors = np.stack([float_column(rows, f"{axis}_m") for axis in "xyz"], axis=1) - association.truth[kept]
     covs = covariances(rows)
     nees, nees_3d = metrics.nees(errors[:, :2], covs[:, :2, :2]), metrics.nees(errors, covs)
-    return Scored(kept, errors, horizontal(errors), nees, nees_3d)
+    return Scored(kept, errors, position_sizes(errors), nees, nees_3d)
 
 
 def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str, Mapping[str, Station]]) -> Scored:
     rows = association.rows[kept]
     true = true_bearings(association, stations)[kept]
     estimate = np.stack([float_column(rows, "azimuth_rad"), float_column(rows, "elevation_rad")], axis=1)
-    errors = estimate - true
-    wrap_azimuths(errors)
+    errors, sizes = bearing_sizes(estimate, true)
+    # In the plane of an array each azimuth is ± 90°, and its error says nothing.
+    plane = in_plane(estimate[:, 0])
+    sizes |= {kind: np.where(plane, np.nan, sizes[kind]) for kind in COMPONENTS[2]}
     sigmas = np.stack([float_column(rows, "std_azimuth_rad"), float_column(rows, "std_elevation_rad")], axis=1)
     nees = metrics.nees(errors, sigmas[:, :, None] ** 2 * np.eye(2))
-    return Scored(kept, errors, between_directions(estimate, true), nees, None)
-
-
-def _outside_plane(association: Association, index: np.ndarray) -> np.ndarray:
-    """Which bearings of the rows `index` (n,) are outside the plane of an array, where azimuths have errors."""
-    return ~in_plane(float_column(association.rows.select("azimuth_rad")[index], "azimuth_rad"))
+    return Scored(kept, errors, sizes, nees, None)
 
 
 def in_plane(azimuth: np.ndarray) -> np.ndarray:

@@ -21,7 +21,6 @@ from experiments.pages.plots.style import HEIGHT, INK, LINES, WIDTH, figure_file
 from experiments.text.expectations import Value
 from experiments.text.wording import Unit, heading, unit_of
 from trackers.evaluation.metrics import KIND_WORDS, METRICS
-from trackers.evaluation.scores import KINDS
 
 MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
 """Their counts differ from that of the colours: combinations of the three repeat late, and trackers look different."""
@@ -279,7 +278,7 @@ def _kind(results: Results, condition: Condition) -> str:
     # The longer suffixes first: `3d_m` ends in `m` too.
     kinds = sorted(there, key=len, reverse=True)
     asked = (k for f in results.study.metrics for k in kinds if f.endswith(f"_{k}"))
-    return next(asked, next(k for k in KINDS if k in there))
+    return next(asked, next(k for k in KIND_WORDS if k in there))
 
 
 def _axis(results: Results) -> str | None:

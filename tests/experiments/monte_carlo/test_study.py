@@ -9,7 +9,7 @@ from experiments.monte_carlo import chunk as one_chunk
 from experiments.monte_carlo import errors
 from experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
 from experiments.monte_carlo.compact import compact, expanded
-from experiments.monte_carlo.errors import Masked, TrackedRuns, _position_errors, scored
+from experiments.monte_carlo.errors import Masked, TrackedRuns, scored
 from experiments.monte_carlo.results import ChunkTotals, Results
 from experiments.monte_carlo.runner import StopRule, run_missing, run_study
 from experiments.monte_carlo.sources import load_study
@@ -19,7 +19,7 @@ from tests.in_process import trackwright
 from trackers.core.chi_square import chi_square_quantile
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Status
-from trackers.evaluation.metrics import METRICS
+from trackers.evaluation.metrics import METRICS, position_sizes
 from trackers.evaluation.scores import BIN_WIDTH, BINS, error_sums, quantile
 
 
@@ -136,13 +136,9 @@ def test_histograms_are_stored_in_few_bits_and_equal_ones_once(flat):
 
 def test_errors_of_known_heights_are_those_of_three_dimensions_to_the_bit():
     _, errors = _normal_tracked(6)
-    counts, flat = Masked(np.ones(errors.shape[:2], bool)), errors * [1.0, 1.0, 0.0]
-    (kinds, size, _), (_, spatial, _) = (
-        _position_errors(flat, counts)[0],
-        _position_errors(errors * [1, 1, 1e-200], counts)[1],
-    )
-    assert kinds == ("m", "3d_m")
-    np.testing.assert_array_equal(size, spatial)
+    flat = position_sizes(errors * [1.0, 1.0, 0.0])
+    assert flat["3d_m"] is flat["m"]
+    np.testing.assert_array_equal(flat["m"], position_sizes(errors * [1, 1, 1e-200])["3d_m"])
 
 
 def _accumulated(sizes, histogram):
