@@ -194,8 +194,8 @@ def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch
     assert "fails: fix-kf: rmse_m is " in failed.err
     assert set(_results(out)["n"]) == {4}
     (paths[2] / "truth.parquet").unlink()
-    scored, score = [], part.score
-    monkeypatch.setattr(part, "score", lambda *rest: scored.append(1) or score(*rest))
+    scored, associate = [], part.associate_truth
+    monkeypatch.setattr(part, "associate_truth", lambda *rest: scored.append(1) or associate(*rest))
     done = trackwright("evaluate", out, "--every", 1)
     assert done.code == 1
     assert "not evaluated: " in done.err
