@@ -10,9 +10,8 @@ import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import wraps
+from numbers import Integral, Real
 from typing import Annotated, Any, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
-
-import numpy as np
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -75,6 +74,9 @@ def _check(name: str, value: Any, hint: Any) -> None:
         kind, *metadata = get_args(hint)
         for allowed in (x for x in metadata if isinstance(x, Range)):
             whole = kind is int
-            types = (int, np.integer) if whole else (int, float, np.integer, np.floating)
-            if not isinstance(value, types) or isinstance(value, bool) or not allowed.contains(float(value)):
+            if (
+                not isinstance(value, Integral if whole else Real)
+                or isinstance(value, bool)
+                or not allowed.contains(float(value))
+            ):
                 raise ParameterError(name, value, f"a {'whole ' if whole else ''}number {allowed}")

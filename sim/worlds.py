@@ -5,43 +5,38 @@ the ids 0 … n − 1, or those of `ids`, which replaces `n`. A trajectory depen
 seed gives the same numbers whatever other trajectories are simulated.
 
 The signatures here are the only declaration of the worlds' parameters: the options of `trackwright simulate…` and the
-keys of `[worlds.NAME]` in a study are made of them.
+keys of `[worlds.NAME]` in a study are made of them. What simulates is imported when a world is called, so that they
+can be listed at once.
 """
 
 from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-from jaxtyping import Int
-
-import sim.corruptions as corruptions
-from sim.agv import ANCHOR_HEIGHT, FIX_ERRORS, simulate_agv
-from sim.corruptions import Corruption
-from sim.fixes import delayed, mirrored_heights
-from sim.imu import simulate_uwb_imu
-from sim.line import simulate_line
 from sim.parameters import ParameterError, Range, checked, refuse_unknown
-from sim.ranging import antenna_biases, chamber, obstruction, simulate_ranges
-from sim.stations import simulate_phases, work_station
-from sim.tables import Simulated
-from trackers import catalogue
-from trackers.core.recording import Recording
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectory, known_height
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Int
+
+    from sim.corruptions import Corruption
+    from sim.tables import Simulated
+    from trackers.core.recording import Recording
+    from trackers.recordings.folder import RecordingFolder
+    from trackers.recordings.trajectories import Trajectory
 
 __all__ = ["WORLDS", "SimulatedWorld", "agv", "line", "ranges", "station", "tool"]
 
 Trajectories = Annotated[int, Range(1, 10**7)]
 Seed = Annotated[int, Range(0, 2**63 - 1)]
 Rows = Annotated[int, Range(1, 10**7)]
-Ids = Sequence[int] | np.ndarray | None
+Ids = Collection[int] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,6 +56,8 @@ class SimulatedWorld:
         `tracker`: a name of `trackers.catalogue`, by default the one that fits the folder. `free_height`: heights are
         estimated even where they are known. Raises UnusableInput for a tracker that lacks a table here.
         """
+        from trackers import catalogue
+
         folder = self.folder()
         name = tracker or catalogue.fitting(folder)
         batches = catalogue.spec_of(name).batches([folder], name, free_height)
@@ -99,6 +96,11 @@ def station(
         lost_station: a station (1, 2 or 3) without any measurement.
         masked_antenna: a station and one of its antennas (1 … 8) without any measurement.
     """
+    import numpy as np
+
+    from sim import corruptions
+    from sim.stations import simulate_phases, work_station
+
     rig = work_station()
     errors: dict[str, Corruption] = {}
     if gauss_markov > 0:
@@ -142,6 +144,8 @@ def line(
         speed: mean speed along the line, m/s.
         rate_hz: fixes per second.
     """
+    from sim.line import simulate_line
+
     world = simulate_line(situation, _ids(n, ids).tolist(), seed, speed=speed, rate_hz=rate_hz)
     return SimulatedWorld(f"simulated-line-{situation}-{seed}", world)
 
@@ -169,6 +173,9 @@ def ranges(
         hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
         lost: share of the ranges that are missing.
     """
+    from sim import corruptions
+    from sim.ranging import antenna_biases, chamber, obstruction, simulate_ranges
+
     errors: dict[str, Corruption] = {}
     if bias > 0:
         errors["biases"] = antenna_biases(bias)
@@ -202,6 +209,9 @@ def tool(
         rate_hz: ranges per second; the rate of IMU samples is three times as high.
         gap: start and end of a gap in the IMU's samples, s.
     """
+    from sim.imu import simulate_uwb_imu
+    from sim.ranging import chamber
+
     if gap is not None and not 0 <= gap[0] < gap[1]:
         raise ParameterError("gap", gap, "two times in seconds, the first before the second")
     ids = _ids(n, ids)
@@ -231,6 +241,10 @@ def agv(
         latency: delay of the fixes, s.
         mirror: share of the time for which heights are mirrored at the anchors' plane.
     """
+    from sim import corruptions
+    from sim.agv import ANCHOR_HEIGHT, FIX_ERRORS, simulate_agv
+    from sim.fixes import delayed, mirrored_heights
+
     # Corruptions that depend on the true path come before those that add noise.
     errors: dict[str, Corruption] = {}
     if latency > 0:
@@ -246,6 +260,8 @@ def agv(
 
 def _in_arrays(trajectory: Trajectory) -> Recording:
     """The rows of a trajectory, with the input `height` only where the rig gives the tag one."""
+    from trackers.recordings.trajectories import known_height
+
     recording = trajectory.recording
     if known_height(trajectory.folder, trajectory.tag) is not None:
         return recording
@@ -253,6 +269,8 @@ def _in_arrays(trajectory: Trajectory) -> Recording:
 
 
 def _ids(n: int, ids: Ids) -> Int[np.ndarray, " n"]:
+    import numpy as np
+
     return np.arange(n) if ids is None else np.asarray(ids)
 
 

@@ -19,11 +19,11 @@ from experiments.cli.archives.runner import run_missing
 from experiments.cli.archives.store import SCORED, TRACKED, Item, RecordingStore, content_of, digest_of
 from experiments.cli.archives.tables import Refusals, Run, gathered, read_results, write_results
 from experiments.cli.console import json_alone, output_folder, ready
-from experiments.cli.fail_if import conditions, violation
+from experiments.cli.evaluating import conditions, violation
 from experiments.cli.manifest import write_manifest
+from experiments.cli.options import EvaluateOptions, TrackOptions
 from experiments.cli.report import COMPARISON
-from experiments.cli.tracked_by import tracker_names
-from experiments.cli.tracking import Options, endings, write_shown
+from experiments.cli.tracking import endings, tracker_names, write_shown
 from experiments.jobs.environment import environment
 from experiments.jobs.portable_tracker import PortableTracker
 from experiments.pages.interactive.track_page import run_data
@@ -43,7 +43,6 @@ from trackers.evaluation.events import EVENTS
 from trackers.recordings.atomic import config_hash
 from trackers.recordings.beside import held
 from trackers.recordings.folder import RecordingFolder, read_recording, read_truth
-from trackers.recordings.selection import Selection
 from trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
 
 LISTED = 20
@@ -52,18 +51,17 @@ LISTED = 20
 
 def track_archive(
     paths: Sequence[Path],
-    force: bool,
-    options: Options,
+    options: TrackOptions,
     started: datetime,
     begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
 ) -> int:
     """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code.
 
-    `force`, `started`, `begin`, `put` as of `tracking.track_folders`. Raises UnusableInput where no recording can be
+    `options`, `started`, `begin`, `put` as of `tracking.track_folders`. Raises UnusableInput where no recording can be
     tracked.
     """
-    tracking = _tracking(options, force)
+    tracking = _tracking(options)
     store, identity = RecordingStore(output_folder(options.out), TRACKED), _identity(tracking, options)
 
     def read(item: Item) -> RecordingFolder:
@@ -86,19 +84,21 @@ def track_archive(
             tracks = counted(sum(run.endings.values()), "track")
             print(f"{run.short}: {tracks} of {counted(len(run.paths), 'recording')}: {endings(run.endings)}")
             put(_shown(run, evaluation))
-            shown = _show(run, evaluation, tracking, options, out, begin) if options.report or options.figures else []
+            shown = []
+            if not (options.no_report and options.no_figures):
+                shown = _show(run, evaluation, tracking, options, out, begin)
             extra = {"recordings": len(run.paths), "verdicts": run.endings}
-            write_manifest(out, sys.argv, options.config(run.tracker), started, chunk=CHUNK, extra=extra)
+            write_manifest(out, sys.argv, options.manifest(run.tracker), started, chunk=CHUNK, extra=extra)
             written = f"{out / TRACKS} ({counted(count, 'estimate')})"
             print(f"wrote {', '.join([written, EVENTS, EVALUATION, *shown, 'manifest.json'])}")
         tables = _compare(runs)
-        if tables and options.report:
+        if tables and not options.no_report:
             page = write_comparison(options.out / COMPARISON, [run.short for run in runs], tables, [], sys.argv)
             print(f"wrote {page}")
         return _ended("tracked", options.out, noticed, [refused[path] for path in paths if path in refused], len(paths))
 
 
-def _tracking(options: Options, force: bool) -> Tracking:
+def _tracking(options: TrackOptions) -> Tracking:
     """How each recording is tracked; raises UnusableInput for unknown trackers and an unreadable calibration."""
     of_file = None if options.tuned is None else options.tuned.tracker
     names = tracker_names(options.tracker or of_file, options.noise)
@@ -108,10 +108,10 @@ def _tracking(options: Options, force: bool) -> Tracking:
     source = "--set" if options.values else str(options.noise)
     smoothed = options.smooth or options.lag is not None
     tracker = PortableTracker("", "", options.free_height, values, source, smoothed, options.lag)
-    return Tracking(texts, tracker, options.seed, force, options.used, options.used.read_calibration())
+    return Tracking(texts, tracker, options.seed, options.force, options.used, options.used.read_calibration())
 
 
-def _identity(tracking: Tracking, options: Options) -> dict[str, Any]:
+def _identity(tracking: Tracking, options: TrackOptions) -> dict[str, Any]:
     """All that the outcome of a recording depends on, beside its content."""
     calibration = options.used.calibration
     return {
@@ -159,7 +159,9 @@ def _shown(run: Run, evaluation: Evaluation) -> dict[str, Any]:
     return {run.short: content(evaluation)}
 
 
-def _show(run: Run, evaluation: Evaluation, tracking: Tracking, options: Options, out: Path, begin: Begin) -> list[str]:
+def _show(
+    run: Run, evaluation: Evaluation, tracking: Tracking, options: TrackOptions, out: Path, begin: Begin
+) -> list[str]:
     """Writes the page and the figures of a few recordings; returns in words what was written."""
     rmse = [one["rmse_direction_rad" if evaluation.bearing else "rmse_m"] for one in evaluation.recordings]
     chosen = [evaluation.recordings[k] for k in drawn_of(np.array(rmse, float), evaluation.bearing)]
@@ -182,7 +184,7 @@ def _show(run: Run, evaluation: Evaluation, tracking: Tracking, options: Options
         [one for one in evaluation.tracks if one["recording"] in names],
     )
     tracks, page = ScoredTracks(association, folders, batches), None
-    if options.report:
+    if not options.no_report:
         known = part if association.scored.any() else None
         about = f"{run.tracker}: {spec_of(run.tracker).about}"
         page = run_data(tracks, pl.concat(events, how="diagonal"), known, about, run.short)
@@ -219,13 +221,12 @@ def _ended(verb: str, out: Path, noticed: int, refused: Sequence[Sequence[str]],
     return int(bool(refused))
 
 
-def evaluate_archive(
-    out: Path, part: Selection, every: float | None, cluster: str | None, json: bool, fail_if: str | None
-) -> int:
+def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
     """Scores the estimates of an archive again, recording by recording; returns the exit code.
 
-    Arguments as of `evaluate`. Raises UnusableInput where no recording can be scored.
+    Raises UnusableInput where no recording can be scored.
     """
+    part, fail_if = options.used.part, options.fail_if
     tracked, store = RecordingStore(out, TRACKED), RecordingStore(out, SCORED)
     known = read_results(out)
     paths = [path for path in known if (tracked.folder(path) / TRACKED).is_file()]
@@ -235,10 +236,10 @@ def evaluate_archive(
         first = tracked.folder(paths[0])
         for one in tracked.kept(first)["outcomes"]:
             conditions(fail_if, metric_names(read_tracks(first / one["short"])))
-    options = {"part": dataclasses.asdict(part), "every": every, "versions": _versions()}
+    settings = {"part": dataclasses.asdict(part), "every": part.every, "versions": _versions()}
 
     def identity(path: Path) -> dict[str, Any]:
-        return {"tracked": digest_of(tracked.folder(path) / TRACKED).hex(), **options}
+        return {"tracked": digest_of(tracked.folder(path) / TRACKED).hex(), **settings}
 
     def read(item: Item) -> tuple[list[tuple[dict[str, Any], pl.DataFrame]], list[str], RecordingFolder]:
         kept = tracked.kept(item.folder)
@@ -246,9 +247,9 @@ def evaluate_archive(
         tables = [(one, read_tracks(item.folder / one["short"])) for one in about]
         return tables, kept["notices"], read_truth(item.path)
 
-    with held(out), json_alone(json) as put, stages("evaluate") as begin:
+    with held(out), json_alone(options.json) as put, stages("evaluate") as begin:
         items, advance = _items(store, paths, identity), begin("scoring", len(paths))
-        done, refused = run_missing(store, items, read, Scoring(part, every), cluster, advance)
+        done, refused = run_missing(store, items, read, Scoring(part, part.every), options.cluster, advance)
         if not done:
             raise _none_usable("evaluated", paths, refused)
         # What could not be tracked keeps its line, but is no failure of this command.

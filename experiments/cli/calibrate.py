@@ -5,13 +5,11 @@ from __future__ import annotations
 import sys
 import tomllib
 
-from experiments.cli.arguments import File, Folders
-from experiments.cli.console import json_alone, output_folder, read_with_notices
+from experiments.cli.options import File, Recording
 from trackers.core.errors import UnusableInput
-from trackers.recordings.calibration_file import write_calibration
 
 
-def calibrate_recordings(recordings: Folders, *, out: File, json: bool = False) -> int:
+def calibrate_recordings(*recordings: Recording, out: File, json: bool = False) -> int:
     """Fit systematic errors of stations and anchors against truth.
 
     Writes a file for `--calibration` of other commands, and beside it a page with figures. Recordings to be tracked or
@@ -24,14 +22,16 @@ def calibrate_recordings(recordings: Folders, *, out: File, json: bool = False) 
     """
     if out.suffix != ".toml" or out.is_dir():
         raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give calibration.toml in a folder")
+    from experiments.cli.console import json_alone, output_folder, read_with_notices
+
     folders = read_with_notices(recordings)
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
+    from experiments.pages.reports.calibration import draw_report, report_on, report_text, write_calibration_report
+    from trackers.recordings.calibration_file import write_calibration
     from tuning.calibrating import calibrate
 
     calibration = calibrate(folders)
     output_folder(out.parent)
-    from experiments.pages.reports.calibration import draw_report, report_on, report_text, write_calibration_report
-
     report = report_on(calibration, folders)
     write_calibration(calibration, out)
     drawn = draw_report(out, calibration, report)

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from experiments.cli.arguments import Folders
-from trackers.core.errors import UnusableInput, printable
-from trackers.recordings.atomic import json_text
-from trackers.recordings.checks import check as check_recording
-from trackers.recordings.checks import format_results
-from trackers.recordings.folder import read_recording
+from experiments.cli.options import Recording
+from trackers.core.errors import printable
 
 
-def check(recordings: Folders, *, json: bool = False) -> int:
+def check(*recordings: Recording, json: bool = False) -> int:
     """Check the data: time base, gaps, outliers, ids, units, geometry.
 
     Truth is checked too, if there is any.
@@ -23,8 +19,11 @@ def check(recordings: Folders, *, json: bool = False) -> int:
         recordings: recording folders (rig.toml and tables).
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
-    if not recordings:
-        raise UnusableInput("no recording given; expected one or more recording folders")
+    from trackers.recordings.atomic import json_text
+    from trackers.recordings.checks import check as check_recording
+    from trackers.recordings.checks import format_results
+    from trackers.recordings.folder import read_recording
+
     failed, found = False, {}
     for path in recordings:
         results = check_recording(read_recording(path))

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from experiments.cli.arguments import File
+from experiments.cli.options import ReadingOptions, require_output
 from experiments.text.terminal import notice
-from trackers.core.errors import UnusableInput, has_control, listed
+from trackers.core.errors import UnusableInput, listed
 from trackers.recordings.atomic import json_text
 from trackers.recordings.calibration import Calibration
-from trackers.recordings.calibration_file import identity, read_calibration
-from trackers.recordings.folder import RecordingFolder, read_recordings
-from trackers.recordings.selection import Selection
+from trackers.recordings.calibration_file import identity
+from trackers.recordings.checks import quick_check
+from trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, refuse_repeated
 
 
 @contextmanager
@@ -33,54 +31,39 @@ def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
         print(json_text(result), end="")
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReadingOptions:
-    """The options of `track`, `tune` and `sweep` on the readings that are used, and on their calibration.
+def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> tuple[list[RecordingFolder], list[str]]:
+    """The recordings that can be tracked, and a line for each other one; with `force` those with errors, too.
 
-    Raises UnusableInput for times that name no part of a recording.
+    `calibrated`: systematic errors against truth are no mistakes, since a calibration removes them.
 
-    Args:
-        calibration: a calibration.toml of `trackwright calibrate`, of other recordings of these stations or anchors.
-        tag: these tags alone.
-        from_: readings from this time on.
-        to: readings up to this time.
-        every: only the last reading of each tag and anchor or station in every so many seconds.
-        average: mean of the ranges, fixes or bearings of each tag and anchor or station over so many seconds; 0:
-            every reading; default: 0.5 for bearings that repeat.
+    Raises UnusableInput as `read_recordings`, and where no recording can be tracked.
     """
-
-    calibration: File | None = None
-    tag: Annotated[tuple[str, ...], "TAG"] = ()
-    from_: Annotated[float | None, "S"] = None
-    to: Annotated[float | None, "S"] = None
-    every: Annotated[float | None, "S"] = None
-    average: Annotated[float | None, "S"] = None
-
-    def __post_init__(self) -> None:
-        _ = self.part
-        if self.average is not None and not 0 <= self.average < math.inf:
-            raise UnusableInput(f"--average {self.average:g}: expected seconds above zero, or 0 for every reading")
-
-    @property
-    def part(self) -> Selection:
-        """The part of each recording."""
-        return selection(self.tag, self.from_, self.to, self.every)
-
-    def read_calibration(self) -> Calibration | None:
-        """The calibration, None without; raises UnusableInput as `read_calibration`."""
-        return None if self.calibration is None else read_calibration(self.calibration)
+    refused: list[str] = []
+    usable = []
+    for recording in read_recordings(paths, refused):
+        try:
+            for line in errors_of(recording, force, calibrated):
+                notice(f"notice: {line}")
+        except UnusableInput as problem:
+            refused.append(str(problem))
+            continue
+        usable.append(recording)
+    if not usable:
+        for line in refused[1:]:
+            notice(f"not tracked: {line}")
+        raise UnusableInput(refused[0])
+    return usable, refused
 
 
-def selection(tag: Sequence[str], start: float | None, stop: float | None, every: float | None) -> Selection:
-    """The part of recordings that `--tag`, `--from`, `--to` and `--every` name; raises UnusableInput."""
-    for option, value in (("--from", start), ("--to", stop)):
-        if value is not None and not math.isfinite(value):
-            raise UnusableInput(f"{option} {value:.12g}: expected seconds, a time of the recording")
-    if start is not None and stop is not None and start >= stop:
-        raise UnusableInput(f"--from {start:.12g} --to {stop:.12g}: expected the first below the second")
-    if every is not None and not 0 < every < math.inf:
-        raise UnusableInput(f"--every {every:g}: expected seconds above zero")
-    return Selection(tuple(tag), start, stop, every)
+def errors_of(recording: RecordingFolder, force: bool, calibrated: bool) -> list[str]:
+    """A line for each mistake of `quick_check`; raises UnusableInput for errors without `force`."""
+    found = quick_check(recording, not calibrated)
+    lines = [f"{recording.path}: {one.where}: {one.message}" for one in found]
+    errors = [line for line, one in zip(lines, found, strict=True) if one.level == "error"]
+    if errors and not force:
+        more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
+        raise UnusableInput(f"{errors[0]}{more}; --force tracks it as it is")
+    return lines
 
 
 def read_with_notices(paths: Sequence[Path], used: ReadingOptions | None = None) -> list[RecordingFolder]:
@@ -145,13 +128,27 @@ def output_folder(path: Path) -> Path:
     return path
 
 
-def require_output(path: Path) -> None:
-    """Raises UnusableInput for a folder that takes no results: a recording, a file, or the root of the file system."""
-    if (path / "rig.toml").exists():
-        raise UnusableInput(f"--out {path}: is a recording folder; expected a folder for results; choose another")
-    if path.resolve() == Path(path.resolve().anchor):
-        raise UnusableInput(f"--out {path}: is the root of the file system; choose another folder")
-    if has_control(str(path)):
-        raise UnusableInput(f"--out {path}: has a control character or bytes that are no UTF-8; choose another folder")
-    if path.is_file():
-        raise UnusableInput(f"--out {path}: is a file; expected a folder for results; choose another folder")
+class FoldersInTurn(Sequence[RecordingFolder]):
+    """Recordings that are read whenever they are asked for, and kept by nobody here; notices are printed once."""
+
+    def __init__(self, paths: Sequence[Path], used: ReadingOptions) -> None:
+        refuse_repeated(paths)
+        self.paths, self.used, self.numbers = paths, used, dict[str, int]()
+        self.calibration = used.read_calibration()
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, which: Any) -> Any:
+        if isinstance(which, slice):
+            return [self[k] for k in range(len(self))[which]]
+        number = range(len(self))[which]
+        folder, lines = ready(read_recording(self.paths[number]), self.used, self.calibration)
+        for line in () if number in self.numbers.values() else lines:
+            notice(f"notice: {line}")
+        self.numbers[folder.name] = number
+        return folder
+
+    def named(self, names: Iterable[str]) -> list[RecordingFolder]:
+        """The recordings of these names, which were read before."""
+        return [self[self.numbers[name]] for name in names]

@@ -4,28 +4,25 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import polars as pl
+from cyclopts import Parameter
 
-from experiments.cli.arguments import Folder
-from experiments.text.terminal import notice
 from trackers.core.errors import UnusableInput, listed
-from trackers.core.rig import Rig
-from trackers.core.wording import counted
-from trackers.exchange.exported_tracks import ExportedTrack, tracks_of
-from trackers.exchange.rerun_writer import write_rrd
-from trackers.exchange.ros_writer import write_bag
-from trackers.exchange.trajectory_files import write_trajectory
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.folder import RecordingFolder, read_recording
-from trackers.recordings.rig_file import RIG_FILE
-from trackers.recordings.tracks_table import read_tracks, source_paths
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from trackers.core.rig import Rig
+    from trackers.exchange.exported_tracks import ExportedTrack
+    from trackers.recordings.folder import RecordingFolder
 
 Format = Literal["tum", "kitti", "csv", "ros2", "rrd"]
 
 
-def export(run: Folder, *, format: Format, out: Path, tag: str | None = None) -> int:
+def export(
+    run: Path, /, *, format: Format, out: Annotated[Path, Parameter(metavar="PATH")], tag: str | None = None
+) -> int:
     """Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun.
 
     csv has every column of tracks.parquet; ros2 and rrd have the covariances of the positions. tum and kitti have
@@ -37,6 +34,15 @@ def export(run: Folder, *, format: Format, out: Path, tag: str | None = None) ->
         out: the file; of several tracks in tum or kitti, and for ros2, a new folder.
         tag: this tag alone.
     """
+    import polars as pl
+
+    from trackers.core.wording import counted
+    from trackers.exchange.exported_tracks import tracks_of
+    from trackers.exchange.rerun_writer import write_rrd
+    from trackers.exchange.ros_writer import write_bag
+    from trackers.exchange.trajectory_files import write_trajectory
+    from trackers.recordings.atomic import atomic_write
+
     table, rigs, truths = _table(run, format)
     if tag is not None:
         known = sorted(table["tag"].cast(pl.String).unique())
@@ -65,6 +71,10 @@ def export(run: Folder, *, format: Format, out: Path, tag: str | None = None) ->
 
 def _table(run: Path, format: Format) -> tuple[pl.DataFrame, dict[str, Rig], list[pl.DataFrame]]:
     """The table to export, and for the viewer the rigs and truths of the tracked recordings."""
+    from trackers.recordings.folder import read_recording
+    from trackers.recordings.rig_file import RIG_FILE
+    from trackers.recordings.tracks_table import read_tracks
+
     if not (run / RIG_FILE).is_file():
         known = _recordings(run) if format == "rrd" else []
         truths = [_truth(folder) for folder in known if "truth" in folder.tables]
@@ -78,6 +88,8 @@ def _table(run: Path, format: Format) -> tuple[pl.DataFrame, dict[str, Rig], lis
 
 
 def _truth(folder: RecordingFolder) -> pl.DataFrame:
+    import polars as pl
+
     return folder.tables["truth"].with_columns(recording=pl.lit(folder.name))
 
 
@@ -97,6 +109,10 @@ def _new(out: Path) -> None:
 
 def _recordings(run: Path) -> list[RecordingFolder]:
     """The tracked recordings; a notice for each that cannot be read any more."""
+    from experiments.text.terminal import notice
+    from trackers.recordings.folder import read_recording
+    from trackers.recordings.tracks_table import source_paths
+
     found = []
     for path in source_paths(run):
         try:

@@ -4,43 +4,43 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from experiments.cli.arguments import File, Folder
-from experiments.text.terminal import notice
+from cyclopts import Parameter
+
+from experiments.cli.options import File, Folder, Seconds
 from trackers.core.errors import UnusableInput
-from trackers.core.seconds import moment
-from trackers.core.wording import counted
-from trackers.exchange.imported import assembled, save
-from trackers.exchange.mapping import TableMapping, columns_of, read_mapping
-from trackers.exchange.origin import origin_of, since
-from trackers.exchange.sources import SourceKind, read_source, source_kind
-from trackers.exchange.truth_frame import found_placement, parsed_placement
-from trackers.recordings.folder import RecordingFolder, read_recording
-from trackers.recordings.rig_file import RIG_FILE, read_rig
+
+if TYPE_CHECKING:
+    from trackers.exchange.mapping import TableMapping
+    from trackers.recordings.folder import RecordingFolder
+
+SourceKind = Literal["csv", "tum", "kitti", "euroc", "ros", "dwm1001", "trek1000"]
+"""As `trackers.exchange.sources.SourceKind`, which takes longer to import."""
 
 Table = Literal["ranges", "fixes", "bearings", "phases", "imu", "truth"]
 
 
 def import_source(
-    source: Annotated[Path, "FILE"],
+    source: Path,
+    /,
     *,
     out: Folder,
     table: Table | None = None,
-    columns: Annotated[tuple[str, ...], "TARGET=COLUMN"] = (),
+    columns: tuple[Annotated[str, Parameter(metavar="TARGET=COLUMN")], ...] = (),
     mapping: File | None = None,
-    topic: Annotated[str | None, "TOPIC"] = None,
-    tag: Annotated[str | None, "TAG"] = None,
+    topic: str | None = None,
+    tag: str | None = None,
     rig: File | None = None,
     format: SourceKind | None = None,
-    separator: Annotated[str | None, "CHARACTER"] = None,
+    separator: str | None = None,
     decimal: Literal[".", ","] = ".",
-    origin: Annotated[str | None, "start|S|DATE"] = None,
-    transform: Annotated[str | None, "X,Y,Z,YAW,S"] = None,
+    origin: Annotated[str, Parameter(metavar="start|S|DATE")] | None = None,
+    transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
     align_truth: bool = False,
-    interval: Annotated[float | None, "S"] = None,
+    interval: Seconds | None = None,
     skip_bad_lines: bool = False,
-    messages: Annotated[tuple[Path, ...], "FILE"] = (),
+    messages: tuple[File, ...] = (),
 ) -> int:
     """Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
 
@@ -71,6 +71,16 @@ def import_source(
         skip_bad_lines: leave lines of a log that are not understood out, and count them.
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
     """
+    from experiments.text.terminal import notice
+    from trackers.core.seconds import moment
+    from trackers.core.wording import counted
+    from trackers.exchange.imported import assembled, save
+    from trackers.exchange.mapping import TableMapping, columns_of
+    from trackers.exchange.origin import origin_of, since
+    from trackers.exchange.sources import read_source, source_kind
+    from trackers.recordings.folder import read_recording
+    from trackers.recordings.rig_file import RIG_FILE, read_rig
+
     kind = format or source_kind(source)
     notice(f"{source}: read as {kind}" + ("" if format else "; another format: --format"))
     given = TableMapping(table or "", columns_of(columns), topic, tag, separator, decimal)
@@ -107,6 +117,8 @@ def import_source(
 
 def _mappings(source: Path, kind: SourceKind, given: TableMapping, file: Path | None) -> list[TableMapping]:
     """The mappings of the tables of a source, by the options `given` or by the file of --mapping."""
+    from trackers.exchange.mapping import read_mapping
+
     plain = not given.columns and given.topic is None and given.separator is None and given.decimal == "."
     if file is not None:
         if kind in ("dwm1001", "trek1000"):
@@ -129,6 +141,9 @@ def _mappings(source: Path, kind: SourceKind, given: TableMapping, file: Path | 
 
 def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, transform: str | None) -> RecordingFolder:
     """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it."""
+    from experiments.text.terminal import notice
+    from trackers.exchange.truth_frame import found_placement, parsed_placement
+
     truth = folder.tables.get("truth")
     if truth is None:
         raise UnusableInput("--transform and --align-truth: move a truth; expected --table truth")

@@ -2,45 +2,28 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import sys
+import unicodedata
 from collections.abc import Callable
-from importlib import import_module
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from experiments.cli.runtime import set_flags
-from experiments.cli.summaries import COMMANDS, FAMILIES
 
-FUNCTIONS = {
-    "plan": "cli.plan:plan",
-    "import": "cli.import_source:import_source",
-    "check": "cli.check:check",
-    "calibrate": "cli.calibrate:calibrate_recordings",
-    "track": "cli.track:track",
-    "evaluate": "cli.evaluate:evaluate_tracks",
-    "export": "cli.export:export",
-    "report": "cli.report:report",
-    "tune": "cli.tune:tune",
-    "sweep": "cli.sweep:sweep",
-    "trackers": "cli.trackers:trackers",
-    "tunables": "cli.trackers:tunables",
-    "simulate station": "cli.simulate:station",
-    "simulate line": "cli.simulate:line",
-    "simulate ranges": "cli.simulate:ranges",
-    "simulate tool": "cli.simulate:tool",
-    "simulate agv": "cli.simulate:agv",
-    "study": "cli.study:study",
-    "truth": "cli.truth:truth",
-    "verify": "lab.verify.command:verify",
-    "demo": "lab.demo:demo",
-    "completion": "cli.completion:completion",
-}
-"""The function of each command and its module in `experiments`, which is imported for that command alone.
+if TYPE_CHECKING:
+    from cyclopts import App
 
-A new command is a line here and one in `summaries.COMMANDS`; its function's signature and docstring are its options and
-help (`arguments.py`).
-"""
+# Our own modules and cyclopts are imported in functions, so that Ctrl-C is answered in a line from the beginning.
+
+PLAIN = {
+    "─": "-", "━": "-", "│": "|", "–": "-", "—": "-", "−": "-", "×": "x", "·": "*", "±": "+-", "→": "->", "≤": "<=",
+    "≥": ">=", "≈": "~", "°": " deg", "√": "sqrt", "‘": "'", "’": "'", "“": '"', "”": '"', "Δ": "Delta", "α": "alpha",
+    "β": "beta", "λ": "lambda", "μ": "mu", "µ": "u", "π": "pi", "ρ": "rho", "σ": "sigma", "τ": "tau", "χ": "chi",
+    "ω": "omega",
+}  # fmt: skip
+"""Plain text for characters that an encoding may lack and that have no decomposition into ASCII ones."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """Errors of a standard output that takes no more."""
@@ -48,8 +31,9 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 def main() -> None:
     """Run one command. Exit code 0, 1 (a check failed) or 2 (unusable input, one line on standard error)."""
-    plain_streams()
     try:
+        plain_streams()
+        set_flags()
         code = _run(sys.argv[1:])
         sys.stdout.flush()
     except KeyboardInterrupt:
@@ -75,38 +59,55 @@ def _discard_output() -> None:
 
 def plain_streams() -> None:
     """Characters that the encoding of a stream lacks, as that of a Windows pipe, are written as plain ones."""
-    from experiments.cli.plain_text import ERRORS
-
+    codecs.register_error("trackwright-plain", _plain)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors=ERRORS)
+            stream.reconfigure(errors="trackwright-plain")
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = "".join(map(_of_one, error.object[error.start : error.end]))
+    return text, error.end
+
+
+def _of_one(character: str) -> str:
+    found = PLAIN.get(character) or unicodedata.normalize("NFKD", character)
+    return "".join(x for x in found if x.isascii()) or "?"
 
 
 def _run(words: list[str]) -> int:
-    set_flags()
-    from experiments.cli.arguments import parse
+    from experiments.cli.commands import COMMANDS, application
     from trackers.core.errors import UnusableInput
 
     try:
-        command, rest = command_of([word for word in words if word not in SWITCHES])
-        for word in words:
-            SWITCHES.get(word, lambda: None)()
-        helped = help_of(command, rest)
-        if helped is not None:
-            print(helped, end="")
-            return 0
-        function = function_of(command)
-        positional, options = parse(function, command, rest)
-        code: int | None = function(*positional, **options)
+        app = application()
+        if not {*words[:1]} & {*COMMANDS}:
+            # The list of commands has the first lines of their docstrings.
+            app.resolved_commands()
+        return _answered(app.meta, words, "trackwright")
     except UnusableInput as problem:
         print(f"trackwright: {problem}", file=sys.stderr)
-        code = 2
+        return 2
     except Exception:
         if not _lacks_device():
             raise
         asked = os.environ.get("JAX_PLATFORMS", "")
         print(f"trackwright: JAX_PLATFORMS={asked}: no such device here; leave it unset, or cpu", file=sys.stderr)
-        code = 2
+        return 2
+
+
+def _answered(app: App, words: list[str], program: str) -> int:
+    """The exit code of the program for these words; raises UnusableInput where it does not take them."""
+    from cyclopts import CycloptsError
+
+    from experiments.cli.arguments import refusal
+
+    try:
+        code: int | None = app(words)
+    except CycloptsError as error:
+        raise refusal(error, program) from error
     return code or 0
 
 
@@ -120,82 +121,15 @@ def _lacks_device() -> bool:
         return True
 
 
-def _without_cache() -> None:
-    os.environ["TRACKWRIGHT_CACHE"] = "off"
-
-
-def _quietly() -> None:
-    from experiments.text.terminal import ERRORS
-
-    ERRORS.quiet = True
-
-
-SWITCHES: dict[str, Callable[[], None]] = {"--no-cache": _without_cache, "--quiet": _quietly, "-q": _quietly}
-"""Options of the program, which may stand anywhere."""
-
-HELP, VERSION = ("-h", "--help"), ("-V", "--version")
-
-
-def command_of(words: list[str]) -> tuple[str, list[str]]:
-    """The command that the words begin with, and the rest; empty where they begin with none.
-
-    Raises UnusableInput for an unknown command.
-    """
-    if not words or words[0] in (*HELP, *VERSION):
-        return "", words
-    first, *rest = words
-    if first in FAMILIES:
-        if not rest or rest[0] in HELP:
-            return first, [HELP[1]]
-        first, rest = f"{first} {rest[0]}", rest[1:]
-    if first not in FUNCTIONS:
-        from trackers.core.errors import UnusableInput, near
-
-        family, _, word = first.partition(" ")
-        own = [name.partition(" ")[2] for name in FUNCTIONS if name.startswith(f"{family} ")]
-        if own:
-            raise UnusableInput(f"no command {first}{near(word, own)}; expected {', '.join(own[:-1])} or {own[-1]}")
-        raise UnusableInput(f"no command {first}{near(first, FUNCTIONS)}; `trackwright --help` lists them")
-    return first, rest
-
-
-def help_of(command: str, words: list[str]) -> str | None:
-    """The version or the help that the words ask for; None where they ask for neither."""
-    from experiments.cli.help_text import command_help, family_help, program_help
-
-    if not command and words and words[0] in VERSION:
-        from trackwright import __version__
-
-        return f"trackwright {__version__}\n"
-    if not command:
-        return program_help(COMMANDS, FAMILIES)
-    if not {*HELP} & {*words}:
-        return None
-    if command in FAMILIES:
-        return family_help(command, COMMANDS, FAMILIES[command])
-    return command_help(function_of(command), f"trackwright {command}")
-
-
-def function_of(command: str) -> Callable[..., Any]:
-    """The function of a command, imported."""
-    module, _, name = FUNCTIONS[command].partition(":")
-    function: Callable[..., Any] = getattr(import_module(f"experiments.{module}"), name)
-    return function
-
-
 def run_alone(function: Callable[..., Any], program: str) -> NoReturn:
     """Run a function as a program of its own, as `python -m experiments.lab.bench`; exits with its code, or 2."""
-    from experiments.cli.arguments import parse
-    from experiments.cli.help_text import command_help
+    from experiments.cli.arguments import new_app
     from trackers.core.errors import UnusableInput
 
-    words = sys.argv[1:]
-    if {*HELP} & {*words}:
-        print(command_help(function, program), end="")
-        sys.exit(0)
+    app = new_app(program)
+    app.default(function)
     try:
-        positional, named = parse(function, program, words)
-        sys.exit(function(*positional, **named))
+        sys.exit(_answered(app, sys.argv[1:], program))
     except UnusableInput as problem:
         print(problem, file=sys.stderr)
         sys.exit(2)

@@ -6,17 +6,15 @@ import math
 import sys
 from pathlib import Path
 
-from experiments.cli.arguments import FigureFormat, Folder
-from experiments.cli.console import json_alone, output_folder
-from experiments.text.terminal import notice
+from experiments.cli.options import FigureFormat, Folder
 from trackers.core.errors import UnusableInput
-from trackers.recordings.rig_file import RIG_FILE, read_rig
 
 HEIGHT = 1.2
 
 
 def plan(
     rig: Path,
+    /,
     *,
     out: Folder,
     height: float | None = None,
@@ -50,6 +48,10 @@ def plan(
         raise UnusableInput(f"--place {place}: expected a number of anchors from 0 to 8")
     if height is not None and not math.isfinite(height):
         raise UnusableInput(f"--height {height:g}: expected a height in metres")
+    from experiments.cli.console import json_alone, output_folder
+    from experiments.text.terminal import notice
+    from trackers.recordings.rig_file import RIG_FILE, read_rig
+
     geometry, notices = read_rig(rig / RIG_FILE if rig.is_dir() else rig)
     for text in notices:
         notice(f"notice: {rig}: {text}")

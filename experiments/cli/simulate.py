@@ -7,16 +7,16 @@ import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
-from experiments.cli.arguments import Folder
-from experiments.cli.manifest import write_manifest
+from experiments.cli.arguments import new_app
+from experiments.cli.options import Folder
 from sim import worlds
 from sim.parameters import ParameterError
-from sim.worlds import SimulatedWorld
 from trackers.core.errors import UnusableInput
-from trackers.core.wording import counted
-from trackers.recordings.folder import write_recording
+
+if TYPE_CHECKING:
+    from sim.worlds import SimulatedWorld
 
 COMMON = """
         out: the folder to write; it must not exist or be empty.
@@ -28,8 +28,13 @@ COMMON = """
 def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
     """The command of a world: its parameters as options, and `--out`."""
 
-    def simulate(out: Path, **numbers: Any) -> int:
+    def simulate(out: Path, **given: Any) -> int:
+        numbers = {p.name: given.get(p.name, p.default) for p in options[1:]}
         started = datetime.now(UTC)
+        from experiments.cli.manifest import write_manifest
+        from trackers.core.wording import counted
+        from trackers.recordings.folder import write_recording
+
         try:
             folder = world(**numbers).folder()
         except ParameterError as error:
@@ -41,11 +46,12 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
         print(f"wrote {out}: {counted(len(folder.rig.tags), 'tag')}, {sizes}")
         return 0
 
-    hints = get_type_hints(world, include_extras=True)
-    signature = inspect.signature(world)
+    signature, hints = inspect.signature(world), get_type_hints(world, include_extras=True)
     keyword = inspect.Parameter.KEYWORD_ONLY
-    options = [p.replace(kind=keyword, annotation=hints[p.name]) for p in signature.parameters.values()]
-    options = [inspect.Parameter("out", keyword, annotation=Folder), *(p for p in options if p.name != "ids")]
+    options = [
+        p.replace(kind=keyword, annotation=hints[name]) for name, p in signature.parameters.items() if name != "ids"
+    ]
+    options.insert(0, inspect.Parameter("out", keyword, annotation=Folder))
     simulate.__signature__ = signature.replace(parameters=options, return_annotation=int)  # type: ignore[attr-defined]
     simulate.__annotations__ = {p.name: p.annotation for p in options} | {"return": int}
     summary, _, arguments = (world.__doc__ or "").partition("\n")
@@ -61,6 +67,6 @@ def _refusal(error: ParameterError) -> str:
     return f"--{error.name.replace('_', '-')} {' '.join(map(str, words))}: expected {error.expected}"
 
 
-station, line, ranges, tool, agv = (
-    command(world) for world in (worlds.station, worlds.line, worlds.ranges, worlds.tool, worlds.agv)
-)
+simulate = new_app("simulate", "Simulate a recording with truth: station, line, ranges, tool, agv.")
+for _world in (worlds.station, worlds.line, worlds.ranges, worlds.tool, worlds.agv):
+    simulate.command(command(_world), name=_world.__name__, sort_key=len(simulate._commands))

@@ -10,38 +10,23 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-from experiments.cli.arguments import FigureFormat, Folder
-from experiments.cli.console import output_folder, require_output
-from experiments.cli.manifest import write_manifest
-from experiments.cli.runtime import keep_programs
-from experiments.jobs.executors import cluster_executor
-from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
-from experiments.monte_carlo.declaration import checked
-from experiments.monte_carlo.runner import StopRule, run_study
-from experiments.monte_carlo.sources import available_studies, load_study
-from experiments.pages.plots.study import write_charts
-from experiments.pages.reports.study import study_charts, write_study_report
-from experiments.pages.reports.study_text import study_names, to_json, to_text
-from experiments.text.terminal import notice, progress
-from experiments.text.wording import figures_drawn
-from trackers.core.chunks import n_workers
+from cyclopts import Parameter
+
+from experiments.cli.options import Address, FigureFormat, Folder, require_output
 from trackers.core.errors import UnusableInput
-from trackers.core.wording import counted
-from trackers.recordings.atomic import atomic_write
 
 MERGE = "merge"
 RESULTS = "results.json"
 
 
 def study(
-    what: Annotated[tuple[str, ...], "STUDY"] = (),
-    *,
+    *what: Annotated[str, Parameter(name="STUDY")],
     out: Folder | None = None,
     runs: int | None = None,
     seed: int | None = None,
-    until: str | None = None,
-    shard: str = "1/1",
-    cluster: str | None = None,
+    until: Annotated[str, Parameter(metavar="METRIC±WIDTH")] | None = None,
+    shard: Annotated[str, Parameter(metavar="I/N")] = "1/1",
+    cluster: Address | None = None,
     list: bool = False,
     no_figures: bool = False,
     no_report: bool = False,
@@ -68,6 +53,23 @@ def study(
     """
     if out is not None:
         require_output(out)
+    from experiments.cli.console import output_folder
+    from experiments.cli.manifest import write_manifest
+    from experiments.cli.runtime import keep_programs
+    from experiments.jobs.executors import cluster_executor
+    from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
+    from experiments.monte_carlo.declaration import checked
+    from experiments.monte_carlo.runner import StopRule, run_study
+    from experiments.monte_carlo.sources import available_studies, load_study
+    from experiments.pages.plots.study import write_charts
+    from experiments.pages.reports.study import study_charts, write_study_report
+    from experiments.pages.reports.study_text import study_names, to_json, to_text
+    from experiments.text.terminal import notice, progress
+    from experiments.text.wording import figures_drawn
+    from trackers.core.chunks import n_workers
+    from trackers.core.wording import counted
+    from trackers.recordings.atomic import atomic_write
+
     if list:
         print(study_names([load_study(name) for name in available_studies()]))
         return 0

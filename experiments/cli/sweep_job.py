@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,8 @@ import polars as pl
 
 from experiments.cli.console import output_folder
 from experiments.cli.manifest import write_manifest
-from experiments.cli.tuning_options import tracker_for_folders
+from experiments.cli.options import SweepOptions
+from experiments.cli.tuning_job import tracker_for_folders
 from experiments.pages.plots.objective import sweep_plot
 from experiments.text.terminal import Begin
 from trackers.core.errors import UnusableInput
@@ -23,52 +24,43 @@ from trackers.recordings.folder import RecordingFolder
 from tuning.data import fit_data
 from tuning.problem import is_stochastic
 from tuning.sweeping import Sweep, grid_vectors, sweep, swept_parameters
-from tuning.tuned_file import Tuned
 
 
 def sweep_folders(
     folders: Sequence[RecordingFolder],
     recordings: Sequence[Path],
-    out: Path,
-    grids: Mapping[str, np.ndarray],
-    options: Mapping[str, Any],
-    tuned: Tuned | None,
-    values: Mapping[str, Any],
+    options: SweepOptions,
     started: datetime,
     clock: float,
     begin: Begin,
-    format: str,
 ) -> dict[str, Any]:
     """Evaluates the objective on the grid, writes all files and prints the best point; returns it and the counts.
 
-    `tuned`: the content of the noise file. `values`: by tunable or pattern. `started`, `clock`: when the command
-    began. `begin`: of a stage. `format`: of the figure, its ending.
+    `started`, `clock`: when the command began. `begin`: of a stage.
     """
-    objective, repeats, path = options["objective"], options["repeats"], options["path"]
-    free_height = options["free_height"]
-    named = tracker_for_folders(folders, options["tracker"], options["noise"], tuned, values, free_height)
+    objective, grids, out = options.objective, options.grids, options.out
+    named = tracker_for_folders(folders, options)
     group = named.only_batch(folders)
     model = group.tracker
-    data = fit_data(group, objective, (), options["piece_rows"], options["dimensions"], options["weigh"])
+    data = fit_data(group, objective, (), options.piece_rows, options.dimensions, options.weigh)
     try:
         parameters = swept_parameters(model, list(grids))
         points = grid_vectors(parameters, list(grids.values()))
     except ValueError as error:
-        raise UnusableInput(f"--over {' --over '.join(options['over'])}: {_with_hint(str(error))}") from error
-    traces = [] if path is None else _traces(path, [p.label for p in parameters])
+        raise UnusableInput(f"--over {' --over '.join(options.over)}: {_with_hint(str(error))}") from error
+    traces = [] if options.path is None else _traces(options.path, [p.label for p in parameters])
     output_folder(out)
-    runs = repeats if is_stochastic(model) else 1
+    runs = options.repeats if is_stochastic(model) else 1
     advance = begin("grid point", len(points) * runs)
-    swept = sweep(model, data.rows(), data.objective, grids, repeats, report=advance, weights=data.weights())
+    swept = sweep(model, data.rows(), data.objective, grids, options.repeats, report=advance, weights=data.weights())
     begin("figure")
     seconds = time.perf_counter() - clock
     if not np.isfinite(swept.mean).any():
         raise UnusableInput("the objective is not finite at any grid point; run `trackwright check` on the recordings")
     _write(out / "sweep.csv", swept, objective)
     unit = "rad" if group.trajectories[0].station else "m"
-    drawn = out / f"sweep.{format}"
+    drawn = out / f"sweep.{options.format}"
     sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective, traces)
-    config = {**options} | {"tracker": named.name}
     found = {
         "best": swept.best,
         "least": float(swept.mean[swept.best_index]),
@@ -76,7 +68,7 @@ def sweep_folders(
         "seconds": seconds,
     }
     extra = {"recordings": [str(p) for p in recordings]} | found
-    write_manifest(out, sys.argv, config, started, extra=extra)
+    write_manifest(out, sys.argv, options.config() | {"tracker": named.name}, started, extra=extra)
     print(_summary(swept, objective, unit if objective == "rmse" else "", seconds))
     print(f"wrote {out / 'sweep.csv'}, {drawn.name} and manifest.json")
     return found

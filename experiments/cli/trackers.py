@@ -5,16 +5,12 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from experiments.cli.arguments import File, Folder
-from experiments.cli.console import read_with_notices
-from experiments.cli.summaries import TRACKERS
-from experiments.text.tables import terminal_width
-from experiments.text.terminal import notice
+from experiments.cli.arguments import rows
+from experiments.cli.options import File, Tracker
 from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import json_text
-from tuning.tuned_file import read_tuned
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,18 +28,18 @@ def trackers(*, json: bool = False) -> int:
     Args:
         json: print JSON instead of lines.
     """
-    if json:
-        print(json_text(TRACKERS), end="")
-        return 0
-    from experiments.cli.help_text import rows
+    from trackers.catalogue import TRACKERS
+    from trackers.recordings.atomic import json_text
 
-    print("\n".join(rows(TRACKERS.items(), 29)))
+    listed = {name: f"{spec.about} ({spec.table})" for name, spec in TRACKERS.items()}
+    print(json_text(listed) if json else "\n".join([*rows(listed.items(), 29), ""]), end="")
     return 0
 
 
 def tunables(
-    tracker: Annotated[str, "TRACKER"],
-    folder: Folder | None = None,
+    tracker: Tracker,
+    folder: Path | None = None,
+    /,
     *,
     noise: File | None = None,
     free_height: bool = False,
@@ -60,6 +56,12 @@ def tunables(
         free_height: the tracker that estimates the height of tags whose height the rig gives.
         json: print JSON instead of a table.
     """
+    from experiments.cli.console import read_with_notices
+    from experiments.text.tables import terminal_width
+    from experiments.text.terminal import notice
+    from trackers.recordings.atomic import json_text
+    from tuning.tuned_file import read_tuned
+
     tuned = None if noise is None else read_tuned(noise)
     folders = [] if folder is None else read_with_notices((folder,))
     # jax takes a second to import, which the help and a refused recording need not wait for.

@@ -1,24 +1,22 @@
-"""What `trackwright track` does with recordings that were read: estimates, events, error metrics, figures, manifest."""
+"""What `trackwright track` does with recordings that were read: trackers, estimates, events, metrics, files."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from experiments.cli.archives.folders import RESULTS
-from experiments.cli.console import ReadingOptions, notice_unused_calibration, output_folder
+from experiments.cli.console import notice_unused_calibration, output_folder
 from experiments.cli.manifest import write_manifest
+from experiments.cli.options import TrackOptions
 from experiments.cli.report import COMPARISON, print_comparison
-from experiments.cli.tracked_by import TrackedBy, late_readings, tracked_by
 from experiments.jobs.executors import cluster_executor
 from experiments.jobs.portable_tracker import run_on
 from experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
@@ -27,7 +25,7 @@ from experiments.text.evaluation_text import to_json, to_text
 from experiments.text.tables import terminal_width
 from experiments.text.terminal import Begin, notice
 from experiments.text.wording import figures_drawn, uncapitalised
-from trackers.catalogue import build, spec_of
+from trackers.catalogue import build, fitting, spec_of, split_name
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
 from trackers.core.freed_memory import give_back
@@ -37,55 +35,84 @@ from trackers.evaluation.evaluate import Evaluation, evaluate, evaluate_associat
 from trackers.evaluation.events import EVENTS, events_of
 from trackers.evaluation.residuals import residual_ratios
 from trackers.recordings.atomic import atomic_write
+from trackers.recordings.checks.residuals import delay_against_truth
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.named_tracker import NamedTracker
 from trackers.recordings.tracks import Tracks, track
 from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackers.recordings.trajectories import known_height
-from tuning.tuned_file import Tuned
+
+LATE_S = 0.1
+"""Delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """The options of the command.
+class TrackedBy(NamedTuple):
+    """A tracker and the recordings that it runs on; `short`: its name as that of a folder."""
 
-    `tuned`: the content of the file `noise`. `values`: by tunable or pattern. `used`: of the recordings.
+    tracker: str
+    folders: list[RecordingFolder]
+
+    @property
+    def short(self) -> str:
+        """The name of the tracker, of one in a file without the file."""
+        return split_name(self.tracker)[1] or self.tracker
+
+
+def tracker_names(trackers: str | None, noise: Path | None = None) -> list[str]:
+    """The names in a text with commas, none for None.
+
+    Raises UnusableInput for a repeated name, and for several with a file of one tracker's values, `noise`.
     """
+    names = [] if trackers is None else [name.strip() for name in trackers.split(",")]
+    # By which the folder of each is named.
+    shorts = [split_name(name)[1] or name for name in names]
+    repeated = next((name for k, name in enumerate(shorts) if name in shorts[:k]), None)
+    if repeated is not None:
+        raise UnusableInput(f"--tracker {trackers}: '{repeated}' twice; expected different names; remove one")
+    if len(names) > 1 and noise is not None:
+        raise UnusableInput(
+            f"--noise {noise}: belongs to one tracker, found {', '.join(names)}; name one with --tracker"
+        )
+    return names
 
-    out: Path
-    tracker: str | None
-    noise: Path | None
-    tuned: Tuned | None
-    values: Mapping[str, Any]
-    used: ReadingOptions
-    free_height: bool
-    smooth: bool
-    lag: float | None
-    seed: int
-    cluster: str | None
-    figures: bool
-    report: bool
-    format: str
 
-    def config(self, tracker: str) -> dict[str, Any]:
-        """What the manifest of a run of this tracker holds of the options."""
-        return {
-            "tracker": tracker,
-            "noise": None if self.noise is None else str(self.noise),
-            "set": {name: value.tolist() for name, value in self.values.items()},
-            "part": dataclasses.asdict(self.used.part),
-            "calibration": None if self.used.calibration is None else str(self.used.calibration),
-            "average": self.used.average,
-            "free_height": self.free_height,
-            "smooth": self.smooth,
-            "lag": self.lag,
-            "seed": self.seed,
-        }
+def tracked_by(
+    folders: Sequence[RecordingFolder], trackers: str | None, noise: Path | None = None
+) -> tuple[list[TrackedBy], list[str]]:
+    """The runs, and a line for each recording that a tracker does not fit.
+
+    `trackers`: names separated by commas, each of which runs on all recordings that it fits; None: each recording is
+    run by the tracker that fits it. `noise`: a file of one tracker's values. Raises UnusableInput where nothing can be
+    run, and for unknown, repeated or too many names.
+    """
+    names = tracker_names(trackers, noise)
+    runs: dict[str, list[RecordingFolder]] = {}
+    refused: list[str] = []
+    for name in names:
+        spec, runs[name] = spec_of(name), []
+        for folder in folders:
+            missing = spec.missing(folder)
+            if missing is None:
+                runs[name].append(folder)
+            else:
+                where, tables = folder.path or folder.name, ", ".join(folder.tables)
+                refused.append(f"{where}: tracker '{name}' needs {missing}; its tables: {tables}")
+    if not names:
+        for folder in folders:
+            try:
+                runs.setdefault(fitting(folder), []).append(folder)
+            except UnusableInput as problem:
+                refused.append(str(problem))
+    found = [TrackedBy(name, own) for name, own in runs.items() if own]
+    if not found:
+        raise UnusableInput(refused[0])
+    return found, refused
 
 
 def track_folders(
     folders: Sequence[RecordingFolder],
     refused: Sequence[str],
-    options: Options,
+    options: TrackOptions,
     started: datetime,
     begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
@@ -122,8 +149,8 @@ def track_folders(
             print_comparison(
                 [options.out / run.short for run in runs],
                 options.out / COMPARISON,
-                options.format if options.figures else None,
-                page=options.report,
+                None if options.no_figures else options.format,
+                page=not options.no_report,
                 playback=PAGE if pages else None,
             )
     for line in (*refused, *unfit):
@@ -132,7 +159,7 @@ def track_folders(
 
 
 def _track(
-    run: TrackedBy, options: Options, out: Path, started: datetime, begin: Begin, of: int
+    run: TrackedBy, options: TrackOptions, out: Path, started: datetime, begin: Begin, of: int
 ) -> tuple[Any, dict[str, Any] | None]:
     """Tracks recordings with one tracker into the folder `out`; returns its evaluation.json and its page.
 
@@ -141,10 +168,7 @@ def _track(
     name, folders = run
     named = build(name, folders, options.free_height)
     notice_unused_calibration(folders, name, named.spec.table)
-    if options.tuned is not None:
-        named = named.with_values(options.tuned.values, options.noise)
-    if options.values:
-        named = named.with_values(options.values, "--set")
+    named = options.valued(named)
     if options.smooth or options.lag is not None:
         named = named.smoothing(options.lag)
     batches = named.batches(folders)
@@ -188,16 +212,16 @@ def _track(
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)
     page, drawn = None, list[str]()
-    if options.report:
+    if not options.no_report:
         begin("report")
         known, about = evaluation if association.scored.any() else None, f"{name}: {named.spec.about}"
-        page = run_data(scored, happened, known, about, run.short, of, options.figures and of == 1)
+        page = run_data(scored, happened, known, about, run.short, of, not options.no_figures and of == 1)
     if of == 1:
         drawn = write_shown(scored, page, options, out, begin)
     write_manifest(
         out,
         sys.argv,
-        options.config(name),
+        options.manifest(name),
         started,
         chunk=CHUNK,
         extra={"recordings": [str(folder.path) for folder in folders], "verdicts": summaries},
@@ -215,14 +239,14 @@ def endings(summaries: Mapping[str, int]) -> str:
 
 
 def write_shown(
-    tracks: ScoredTracks, page: Mapping[str, Any] | None, options: Options, out: Path, begin: Begin
+    tracks: ScoredTracks, page: Mapping[str, Any] | None, options: TrackOptions, out: Path, begin: Begin
 ) -> list[str]:
     """Writes the page, if any, and the figures that are asked for; returns in words what was written."""
     written = []
     if page is not None:
         _write_page(out, [page])
         written.append(PAGE)
-    if options.figures:
+    if not options.no_figures:
         begin("figures")
         # matplotlib takes a third of a second to import.
         from experiments.pages.plots.track_folder import plot_tracks
@@ -247,3 +271,19 @@ def _without_truth(association: Association, folders: Sequence[RecordingFolder],
     for sentence in evaluation.statements:
         print(f"Without truth: {uncapitalised(sentence)}")
     return evaluation
+
+
+def late_readings(named: NamedTracker, folders: Sequence[RecordingFolder]) -> list[str]:
+    """A line for each recording whose readings come later against truth than the tracker assumes."""
+    read = [name for name in ("ranges", "fixes", "bearings") if name in named.spec.table.replace(",", " ").split()]
+    lines = []
+    for folder in folders:
+        for table in (name for name in read if name in folder.tables):
+            tunable, delay = f"sensors.{table}.latency", delay_against_truth(folder, table)
+            latency = named.tunables.get(tunable)
+            if not abs(delay - (0.0 if latency is None else float(latency.value))) > LATE_S:
+                continue
+            what = f"{folder.path or folder.name}: {table} come {abs(delay):.2f} s {'late' if delay > 0 else 'early'}"
+            fix = "compare the clocks" if latency is None or delay < 0 else f"allow for it: --set {tunable}={delay:.2f}"
+            lines.append(f"{what} against truth; {fix}")
+    return lines

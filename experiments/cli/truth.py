@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import sys
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-import polars as pl
-
-from experiments.cli.arguments import Folder
-from experiments.cli.console import read_with_notices
-from experiments.cli.runtime import keep_programs
-from experiments.text.terminal import notice
-from trackers.recordings.folder import RecordingFolder, write_recording
-from trackers.recordings.truth import TruePaths
+from experiments.cli.options import Folder
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from trackers.line.truth import KnotTimes
+    from trackers.recordings.folder import RecordingFolder
 
 
-def truth(recording: Folder, *, out: Folder) -> int:
+def truth(recording: Path, /, *, out: Folder) -> int:
     """Fit truth along a known path: the recording with a truth table.
 
     Every tag travels once from the first to the last knot of [path] in rig.toml, at a constant speed on each segment,
@@ -32,6 +28,10 @@ def truth(recording: Folder, *, out: Folder) -> int:
         out: the folder to write; it must not exist or be empty.
     """
     started = datetime.now(UTC)
+    from experiments.cli.console import read_with_notices
+    from experiments.cli.runtime import keep_programs
+    from trackers.recordings.folder import write_recording
+
     (folder,) = read_with_notices((recording,))
     keep_programs()
     # jax takes a second to import, which the help and a refused recording need not wait for.
@@ -49,6 +49,8 @@ def truth(recording: Folder, *, out: Folder) -> int:
 
 
 def _line(tag: str, fitted: KnotTimes) -> str:
+    import numpy as np
+
     lengths = np.sqrt((np.diff(fitted.knots, axis=0) ** 2).sum(axis=1))
     segments = [
         f"{a:.2f}-{b:.2f} s ({n / (b - a):.2f} m/s)"
@@ -62,6 +64,11 @@ def _compare(folder: RecordingFolder, table: pl.DataFrame) -> None:
     """Notice of the deviation from the recording's own truth, if it has one."""
     if "truth" not in folder.tables:
         return
+    import numpy as np
+
+    from experiments.text.terminal import notice
+    from trackers.recordings.truth import TruePaths
+
     fitted = TruePaths.of_table(table, folder.name)
     for tag in sorted(folder.paths.number.keys() & fitted.number.keys()):
         times, positions = fitted.of_tag(tag)

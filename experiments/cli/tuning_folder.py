@@ -1,10 +1,12 @@
-"""The files of a tuning run: tuned.toml, trace.csv, tuning.png (or .pdf), report.html and manifest.json."""
+"""The end of `trackwright tune`: recordings before and after, what is refused, and all files but the checkpoint."""
 
 from __future__ import annotations
 
 import shlex
+import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,39 +14,119 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
+from experiments.cli.console import FoldersInTurn
 from experiments.cli.manifest import write_manifest
-from experiments.cli.tuning_refusals import in_words, refusals
+from experiments.cli.options import TuneOptions
+from experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
 from experiments.pages.plots.objective import tuning_trace
-from experiments.pages.reports.recordings_compared import Compared
-from experiments.pages.reports.tracks_compared import TrackChanges
+from experiments.pages.reports.recordings_compared import Compared, compare, tracked
+from experiments.pages.reports.tracks_compared import MOST_PLANS, TrackChanges, track_changes
 from experiments.pages.reports.tuning import write_tuning_report
 from experiments.pages.reports.tuning_collect import Request, collect, recording_names
 from experiments.text.tables import aligned
+from experiments.text.terminal import Begin, notice
 from trackers.catalogue import spec_of
+from trackers.evaluation.association import Association
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.calibration_file import identity
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.named_tracker import NamedTracker
 from tuning import FitResult
 from tuning.data import FitData
 from tuning.identifiability import IdentifiabilityIssue, identifiability_issues
 from tuning.intervals import Interval, intervals_of
+from tuning.left_out import left_out_values
 from tuning.tuned_file import tuned_content, write_tuned
 
+INTERRUPTED = 130
+"""The exit code of a command that Ctrl-C ended, as shells have it."""
 
-@dataclass(frozen=True)
-class Run:
-    """A finished run: the tracker's name, the options, the recordings' folders, when it started, how long it took.
+REFUSED = 1
+"""The exit code where the values of a fit are not written."""
 
-    `figures`: their ending, None for none. `report`: whether it is written.
+
+def tune_folders(
+    folders: list[RecordingFolder] | FoldersInTurn,
+    recordings: Sequence[Path],
+    options: TuneOptions,
+    started: datetime,
+    clock: float,
+    begin: Begin,
+) -> tuple[int, dict[str, Any]]:
+    """Fits to the first folders, those of `recordings`, and writes all files; the exit code and the tuned content.
+
+    `started`, `clock`: when the command began. `begin`: of a stage.
     """
+    count = len(recordings)
+    if options.used.calibration is not None and not isinstance(folders, FoldersInTurn):
+        parts = cross_calibrated(folders, options.used.calibration)
+        count, folders = sum(map(len, parts[:count])), [part for own in parts for part in own]
+    with fit_workers(options.cluster, options.out) as workers:
+        fitted = fit_folders(folders, count, options, begin, workers)
+        return finish(fitted, recordings, started, clock, begin)
 
-    tracker: str
-    options: Mapping[str, Any]
-    recordings: Sequence[Path]
-    seconds: float
-    started: datetime
-    command: Sequence[str]
-    figures: str | None
-    report: bool
+
+def finish(
+    fitted: Fitted,
+    recordings: Sequence[Path],
+    started: datetime,
+    clock: float,
+    begin: Begin,
+) -> tuple[int, dict[str, Any]]:
+    """Writes the files and prints the table; returns the exit code, and the content of tuned.toml.
+
+    With the code `REFUSED` that file is not written, and the content has the reason as `refused`.
+
+    `started`, `clock`: when the command began.
+    """
+    left_out = {} if fitted.data.held_out else _left_out(fitted.result, begin)
+    begin("comparing before and after")
+    compared, plans = _compared(fitted, left_out, not fitted.options.no_report)
+    begin("report")
+    written = write_run(fitted, recordings, time.perf_counter() - clock, started, compared, plans)
+    for line in written.lines:
+        print(line)
+    if written.refused:
+        notice(written.refused)
+        return REFUSED, written.content | {"refused": written.refused}
+    if fitted.result.uncertainty is None:
+        notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
+        return INTERRUPTED, written.content
+    return 0, written.content
+
+
+def _left_out(result: FitResult, begin: Begin) -> dict[str, dict[str, np.ndarray]]:
+    count = len({name for name in result.recordings if name})
+    if count > 1:
+        begin(f"leaving out each of {count} recordings")
+    return left_out_values(result)
+
+
+def _compared(
+    fitted: Fitted, left_out: Mapping[str, Mapping[str, np.ndarray]], report: bool
+) -> tuple[Compared, TrackChanges | None]:
+    """The recordings shown, tracked with the values before and after the fit; `report`: with plans, of others too.
+
+    `left_out`: by recording, the values fitted to the others, with which the table shows it.
+    """
+    result = fitted.result
+
+    def named(values: Mapping[str, np.ndarray]) -> NamedTracker:
+        own = {name: values[p.label] for p in result.parameters for name in p.names}
+        return fitted.named.with_values(own, "the fit")
+
+    room = max(MOST_PLANS - len(fitted.shown), 0) if report else 0
+    folders = [*fitted.shown, *fitted.others[:room]]
+    before, after = (tracked(named(side), folders) for side in (result.starts[0][0].values, result.values))
+    others = [tracked(named(left_out.get(own.name, result.values)), [own]) for own in fitted.shown if left_out]
+    count = len({trajectory.folder.name for trajectory in fitted.data.training})
+    part = f"{len(fitted.shown)} of {count} " if len(fitted.shown) < count else ""
+    about = "held-out recordings" if fitted.data.held_out else f"{part}recordings tuned on"
+    about += ", each with values fitted to the others" if left_out else ""
+    held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
+    plans = track_changes(before, after, folders, held_out) if report else None
+    judged = Association.joined(others) if left_out else after
+    return compare((before, judged), fitted.shown, fitted.data.dimensions, about), plans
 
 
 class Written(NamedTuple):
@@ -56,58 +138,59 @@ class Written(NamedTuple):
 
 
 def write_run(
-    out: Path,
-    data: FitData,
-    result: FitResult,
-    run: Run,
+    fitted: Fitted,
+    recordings: Sequence[Path],
+    seconds: float,
+    started: datetime,
     compared: Compared,
     plans: TrackChanges | None,
-    reported: FitData,
 ) -> Written:
     """Writes all files to the folder, tuned.toml only without `refusals` or with the option `force`.
 
-    `plans`: the tracks before and after. `reported`: the data that the report looks at, or a part of them.
+    `seconds`: that the command took. `plans`: the tracks before and after.
     """
-    objective, unit = run.options["objective"], "rad" if data.training[0].station else "m"
-    if run.options["prior"]:
+    options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
+    objective, unit = str(options.objective), "rad" if data.training[0].station else "m"
+    if options.prior:
         objective += " + prior"
-    intervals = intervals_of(result, run.options["intervals"])
-    calibration = run.options["calibration"]
+    intervals = intervals_of(result, options.intervals)
+    calibration, average = options.used.calibration, options.used.average
     found = None if calibration is None else identity(calibration)
-    content = tuned_content(run.tracker, objective, result, intervals, found)
-    reasons = [] if run.options["force"] else refusals(result, compared, bool(data.held_out))
+    content = tuned_content(fitted.named.name, objective, result, intervals, found)
+    reasons = [] if options.force else refusals(result, compared, bool(data.held_out))
     refused = f"{out / 'tuned.toml'} is not written: {in_words(reasons)}" if reasons else ""
     if refused:
         (out / "tuned.toml").unlink(missing_ok=True)
     else:
         write_tuned(out / "tuned.toml", content)
-    _write_trace(out, result, objective, unit, run.figures)
+    figures = None if options.no_figures else options.format
+    _write_trace(out, result, objective, unit, figures)
     issues = _issues(result, bool(data.held_out))
     cautions = [] if result.uncertainty is None else result.cautions
     notices = [f"notice: {text}" for text in (*(issue.text for issue in issues), *cautions)]
     lines = [*table(result, objective, intervals), *notices, compared.text().rstrip("\n")]
-    command = shlex.join(["trackwright", *run.command[1:]])
+    command = shlex.join(["trackwright", *sys.argv[1:]])
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
     use += "" if calibration is None else f" --calibration {calibration}"
-    use += "" if run.options["average"] is None else f" --average {run.options['average']:g}"
+    use += "" if average is None else f" --average {average:g}"
     request = Request(
         command=command,
         next_commands=(f"{command} --force" if refused else use, command),
-        tracker=run.tracker,
-        tracker_about=spec_of(run.tracker).about,
+        tracker=fitted.named.name,
+        tracker_about=spec_of(fitted.named.name).about,
         objective=objective,
-        seconds=run.seconds,
-        notes=(*([refused] if refused else []), *_notes(data, result, reported)),
+        seconds=seconds,
+        notes=(*([refused] if refused else []), *_notes(data, result, fitted.reported)),
     )
     written = ["trace.csv", "manifest.json"]
-    if run.figures is not None:
-        written.insert(1, f"tuning.{run.figures}")
-    if run.report:
+    if figures is not None:
+        written.insert(1, f"tuning.{figures}")
+    if not options.no_report:
         written.insert(0, "report.html")
-        known = collect(request, result, reported, intervals, issues, compared, plans, cautions)
+        known = collect(request, result, fitted.reported, intervals, issues, compared, plans, cautions)
         write_tuning_report(out / "report.html", replace(known, training=recording_names(data.training)))
-    extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
-    write_manifest(out, run.command, run.options, run.started, extra=extra)
+    extra = {"recordings": [str(p) for p in recordings], "filter_runs": result.filter_runs}
+    write_manifest(out, sys.argv, options.config("resume"), started, extra=extra)
     files = ", ".join(written)
     last = f"wrote {out}: {files}" if refused else f"wrote {out / 'tuned.toml'}, {files}; use it: {use}"
     return Written([*lines, last], content, refused)
@@ -165,3 +248,26 @@ def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) 
             interval = f"{a:.4g} to {b:.4g}" if np.isfinite([a, b]).all() else "-"
             rows.append((label, f"{before:.4g}", f"{after:.4g}", interval, parameter.example.unit))
     return [*aligned(rows).splitlines(), f"{objective}: {result.start_value:.5g} -> {result.value:.5g}"]
+
+
+class Refusal(NamedTuple):
+    """What is wrong with the values of a fit, in a clause, and the usual fix."""
+
+    text: str
+    fix: str
+
+
+def refusals(result: FitResult, compared: Compared, held_out: bool) -> list[Refusal]:
+    """The reasons not to use the values; none for a fit that was interrupted, of which the user knows."""
+    if result.uncertainty is None:
+        return []
+    found = [Refusal(text, "--freeze it or --bound it, or --average repeats") for text in result.collapsed]
+    if not (held_out or result.at_optimum):
+        found.append(Refusal("the fit ended before its optimum", "more --steps or --starts"))
+    return found + [Refusal(text, "--tune fewer numbers, or more recordings") for text in compared.worse]
+
+
+def in_words(found: Sequence[Refusal]) -> str:
+    """All reasons and what to do, in one line."""
+    fixes = dict.fromkeys(one.fix for one in found)
+    return f"{'; '.join(one.text for one in found)}. Usual fix: {', or '.join(fixes)}; --force writes it all the same"

@@ -1,50 +1,46 @@
-"""What `trackwright tune` does with recordings that were read: the fit, its checkpoints and its files."""
+"""What `trackwright tune` does with recordings that were read: tracker and data, here or on a cluster, and the fit."""
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from experiments.cli.console import output_folder
-from experiments.cli.folders_in_turn import FoldersInTurn
-from experiments.cli.tuning_cluster import data_in_turn, reported
-from experiments.cli.tuning_folder import Run, write_run
-from experiments.cli.tuning_options import checked_options, tracker_for_folders
+from experiments.cli.console import FoldersInTurn, notice_unused_calibration, output_folder
+from experiments.cli.options import TrackerOptions, TuneOptions
+from experiments.jobs.executors import cluster_client
 from experiments.jobs.held_parts import FitWorkers, HeldParts
-from experiments.pages.reports.recordings_compared import Compared, compare, tracked
-from experiments.pages.reports.tracks_compared import MOST_PLANS, TrackChanges, track_changes
+from experiments.pages.reports.tracks_compared import MOST_PLANS
 from experiments.pages.reports.tuning_collect import recording_names
 from experiments.text.terminal import Advance, Begin, notice
+from trackers.catalogue import build, fitting
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.tunable import tunables
-from trackers.evaluation.association import Association
-from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.calibration import Calibration
+from trackers.recordings.calibration_file import read_calibration
+from trackers.recordings.folder import RecordingFolder, refuse_same_names
+from trackers.recordings.mapped_rows import mapped
 from trackers.recordings.named_tracker import NamedTracker
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.trajectories import Trajectory
 from tuning import FitResult, checkpoint, fit
-from tuning.data import FitData, fit_data
+from tuning.cross_calibration import by_halves, by_others
+from tuning.data import FitData, fit_data, fit_segments, judged_dimensions, segments_data
 from tuning.guessing import first_guess
 from tuning.identifiability import cautions
 from tuning.intervals import require_possible
-from tuning.left_out import left_out_values
 from tuning.optimisation import FitState
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
-from tuning.parameters import flatten, select_parameters, tuned_by_default
+from tuning.parameters import flatten, parse_bounds, require_start_within, select_parameters, tuned_by_default
 from tuning.parts import LocalParts, Place
-from tuning.tuned_file import Tuned
+from tuning.priors import Prior, parse_prior, require_fitting
+from tuning.weights import Weigh
 
-INTERRUPTED = 130
-"""The exit code of a command that Ctrl-C ended, as shells have it."""
-
-REFUSED = 1
-"""The exit code where the values of a fit are not written."""
+PARTS = ".tune-parts"
+"""The folder of the rows, in that of the results, while the command runs."""
 
 OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
     "auto": lambda steps: None,
@@ -61,7 +57,7 @@ class Fitted:
     shown before and after: those held out, or else those fitted to; `others`: those fitted to if some were held out.
     """
 
-    options: dict[str, Any]
+    options: TuneOptions
     named: NamedTracker
     data: FitData
     result: FitResult
@@ -73,40 +69,34 @@ class Fitted:
 def fit_folders(
     folders: list[RecordingFolder] | FoldersInTurn,
     count: int,
-    out: Path,
-    options: dict[str, Any],
-    tuned: Tuned | None,
-    values: Mapping[str, Any],
-    resume: bool,
+    options: TuneOptions,
     begin: Begin,
     workers: FitWorkers | None = None,
 ) -> Fitted:
     """Fits the tracker to the first `count` recordings, the others held out; `begin` begins a stage.
 
-    `tuned`: the content of the file to start from. `values`: to start from, by tunable or pattern. `workers`: that hold
-    the rows of folders read in turn.
+    `workers`: that hold the rows of folders read in turn.
     """
-    free_height = options["free_height"]
     first = folders if workers is None else folders[:1]
-    named = tracker_for_folders(first, options["tracker"], options["start"], tuned, values, free_height)
-    goal, priors_need = options["objective"], options["prior"] or options["intervals"] == "profile"
-    goal = "nll" if goal is None and priors_need else goal
-    how = (options["piece_rows"], options["dimensions"], options["weigh"])
+    named = tracker_for_folders(first, options)
+    goal = options.objective
+    goal = "nll" if goal is None and (options.prior or options.intervals == "profile") else goal
+    how = (options.piece_rows, options.dimensions, options.weigh)
     if workers is None:
         data = fit_data(named.only_batch(folders), goal, folders[count:], *how)
     else:
         data = data_in_turn(named, folders, count, workers.folder, goal, *how)
     by_default = goal is None
-    tune, freeze = options["tune"], options["freeze"]
+    tune = options.tune
     tune = tuned_by_default(data.tracker, data.objective.needs_truth) if tune is None else tune
-    options = options | {"tracker": named.name, "objective": data.named, "tune": tune}
-    bounds, priors = checked_options(data, tune, freeze, options["bound"], options["prior"])
-    require_possible(options["intervals"], data.objective, len(data.training))
-    for text in cautions(data.tracker, select_parameters(data.tracker, tune, freeze), data.objective):
+    options = replace(options, tracker=named.name, objective=data.named, tune=tune)
+    bounds, priors = checked_options(data, tune, options)
+    require_possible(options.intervals, data.objective, len(data.training))
+    for text in cautions(data.tracker, select_parameters(data.tracker, tune, options.freeze), data.objective):
         notice(f"notice: {text}")
-    output_folder(out)
+    output_folder(options.out)
     place = LocalParts if workers is None else partial(HeldParts, workers, named)
-    result = _fitted(data, out, options, bounds, priors, resume, begin, by_default, place)
+    result = _fitted(data, tune, options, bounds, priors, begin, by_default, place)
     if not isinstance(folders, FoldersInTurn):
         shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
         return Fitted(options, named, data, result, data, shown, others)
@@ -116,84 +106,137 @@ def fit_folders(
     return Fitted(options, named, data, result, some, shown, others)
 
 
-def finish(
-    fitted: Fitted,
-    recordings: Sequence[Path],
-    out: Path,
-    started: datetime,
-    clock: float,
-    begin: Begin,
-    figures: str | None,
-    report: bool,
-) -> tuple[int, dict[str, Any]]:
-    """Writes the files and prints the table; returns the exit code, and the content of tuned.toml.
+def tracker_for_folders(folders: Sequence[RecordingFolder], options: TrackerOptions) -> NamedTracker:
+    """The tracker, named, of the options' file or chosen by the tables, with the values of the file and of `--set`."""
+    of_file = None if options.tuned is None else options.tuned.tracker
+    name = options.tracker or of_file or fitting(folders[0])
+    if options.tracker is None:
+        notice(f"tracker: {name}{f', that of {options.file}' if of_file else ''}; choose another with --tracker")
+    named = build(name, folders, options.free_height)
+    notice_unused_calibration(folders, name, named.spec.table)
+    return options.valued(named)
 
-    With the code `REFUSED` that file is not written, and the content has the reason as `refused`.
 
-    `started`, `clock`: when the command began. `figures`: their ending, None for none. `report`: whether it is
-    written.
+def checked_options(
+    data: FitData, tune: Sequence[str], options: TuneOptions
+) -> tuple[dict[str, tuple[float, float]], list[Prior]]:
+    """Bounds and priors of the options; raises UnusableInput for those that don't fit the tracker's tunables."""
+    freeze, bound, prior = options.freeze, options.bound, options.prior
+    option = f"--tune {' '.join(tune)}" + (f" --freeze {' '.join(freeze)}" if freeze else "")
+    try:
+        parameters = select_parameters(data.tracker, tune, freeze)
+        option = f"--bound {' '.join(bound)}"
+        bounds = parse_bounds(bound)
+        require_start_within(parameters, bounds)
+        option = f"--prior {' '.join(prior)}"
+        priors = [parse_prior(text) for text in prior]
+        require_fitting(priors, parameters, data.objective.is_likelihood)
+    except ValueError as error:
+        raise UnusableInput(f"{option}: {error}") from error
+    return bounds, priors
+
+
+@contextmanager
+def fit_workers(cluster: str | None, out: Path) -> Iterator[FitWorkers | None]:
+    """The workers of a cluster, as of `cluster_client`, with the folder of their files; None for no cluster.
+
+    What an earlier command that was killed left in that folder is removed.
     """
-    left_out = {} if fitted.data.held_out else _left_out(fitted.result, begin)
-    begin("comparing before and after")
-    compared, plans = _compared(fitted, left_out, report)
-    begin("report")
-    result, name = fitted.result, fitted.options["tracker"]
-    run = Run(
-        name, fitted.options, recordings, time.perf_counter() - clock, started, sys.argv, figures, report
-    )  # fmt: skip
-    written = write_run(out, fitted.data, result, run, compared, plans, fitted.reported)
-    for line in written.lines:
-        print(line)
-    if written.refused:
-        notice(written.refused)
-        return REFUSED, written.content | {"refused": written.refused}
-    if result.uncertainty is None:
-        notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
-        return INTERRUPTED, written.content
-    return 0, written.content
+    if cluster is None:
+        yield None
+        return
+    folder = output_folder(out) / PARTS
+    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        with cluster_client(cluster) as (client, expected):
+            yield FitWorkers(client, expected, output_folder(folder))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):
+            out.rmdir()  # if nothing was written
 
 
-def _left_out(result: FitResult, begin: Begin) -> dict[str, dict[str, np.ndarray]]:
-    count = len({name for name in result.recordings if name})
-    if count > 1:
-        begin(f"leaving out each of {count} recordings")
-    return left_out_values(result)
+def data_in_turn(
+    named: NamedTracker,
+    folders: Sequence[RecordingFolder],
+    count: int,
+    place: Path,
+    objective: str | None,
+    segment_rows: int,
+    dimensions: int | None,
+    weigh: Weigh,
+) -> FitData:
+    """As `fit_data` of the first `count` recordings, the others held out; the rows are in files in the folder `place`.
 
-
-def _compared(
-    fitted: Fitted, left_out: Mapping[str, Mapping[str, np.ndarray]], report: bool
-) -> tuple[Compared, TrackChanges | None]:
-    """The recordings shown, tracked with the values before and after the fit; `report`: with plans, of others too.
-
-    `left_out`: by recording, the values fitted to the others, with which the table shows it.
+    `dimensions`: None for those of the first recording. Raises UnusableInput as `fit_data`, and where the recordings
+    need several trackers.
     """
-    result = fitted.result
+    names, trajectories = list[str](), list[Trajectory]()
+    batch: TrackerBatch | None = None
 
-    def named(values: Mapping[str, np.ndarray]) -> NamedTracker:
-        own = {name: values[p.label] for p in result.parameters for name in p.names}
-        return fitted.named.with_values(own, "the fit")
+    def each() -> Iterator[RecordingFolder]:
+        for folder in folders:
+            names.append(folder.name)
+            yield folder
 
-    room = max(MOST_PLANS - len(fitted.shown), 0) if report else 0
-    folders = [*fitted.shown, *fitted.others[:room]]
-    before, after = (tracked(named(side), folders) for side in (result.starts[0][0].values, result.values))
-    others = [tracked(named(left_out.get(own.name, result.values)), [own]) for own in fitted.shown if left_out]
-    count = len({trajectory.folder.name for trajectory in fitted.data.training})
-    part = f"{len(fitted.shown)} of {count} " if len(fitted.shown) < count else ""
-    about = "held-out recordings" if fitted.data.held_out else f"{part}recordings tuned on"
-    about += ", each with values fitted to the others" if left_out else ""
-    held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
-    plans = track_changes(before, after, folders, held_out) if report else None
-    judged = Association.joined(others) if left_out else after
-    return compare((before, judged), fitted.shown, fitted.data.dimensions, about), plans
+    for batch in named.batch_by_batch(each()):
+        dimensions = dimensions or judged_dimensions(batch, objective)
+        own = fit_segments(batch, segment_rows, dimensions)
+        trajectories += mapped(own, place / f"rows-{len(names)}")
+    refuse_same_names(names)
+    if batch is None:
+        raise UnusableInput(f"tracker '{named.name}': no trajectory in the recordings; expected one tag at least")
+    every = replace(batch, tracker=named.tracker, trajectories=trajectories)
+    return segments_data(every, objective, set(names[count:]), dimensions or 2, weigh, stacked=False)
+
+
+def reported(data: FitData) -> FitData:
+    """The data of at most `MOST_PLANS` recordings tuned on, and of all held out: what a report is made of here."""
+    names = list(dict.fromkeys(trajectory.folder.name for trajectory in data.training))[:MOST_PLANS]
+    return replace(data, training=[own for own in data.training if own.folder.name in names], stacked=True)
+
+
+def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[list[RecordingFolder]]:
+    """For each recording, itself, or what a fit takes in its place where it is one of those of the calibration `file`.
+
+    These are calibrated on the others among them, or, if there are none, each half on the other half: a fit with the
+    file's calibration would see errors smaller than those of new recordings.
+    """
+    whole = read_calibration(file)
+    seen = [folder for folder in folders if folder.name in whole.recordings]
+    parts = [_without_itself(folder, seen, file) if folder in seen else [folder] for folder in folders]
+    return [[_spread_of(whole, part) for part in own] for own in parts]
+
+
+def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
+    """The recording with the spread of the file's ranges, which sets the tracker's noise levels as `track` has them."""
+    if part.calibration is None:
+        return part
+    return replace(part, calibration=replace(part.calibration, range_spread=whole.range_spread))
+
+
+def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], file: Path) -> list[RecordingFolder]:
+    """The recording calibrated on the others of `seen`, or its halves; as it is, with a notice, without truth."""
+    path = folder.path or folder.name
+    try:
+        if len(seen) > 1:
+            found = [by_others(folder, seen)]
+            how = f"calibrated on {listed(one.name for one in seen if one is not folder)}"
+        else:
+            found, how = by_halves(folder), "each half calibrated on the other half"
+    except (UnusableInput, KeyError) as error:
+        notice(f"notice: {path}: not cross-fitted ({error}): noise levels fitted to it are too small for others")
+        return [folder]
+    notice(f"notice: {path}: for the fit {how}, instead of by {file}")
+    return found
 
 
 def _fitted(
     data: FitData,
-    out: Path,
-    options: dict[str, Any],
-    bounds: Any,
-    priors: Any,
-    resume: bool,
+    tune: Sequence[str],
+    options: TuneOptions,
+    bounds: Mapping[str, tuple[float, float]],
+    priors: Sequence[Prior],
     begin: Begin,
     by_default: bool,
     place: Place,
@@ -204,13 +247,15 @@ def _fitted(
     """
     training, held_out = data.batches(), data.batches(held_out=True)
     # Intervals are computed from the result and don't change the fit, nor does the place where it is computed.
-    config = {name: value for name, value in options.items() if name not in ("intervals", "cluster", "force")}
+    config = {
+        name: value for name, value in options.config("resume").items() if name not in ("intervals", "cluster", "force")
+    }
     fingerprint = checkpoint.fingerprint(
         config, [*training, *held_out], flatten(select_parameters(data.tracker, "*", thresholds=True))
     )
-    saved = checkpoint.load(out, fingerprint) if resume else None
-    if resume and saved is None:
-        notice(f"notice: {out}: no checkpoint found; the fit starts from the beginning")
+    saved = checkpoint.load(options.out, fingerprint) if options.resume else None
+    if options.resume and saved is None:
+        notice(f"notice: {options.out}: no checkpoint found; the fit starts from the beginning")
     if by_default:
         why = (
             "there is truth" if data.objective.needs_truth else "there is no truth that the estimates can be judged by"
@@ -218,23 +263,23 @@ def _fitted(
         notice(f"objective: {data.named}, since {why}; choose another with --objective")
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
-    steps, starts, freeze = options["steps"], options["starts"], options["freeze"]
-    tuned = {name for p in select_parameters(data.tracker, options["tune"], freeze) for name in p.names}
+    steps, starts, freeze = options.steps, options.starts, options.freeze
+    tuned = {name for p in select_parameters(data.tracker, tune, freeze) for name in p.names}
     kept = [name for name in tunables(data.tracker) if name not in tuned]
     begin("searching for starts" if starts > 1 else "first evaluation")
-    steps_done = _Steps(out, fingerprint, steps, begin)
+    steps_done = _Steps(options.out, fingerprint, steps, begin)
     try:
         result = fit(
             data.tracker,
             data,
             data.objective,
-            options["tune"],
+            tune,
             frozen=freeze,
             bounds=bounds,
-            optimiser=OPTIMISERS[options["optimiser"]](steps),
+            optimiser=OPTIMISERS[options.optimiser](steps),
             steps=steps,
             starts=starts,
-            minibatch=options["minibatch"],
+            minibatch=options.minibatch,
             priors=priors,
             guesses=[first_guess(data.tracker, training, kept)] if starts > 1 and saved is None else [],
             resume=saved,
@@ -246,7 +291,7 @@ def _fitted(
         raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
     if result.n_excluded == len(data.training):
         raise UnusableInput(
-            f"at the best point ({options['objective']} {result.value:.4g}) no segment of the recordings has finite "
+            f"at the best point ({options.objective} {result.value:.4g}) no segment of the recordings has finite "
             "gradients: repeated identical readings drive the noise to zero; give --bound or --prior"
         )
     if result.n_excluded:

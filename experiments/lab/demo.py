@@ -8,8 +8,6 @@ import tomllib
 from pathlib import Path
 
 from experiments.lab.subprocesses import command, evaluation, recordings_folder
-from experiments.text.wording import shown_metric
-from trackers.evaluation.statements import holds
 
 OUT = Path("out/demo")
 SIGMA_P = 0.2
@@ -64,6 +62,9 @@ def demo() -> None:
 
 
 def _line(tracks: Path, covariances: bool = False) -> str:
+    from experiments.text.wording import shown_metric
+    from trackers.evaluation.statements import holds
+
     overall = evaluation(tracks)["overall"]
     spatial = shown_metric(overall, "rmse_3d_m")
     in_space = "" if spatial is None else f", {spatial:.3f} m 3-D"

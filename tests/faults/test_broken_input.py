@@ -49,24 +49,25 @@ def test_the_same_seed_and_number_give_the_same_recording(tmp_path):
 
 
 def test_a_traceback_is_a_failure(tmp_path, monkeypatch):
-    from experiments.cli import check
+    from trackers.recordings import folder as reader
 
     def broken(path):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(check, "read_recording", broken)
+    monkeypatch.setattr(reader, "read_recording", broken)
     folder, _ = broken_recording(0, 0, tmp_path)
     wrong, _ = faults_of(("check", folder), folder)
     assert wrong.startswith("ZeroDivisionError: a bug")
 
 
 def test_a_changed_input_is_a_failure(tmp_path, monkeypatch):
-    from experiments.cli import check
+    from trackers.core.errors import UnusableInput
+    from trackers.recordings import folder as reader
 
     def spoils(path):
         (path / "new").touch()
-        raise check.UnusableInput("no")
+        raise UnusableInput("no")
 
-    monkeypatch.setattr(check, "read_recording", spoils)
+    monkeypatch.setattr(reader, "read_recording", spoils)
     folder, _ = broken_recording(0, 0, tmp_path)
     assert "changed" in faults_of(("check", folder), folder)[0]

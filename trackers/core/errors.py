@@ -5,9 +5,11 @@ from __future__ import annotations
 import difflib
 import unicodedata
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from numbers import Integral
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 T = TypeVar("T")
 
@@ -60,11 +62,14 @@ def require(fits: bool, function: str, found: Any, expected: str) -> None:
 
 def is_count(found: Any) -> bool:
     """Whether an argument is a whole number from 0."""
-    return isinstance(found, (int, np.integer)) and not isinstance(found, bool) and bool(found >= 0)
+    return isinstance(found, Integral) and not isinstance(found, bool) and int(found) >= 0
 
 
 def numbers_of(kind: str, value: Any) -> np.ndarray:
     """The value of a tunable of this kind as an array of floats; raises UnusableInput for anything but numbers."""
+    # numpy takes a tenth of a second to import, which a help or a refused argument need not wait for.
+    import numpy as np
+
     found = np.asarray(value)
     require(found.dtype.kind in "biuf", f"a {kind}", value, "a number or an array of numbers")
     return found.astype(float)

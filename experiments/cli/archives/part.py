@@ -9,9 +9,9 @@ from typing import Any
 
 import polars as pl
 
-from experiments.cli.console import ReadingOptions, ready
-from experiments.cli.tracked_by import late_readings
-from experiments.cli.usable import errors_of
+from experiments.cli.console import errors_of, ready
+from experiments.cli.options import ReadingOptions
+from experiments.cli.tracking import late_readings
 from experiments.jobs.portable_tracker import PortableTracker
 from trackers.catalogue import fitting, split_name
 from trackers.core.errors import UnusableInput, one_line

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import keep_programs, set_flags
-from experiments.cli.tuning_refusals import in_words, refusals
+from experiments.cli.tuning_folder import in_words, refusals
 from experiments.lab.subprocesses import required_recordings
 from experiments.lab.validation.folds import SITES, Site
 from experiments.pages.reports.recordings_compared import Compared, compare, tracked

@@ -5,27 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
+from typing import TYPE_CHECKING
 
-from experiments.cli.runtime import keep_programs
-from experiments.lab.verify import deterministic_checks, particle_checks
-from experiments.lab.verify.check_result import CheckResult, table
-from experiments.text.terminal import progress
-from trackers.recordings.atomic import json_text
-
-CHECKS: tuple[Callable[[], list[CheckResult]], ...] = (
-    deterministic_checks.kalman_checks,
-    deterministic_checks.chain_checks,
-    deterministic_checks.grid_checks,
-    partial(particle_checks.corridor_checks, 25),
-    partial(particle_checks.corridor_checks, 100),
-    particle_checks.corridor_marginal_checks,
-    particle_checks.halt_checks,
-    particle_checks.corridor_order_checks,
-    particle_checks.halt_order_checks,
-    particle_checks.corridor_wrong_checks,
-    particle_checks.halt_wrong_checks,
-)
-"""Correct gradients against their oracles, and biased ones that must fail."""
+if TYPE_CHECKING:
+    from experiments.lab.verify.check_result import CheckResult
 
 
 def verify(*, json: bool = False) -> int:
@@ -39,11 +22,36 @@ def verify(*, json: bool = False) -> int:
     Args:
         json: print JSON instead of a table.
     """
+    from experiments.cli.runtime import keep_programs
+    from experiments.lab.verify.check_result import table
+    from experiments.text.terminal import progress
+    from trackers.recordings.atomic import json_text
+
     keep_programs()
     results: list[CheckResult] = []
-    with progress("verify", len(CHECKS)) as advance:
-        for check in CHECKS:
+    checks = _checks()
+    with progress("verify", len(checks)) as advance:
+        for check in checks:
             results += check()
             advance(1)
     print(json_text([asdict(result) | {"passed": result.passed} for result in results]) if json else table(results))
     return 0 if all(r.passed for r in results) else 1
+
+
+def _checks() -> tuple[Callable[[], list[CheckResult]], ...]:
+    """Correct gradients against their oracles, and biased ones that must fail."""
+    from experiments.lab.verify import deterministic_checks, particle_checks
+
+    return (
+        deterministic_checks.kalman_checks,
+        deterministic_checks.chain_checks,
+        deterministic_checks.grid_checks,
+        partial(particle_checks.corridor_checks, 25),
+        partial(particle_checks.corridor_checks, 100),
+        particle_checks.corridor_marginal_checks,
+        particle_checks.halt_checks,
+        particle_checks.corridor_order_checks,
+        particle_checks.halt_order_checks,
+        particle_checks.corridor_wrong_checks,
+        particle_checks.halt_wrong_checks,
+    )

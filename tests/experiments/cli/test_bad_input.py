@@ -83,7 +83,7 @@ def test_results_are_not_written_into_a_recording_folder(tmp_path, simulated):
 @pytest.mark.parametrize("command", [("track", "--out", "out"), ("tune", "--out", "out"), ("check",)])
 def test_an_empty_list_of_recordings_is_refused(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
-    assert_refused(trackwright(*command), "no recording given")
+    assert_refused(trackwright(*command), "no RECORDINGS given; expected recording folders")
     assert not list(tmp_path.iterdir())
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.usable import errors_of
+from experiments.cli.console import errors_of
 from experiments.pages.plots import track_folder
 from tests.faulty import then, with_table
 from tests.in_process import assert_refused, trackwright

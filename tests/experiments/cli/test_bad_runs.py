@@ -13,11 +13,10 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from experiments.cli import check as check_command
-from experiments.cli import usable
+from experiments.cli import console
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
-from trackers.recordings import atomic
+from trackers.recordings import atomic, folder
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -199,7 +198,7 @@ def test_an_interrupted_command_prints_one_line(beginnings, monkeypatch):
     def interrupted(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(check_command, "read_recording", interrupted)
+    monkeypatch.setattr(folder, "read_recording", interrupted)
     said = trackwright("check", beginnings / "good")
     assert (said.code, said.out) == (130, "")
     assert said.err == "trackwright: interrupted; files already written are complete\n"
@@ -215,6 +214,6 @@ def test_a_fault_of_the_program_is_not_called_bad_input(beginnings, monkeypatch)
     def broken(*arguments):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(usable, "read_recordings", broken)
+    monkeypatch.setattr(console, "read_recordings", broken)
     with pytest.raises(ZeroDivisionError):
         trackwright("track", beginnings / "good", "--out", beginnings / "never")

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.cross_calibrated import cross_calibrated
+from experiments.cli.tuning_job import cross_calibrated
 from experiments.pages.reports.calibration import report_on
 from tests.in_process import assert_refused, trackwright
 from tests.tuning.calibration_worlds import RIG, world

@@ -1,27 +1,30 @@
-"""Completion scripts have every command and option, and bash accepts and uses its own."""
+"""The completion of a shell has every command and option, is installed by one, and bash uses it."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
-from experiments.cli.arguments import arguments_of
-from experiments.cli.main import FUNCTIONS, function_of
+from experiments.cli.commands import COMMANDS, application
 from tests.in_process import assert_refused, trackwright
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_script_names_every_command_and_option(shell):
-    done = trackwright("completion", shell)
-    assert (done.code, done.err) == (0, "")
-    dash = "" if shell == "fish" else "--"
-    for command in FUNCTIONS:
-        assert command.split()[-1] in done.out
-        for argument in arguments_of(function_of(command)):
-            if not argument.positional:
-                assert dash + argument.name[2:] in done.out
+@pytest.fixture(scope="module")
+def script():
+    """The completion of bash."""
+    return application().generate_completion(shell="bash")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "powershell"])
+def test_a_script_names_every_command_and_options_of_each_kind(shell):
+    written = application().generate_completion(shell=shell)
+    for word in (*COMMANDS, "station", "held-out", "calibration", "masked-antenna", "no-cache"):
+        assert word in written
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
@@ -31,21 +34,44 @@ def test_a_script_names_every_command_and_option(shell):
         ("trackwright tra", {"track", "trackers"}),
         ("trackwright simulate li", {"line"}),
         ("trackwright track x --no-f", {"--no-figures"}),
+        ("trackwright tune x --held", {"--held-out"}),
         ("trackwright simulate line --situ", {"--situation"}),
+        ("trackwright track x --format p", {"pdf", "png"}),
         ("trackwright track x --tracker multi", {"multilateration"}),
         ("trackwright tunables uwb-", {"uwb-imu"}),
     ],
 )
-def test_bash_completes(line, expected):
+def test_bash_completes(script, line, expected, tmp_path):
+    program = tmp_path / "trackwright"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m experiments "$@"\n')
+    program.chmod(0o755)
     words = line.split(" ")
-    script = trackwright("completion", "bash").out + (
-        f"COMP_WORDS=({' '.join(repr(word) for word in words)}); COMP_CWORD={len(words) - 1}\n"
+    script += (
+        f"\nCOMP_WORDS=({' '.join(repr(word) for word in words)}); COMP_CWORD={len(words) - 1}\n"
         '_trackwright; printf "%s\\n" "${COMPREPLY[@]}"\n'
     )
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
-    assert done.stderr == ""
-    assert set(done.stdout.split()) == expected
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    root = Path(__file__).parents[3]
+    done = subprocess.run(
+        ["bash", "-c", script], env={**os.environ, "PATH": path}, cwd=root, capture_output=True, text=True, check=True
+    )
+    assert {word.strip() for word in done.stdout.split()} == expected
+
+
+def test_it_is_installed_into_the_home_of_the_user(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    said = trackwright("--install-completion", "--shell", "bash")
+    assert said.code == 0, said
+    (installed,) = (path for path in tmp_path.rglob("trackwright") if path.is_file())
+    assert "--held-out" in installed.read_text()
+    assert str(installed) in (tmp_path / ".bashrc").read_text()
+
+
+def test_a_home_that_cannot_be_written_is_one_line(tmp_path, monkeypatch):
+    (tmp_path / "home").write_text("")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert_refused(trackwright("--install-completion", "--shell", "bash"), "cannot be written")
 
 
 def test_another_shell_is_refused():
-    assert_refused(trackwright("completion", "csh"), "bash|zsh|fish csh: expected bash or zsh or fish")
+    assert_refused(trackwright("--install-completion", "--shell", "csh"), "--shell csh: expected zsh or bash or fish")

@@ -13,9 +13,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-import trackers.evaluation.evaluate as evaluation
-from experiments.cli import evaluate as evaluate_module
-from experiments.cli import evaluate_poses
+import trackers.evaluation as evaluation
+from experiments.cli import evaluating
 from tests.in_process import assert_refused, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
@@ -183,10 +182,10 @@ def test_an_offset_that_was_fitted_is_said_to_hold_the_delay_of_the_filter(run, 
 @pytest.mark.parametrize("options", [(), ("--align", "se2")])
 def test_an_unknown_metric_is_refused_before_any_work(run, there, options, monkeypatch):
     monkeypatch.setattr(evaluation, "evaluate", None)
-    monkeypatch.setattr(evaluate_poses, "compare_tracks", None)
+    monkeypatch.setattr(evaluating, "compare_tracks", None)
     truth = () if not options else ("--truth", there / "true.tum")
     (run / "recordings.txt").write_text(f"{there}\n")
-    monkeypatch.setattr(evaluate_module, "read_with_notices", lambda paths: [])
+    monkeypatch.setattr(evaluating, "read_with_notices", lambda paths: [])
     said = trackwright("evaluate", run, *truth, *options, "--fail-if", "p95>1 or rpe>2")
     _refused_last(said, "no metric 'p95' (did you mean p95_m?)")
 

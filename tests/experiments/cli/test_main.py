@@ -1,8 +1,7 @@
-"""The table of commands: lines of help that are held equal to what they summarise, and no more imports than needed."""
+"""The program: its help, its refusals, no more imports than needed, and streams that take no more or not all."""
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
 import subprocess
@@ -11,15 +10,11 @@ from importlib.metadata import version
 
 import pytest
 
-from experiments.cli import summaries
-from experiments.cli.arguments import arguments_of
-from experiments.cli.main import FUNCTIONS, function_of
+from experiments.cli.commands import COMMANDS, application
 from tests.in_process import assert_refused, trackwright
-from trackers.catalogue import TRACKERS
 
-
-def test_the_help_lists_each_command_by_the_first_line_of_its_docstring():
-    assert {name: inspect.getdoc(function_of(name)).splitlines()[0] for name in FUNCTIONS} == summaries.COMMANDS
+MEMBERS = ("station", "line", "ranges", "tool", "agv")
+EVERY = (*(name for name in COMMANDS if name != "simulate"), *(f"simulate {name}" for name in MEMBERS))
 
 
 def test_the_help_has_a_line_for_each_command_and_fits_a_terminal():
@@ -29,20 +24,24 @@ def test_the_help_has_a_line_for_each_command_and_fits_a_terminal():
         lines = done.out.splitlines()
         assert len(lines) <= 40
         assert max(map(len, lines)) <= 80
-        first = {line.split()[0] for line in lines if re.match(r"  \w", line)}
-        assert first == {name.partition(" ")[0] for name in FUNCTIONS}
+        about = {line.split()[0]: line.split()[1:] for line in lines if re.match(r"  \w", line)}
+        assert list(about) == list(COMMANDS)
+        assert all(len(words) > 2 for words in about.values())
 
 
-@pytest.mark.parametrize("command", FUNCTIONS)
+@pytest.mark.parametrize("command", EVERY)
 def test_the_help_of_each_command_explains_every_argument_in_80_columns(command):
     done = trackwright(*command.split(), "--help")
     assert (done.code, done.err) == (0, "")
     assert done.out.startswith(f"usage: trackwright {command}")
     assert max(map(len, done.out.splitlines())) <= 80
-    assert "[[" not in done.out
-    for argument in arguments_of(function_of(command)):
-        assert argument.about, argument
-        assert argument.shown.split()[0] in done.out
+    app = application()
+    for word in command.split():
+        app = app[word]
+    for argument in app.assemble_argument_collection(parse_docstring=True):
+        if argument.show:
+            assert argument.parameter.help, argument.name
+            assert argument.name in done.out
 
 
 def test_the_version_is_printed():
@@ -53,16 +52,16 @@ def test_a_family_of_commands_lists_its_members():
     for words in (("simulate",), ("simulate", "--help")):
         done = trackwright(*words)
         assert done.code == 0
-        assert all(f"  {name} " in done.out for name in ("station", "line", "ranges", "tool", "agv"))
+        assert all(f"  {name} " in done.out for name in MEMBERS)
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
         (("trak", "x"), "no command trak (did you mean track?)"),
-        (("simulate-line",), "did you mean simulate line?"),
-        (("simulate", "lines"), "no command simulate lines (did you mean line?)"),
-        (("simulate", "walk"), "no command simulate walk; expected station, line, ranges, tool or agv"),
+        (("simulate-line",), "did you mean simulate?"),
+        (("simulate", "lines"), "simulate: no command lines (did you mean line?)"),
+        (("simulate", "walk"), "simulate: no command walk; expected station, line, ranges, tool or agv"),
         (("track", "x", "--out", "o", "--nose", "f"), "no option --nose (did you mean --noise?)"),
         (("track", "x"), "no --out given; expected --out FOLDER, the folder to write to"),
         (("track", "x", "--out", ""), "--out '': expected FOLDER, found an empty name"),
@@ -74,16 +73,12 @@ def test_a_family_of_commands_lists_its_members():
         (("track", "x", "--out", "o", "--from", "9", "--to", "3"), "--from 9 --to 3: expected the first below"),
         (("track", "x", "--out", "o", "--every", "0"), "--every 0: expected seconds above zero"),
         (("track", "x", "--out", "o", "--noise", "nowhere.toml"), "nowhere.toml: cannot be read"),
-        (("evaluate", "a", "b"), "found 'a' 'b'; expected FOLDER"),
+        (("evaluate", "a", "b"), "evaluate: found 'b' beyond what it takes"),
         (("sweep", "x", "--out", "o", "--over", "a=0:1:5:log"), "expected START above zero"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_the_option_before_anything_is_read(words, expected):
     assert_refused(trackwright(*words), expected)
-
-
-def test_the_list_of_trackers_is_the_catalogue():
-    assert {name: f"{spec.about} ({spec.table})" for name, spec in TRACKERS.items()} == summaries.TRACKERS
 
 
 def test_the_help_of_a_command_shows_its_options():
@@ -98,7 +93,9 @@ def test_the_help_of_a_command_shows_its_options():
         (("--help",), 0),
         (("track", "--help"), 0),
         (("tune", "--help"), 0),
-        (("calibrate", "--help"), 0),
+        (("simulate", "--help"), 0),
+        (("simulate", "line", "--help"), 0),
+        (("study", "--help"), 0),
         (("check", "GOOD"), 0),
         (("track", "nowhere", "--out", "out"), 2),
         (("tune", "nowhere", "--out", "out"), 2),
@@ -108,12 +105,19 @@ def test_the_help_of_a_command_shows_its_options():
 )
 def test_help_a_check_and_a_refusal_import_no_jax(beginnings, tmp_path, arguments, code):
     words = [str(beginnings / "good") if word == "GOOD" else word for word in arguments]
+    # Help and a wrong argument need neither arrays nor tables.
+    heavy = [
+        "jax",
+        "scipy",
+        "matplotlib",
+        *(["numpy", "polars"] if "--help" in words or words == ["track", words[1]] else []),
+    ]
     program = (
         "import sys\nfrom experiments.cli.main import main\n"
         f"sys.argv = ['trackwright', *{words!r}]\n"
         "try: main()\n"
         "except SystemExit as end: assert end.code == int(sys.stdin.read()), end.code\n"
-        "print('heavy:', [name for name in ('jax', 'scipy', 'matplotlib') if name in sys.modules])"
+        f"print('heavy:', [name for name in {heavy!r} if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", program], input=str(code), capture_output=True, text=True, check=True)
     assert done.stdout.endswith("heavy: []\n"), done.stdout

@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.tuning_refusals import in_words, refusals
+from experiments.cli.tuning_folder import in_words, refusals
 from experiments.pages.reports.recordings_compared import Compared
 from experiments.pages.reports.worse_recordings import worse
 from tests.in_process import trackwright

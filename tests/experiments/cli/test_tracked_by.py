@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.tracked_by import late_readings, tracked_by
+from experiments.cli.tracking import late_readings, tracked_by
 from sim import worlds
 from tests.faulty import good_tables
 from trackers.catalogue import build

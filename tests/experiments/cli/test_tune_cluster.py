@@ -13,7 +13,7 @@ import time
 import numpy as np
 import pytest
 
-from experiments.cli import tuning_cluster, tuning_job
+from experiments.cli import tuning_job
 from sim import worlds
 from tests.held_here import client_here
 from tests.in_process import assert_refused, trackwright
@@ -40,7 +40,7 @@ def paths(tmp_path_factory):
 @pytest.fixture
 def elsewhere(monkeypatch):
     """Clusters whose calls are made in this process."""
-    monkeypatch.setattr(tuning_cluster, "cluster_client", client_here)
+    monkeypatch.setattr(tuning_job, "cluster_client", client_here)
 
 
 def _both(tmp_path, *words):

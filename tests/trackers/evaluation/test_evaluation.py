@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from experiments.cli.fail_if import violation
+from experiments.cli.evaluating import violation
 from experiments.text.evaluation_text import to_json, to_text
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig, Station

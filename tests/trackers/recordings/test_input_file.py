@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.console import require_output
+from experiments.cli.options import require_output
 from tests.faulty import RIG, write_good
 from trackers.core.errors import LONGEST, UnusableInput
 from trackers.recordings import input_file, table_file

@@ -90,7 +90,7 @@ def test_evaluations_alone_are_compared_without_intervals_and_without_empty_colu
 
 def test_the_command_prints_both_and_writes_one_page(tmp_path, capsys):
     first, second = _study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12)
-    assert report((first, second), out=tmp_path / "page" / "comparison.html") == 0
+    assert report(first, second, out=tmp_path / "page" / "comparison.html") == 0
     printed = capsys.readouterr().out
     assert "10.0 (9.0 … 11.0)" in printed
     assert "12.0 (11.0 … 13.0)" in printed
@@ -124,9 +124,9 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
         ((study,), "found 1 folder;"),
     ):
         with pytest.raises(UnusableInput, match=says):
-            report(runs, out=tmp_path / "comparison.html")
+            report(*runs, out=tmp_path / "comparison.html")
     with pytest.raises(UnusableInput, match="--metrics speed"):
-        report((study, _study(tmp_path / "f", 0.1)), out=tmp_path / "comparison.html", metrics=("speed",))
+        report(study, _study(tmp_path / "f", 0.1), out=tmp_path / "comparison.html", metrics=("speed",))
 
 
 def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():

@@ -1,0 +1,91 @@
+"""The commands of the program, and the options that go with any of them."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated, Any, Literal
+
+from cyclopts import App, Group, Parameter
+from cyclopts.completion import ShellDetectionError
+
+from experiments.cli.arguments import new_app
+from trackers.core.errors import UnusableInput
+
+ABOUT = "Trackers for wireless indoor positioning: how accurate, with which noise levels?"
+
+COMMANDS = {
+    "plan": "cli.plan:plan",
+    "import": "cli.import_source:import_source",
+    "check": "cli.check:check",
+    "calibrate": "cli.calibrate:calibrate_recordings",
+    "track": "cli.track:track",
+    "evaluate": "cli.evaluate:evaluate_tracks",
+    "export": "cli.export:export",
+    "report": "cli.report:report",
+    "tune": "cli.tune:tune",
+    "sweep": "cli.sweep:sweep",
+    "trackers": "cli.trackers:trackers",
+    "tunables": "cli.trackers:tunables",
+    "simulate": "cli.simulate:simulate",
+    "study": "cli.study:study",
+    "truth": "cli.truth:truth",
+    "verify": "lab.verify.command:verify",
+    "demo": "lab.demo:demo",
+}
+"""Where each command is. All these modules are light: what a command computes with is imported when it runs."""
+
+ANY_COMMAND = Parameter(group=Group("With any command", sort_key=9))
+
+
+def application() -> App:
+    """The program with its commands, each imported when it is used; `meta` has the options that go with any of them."""
+    app = new_app("trackwright", ABOUT, _version)
+    for name, place in COMMANDS.items():
+        app.command(f"experiments.{place}", name=name, sort_key=len(app._commands))
+
+    @app.meta.default
+    def launch(
+        *words: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)],
+        quiet: Annotated[bool, ANY_COMMAND, Parameter(alias="-q")] = False,
+        no_cache: Annotated[bool, ANY_COMMAND] = False,
+    ) -> Any:
+        """Run a command.
+
+        Args:
+            words: the command and its arguments.
+            quiet: neither progress nor notices; results and errors alone.
+            no_cache: neither read nor write compiled programs, which are kept in $TRACKWRIGHT_CACHE, by default your
+                cache directory.
+        """
+        if no_cache:
+            os.environ["TRACKWRIGHT_CACHE"] = "off"
+        if quiet:
+            from experiments.text.terminal import ERRORS
+
+            ERRORS.quiet = True
+        return app(words)
+
+    # Ctrl-C is answered in `main`.
+    app.meta.suppress_keyboard_interrupt = False
+
+    @app.command(name="--install-completion", group=ANY_COMMAND.group)
+    def install_completion(*, shell: Literal["bash", "zsh", "fish", "powershell"] | None = None) -> None:
+        """Install the completion of your shell.
+
+        Args:
+            shell: default: the one that the command is run from.
+        """
+        try:
+            print(f"wrote {app.install_completion(shell=shell)}; open a new shell to use it")
+        except ShellDetectionError:
+            raise UnusableInput("--install-completion: no known shell found; give --shell") from None
+        except OSError as error:
+            raise UnusableInput(f"{error.filename}: cannot be written ({error.strerror}); check HOME") from error
+
+    return app
+
+
+def _version() -> str:
+    from trackwright import __version__
+
+    return f"trackwright {__version__}"

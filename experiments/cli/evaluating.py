@@ -1,0 +1,270 @@
+"""What `trackwright evaluate` does with a folder or a file of estimates: metrics, pose errors, conditions."""
+
+from __future__ import annotations
+
+import dataclasses
+import operator
+import re
+import shlex
+import sys
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import polars as pl
+
+from experiments.cli.console import output_folder, read_with_notices
+from experiments.cli.options import EvaluateOptions, require_output
+from experiments.text.tables import terminal_width
+from experiments.text.terminal import notice
+from trackers.core.errors import UnusableInput, near
+from trackers.core.wording import counted
+from trackers.exchange.estimate_files import assigned, read_estimates, read_truth
+from trackers.exchange.tracks_compared import compare_tracks, pooled, pooled_names
+from trackers.recordings.atomic import atomic_write, json_text
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks, source_paths, write_tracks
+
+if TYPE_CHECKING:
+    from trackers.evaluation.evaluate import Evaluation, Metrics
+    from trackers.worksteps.tracks import WorkstepReport
+
+DEFAULT_STEPS = ("1m", "1s")
+DEFAULT_TOLERANCE = 0.01
+FILE_TAG = "1"
+"""Tag of a truth in a file that names none."""
+
+COMPARISONS = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    ">": operator.gt,
+}
+CONDITION = re.compile(
+    r"\s*([A-Za-z]\w*)\s*(<=|>=|==|!=|<|>)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*", re.ASCII
+)
+
+
+def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
+    """Evaluates an output folder of `track`, prints the errors and writes evaluation.json; the exit code."""
+    part, worksteps = options.used.part, options.worksteps
+    tracks = part.of_estimates(read_tracks(folder))
+    folders = read_with_notices(options.truth or sources(folder))
+    # jax takes a second to import, which the help and a refused folder need not wait for.
+    from experiments.jobs.executors import cluster_executor
+    from experiments.pages.reports.worksteps_text import to_text as work_text
+    from experiments.text.evaluation_text import to_json, to_text
+    from trackers.evaluation.evaluate import evaluate, metric_names
+    from trackers.worksteps.tracks import METRICS, workstep_report
+
+    if options.fail_if is not None:
+        conditions(options.fail_if, [*metric_names(tracks), *(METRICS if worksteps is not None else ())])
+    with cluster_executor(options.cluster) if options.cluster else nullcontext() as executor:
+        evaluation, work = evaluate(tracks, folders, part.every, executor), None
+    if worksteps is not None:
+        truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+        work = workstep_report(tracks, truths, worksteps, options.tolerance, part.every)
+        evaluation = with_work(evaluation, work)
+    text = to_json(evaluation, None if work is None else work.plain())
+    atomic_write(folder / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
+    print(
+        text
+        if options.json
+        else to_text(evaluation, terminal_width()) + ("" if work is None else "\n" + work_text(work)),
+        end="",
+    )
+    if options.fail_if is not None:
+        why = violation(evaluation, options.fail_if)
+        if why is not None:
+            print(f"fails: {why}", file=sys.stderr)
+            return 1
+    return 0
+
+
+def with_work(evaluation: Evaluation, work: WorkstepReport) -> Evaluation:
+    """The evaluation with the fractions of right and wrong unlock decisions among its metrics."""
+    recordings = [
+        metrics | (work.metrics(metrics["recording"]) if metrics["recording"] in work.recordings else {})
+        for metrics in evaluation.recordings
+    ]
+    return dataclasses.replace(evaluation, overall=evaluation.overall | work.metrics(), recordings=recordings)
+
+
+def sources(folder: Path) -> tuple[Path, ...]:
+    """The recordings tracked into an output folder; raises UnusableInput if it does not list them."""
+    paths = source_paths(folder)
+    if not paths:
+        raise UnusableInput(
+            f"{folder / SOURCES}: names no recording; expected a folder written by `track`; give --truth RECORDING"
+        )
+    return tuple(paths)
+
+
+def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions) -> int:
+    """Evaluates a file of estimates or a folder of `track`; prints the errors, and writes them with `--out`."""
+    part, poses = options.used.part, options.poses
+    offset = poses.offset
+    if poses.out is not None:
+        require_output(poses.out)
+    if source.is_file() and len(part.tags) > 1:
+        raise UnusableInput(f"--tag {' '.join(part.tags)}: a file of estimates follows one tag; expected one")
+    tag, name, tracks = part.tags[0] if part.tags else None, None, None
+    if source.is_dir():
+        tracks = part.of_estimates(read_tracks(source))
+        followed = tracks.select("recording", "tag").unique()
+        if len(followed) == 1:
+            name, tag = followed.row(0)
+    folders = _read_truth(truth, tag, name)
+    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
+    if not truths:
+        raise UnusableInput(f"{truth[0]}: no truth table; expected a recording with truth, or a trajectory file")
+    if tracks is None:
+        read, notices = read_estimates(source)
+        for line in notices:
+            notice(f"notice: {source}: {line}")
+        tracks = part.of_estimates(assigned(read, truths, tag, source))
+    # jax takes a second to import, which a refused file need not wait for.
+    from experiments.pages.reports.trajectory_text import to_text as poses_text
+    from experiments.text.evaluation_text import to_text
+    from trackers.evaluation.evaluate import evaluate, metric_names
+
+    steps = poses.rpe or DEFAULT_STEPS
+    if options.fail_if is not None:
+        conditions(options.fail_if, [*metric_names(tracks), *pooled_names(steps)])
+    align = poses.align or "none"
+    tolerance = DEFAULT_TOLERANCE if poses.time_tolerance is None else poses.time_tolerance
+    moved, compared = compare_tracks(tracks, truths, align, offset, tolerance, steps, poses.all_pairs)
+    evaluation = evaluate(moved, folders, part.every)
+    evaluation = dataclasses.replace(evaluation, overall=evaluation.overall | pooled(compared))
+    content = {
+        "kind": "position",
+        "statements": evaluation.statements,
+        "overall": evaluation.overall,
+        "recordings": evaluation.recordings,
+        "tracks": evaluation.tracks,
+        "poses": {"align": align, "tracks": [track.to_dict() for track in compared]},
+    }
+    text = json_text(content)
+    width = terminal_width()
+    print(
+        text
+        if options.json
+        else to_text(evaluation, width) + "\n" + poses_text(compared, align, width, offset == "auto"),
+        end="",
+    )
+    if poses.out is not None:
+        written = _write(poses.out, text, evaluation, moved, folders, truth, str(source))
+        if not options.json:
+            print(written)
+    why = None if options.fail_if is None else violation(evaluation, options.fail_if)
+    if why is not None:
+        notice(f"fails: {why}")
+    return int(why is not None)
+
+
+def _read_truth(paths: Sequence[Path], tag: str | None, name: str | None) -> list[RecordingFolder]:
+    """The recordings, or the one path of a trajectory file as that of a tag and a recording, where they are known."""
+    if not paths:
+        raise UnusableInput("no --truth; expected recording folders, or a trajectory file: --truth FOLDER|FILE")
+    for path in paths:
+        if not path.exists():
+            raise UnusableInput(f"--truth {path}: does not exist; expected a recording folder, or a trajectory file")
+    files = [path for path in paths if path.is_file()]
+    if not files:
+        return read_with_notices(paths)
+    if len(paths) > 1:
+        raise UnusableInput(f"--truth {files[0]} and others; expected one trajectory file, or recording folders")
+    folder = read_truth(files[0], tag or FILE_TAG)
+    for line in folder.notices:
+        notice(f"notice: {files[0]}: {line}")
+    return [folder if name is None else dataclasses.replace(folder, name=name)]
+
+
+def _write(
+    out: Path,
+    text: str,
+    evaluation: Evaluation,
+    tracks: pl.DataFrame,
+    folders: Sequence[RecordingFolder],
+    truth: Sequence[Path],
+    source: str,
+) -> str:
+    """Writes the files of `--out`; returns in words which."""
+    from experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
+    from experiments.pages.plots.track_folder import plot_tracks
+    from experiments.pages.scored_tracks import ScoredTracks
+    from trackers.evaluation.evaluate import associate
+
+    output_folder(out)
+    atomic_write(out / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))
+    atomic_write(out / TRACKS, lambda path: write_tracks(tracks, path))
+    if all(path.is_dir() for path in truth):
+        names = "".join(f"{path.resolve()}\n" for path in truth)
+        atomic_write(out / "recordings.txt", lambda path: path.write_text(names, encoding="utf-8"))
+    scored = ScoredTracks(associate(tracks, folders), folders, ())
+    none = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
+    run = run_data(scored, none, evaluation, source, figures=True)
+    write_track_page(out / PAGE, [run], shlex.join(["trackwright", *sys.argv[1:]]), "evaluate")
+    drawn = plot_tracks(out, scored)
+    figures = f"{counted(len(drawn), 'figure')}: {', '.join(drawn)}"
+    return f"wrote {out}: {PAGE}, evaluation.json, {TRACKS} as compared, and {figures}"
+
+
+class Condition(NamedTuple):
+    """A metric, one of `COMPARISONS` and a number, all as text."""
+
+    name: str
+    sign: str
+    number: str
+
+
+def conditions(expression: str, names: Sequence[str]) -> list[list[Condition]]:
+    """The conditions of an expression, NAME OPERATOR NUMBER joined by `and` and `or`: alternatives of all that hold.
+
+    Raises UnusableInput for any other expression, and for a name that is none of the `names` of metrics.
+    """
+    return [
+        [_condition(part, expression, names) for part in re.split(r"\band\b", alternative)]
+        for alternative in re.split(r"\bor\b", expression)
+    ]
+
+
+def violation(evaluation: Evaluation, expression: str) -> str | None:
+    """The conditions that hold, such as `p95_m is 0.62 > 0.5`; None if the expression is false of the overall metrics.
+
+    Raises UnusableInput as `conditions`, and for a metric without a value, which must not pass.
+    """
+    true = []
+    for alternative in conditions(expression, list(evaluation.overall)):
+        parts = [_check(evaluation.overall, part, expression) for part in alternative]
+        if all(holds for holds, _ in parts):
+            true.append(" and ".join(text for _, text in parts))
+    return "; ".join(true) or None
+
+
+def _condition(text: str, expression: str, names: Sequence[str]) -> Condition:
+    match = CONDITION.fullmatch(text)
+    if match is None:
+        raise UnusableInput(
+            f"--fail-if '{expression}': cannot read '{text.strip()}'; expected NAME OPERATOR NUMBER joined by "
+            f"and, or, e.g. p95_m>0.5; names: {', '.join(names)}"
+        )
+    found = Condition(*match.groups())
+    if found.name not in names:
+        raise UnusableInput(
+            f"--fail-if '{expression}': no metric '{found.name}'{near(found.name, names)}; names: {', '.join(names)}"
+        )
+    return found
+
+
+def _check(overall: Metrics, condition: Condition, expression: str) -> tuple[bool, str]:
+    name, sign, number = condition
+    if overall[name] is None:
+        present = ", ".join(key for key, value in overall.items() if value is not None)
+        raise UnusableInput(
+            f"--fail-if '{expression}': '{name}' has no value for these tracks; metrics with a value: {present}"
+        )
+    return COMPARISONS[sign](overall[name], float(number)), f"{name} is {overall[name]:.6g} {sign} {number}"

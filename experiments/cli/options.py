@@ -1,0 +1,449 @@
+"""The types of the commands' values, and the options that several of them share; light, as help imports them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from trackers.core.errors import UnusableInput, has_control
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from trackers.recordings.calibration import Calibration
+    from trackers.recordings.named_tracker import NamedTracker
+    from trackers.recordings.selection import Selection
+    from tuning.tuned_file import Tuned
+
+Folder = Annotated[Path, Parameter(metavar="FOLDER")]
+Recording = Annotated[Path, Parameter(required=True)]
+"""One of the positional folders, of which a command needs one at least."""
+
+File = Annotated[Path, Parameter(metavar="FILE")]
+Seconds = Annotated[float, Parameter(metavar="S")]
+Pattern = Annotated[str, Parameter(metavar="PATTERN")]
+Setting = Annotated[str, Parameter(metavar="NAME=VALUE")]
+Address = Annotated[str, Parameter(metavar="ADDRESS")]
+
+FigureFormat = Literal["png", "pdf"]
+"""The kinds of figures in files, by their endings."""
+
+
+def _names_of_trackers(context: Any) -> list[str]:
+    from trackers.catalogue import TRACKERS
+
+    return list(TRACKERS)
+
+
+Tracker = Annotated[str, Parameter(metavar="NAME", completer=_names_of_trackers)]
+
+Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
+"""As `trackers.exchange.alignment.Alignment`, which takes longer to import."""
+
+FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100', with ':log' at the end for equal ratios"
+
+OPTIONS = Parameter(name="*")
+"""Decorates a dataclass whose fields are options, each explained in its docstring."""
+
+
+@OPTIONS
+@dataclass(frozen=True, kw_only=True)
+class PartOptions:
+    """The options on the part of recordings, or of estimates, that is used.
+
+    Raises UnusableInput for times that name no part of a recording.
+
+    Args:
+        tag: these tags alone.
+        from_: rows from this time on.
+        to: rows up to this time.
+        every: only the last row of each tag, and anchor or station, in every so many seconds.
+    """
+
+    tag: tuple[Annotated[str, Parameter(metavar="TAG")], ...] = ()
+    from_: Seconds | None = None
+    to: Seconds | None = None
+    every: Seconds | None = None
+
+    def __post_init__(self) -> None:
+        for option, value in (("--from", self.from_), ("--to", self.to)):
+            if value is not None and not math.isfinite(value):
+                raise UnusableInput(f"{option} {value:.12g}: expected seconds, a time of the recording")
+        if self.from_ is not None and self.to is not None and self.from_ >= self.to:
+            raise UnusableInput(f"--from {self.from_:.12g} --to {self.to:.12g}: expected the first below the second")
+        if self.every is not None and not 0 < self.every < math.inf:
+            raise UnusableInput(f"--every {self.every:g}: expected seconds above zero")
+
+    @property
+    def part(self) -> Selection:
+        """The part of each recording."""
+        from trackers.recordings.selection import Selection
+
+        return Selection(self.tag, self.from_, self.to, self.every)
+
+
+@OPTIONS
+@dataclass(frozen=True, kw_only=True)
+class ReadingOptions(PartOptions):
+    """The options of `track`, `tune` and `sweep` on the readings that are used, and on their calibration.
+
+    Args:
+        calibration: a calibration.toml of `trackwright calibrate`, of other recordings of these stations or anchors.
+        average: mean of the ranges, fixes or bearings of each tag and anchor or station over so many seconds; 0:
+            every reading; default: 0.5 for bearings that repeat.
+    """
+
+    calibration: File | None = None
+    average: Seconds | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.average is not None and not 0 <= self.average < math.inf:
+            raise UnusableInput(f"--average {self.average:g}: expected seconds above zero, or 0 for every reading")
+
+    def read_calibration(self) -> Calibration | None:
+        """The calibration, None without; raises UnusableInput as `trackers.recordings.calibration_file`."""
+        from trackers.recordings.calibration_file import read_calibration
+
+        return None if self.calibration is None else read_calibration(self.calibration)
+
+
+@OPTIONS
+@dataclass(frozen=True, kw_only=True)
+class TrackerOptions:
+    """The options of `track`, `tune` and `sweep` on the tracker and its numbers, and where they write to.
+
+    Args:
+        out: the folder to write to.
+        tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; several names with
+            commas are compared by `track`; default: that of the file `--noise` or `--start`, else the one that fits the
+            tables.
+        set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; those of `trackwright tunables`.
+        free_height: estimate the height of tags whose height the rig gives.
+    """
+
+    out: Folder
+    tracker: Tracker | None = None
+    set_: tuple[Setting, ...] = ()
+    free_height: bool = False
+    used: ReadingOptions = field(default_factory=ReadingOptions)
+
+    def __post_init__(self) -> None:
+        require_output(self.out)
+
+    @property
+    def file(self) -> Path | None:
+        """A tuned.toml, whose values are used."""
+        raise NotImplementedError
+
+    @cached_property
+    def tuned(self) -> Tuned | None:
+        """The content of that file; raises UnusableInput."""
+        from tuning.tuned_file import read_tuned
+
+        return None if self.file is None else read_tuned(self.file)
+
+    @cached_property
+    def values(self) -> dict[str, Any]:
+        """Those of `--set` by tunable or pattern; raises UnusableInput."""
+        from tuning.tuned_file import parse_values
+
+        return parse_values(self.set_, "--set")
+
+    def read(self) -> None:
+        """Raises UnusableInput for values and a file that cannot be read, before anything else is."""
+        _ = self.values, self.tuned
+
+    def valued(self, named: NamedTracker) -> NamedTracker:
+        """The tracker with the values of the file and then those of `--set`."""
+        if self.tuned is not None:
+            named = named.with_values(self.tuned.values, self.file)
+        return named.with_values(self.values, "--set") if self.values else named
+
+    def config(self, *without: str) -> dict[str, Any]:
+        """The options as a manifest holds them, without those that change no result: what is written, and these."""
+        silent = {"out", "set_", "used", "no_figures", "no_report", "format", "json", *without}
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in silent}
+        used = {"calibration": self.used.calibration, "part": asdict(self.used.part), "average": self.used.average}
+        return own | {"set": self.set_} | used
+
+
+@OPTIONS
+@dataclass(frozen=True, kw_only=True)
+class TrackOptions(TrackerOptions):
+    """How it is tracked, and what is written.
+
+    Args:
+        noise: a tuned.toml of `trackwright tune`.
+        smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
+        lag: smooth with the readings of the next so many seconds only.
+        seed: of the random numbers of particle filters.
+        cluster: track each recording by itself on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
+        no_figures: draw no figures.
+        no_report: write no report.html, the page with playback and linked charts.
+        format: of the figures.
+        force: track recordings in spite of the errors that `trackwright check` finds.
+        keep_going: track each recording by itself, keep finished ones for the same command again, and leave out those
+            that fail, with exit code 1; always with a folder of folders, and with more than 60 recordings.
+        json: print the error metrics as JSON, by tracker, instead of tables.
+    """
+
+    noise: File | None = None
+    smooth: bool = False
+    lag: Seconds | None = None
+    seed: int = 0
+    cluster: Address | None = None
+    no_figures: bool = False
+    no_report: bool = False
+    format: FigureFormat = "png"
+    force: bool = False
+    keep_going: bool = False
+    json: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.lag is not None and not 0 < self.lag < 1e6:
+            raise UnusableInput(
+                f"--lag {self.lag:g}: expected seconds above zero; leave it out to use the whole recording"
+            )
+
+    @property
+    def file(self) -> Path | None:
+        """The noise file."""
+        return self.noise
+
+    def manifest(self, tracker: str) -> dict[str, Any]:
+        """What the manifest of a run of this tracker holds of the options."""
+        return self.config("cluster", "force", "keep_going") | {"tracker": tracker, "set": self.values}
+
+
+@OPTIONS
+@dataclass(frozen=True, kw_only=True)
+class TuneOptions(TrackerOptions):
+    """What is fitted, how, and what is written.
+
+    Args:
+        objective: state-nll, the negative log density of the truth under the reported position and covariance; rmse,
+            nees-shape (need truth as well); nll, the negative log-likelihood, nis-shape (need none); or a sum,
+            e.g. state-nll+0.1*rmse. Default: state-nll where there is truth, else nll.
+        tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
+            levels of motion and sensors, and with truth the latency of fixes.
+        freeze: patterns of tunables to keep.
+        bound: physical bounds of tuned numbers.
+        prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; makes nll the
+            default objective.
+        start: a tuned.toml to start from; --set goes before it.
+        held_out: recordings to validate on: not fitted, they select the best point and end the fit.
+        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too. Default: 3 for state-nll, in
+            which a height counts half a horizontal coordinate, where the truth has heights; else 2.
+        weigh: recordings or rows: which of them have the same weight.
+        starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
+        optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for minibatches and particles.
+        steps: maximum number of steps per start.
+        minibatch: trajectories per step, drawn at random; default: all.
+        intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood
+            (makes nll the default objective), or bootstrap over trajectories.
+        resume: continue from the checkpoint in --out, with bit-identical results.
+        cluster: hold the rows on the workers of a Dask cluster, tcp://HOST:8786, or of processes here, local:4, which
+            all see the folder --out; for recordings that no memory holds, with the same tuned.toml.
+        piece_rows: rows of the segments into which long recordings are cut.
+        force: write tuned.toml even where a level collapsed, the fit ended before its optimum, or a recording gets
+            worse: RMSE more than 5 % larger, covariances that held and do not, or a share inside the 95 % ellipse
+            farther from 95 % by more than 5 %.
+        no_figures: draw no figure.
+        no_report: write no report.html.
+        format: of the figure, tuning.png or tuning.pdf.
+        json: print the content of tuned.toml as JSON instead of tables.
+    """
+
+    objective: Annotated[str, Parameter(metavar="NAME")] | None = None
+    tune: tuple[Pattern, ...] | None = None
+    freeze: tuple[Pattern, ...] = ()
+    bound: tuple[Annotated[str, Parameter(metavar="PATTERN=LOW:HIGH")], ...] = ()
+    prior: tuple[Annotated[str, Parameter(metavar="PATTERN=PRIOR")], ...] = ()
+    start: File | None = None
+    held_out: tuple[Folder, ...] = ()
+    dimensions: Literal[2, 3] | None = None
+    weigh: Literal["recordings", "rows"] = "recordings"
+    starts: int = 4
+    optimiser: Literal["auto", "lbfgs", "adam"] = "auto"
+    steps: int = 60
+    minibatch: int | None = None
+    intervals: Literal["curvature", "profile", "bootstrap"] = "curvature"
+    resume: bool = False
+    cluster: Address | None = None
+    piece_rows: int = 8000
+    force: bool = False
+    no_figures: bool = False
+    no_report: bool = False
+    format: FigureFormat = "png"
+    json: bool = False
+
+    def __post_init__(self) -> None:
+        require_least(steps=(self.steps, 1), starts=(self.starts, 1), piece_rows=(self.piece_rows, 10))
+        require_least(minibatch=(self.minibatch, 1))
+        super().__post_init__()
+
+    @property
+    def file(self) -> Path | None:
+        """The file to start from."""
+        return self.start
+
+
+@OPTIONS
+@dataclass(frozen=True, kw_only=True)
+class SweepOptions(TrackerOptions):
+    """What is evaluated, and where.
+
+    Args:
+        over: a shell pattern of tunables, tied, and their values; once or twice. ':log' makes equal ratios.
+        objective: rmse (needs truth), nll, or another objective of `tune`.
+        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
+        weigh: recordings or rows: which of them have the same weight.
+        repeats: runs of a particle filter per value, with different random numbers.
+        noise: a tuned.toml for the other parameters.
+        path: an output folder of `tune`, or its trace.csv, to draw as optimiser trace.
+        piece_rows: rows of the segments into which long recordings are cut, as in `tune`.
+        format: of the figure, sweep.png or sweep.pdf.
+        json: print the best point as JSON instead of a line.
+    """
+
+    over: Annotated[tuple[str, ...], Parameter(metavar="PATTERN=START:STOP:COUNT[:log]...")]
+    objective: Annotated[str, Parameter(metavar="NAME")] = "rmse"
+    dimensions: Literal[2, 3] = 2
+    weigh: Literal["recordings", "rows"] = "recordings"
+    repeats: int = 10
+    noise: File | None = None
+    path: Folder | None = None
+    piece_rows: int = 8000
+    format: FigureFormat = "png"
+    json: bool = False
+
+    def __post_init__(self) -> None:
+        require_least(piece_rows=(self.piece_rows, 10), repeats=(self.repeats, 1))
+        super().__post_init__()
+
+    @property
+    def file(self) -> Path | None:
+        """The noise file."""
+        return self.noise
+
+    @cached_property
+    def grids(self) -> Mapping[str, np.ndarray]:
+        """The grids of `--over` by pattern; raises UnusableInput."""
+        import numpy as np
+
+        if not 1 <= len(self.over) <= 2:
+            raise UnusableInput(
+                f"--over given {len(self.over)} times: expected once or twice; sweep further parameters separately"
+            )
+        grids = {}
+        for text in self.over:
+            pattern, _, span = text.rpartition("=")
+            span, log = span.removesuffix(":log"), span.endswith(":log")
+            try:
+                start, stop, count = (kind(x) for kind, x in zip((float, float, int), span.split(":"), strict=True))
+            except ValueError as error:
+                raise UnusableInput(f"--over {text}: expected {FORM}") from error
+            if not pattern or not (np.isfinite(start) and np.isfinite(stop)):
+                raise UnusableInput(f"--over {text}: expected {FORM}")
+            if count < 2 or start >= stop:
+                raise UnusableInput(f"--over {text}: expected {FORM}, START below STOP and COUNT at least 2")
+            if pattern in grids:
+                raise UnusableInput(f"--over {pattern}: duplicate, expected two different patterns")
+            if log and start <= 0:
+                raise UnusableInput(f"--over {text}: expected START above zero for equal ratios")
+            grids[pattern] = (np.geomspace if log else np.linspace)(start, stop, count)
+        return grids
+
+
+@OPTIONS
+@dataclass(frozen=True, kw_only=True)
+class PoseOptions:
+    """The options of the comparison of poses; None and empty where they were not given.
+
+    Args:
+        align: fit each track to its truth first: se3, sim3 (with scale), scale, se2 (in x and y), origin (first pose).
+        time_offset: added to the times of the estimates; auto: the one that fits best.
+        time_tolerance: largest distance in time between a pose and its true pose; default: 0.01.
+        rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
+        all_pairs: relative pose errors from every pose, not from the end of the step before.
+        out: a folder for the page, evaluation.json, the tracks as compared, and figures.
+    """
+
+    align: Alignment | None = None
+    time_offset: Annotated[str, Parameter(metavar="S|auto")] | None = None
+    time_tolerance: Seconds | None = None
+    rpe: tuple[Annotated[str, Parameter(metavar="STEP")], ...] = ()
+    all_pairs: bool = False
+    out: Folder | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether any was given."""
+        return self != PoseOptions()
+
+    @property
+    def offset(self) -> float | Literal["auto"]:
+        """The time offset, s; raises UnusableInput for another text."""
+        if self.time_offset in (None, "auto"):
+            return 0.0 if self.time_offset is None else "auto"
+        try:
+            seconds = float(self.time_offset or "")
+        except ValueError:
+            seconds = math.nan
+        if not math.isfinite(seconds):
+            raise UnusableInput(f"--time-offset {self.time_offset}: expected seconds, or auto")
+        return seconds
+
+
+@OPTIONS
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions:
+    """What is compared, and what is printed.
+
+    Args:
+        truth: recordings whose truth tables are used, or a trajectory file, of the one tag that the estimates follow;
+            default: the tracked recordings.
+        json: print all metrics as JSON instead of a table.
+        fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
+        worksteps: a table of fastening points, name, x_m, y_m and optionally z_m; adds how often the tool is
+            unlocked at the right one.
+        tolerance: distance to a fastening point, m, up to which the tool is at it; default: half the smallest distance
+            between two points.
+        cluster: score each recording on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
+    """
+
+    truth: tuple[Annotated[Path, Parameter(metavar="FOLDER|FILE")], ...] = ()
+    used: PartOptions = field(default_factory=PartOptions)
+    json: bool = False
+    fail_if: Annotated[str, Parameter(metavar="CONDITION")] | None = None
+    worksteps: File | None = None
+    tolerance: Annotated[float, Parameter(metavar="M")] | None = None
+    cluster: Address | None = None
+    poses: PoseOptions = field(default_factory=PoseOptions)
+
+
+def require_output(path: Path) -> None:
+    """Raises UnusableInput for a folder that takes no results: a recording, a file, or the root of the file system."""
+    if (path / "rig.toml").exists():
+        raise UnusableInput(f"--out {path}: is a recording folder; expected a folder for results; choose another")
+    if path.resolve() == Path(path.resolve().anchor):
+        raise UnusableInput(f"--out {path}: is the root of the file system; choose another folder")
+    if has_control(str(path)):
+        raise UnusableInput(f"--out {path}: has a control character or bytes that are no UTF-8; choose another folder")
+    if path.is_file():
+        raise UnusableInput(f"--out {path}: is a file; expected a folder for results; choose another folder")
+
+
+def require_least(**counts: tuple[int | None, int]) -> None:
+    """Raises UnusableInput for the first option, of those with a value and the least one, that is below it."""
+    for name, (value, least) in counts.items():
+        if value is not None and value < least:
+            raise UnusableInput(f"--{name.replace('_', '-')} {value}: expected at least {least}")
