@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from experiments.monte_carlo import Study, TrackerConfig, World
-from experiments.pages.plots.study import expected, metric_chart
+from experiments.pages.plots.study import metric_chart
 from experiments.text.expectations import Value
 from experiments.text.wording import Unit
 from sim.worlds import WORLDS
+from trackers.evaluation.metrics import METRICS
 
 USUAL = Value(0.01, 0.009, 0.06)
 
@@ -60,7 +61,7 @@ def test_the_grid_of_a_worlds_parameter_has_its_unit(name, label):
 
 
 def test_what_right_covariances_give_is_a_line_at_its_value():
-    assert [expected(m) for m in ("coverage_95", "coverage_50_3d", "nis_ratio", "nees_3d_mean", "rmse_m")] == [
+    assert [METRICS[m].right for m in ("coverage_95", "coverage_50_3d", "nis_ratio", "nees_3d_mean", "rmse_m")] == [
         0.95, 0.5, 1.0, 3.0, None,
     ]  # fmt: skip
     grid = "world.sigma_p", [0.1, 0.2, 0.3]
