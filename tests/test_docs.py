@@ -148,6 +148,39 @@ def test_a_kind_of_ones_own_is_read_checked_and_tracked(hall):
     assert metrics["rmse_m"] < 0.15
 
 
+OWN = ("--tracker", "tdoa.py:TRACKER")
+
+
+def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_line(hall):
+    KINDS.pop("tdoa")
+    assert "tdoa.parquet (not one of the tables" in trackwright("check", "hall").out
+    done = trackwright("check", "hall", *OWN)
+    assert (done.code, "range difference noise" in done.out) == (0, True)
+    KINDS.pop("tdoa")
+    done = trackwright("track", "hall", *OWN, "--out", "out", "--no-figures")
+    assert done.code == 0, done.err
+    assert "range difference" in Path("out/report.html").read_text("utf-8")
+    KINDS.pop("tdoa")
+    done = trackwright("track", "hall", *OWN, "--out", "kept", "--keep-going", "--no-figures", "--no-report")
+    assert done.code == 0, done.err
+    tracks = [pl.read_parquet(f"{out}/tracks.parquet").select("t_s", "tag", "x_m", "y_m") for out in ("out", "kept")]
+    assert tracks[0].equals(tracks[1])
+
+
+@pytest.mark.slow
+def test_a_kind_of_ones_own_is_tuned_swept_and_studied_by_file(hall):
+    KINDS.pop("tdoa")
+    done = trackwright(
+        "tune", "hall", *OWN, "--tune", "sensors.tdoa.sigma_d", "--steps", 4, "--force", "--out", "tuned"
+    )
+    assert done.code == 0, done.err
+    KINDS.pop("tdoa")
+    assert trackwright("sweep", "hall", *OWN, "--over", "sensors.tdoa.sigma_d=0.1:0.3:3", "--out", "swept").code == 0
+    done = trackwright("study", "hall.py", "--out", "studied")
+    assert done.code == 0, done.err
+    assert "tdoa" in Path("studied/results.json").read_text("utf-8")
+
+
 def test_a_kind_of_ones_own_with_an_unknown_anchor_is_refused_with_its_row(hall):
     table = pl.read_parquet("hall/tdoa.parquet")
     other = table.with_columns(anchor_2=pl.when(pl.int_range(pl.len()) == 4).then(pl.lit("9")).otherwise("anchor_2"))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from experiments.cli.options import Recording
+from experiments.cli.options import Recording, Tracker, run_tracker_files
 from trackers.core.errors import printable
 
 
-def check(*recordings: Recording, json: bool = False) -> int:
+def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = False) -> int:
     """Check the data: time base, gaps, outliers, ids, units, geometry.
 
     Truth is checked too, if there is any.
@@ -17,6 +17,7 @@ def check(*recordings: Recording, json: bool = False) -> int:
 
     Args:
         recordings: recording folders (rig.toml and tables).
+        tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
     from trackers.recordings.atomic import json_text
@@ -24,6 +25,7 @@ def check(*recordings: Recording, json: bool = False) -> int:
     from trackers.recordings.checks import format_results
     from trackers.recordings.folder import read_recording
 
+    run_tracker_files(tracker)
     failed, found = False, {}
     for path in recordings:
         results = check_recording(read_recording(path))

@@ -157,8 +157,9 @@ class TrackerOptions:
         return parse_values(self.set_, "--set")
 
     def read(self) -> None:
-        """Raises UnusableInput for values and a file that cannot be read, before anything else is."""
-        _ = self.values, self.tuned
+        """Raises UnusableInput for values and files that cannot be read, before anything else is."""
+        run_tracker_files(self.tracker or (None if self.tuned is None else self.tuned.tracker))
+        _ = self.values
 
     def valued(self, named: NamedTracker) -> NamedTracker:
         """The tracker with the values of the file and then those of `--set`."""
@@ -428,6 +429,15 @@ class EvaluateOptions:
     tolerance: Annotated[float, Parameter(metavar="M")] | None = None
     cluster: Address | None = None
     poses: PoseOptions = field(default_factory=PoseOptions)
+
+
+def run_tracker_files(trackers: str | None) -> None:
+    """Runs the users' files among trackers, separated by commas: they may add the kinds of the recordings' tables."""
+    from trackers.catalogue import spec_of, split_name
+
+    for name in (trackers or "").split(","):
+        if split_name(name)[0]:
+            spec_of(name)
 
 
 def require_output(path: Path) -> None:

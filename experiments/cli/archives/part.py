@@ -12,7 +12,7 @@ import polars as pl
 from experiments.cli.console import errors_of, ready
 from experiments.cli.options import ReadingOptions
 from experiments.cli.tracking import late_readings
-from experiments.jobs.portable_tracker import PortableTracker
+from experiments.jobs.portable_tracker import PortableTracker, spec_here
 from trackers.catalogue import fitting, split_name
 from trackers.core.errors import UnusableInput, one_line
 from trackers.evaluation.association import associate_truth, refuse_without_overlap
@@ -86,6 +86,8 @@ class Tracking:
 
     def __call__(self, recording: RecordingFolder) -> Found:
         """The estimates of one recording; raises UnusableInput where it has errors."""
+        for name, text in self.names:
+            spec_here(name, text)  # a user's file may add the kind of the recording's tables
         errors = errors_of(recording, self.force, self.calibration is not None)
         folder, lines = ready(recording, self.used, self.calibration)
         found = Found(notices=[*errors, *lines])
