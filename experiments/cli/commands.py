@@ -6,7 +6,6 @@ import os
 from typing import Annotated, Any, Literal
 
 from cyclopts import App, Group, Parameter
-from cyclopts.completion import ShellDetectionError
 
 from experiments.cli.arguments import new_app
 from trackers.core.errors import UnusableInput
@@ -75,6 +74,8 @@ def application() -> App:
         Args:
             shell: default: the one that the command is run from.
         """
+        from cyclopts.completion import ShellDetectionError
+
         try:
             print(f"wrote {app.install_completion(shell=shell)}; open a new shell to use it")
         except ShellDetectionError:
