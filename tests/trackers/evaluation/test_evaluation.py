@@ -13,10 +13,11 @@ import pytest
 import trackwright as tw
 from experiments.cli.evaluating import violation
 from experiments.text.evaluation_text import to_json, to_text
+from sim.worlds import WORLDS
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig, Station
 from trackers.evaluation.association import associate_truth
-from trackers.evaluation.evaluate import associate, evaluate, evaluate_table
+from trackers.evaluation.evaluate import _truths, associate, evaluate, evaluate_table
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks_table import read_tracks
 from trackers.recordings.truth import TruthStatus
@@ -499,3 +500,17 @@ def test_an_evaluation_is_printed_as_a_table_with_what_it_means():
     assert a.split()[:3] == ["a", "all", "20"]
     assert str(found).endswith(found.statements[-1])
     assert len(repr(found)) < 120
+
+
+@pytest.mark.parametrize(("world", "tracker"), [("agv", "fix-kf"), ("ranges", "multilateration")])
+def test_recordings_in_arrays_have_the_truth_that_their_tables_would_have(world, tracker):
+    # Ranges to several anchors share a time, of which the first row counts.
+    folder = WORLDS[world](np.arange(3), 1, rows=20)
+    (batch,) = tw.build(tracker, folder).batches([folder])
+    recordings = [one.recording for one in batch.trajectories]
+    estimates = batch.tracker.run(recordings)
+    found = associate(estimates, recordings)
+    expected = associate_truth(estimates.to_polars().with_columns(tag=pl.lit("")), _truths(recordings))
+    assert found.scored.any()
+    np.testing.assert_array_equal(found.truth, expected.truth)
+    np.testing.assert_array_equal(found.truth_status, expected.truth_status)
