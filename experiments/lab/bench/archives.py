@@ -7,7 +7,7 @@ import tempfile
 from importlib import import_module
 from pathlib import Path
 
-from experiments.lab.bench.timing import Bench, Row, Table, apart, timed_command
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, apart, timed_command
 from experiments.lab.subprocesses import REPOSITORY
 from trackers.core.errors import UnusableInput
 
@@ -26,7 +26,7 @@ PERCENTILES = ("median", "p90", "p95", "p99", "sigma_factor")
 """Beginnings of the names of the metrics from histograms."""
 
 
-def archives(sizes: tuple[int, ...] = (), *, bench: Bench) -> int:
+def archives(*sizes: int, bench: Bench = DEFAULTS) -> int:
     """Archives of thousands of recordings, tracked and evaluated: processor time, and memory at its peak.
 
     Each recording is a simulated vehicle for four seconds, fixes with truth: so short that what a recording costs

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.lab.bench.timing import Bench, Row, Table, Version, apart_each, compared
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.algebra import diagonal
@@ -45,7 +45,7 @@ JITTER = 1e-3
 """Added to the variance of every difference, rad²; makes the Cholesky factor exist in single precision."""
 
 
-def beam(*, peers: bool = False, bench: Bench) -> int:
+def beam(*, peers: bool = False, bench: Bench = DEFAULTS) -> int:
     """Speed of the beam tracker beside a textbook version and other libraries, with and without flags for XLA.
 
     Each of both settings runs in its own process, in which all versions take turns: ratios, taken within a round, are

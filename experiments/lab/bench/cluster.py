@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from experiments.cli.console import ReadingOptions
-from experiments.cli.folders_in_turn import FoldersInTurn
+from experiments.cli.console import FoldersInTurn
+from experiments.cli.options import ReadingOptions
 from experiments.cli.runtime import set_flags
-from experiments.cli.tuning_cluster import data_in_turn
+from experiments.cli.tuning_job import data_in_turn
 from experiments.jobs.executors import cluster_client, cluster_executor, finished
 from experiments.jobs.held_parts import FitWorkers, HeldParts
 from experiments.lab.bench.cluster_scale import declared, tcp_bytes
-from experiments.lab.bench.timing import Bench, Row, Table, clocked, last_line, shown, timed_command
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, last_line, shown, timed_command
 from experiments.lab.subprocesses import REPOSITORY
 from experiments.monte_carlo import Study, run_study
 from experiments.pages.reports.study_text import to_json
@@ -46,7 +46,7 @@ PLACES = {
 """The cluster of each run, and whether a worker is killed by SIGKILL on the way."""
 
 
-def cluster(*, runs: int = 100_000, bench: Bench) -> int:
+def cluster(*, runs: int = 100_000, bench: Bench = DEFAULTS) -> int:
     """A study on threads, on one and two worker processes, and on two of which one is killed; 1 if the bits differ.
 
     Trajectories a second are counted from the moment when a quarter of the chunks is stored, since each worker begins
@@ -124,7 +124,9 @@ FIT = ("--tracker", "fix-kf", "--optimiser", "adam", "--starts", "1", "--force",
 EVALUATIONS = 10
 
 
-def cluster_fit(*, recordings: int = 32, tags: int = 128, rows: int = 500, steps: int = 8, bench: Bench) -> int:
+def cluster_fit(
+    *, recordings: int = 32, tags: int = 128, rows: int = 500, steps: int = 8, bench: Bench = DEFAULTS
+) -> int:
     """A fit whose rows are held by worker processes, beside threads, with a worker killed in mid-fit.
 
     `trackwright tune` of simulated position fixes; tuned.toml and trace.csv are compared to the byte. Memory is what a

@@ -24,7 +24,7 @@ import psutil
 
 from experiments.cli.runtime import set_flags
 from experiments.jobs.executors import cluster_executor, finished
-from experiments.lab.bench.timing import Bench, Row, Table, clocked
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked
 from experiments.lab.subprocesses import REPOSITORY
 from experiments.monte_carlo import Study, load_study
 from experiments.monte_carlo.chunk_store import ChunkStore
@@ -74,7 +74,7 @@ BYTES_SENT = 120
 """Offset of bytes sent and acknowledged in the kernel's struct tcp_info; bytes received follow."""
 
 
-def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, bench: Bench) -> int:
+def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, bench: Bench = DEFAULTS) -> int:
     """A scheduler with a thousand workers of Dask's, many in a process, and parts that compute nothing.
 
     Each part takes the declaration of a study and returns as many bytes as its largest chunks: processor seconds of
@@ -259,7 +259,7 @@ def cluster_plan(
     price: float | None = None,
     conditions: int = 1,
     measured: Path = MEASURED,
-    bench: Bench,
+    bench: Bench = DEFAULTS,
 ) -> int:
     """What a large study takes on a cluster: chunks, hours, bytes, and with a price the cost. Nothing is run.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from experiments.lab.bench import particles
 from experiments.lab.bench.beam import TUNED, finished, simulate, trackers
-from experiments.lab.bench.timing import Bench, Row, Table, turns
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, turns
 from trackers.core.errors import UnusableInput
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
@@ -36,7 +36,7 @@ class Size(NamedTuple):
 SMALL = Size(2, 8, 5, 8, 4, 1024)
 
 
-def gpu(*, bench: Bench) -> int:
+def gpu(*, bench: Bench = DEFAULTS) -> int:
     """Speed on one GPU and on all GPUs of this host, beside reading the recordings once; they stay on the device.
 
     The likelihood of a beam tracker and its gradient over two tunables, beside the time that reading the recordings

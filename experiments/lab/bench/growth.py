@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.lab.bench.timing import Bench, Row, Table, apart
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, apart
 from trackers.core.errors import UnusableInput
 
 ALL = 10**9
@@ -58,7 +58,7 @@ SERIES = {
 SMOOTHED = ("uwb", "fix-kf", "fix-singer", "imm", "uwb-imu")
 
 
-def growth(series: tuple[str, ...] = (), *, bench: Bench) -> int:
+def growth(*series: str, bench: Bench = DEFAULTS) -> int:
     """Time and memory against the size of the problem, beside peers (extra: peers) and NumPy loops.
 
     Slopes are fitted to the logarithms of processor time and size. 1 if a point fails.
@@ -78,7 +78,7 @@ def lanes(
     states: tuple[int, ...] = (4, 8, 12, 15),
     smoothed: bool = False,
     trackers: tuple[str, ...] = SMOOTHED,
-    bench: Bench,
+    bench: Bench = DEFAULTS,
 ) -> int:
     """Time per row against the number of trajectories: covariances as scalars and as matrices, or smoothers.
 
@@ -100,7 +100,7 @@ def lanes(
     return measured("lanes", series, bench)
 
 
-def bearings(*, bench: Bench) -> int:
+def bearings(*, bench: Bench = DEFAULTS) -> int:
     """The cost of drifting biases in the tracker of bearings: 12 states beside a constant velocity of 4.
 
     Walks of a minute seen by four stations, 480 bearings each. 1 if a point fails.
@@ -110,7 +110,7 @@ def bearings(*, bench: Bench) -> int:
     return measured("bearings", {"bearings": series}, bench)
 
 
-def inertial(*, bench: Bench) -> int:
+def inertial(*, bench: Bench = DEFAULTS) -> int:
     """Compiling the filter of ranges and an IMU, of 23 states, and its gradient of two noise levels.
 
     1 if a point fails.

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.lab.bench.beam import filtering
-from experiments.lab.bench.timing import Bench, Row, Table, Version, apart_each, compared
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
 from sim.line import THESIS_KNOTS, simulate_line
 from trackers.core.polyline import Polyline
 from trackers.core.recording import Readings, Recording, stack
@@ -43,7 +43,7 @@ Run = Callable[[], np.ndarray]
 """A run of a filter, which returns positions (n, T, 2), m."""
 
 
-def particles(*, peers: bool = False, bench: Bench) -> int:
+def particles(*, peers: bool = False, bench: Bench = DEFAULTS) -> int:
     """Speed of the particle filter on a line beside the textbook's and other libraries.
 
     Each takes turns with ours in a process of its own; ratios are taken within a round. 1 if a speed-up is too

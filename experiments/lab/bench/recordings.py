@@ -13,7 +13,7 @@ import numpy as np
 
 from experiments.cli.runtime import set_flags
 from experiments.lab.bench.loops import filtered, model_of, vector, with_filterpy
-from experiments.lab.bench.timing import Bench, Row, Table, clocked, shown, turns
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown, turns
 from experiments.lab.subprocesses import required_recordings
 from trackers.catalogue import TRACKERS
 from trackers.core.smoother import Smoothed
@@ -42,7 +42,11 @@ Runs = dict[str, tuple[Callable[[], Any], int]]
 
 
 def recordings(
-    *, recordings: tuple[str, ...] = RECORDINGS, trackers: tuple[str, ...] = (), smooth: bool = False, bench: Bench
+    *,
+    recordings: tuple[str, ...] = RECORDINGS,
+    trackers: tuple[str, ...] = (),
+    smooth: bool = False,
+    bench: Bench = DEFAULTS,
 ) -> int:
     """Running time per row of every tracker that fits a real recording, beside the same filter in NumPy and filterpy.
 

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from experiments.cli.runtime import set_flags
-from experiments.lab.bench.timing import Bench, Row, Table, clocked, shown
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown
 from experiments.monte_carlo.chunk import run_chunk
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
 from sim.worlds import WORLDS as MAKE
@@ -40,7 +40,7 @@ WORLDS: dict[str, tuple[str, ...]] = {
 """The trackers that read each world's tables."""
 
 
-def studies(*, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), bench: Bench) -> int:
+def studies(*, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), bench: Bench = DEFAULTS) -> int:
     """A study's chunk beside the tracker alone, for every world: simulated, prepared, run and scored.
 
     The tracker alone is `tracker.run` on the same stacked rows, beside its compiled program on arrays that are in

@@ -19,9 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from experiments.cli.options import OPTIONS
 from experiments.cli.runtime import set_flags
 from experiments.lab.subprocesses import REPOSITORY, new_interpreter
-from experiments.text.tables import aligned
+from experiments.text.tables import aligned, markdown
 from trackers.recordings.atomic import atomic_write, json_text
 
 FOLDER = "experiments.lab.bench"
@@ -210,6 +211,7 @@ class Table(NamedTuple):
     note: str = ""
 
 
+@OPTIONS
 @dataclass(frozen=True, kw_only=True)
 class Bench:
     """How a benchmark runs, and where its results go.
@@ -254,13 +256,19 @@ class Bench:
         heading = f"{self.host['cpu']}, {self.host['cores']} cores, {self.began:%Y-%m-%d}, `{' '.join(command)}`."
         print(f"{heading} Load {self.host['load_average'][0]:.1f}.\n")
         for table in tables:
-            numbers = [k for k, right in enumerate(numeric(table.rows)) if right]
-            print("\n".join(filter(None, [table.title, aligned(cells(table.rows), numbers), table.note])), end="\n\n")
+            text = aligned(cells(table.rows), numeric(table.rows))
+            print("\n".join(filter(None, [table.title, text, table.note])), end="\n\n")
         print(f"Written: {out}")
         if self.page is not None:
-            parts = [[f"### {t.title}" if t.title else "", markdown(t.rows), t.note] for t in tables]
+            parts = [
+                [f"### {t.title}" if t.title else "", markdown(cells(t.rows), numeric(t.rows)).strip(), t.note]
+                for t in tables
+            ]
             text = "\n\n".join(filter(None, [heading, *(part for table in parts for part in table)]))
             replace_tables(self.page, f"{FOLDER} {name}", f"{text}\n")
+
+
+DEFAULTS = Bench()
 
 
 def shown(rows: Iterable[Row]) -> list[Row]:
@@ -285,16 +293,10 @@ def cells(rows: Sequence[Row]) -> list[list[str]]:
     return [titles, *([cell(row.get(title)) for title in titles] for row in rows)]
 
 
-def numeric(rows: Sequence[Row]) -> list[bool]:
-    """Whether a column has no texts."""
-    return [not any(isinstance(row.get(title), str) for row in rows) for title in cells(rows)[0]]
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The rows as a table of Markdown, numbers aligned right."""
-    head, *body = cells(rows)
-    rule = ["---:" if right else "---" for right in numeric(rows)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in (head, rule, *body))
+def numeric(rows: Sequence[Row]) -> list[int]:
+    """The numbers of the columns that have no texts."""
+    titles = cells(rows)[0]
+    return [k for k, title in enumerate(titles) if not any(isinstance(row.get(title), str) for row in rows)]
 
 
 def write_json(out: Path, results: Mapping[str, Any]) -> None:

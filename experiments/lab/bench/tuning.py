@@ -23,7 +23,7 @@ from experiments.lab.bench.beam import (
     trackers,
     with_dynamax,
 )
-from experiments.lab.bench.timing import Bench, Row, Table, clocked, shown, turns
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown, turns
 from tuning import NegativeLogLikelihood, fit
 from tuning.parameters import flatten, select_parameters, with_parameters
 from tuning.problem import Problem
@@ -35,7 +35,7 @@ CORNERS = ((10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0))
 DYNAMAX_SLICE, DYNAMAX_STEPS = (16, 50), 20
 
 
-def tuning(*, peers: bool = False, bench: Bench) -> int:
+def tuning(*, peers: bool = False, bench: Bench = DEFAULTS) -> int:
     """Computing time of a fit of σ_a and σ_p of the beam tracker, from starts wrong by a factor of ten.
 
     4,096 trajectories of 200 rows, after a fit that compiles. Beside it, in the same process, scipy's L-BFGS-B on

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import median
 
-from experiments.lab.bench.timing import Bench, Row, Table, commit, last_line, timed_command
+from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, commit, last_line, timed_command
 from experiments.lab.subprocesses import REPOSITORY, required_recordings
 from trackers.core.errors import UnusableInput
 
@@ -41,7 +41,7 @@ SETTINGS = ("JAX_", "XLA_", "TRACKWRIGHT_CACHE")
 """Environment variables that begin so are not handed on: they would move the cache or change the programs."""
 
 
-def waiting(names: tuple[str, ...] = (), *, against: Path | None = None, warm: int = 3, bench: Bench) -> int:
+def waiting(*names: str, against: Path | None = None, warm: int = 3, bench: Bench = DEFAULTS) -> int:
     """Time that a user waits for whole commands: in fresh processes, with an empty and a filled cache of programs.
 
     Another checkout, for instance of an earlier version, takes turns with this one. Processor time is the measure,

@@ -7,13 +7,13 @@ import os
 import re
 import subprocess
 import sys
-from typing import get_type_hints
 
 import pytest
 
+from experiments.cli.arguments import new_app
 from experiments.lab.bench import growth, growth_cases, waiting_split
 from experiments.lab.bench.__main__ import CASES
-from experiments.lab.bench.timing import Bench, function_of
+from experiments.lab.bench.timing import function_of
 from experiments.lab.subprocesses import REPOSITORY
 
 QUICK = ("waiting", "cluster-plan")
@@ -43,8 +43,11 @@ def test_without_a_name_all_benchmarks_are_listed_with_a_sentence():
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_benchmark_takes_the_options_that_all_have(name):
-    assert get_type_hints(function_of(CASES[name]))["bench"] is Bench
+def test_a_benchmark_explains_its_options_among_them_those_that_all_have(name, capsys):
+    app = new_app(name)
+    app.default(function_of(CASES[name]))
+    app(["--help"])
+    assert {"--small", "--out", "--page"} <= {*capsys.readouterr().out.split()}
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():
