@@ -7,8 +7,7 @@ import pytest
 
 from experiments.monte_carlo import chunk as one_chunk
 from experiments.monte_carlo import errors
-from experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
-from experiments.monte_carlo.compact import compact, expanded
+from experiments.monte_carlo.chunk_store import ChunkStore, compact, expanded, merge_shards
 from experiments.monte_carlo.errors import Masked, TrackedRuns, scored
 from experiments.monte_carlo.results import ChunkTotals, Results
 from experiments.monte_carlo.runner import StopRule, run_missing, run_study
