@@ -153,8 +153,11 @@ def _correlation(recordings: Sequence[Mapping[str, Any]]) -> str:
     worst = max(found, key=lambda r: r["nis_inflation_1s"] or 0.0)
     of = f" of {listed([r['recording'] for r in found])}" if len(recordings) > 1 else ""
     r, n = worst["nis_correlation_1s"], worst["nis_inflation_1s"]
-    correlation = "" if r is None else f"{r:.2f}; "
-    return f"over 1 s{of} ({correlation}{significant(n, 2)} rows carry the information of one)"
+    # Errors that last for less than a second show in the means of a second, and not at that lag.
+    over = r is not None and r > CORRELATION
+    correlation = f"{r:.2f}; " if over else ""
+    when = "over" if over else "within"
+    return f"{when} 1 s{of} ({correlation}{significant(n, 2)} rows carry the information of one)"
 
 
 def _percent(share: float) -> str:

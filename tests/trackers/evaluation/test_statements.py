@@ -100,7 +100,7 @@ def test_correlated_innovations_are_named_besides_the_errors():
         (3.0, 1, "The readings scatter more than the tracker's model expects (NIS/dof 3, 1 expected, "),
         (0.1, 1, "The readings scatter less than the tracker's model expects (NIS/dof 0.099, 1 expected, "),
         (1.0, 40, "Innovations are correlated over 1 s (0.4"),
-        (1.0, 16, "Innovations are correlated over 1 s ("),  # of 0.8 s: the correlation over 1 s is small
+        (1.0, 16, "Innovations are correlated within 1 s ("),  # of 0.8 s: the correlation over 1 s is small
     ],
 )
 def test_without_truth_the_innovations_are_judged(scale, repeats, words):
