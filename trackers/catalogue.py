@@ -8,12 +8,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType, ModuleType
+from typing import TYPE_CHECKING
 
 from trackers.core.errors import UnusableInput, near
-from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.kinds import KINDS
-from trackers.recordings.named_tracker import NamedTracker, folder_list
-from trackers.recordings.tracker_spec import TrackerSpec
+
+if TYPE_CHECKING:  # shells complete the names of trackers, for which jax need not be imported
+    from trackers.recordings.folder import RecordingFolder
+    from trackers.recordings.named_tracker import NamedTracker
+    from trackers.recordings.tracker_spec import TrackerSpec
 
 SYSTEMS = ("aoa", "line", "uwb_imu", "baselines", "mhk")
 """The packages whose `rows` have catalogue entries."""
@@ -43,7 +46,7 @@ levels of neither tracker were fitted, which are named above; docs/which-tracker
 """
 
 
-class _Catalogue(Mapping[str, TrackerSpec]):
+class _Catalogue(Mapping[str, "TrackerSpec"]):
     """The entries of all systems, in the order of preference; a system is imported when one of its entries is used."""
 
     def __getitem__(self, name: str) -> TrackerSpec:
@@ -79,6 +82,8 @@ def build(
     `free_height`: estimate the height of tags even where rig.toml gives it. Raises UnusableInput for an unknown name
     and for a recording that lacks what the tracker reads.
     """
+    from trackers.recordings.named_tracker import NamedTracker
+
     return NamedTracker.of(name, spec_of(name), recordings, free_height)
 
 
@@ -87,6 +92,8 @@ def tracker_for(recordings: RecordingFolder | Sequence[RecordingFolder], free_he
 
     Raises UnusableInput where none fits.
     """
+    from trackers.recordings.named_tracker import folder_list
+
     folders = folder_list(recordings)
     return build(fitting(folders[0]), folders, free_height)
 
@@ -139,6 +146,8 @@ def _from_file(file: Path, attribute: str) -> TrackerSpec:
     except Exception as error:
         line = str(error).splitlines()[0] if str(error) else "no message"
         raise UnusableInput(f"{file}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
+    from trackers.recordings.tracker_spec import TrackerSpec
+
     found = getattr(module, attribute, None)
     if not isinstance(found, TrackerSpec):
         mine = ", ".join(k for k, v in vars(module).items() if isinstance(v, TrackerSpec)) or "none"
