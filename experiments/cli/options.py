@@ -436,7 +436,7 @@ def run_tracker_files(trackers: str | None) -> None:
     from trackers.catalogue import spec_of, split_name
 
     for name in (trackers or "").split(","):
-        if split_name(name)[0]:
+        if Path(split_name(name)[0]).is_file():
             spec_of(name)
 
 

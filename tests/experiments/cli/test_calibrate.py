@@ -130,7 +130,7 @@ def test_stations_that_the_calibration_lacks_are_named_in_one_notice(walks, tmp_
                        "--calibration", path, "--out", tmp_path / "out")  # fmt: skip
     assert said.code == 0, said.err
     (line,) = [line for line in said.err.splitlines() if "uncalibrated" in line]
-    names = "station south, station west, anchor A, anchor B, anchor C and 1 more"
+    names = "anchor A, anchor B, anchor C, anchor D, station south and 1 more"
     assert line == f"notice: {there / '2'}: {names}: not in {path}, or moved since; used uncalibrated"
 
 

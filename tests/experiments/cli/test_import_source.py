@@ -250,7 +250,7 @@ def test_fixes_without_a_height_place_a_truth_over_the_floor():
         (("--transform", "1,2,3"), ("--transform 1,2,3: expected X,Y,Z,YAW or X,Y,Z,YAW,S",)),
         (("--transform", "1,2,3,north"), ("expected X,Y,Z,YAW",)),
         (("--table", "fixes", "--transform", "1,2,3,4"), ("move a truth; expected --table truth",)),
-        (("--tag", "9", "--align-truth"), ("no ranges, bearings, fixes, phases at the times of the truth",)),
+        (("--tag", "9", "--align-truth"), ("no measurement of a position at the times of the truth",)),
     ],
 )
 def test_a_truth_that_cannot_be_brought_over_is_refused(foreign, arguments, words):

@@ -173,7 +173,7 @@ def test_outcomes_name_failures_and_unexpected_passes():
 
 @pytest.mark.parametrize(("mean", "code", "word"), [(1.0, 0, "1 of 1 checks passed"), (2.0, 1, "0 of 1 checks passed")])
 def test_verify_exits_1_if_a_check_fails(monkeypatch, mean, code, word):
-    monkeypatch.setattr(verify, "CHECKS", (lambda: [_result(mean)],))
+    monkeypatch.setattr(verify, "_checks", lambda: (lambda: [_result(mean)],))
     said = trackwright("verify")
     assert said.code == code
     assert word in said.out
