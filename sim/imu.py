@@ -22,9 +22,9 @@ from sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
 from sim.paths import PathFunction
 from sim.ranging import WALK, Protocol, SimulatedRanges, round_robin, simulate_ranges
 from sim.tables import AXES, ArrayRows, OnDemand, folder_of
-from trackers.core.algebra import Vector
-from trackers.core.rig import Rig
-from trackers.core.state import Rotation
+from trackers.core.model.algebra import Vector
+from trackers.core.model.rig import Rig
+from trackers.core.model.state import Rotation
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.kinds import QUATERNION
 

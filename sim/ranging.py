@@ -17,7 +17,7 @@ from sim.corruptions import Corruption, Seen, Times, Values, corrupted, in_burst
 from sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
 from sim.paths import PathFunction, hand_motion
 from sim.tables import AXES, ArrayRows, folder_of
-from trackers.core.rig import Rig, Tag
+from trackers.core.model.rig import Rig, Tag
 from trackers.recordings.folder import RecordingFolder
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT, double_sided, single_sided
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from sim.keys import Keys, normals, stream, uniforms
 from sim.phases import antenna_arrays, wrapped
 from trackers.aoa.layout import SPEED_OF_LIGHT
-from trackers.core.rig import Station
+from trackers.core.model.rig import Station
 
 
 @dataclass(frozen=True)

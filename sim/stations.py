@@ -17,7 +17,7 @@ from sim.phases import antenna_arrays, plane_phases, spherical_phases, wrapped
 from sim.signal import Radar, Reflector, signal_phases
 from sim.tables import AXES, ArrayRows, folder_of
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-from trackers.core.rig import Rig, Station
+from trackers.core.model.rig import Rig, Station
 from trackers.recordings.folder import RecordingFolder
 
 # All chunks have one shape, the last one padded: nothing is compiled twice, and a chunk fits the processor's cache.

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float, Int
 
-from trackers.core.rig import Rig, Tag
+from trackers.core.model.rig import Rig, Tag
 from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.kinds import table_kinds

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from sim.corruptions import Corruption
     from sim.tables import Simulated
-    from trackers.core.recording import Recording
+    from trackers.core.data.recording import Recording
     from trackers.recordings.folder import RecordingFolder
     from trackers.recordings.trajectories import Trajectory
 

@@ -24,11 +24,12 @@ from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
 from trackers.baselines.fixes import fix_tracker
 from trackers.baselines.switching import MirrorSensor
 from trackers.catalogue import TRACKERS
-from trackers.core.algebra import Vector
-from trackers.core.checks import Still
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.imm import SwitchingMotion
-from trackers.core.motion import (
+from trackers.core.data.recording import Recording
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.filters.imm import SwitchingMotion
+from trackers.core.filters.particle.filter import ParticleFilter
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import (
     AbstractMotion,
     Accelerated,
     ConstantPosition,
@@ -37,15 +38,14 @@ from trackers.core.motion import (
     Kinematic,
     Placed,
 )
-from trackers.core.particle.filter import ParticleFilter
-from trackers.core.polyline import Polyline
-from trackers.core.recording import Recording
-from trackers.core.rig import Rig, Station, Tag
-from trackers.core.sensor import AbstractSensor
-from trackers.core.smoother import Smoothed
-from trackers.core.state import Heading, Rotation
-from trackers.core.tracker import AbstractTracker, Tracker
-from trackers.core.tunable import Scale
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.rig import Rig, Station, Tag
+from trackers.core.model.sensor import AbstractSensor
+from trackers.core.model.state import Heading, Rotation
+from trackers.core.model.tunable import Scale
+from trackers.core.run.checks import Still
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.tracker import AbstractTracker, Tracker
 from trackers.line.fixes import FloorFixes
 from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
 from trackers.line.tracker import line_grid_tracker, line_tracker

@@ -21,7 +21,7 @@ import pytest
 
 from tests.faulty import good_tables, write_good
 from tests.in_process import trackwright
-from trackers.core.program_cache import cache_programs
+from trackers.programs.program_cache import cache_programs
 
 cache_programs()
 

@@ -146,8 +146,8 @@ def of_case(name: str) -> dict[str, np.ndarray]:
 def _numbers(tracker: Any, batch: list[Any]) -> Iterator[tuple[str, Any]]:
     import jax
 
-    from trackers.core.recording import stack
-    from trackers.core.tunable import tunables
+    from trackers.core.data.recording import stack
+    from trackers.core.model.tunable import tunables
     from tuning.objectives import NegativeLogLikelihood
     from tuning.parameters import flatten, select_parameters
     from tuning.problem import Problem

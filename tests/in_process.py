@@ -15,7 +15,7 @@ import jax
 from experiments.cli.main import main
 from experiments.pages.plots import style
 from experiments.text import terminal
-from trackers.core import traced_programs
+from trackers.programs import traced_programs
 
 
 class CommandResult(NamedTuple):

@@ -8,12 +8,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from trackers.core.algebra import total
-from trackers.core.filter import Gaussian
-from trackers.core.recording import Readings, Recording
-from trackers.core.sensor import AbstractSensor, Channel, independent
-from trackers.core.start import AbstractStart
-from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.data.recording import Readings, Recording
+from trackers.core.model.algebra import total
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackers.core.model.start import AbstractStart
+from trackers.core.run.track_loss import TrackLossPolicy
 
 NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 

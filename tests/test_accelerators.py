@@ -9,8 +9,8 @@ import jax
 import pytest
 
 from tests.catalogue import CASES
-from trackers.core.recording import stack
-from trackers.core.tracker import filter_batch
+from trackers.core.data.recording import stack
+from trackers.core.run.tracker import filter_batch
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
 from tuning.point import term_sums

@@ -13,14 +13,14 @@ import pytest
 import trackers
 from tests.catalogue import CASES, MOTIONS, SENSORS
 from trackers.catalogue import TRACKERS
-from trackers.core.checks import Still
-from trackers.core.filter import AbstractFilter
-from trackers.core.motion import AbstractMotion
-from trackers.core.particle.filter import AbstractOutputMap, AbstractPotential
-from trackers.core.sensor import AbstractSensor
-from trackers.core.smoother import Smoothed
-from trackers.core.start import AbstractStart
-from trackers.core.tracker import AbstractTracker
+from trackers.core.filters.filter import AbstractFilter
+from trackers.core.filters.particle.filter import AbstractOutputMap, AbstractPotential
+from trackers.core.model.motion import AbstractMotion
+from trackers.core.model.sensor import AbstractSensor
+from trackers.core.model.start import AbstractStart
+from trackers.core.run.checks import Still
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.tracker import AbstractTracker
 
 
 def _modules():

@@ -6,7 +6,7 @@ from jaxtyping import TypeCheckError
 
 from sim.corruptions import white_noise
 from sim.keys import trajectory_keys
-from trackers.core.polyline import Polyline
+from trackers.core.model.polyline import Polyline
 from tuning.optimisers import LBFGS
 
 

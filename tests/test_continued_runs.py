@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.catalogue import CASES
-from trackers.core.recording import stack
-from trackers.core.tracker import filter_batch
+from trackers.core.data.recording import stack
+from trackers.core.run.tracker import filter_batch
 from trackers.recordings.trajectories import cut
 
 QUICK = ("fix-kf", "particles", "median", "mhk with memory", "das in the plane of the array")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.catalogue import CASES, ROWS
-from trackers.core.estimates import Status
-from trackers.core.recording import stack
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import replaced, tunables
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import stack
+from trackers.core.model.tunable import replaced, tunables
+from trackers.core.run.tracker import Tracker
 from trackers.recordings.trajectories import cut
 
 SPOILT = 2

@@ -26,8 +26,11 @@ def _part(module):
     """What a module of ours belongs to: a folder of trackers or experiments, `trackers` itself, a package; else None."""
     package, _, rest = module.partition(".")
     if package == "trackers":
-        inside = rest.partition(".")[0]
-        return inside if inside in ("core", "recordings", "parts", "evaluation", "exchange", *SYSTEMS) else "trackers"
+        inside, _, beyond = rest.partition(".")
+        if inside == "core" and beyond.partition(".")[0] in CORE:
+            return f"core.{beyond.partition('.')[0]}"
+        known = ("core", "programs", "recordings", "parts", "evaluation", "exchange", *SYSTEMS)
+        return inside if inside in known else "trackers"
     if module.startswith("tuning.design"):
         return "design"
     if package == "experiments":
@@ -35,15 +38,22 @@ def _part(module):
     return package if package in PACKAGES else None
 
 
-BASE = {"core", "recordings", "parts"}
-LIBRARY = {*BASE, *SYSTEMS, "evaluation", "exchange", "trackers"}
+CORE = ("model", "filters", "data", "run")
+ENGINE = {"core", *(f"core.{folder}" for folder in CORE)}
+BASE = {*ENGINE, "recordings", "parts"}
+LIBRARY = {*BASE, *SYSTEMS, "programs", "evaluation", "exchange", "trackers"}
 MAY_IMPORT = {
     "core": {"core"},
-    "recordings": {"core", "recordings"},
+    "core.model": {"core", "core.model"},
+    "core.filters": {"core", "core.model", "core.filters"},
+    "core.data": {"core", "core.model", "core.data"},
+    "core.run": {*ENGINE, "programs"},
+    "programs": {"core", "programs"},
+    "recordings": {*ENGINE, "recordings"},
     "parts": BASE,
     **{system: {*BASE, system} for system in SYSTEMS},
     "evaluation": {*BASE, *SYSTEMS, "evaluation"},
-    "exchange": {"core", "recordings", "evaluation", "exchange"},
+    "exchange": {*ENGINE, "recordings", "evaluation", "exchange"},
     "trackers": LIBRARY,
     "sim": {*LIBRARY, "sim"},
     "tuning": {*BASE, "tuning"},

@@ -17,12 +17,12 @@ import polars as pl
 
 from trackers.aoa.fusion import BEARINGS, bearing_inputs
 from trackers.aoa.rays import recent_points
+from trackers.core.data.recording import Readings, Recording
+from trackers.core.data.row_checks import check_times
+from trackers.core.data.seconds import seconds
 from trackers.core.errors import UnusableInput
-from trackers.core.recording import Readings, Recording
-from trackers.core.rig import Rig, Station, room_rows
-from trackers.core.row_checks import check_times
-from trackers.core.seconds import seconds
-from trackers.core.track_loss import ROOM
+from trackers.core.model.rig import Rig, Station, room_rows
+from trackers.core.run.track_loss import ROOM
 from trackers.parts.fixes import FIXES
 from trackers.parts.range_rows import range_inputs
 from trackers.parts.ranges import RANGES

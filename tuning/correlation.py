@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Num
 
-from trackers.core.recording import Batch
-from trackers.core.scan import Output
+from trackers.core.data.recording import Batch
+from trackers.core.run.scan import Output
 from tuning.point import BESIDE, Point, plain_rows
 from tuning.problem import Problem
 

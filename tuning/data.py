@@ -10,9 +10,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from trackers.core.data.recording import Batch, stack
 from trackers.core.errors import UnusableInput, require
-from trackers.core.recording import Batch, stack
-from trackers.core.tracker import AbstractTracker
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches

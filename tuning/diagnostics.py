@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int, Num
 
-from trackers.core.chi_square import chi_square_quantile
-from trackers.core.estimates import Estimates
-from trackers.core.recording import Recording
-from trackers.core.tracker import AbstractTracker
+from trackers.core.data.chi_square import chi_square_quantile
+from trackers.core.data.estimates import Estimates
+from trackers.core.data.recording import Recording
+from trackers.core.run.tracker import AbstractTracker
 from tuning.pit_uniformity import student_t_dof_of, student_t_nis_beta
 
 MIN_AUTOCORRELATION = 0.1

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trackers.core.recording import Batch
-from trackers.core.tunable import Covariance, Scale
+from trackers.core.data.recording import Batch
+from trackers.core.model.tunable import Covariance, Scale
 from trackers.parts.fixes import FIXES
 
 LAGS = 1, 2, 4, 8, 16, 32

@@ -10,10 +10,10 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from trackers.core.data.recording import Batch, Recording, stack
 from trackers.core.errors import UnusableInput
-from trackers.core.recording import Batch, Recording, stack
-from trackers.core.requirements import check_input
-from trackers.core.tracker import AbstractTracker
+from trackers.core.run.requirements import check_input
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker, folder_list
 from tuning.data import FitData, fit_data, is_judged, named_objective

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.tunable import Scale
+from trackers.core.model.tunable import Scale
 from trackers.recordings.reading_grids import REPEATED, ReadingGrid
 from tuning.correlation import rows_and_inflation
 from tuning.optimum import Optimum

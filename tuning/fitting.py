@@ -12,8 +12,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.chunks import CHUNK
-from trackers.core.tracker import AbstractTracker
+from trackers.core.run.chunks import CHUNK
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from trackers.recordings.reading_grids import ReadingGrid, of_raw_readings, reading_grids

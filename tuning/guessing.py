@@ -15,15 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Shaped
 
-from trackers.core.algebra import Scalar
-from trackers.core.chunks import CHUNK
-from trackers.core.estimates import Status
-from trackers.core.inputs import AnyArray
-from trackers.core.recording import Batch
-from trackers.core.scan import Output
-from trackers.core.track_loss import AbstractTrackLoss
-from trackers.core.tracker import AbstractTracker, Tracker
-from trackers.core.tunable import Covariance, Scale, matching, role_of, tunables
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Batch
+from trackers.core.model.algebra import Scalar
+from trackers.core.model.inputs import AnyArray
+from trackers.core.model.tunable import Covariance, Scale, matching, role_of, tunables
+from trackers.core.run.chunks import CHUNK
+from trackers.core.run.scan import Output
+from trackers.core.run.track_loss import AbstractTrackLoss
+from trackers.core.run.tracker import AbstractTracker, Tracker
 from tuning.differences import noise_levels_of_fixes
 from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
 from tuning.parameters import Parameter, flatten, with_parameters

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trackers.core.errors import listed
-from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import Scale, tunables
+from trackers.core.model.tunable import Scale, tunables
+from trackers.core.run.tracker import AbstractTracker
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, component_kinds, component_names
 from tuning.uncertainty import MIN_COMPONENT, Uncertainty, determined, unidentifiable, unused

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from trackers.core.tracker import AbstractTracker
+from trackers.core.run.tracker import AbstractTracker
 
 
 class Spread(NamedTuple):

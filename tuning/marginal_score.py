@@ -16,18 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from trackers.core.algebra import Scalar
-from trackers.core.carry import initial_carry
-from trackers.core.chunks import as_dtype
-from trackers.core.particle.filter import AbstractParticleFilter, Particles, particle_residuals
-from trackers.core.particle.resampling import LOG_ZERO
-from trackers.core.particle.score import normal_log_density
-from trackers.core.particle.transition import check_transition_density, transition_log_density
-from trackers.core.recording import Batch, Row
-from trackers.core.sensor import Reading
-from trackers.core.state import State
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import freeze
+from trackers.core.data.recording import Batch
+from trackers.core.filters.particle.filter import AbstractParticleFilter, Particles, particle_residuals
+from trackers.core.filters.particle.resampling import LOG_ZERO
+from trackers.core.filters.particle.score import normal_log_density
+from trackers.core.filters.particle.transition import check_transition_density, transition_log_density
+from trackers.core.model.algebra import Scalar
+from trackers.core.model.sensor import Reading, Row
+from trackers.core.model.state import State
+from trackers.core.model.tunable import freeze
+from trackers.core.run.carry import initial_carry
+from trackers.core.run.chunks import as_dtype
+from trackers.core.run.tracker import Tracker
 from tuning.parameters import flatten, select_parameters, with_parameters
 
 PAIRS = 2**18

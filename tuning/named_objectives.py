@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
-from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker
+from trackers.core.data.recording import Batch
+from trackers.core.run.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackers.core.run.tracker import AbstractTracker
 from tuning.objectives import (
     AbstractObjective,
     MissingQuantityError,

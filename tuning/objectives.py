@@ -15,12 +15,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, cholesky, total, triangle
-from trackers.core.estimates import Status
-from trackers.core.linearise import covariance_of
-from trackers.core.scan import Output
-from trackers.core.sensor import LOG_2PI
-from trackers.core.tracker import AbstractTracker
+from trackers.core.data.estimates import Status
+from trackers.core.model.algebra import Scalar, cholesky, total, triangle
+from trackers.core.model.linearise import covariance_of
+from trackers.core.model.sensor import LOG_2PI
+from trackers.core.run.scan import Output
+from trackers.core.run.tracker import AbstractTracker
 
 Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from trackers.core.errors import UnusableInput
-from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import AbstractTunable, Threshold, matching, replaced, role_of, tunables
+from trackers.core.model.tunable import AbstractTunable, Threshold, matching, replaced, role_of, tunables
+from trackers.core.run.tracker import AbstractTracker
 
 Tree = TypeVar("Tree")
 

@@ -10,8 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
-from trackers.core.chunks import placed, run_chunks
-from trackers.core.recording import Batch
+from trackers.core.data.recording import Batch
+from trackers.core.run.chunks import placed, run_chunks
 from tuning.point import Point
 from tuning.unstacked import lengths_of
 

@@ -22,10 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import erf, gammaln
 
-from trackers.core.algebra import Scalar, total
-from trackers.core.scan import Output
-from trackers.core.sensor import AbstractSensor, Reading
-from trackers.core.tracker import AbstractTracker
+from trackers.core.model.algebra import Scalar, total
+from trackers.core.model.sensor import AbstractSensor, Reading
+from trackers.core.run.scan import Output
+from trackers.core.run.tracker import AbstractTracker
 from tuning.objectives import AbstractObjective, Truth, normalised_error
 
 ORDERS = 4

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trackers.core.recording import Batch
-from trackers.core.scan import Output
-from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import AbstractTunable
+from trackers.core.data.recording import Batch
+from trackers.core.model.tunable import AbstractTunable
+from trackers.core.run.scan import Output
+from trackers.core.run.tracker import AbstractTracker
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, with_parameters
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.tunable import Fraction, Real, Scale
+from trackers.core.model.tunable import Fraction, Real, Scale
 from tuning.parameters import Parameter
 
 NUMBER = r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)"

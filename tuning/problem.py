@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num, Shaped
 
-from trackers.core.chunks import CHUNK, as_dtype
-from trackers.core.covariance import few
-from trackers.core.particle.filter import AbstractParticleFilter
-from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.data.recording import Batch
+from trackers.core.filters.particle.filter import AbstractParticleFilter
+from trackers.core.model.covariance import few
+from trackers.core.run.chunks import CHUNK, as_dtype
+from trackers.core.run.tracker import AbstractTracker, Tracker
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, flatten
 from tuning.parts import LocalParts, Place

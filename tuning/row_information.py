@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.recording import Batch
+from trackers.core.data.recording import Batch
 from tuning.point import row_terms
 from tuning.problem import Problem
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.tunable import Covariance, Scale, role_of
+from trackers.core.model.tunable import Covariance, Scale, role_of
 from tuning.optimisation import FitState, MultiStart
 from tuning.parameters import Parameter
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.tunable import Covariance
+from trackers.core.model.tunable import Covariance
 from tuning.fitting import FitResult
 from tuning.parameters import Parameter, component_kinds, physical
 from tuning.sweeping import comparable_values

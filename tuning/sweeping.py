@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.chunks import CHUNK
-from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker
+from trackers.core.data.recording import Batch
+from trackers.core.run.chunks import CHUNK
+from trackers.core.run.tracker import AbstractTracker
 from tuning.objectives import AbstractObjective
 from tuning.parameters import TIED, Parameter, select_parameters
 from tuning.problem import Problem

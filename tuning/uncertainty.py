@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtri, stdtrit
 
-from trackers.core.tunable import Covariance
+from trackers.core.model.tunable import Covariance
 from tuning.optimum import Optimum, optimum
 from tuning.parameters import Parameter, physical, physical_errors
 from tuning.problem import Problem

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int
 
-from trackers.core.chunks import CHUNK, piece_size, pieces
-from trackers.core.recording import Batch, Columns
+from trackers.core.data.recording import Batch, Columns
+from trackers.core.run.chunks import CHUNK, piece_size, pieces
 from trackers.recordings.tracks import by_length
 from trackers.recordings.trajectories import Trajectory
 
@@ -35,7 +35,7 @@ class Unstacked:
         return Columns.of(own).batch(self.steps).columns(0, stop - start)
 
     def pieces(self, chunk: int) -> Iterator[Batch]:
-        """As `trackers.core.chunks.pieces`."""
+        """As `trackers.core.run.chunks.pieces`."""
         size = piece_size(self.size, self.steps, chunk)
         return (self.columns(start, start + size) for start in range(0, self.size, size))
 

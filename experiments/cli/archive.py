@@ -34,8 +34,8 @@ from experiments.text.evaluation_text import archive_text, content
 from experiments.text.tables import terminal_width
 from experiments.text.terminal import Begin, notice, stages
 from trackers.catalogue import spec_of, split_name
-from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
+from trackers.core.run.chunks import CHUNK
 from trackers.core.wording import counted
 from trackers.evaluation.association import associate_truth
 from trackers.evaluation.evaluate import Evaluation, metric_names

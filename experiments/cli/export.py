@@ -13,7 +13,7 @@ from trackers.core.errors import UnusableInput, listed
 if TYPE_CHECKING:
     import polars as pl
 
-    from trackers.core.rig import Rig
+    from trackers.core.model.rig import Rig
     from trackers.exchange.exported_tracks import ExportedTrack
     from trackers.recordings.folder import RecordingFolder
 

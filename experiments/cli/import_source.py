@@ -72,7 +72,7 @@ def import_source(
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
     """
     from experiments.text.terminal import notice
-    from trackers.core.seconds import moment
+    from trackers.core.data.seconds import moment
     from trackers.core.wording import counted
     from trackers.exchange.imported import assembled, save
     from trackers.exchange.mapping import TableMapping, columns_of

@@ -66,7 +66,7 @@ def study(
     from experiments.pages.reports.study_text import study_names, to_json, to_text
     from experiments.text.terminal import notice, progress
     from experiments.text.wording import figures_drawn
-    from trackers.core.chunks import n_workers
+    from trackers.core.run.chunks import n_workers
     from trackers.core.wording import counted
     from trackers.recordings.atomic import atomic_write
 

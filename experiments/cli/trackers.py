@@ -93,7 +93,7 @@ def _simulated_folders() -> Iterator[RecordingFolder]:
     import polars as pl
 
     from sim.worlds import WORLDS
-    from trackers.core.rig import Tag
+    from trackers.core.model.rig import Tag
 
     for world in WORLDS.values():
         folder = world(np.arange(1), 0)
@@ -118,7 +118,7 @@ def _simulated_folders() -> Iterator[RecordingFolder]:
 def _rows(named: NamedTracker) -> list[dict[str, Any]]:
     import numpy as np
 
-    from trackers.core.tunable_meaning import meanings
+    from trackers.core.model.tunable_meaning import meanings
     from tuning.parameters import noise_levels
 
     sentences = meanings(named.tracker)

@@ -26,14 +26,14 @@ from experiments.text.tables import terminal_width
 from experiments.text.terminal import Begin, notice
 from experiments.text.wording import figures_drawn, uncapitalised
 from trackers.catalogue import build, fitting, spec_of, split_name
-from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
-from trackers.core.freed_memory import give_back
+from trackers.core.run.chunks import CHUNK
 from trackers.core.wording import counted
 from trackers.evaluation.association import Association, associate_truth
 from trackers.evaluation.evaluate import Evaluation, evaluate, evaluate_association
 from trackers.evaluation.events import EVENTS, events_of
 from trackers.evaluation.residuals import residual_ratios
+from trackers.programs.freed_memory import give_back
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.checks.residuals import delay_against_truth
 from trackers.recordings.folder import RecordingFolder

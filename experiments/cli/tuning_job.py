@@ -18,7 +18,7 @@ from experiments.pages.reports.tuning_collect import recording_names
 from experiments.text.terminal import Advance, Begin, notice
 from trackers.catalogue import build, fitting
 from trackers.core.errors import UnusableInput, listed
-from trackers.core.tunable import tunables
+from trackers.core.model.tunable import tunables
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.calibration_file import read_calibration
 from trackers.recordings.folder import RecordingFolder, refuse_same_names

@@ -226,7 +226,7 @@ def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
 
 def _prepared(flags: str) -> dict[str, Any]:
     """In a worker: its environment, with these XLA flags where jax is not imported yet; freed memory is kept."""
-    from trackers.core.freed_memory import keep
+    from trackers.programs.freed_memory import keep
 
     keep()
     if "jax" not in sys.modules:
@@ -238,7 +238,7 @@ def _prepared(flags: str) -> dict[str, Any]:
 def _keep_programs() -> None:
     """Keep compiled programs in the worker's cache directory, where it has one of its own."""
     from trackers.core.errors import UnusableInput
-    from trackers.core.program_cache import cache_programs
+    from trackers.programs.program_cache import cache_programs
 
     with suppress(UnusableInput):
         cache_programs(report=lambda line: None)

@@ -16,8 +16,8 @@ import numpy as np
 
 from experiments.jobs.executors import computed, finished
 from experiments.jobs.portable_tracker import PortableTracker, spec_here
+from trackers.core.data.recording import Batch
 from trackers.core.errors import UnusableInput
-from trackers.core.recording import Batch
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.named_tracker import NamedTracker
 from tuning.parts import Blocks, Function, Reduced, on_chunk

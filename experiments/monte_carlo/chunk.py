@@ -13,9 +13,9 @@ from experiments.monte_carlo.declaration import WORLD, Condition, Study, Tracker
 from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.tracked import TrackedChunk
 from trackers.core.errors import UnusableInput
-from trackers.core.smoother import Smoothed
-from trackers.core.tracker import AbstractTracker, Tracker
-from trackers.core.tunable import tunables, with_values
+from trackers.core.model.tunable import tunables, with_values
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.tracker import AbstractTracker, Tracker
 from trackers.evaluation.bounds import bounds_of
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.core.estimates import Status
-from trackers.core.metrics import nees_of_leading
+from trackers.core.data.estimates import Status
+from trackers.core.data.metrics import nees_of_leading
 from trackers.evaluation.metrics import bearing_sizes, position_sizes
 from trackers.evaluation.scores import BINS, bins, error_sums, nees_sums
 from trackers.evaluation.scoring import COMPONENTS

@@ -20,9 +20,9 @@ from experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore
 from experiments.monte_carlo.declaration import Condition, Study
 from experiments.monte_carlo.portable import PortableStudy, packed_chunk, portable_chunk
 from experiments.monte_carlo.results import NAMES, Results
-from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
-from trackers.core.freed_memory import keep
+from trackers.core.run.chunks import n_workers
+from trackers.programs.freed_memory import keep
 
 CHUNKS_PER_DEVICE = 4
 """Chunks for which another device is used: every device compiles the trackers again."""

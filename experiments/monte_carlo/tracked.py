@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.monte_carlo.errors import TrackedRuns, joined, scored
+from trackers.core.data.estimates import Estimates, Status, is_usable
 from trackers.core.errors import UnusableInput
-from trackers.core.estimates import Estimates, Status, is_usable
 from trackers.evaluation.scoring import last_of_intervals
 from trackers.recordings.tracks import angles
 from trackers.recordings.trajectories import Trajectories

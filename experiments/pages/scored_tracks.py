@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from experiments.text.wording import length_unit
-from trackers.core.seconds import zero_of
+from trackers.core.data.seconds import zero_of
 from trackers.evaluation.association import Association
 from trackers.evaluation.bounds import bounds_of
 from trackers.evaluation.scoring import Scored, in_plane, score

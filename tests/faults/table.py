@@ -26,7 +26,7 @@ import numpy as np
 from experiments.lab.bench.timing import commit, replace_tables, write_json
 from tests.faults import callers, disks, networks, workers
 from tests.faults.seen import Seen, UntriedError
-from trackers.core.program_cache import cache_programs
+from trackers.programs.program_cache import cache_programs
 
 RESULTS = Path(__file__).parent / "results.json"
 LEAST, LARGE = 4_000, 200_000

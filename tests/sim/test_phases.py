@@ -5,7 +5,7 @@ import pytest
 
 from sim.phases import plane_phases, spherical_phases, wrapped
 from sim.stations import facing, work_station
-from trackers.core.rig import Station
+from trackers.core.model.rig import Station
 
 STATIONS = list(work_station().stations.values())
 RNG = np.random.default_rng(0)

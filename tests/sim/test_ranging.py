@@ -17,7 +17,7 @@ from sim.ranging import (
     simulate_ranges,
     two_way_ranges,
 )
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.parts.range_rows import range_trajectories
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT
 

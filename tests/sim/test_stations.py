@@ -9,7 +9,7 @@ from sim.paths import WORK_VOLUME, hand_motion
 from sim.phases import plane_phases, spherical_phases, wrapped
 from sim.signal import Radar, Reflector
 from sim.stations import PATHS, facing, simulate_phases, work_station
-from trackers.core.rig import Rig, Station
+from trackers.core.model.rig import Rig, Station
 
 RIG = work_station()
 STATIONS = list(RIG.stations.values())

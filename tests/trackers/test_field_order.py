@@ -18,17 +18,17 @@ from experiments.monte_carlo.errors import scored
 from experiments.monte_carlo.results import ChunkTotals, Results
 from trackers.baselines.switching import mirror_tracker
 from trackers.catalogue import spec_of
-from trackers.core.algebra import Vector
-from trackers.core.ekf import Gaussian
-from trackers.core.imm import Mixture
-from trackers.core.linearise import covariance_of
-from trackers.core.motion import AbstractMotion, ConstantVelocity, Kinematic
-from trackers.core.polyline import Polyline
-from trackers.core.rig import Rig
-from trackers.core.start import AbstractStart
-from trackers.core.state import Rotation
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Constant, Scale
+from trackers.core.filters.ekf import Gaussian
+from trackers.core.filters.imm import Mixture
+from trackers.core.model.algebra import Vector
+from trackers.core.model.linearise import covariance_of
+from trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.rig import Rig
+from trackers.core.model.start import AbstractStart
+from trackers.core.model.state import Rotation
+from trackers.core.model.tunable import Constant, Scale
+from trackers.core.run.tracker import Tracker
 from trackers.line.grid import GridFilter
 from trackers.line.motion import PathOutputMap, PathState
 from trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart

@@ -3,7 +3,7 @@
 import numpy as np
 import polars as pl
 
-from trackers.core.rig import Rig, Station
+from trackers.core.model.rig import Rig, Station
 from trackers.recordings.calibration import (
     ANGLE_PRIOR,
     RANGE_PRIOR,

@@ -8,7 +8,7 @@ import pytest
 
 from tests.tuning.calibration_worlds import ANCHORS, RIG, lasting, recording, standardised, walk, world
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Station, Tag
+from trackers.core.model.rig import Station, Tag
 from trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR, Calibration
 from trackers.recordings.folder import RecordingFolder
 from tuning.calibrating import LEAST_SLOPE, calibrate

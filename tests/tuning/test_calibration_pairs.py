@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.kinds import KINDS
 from tuning.calibration_pairs import PIECE_M, PIECE_S, calibration_pairs

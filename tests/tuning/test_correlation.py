@@ -6,8 +6,8 @@ import pytest
 import trackwright as tw
 from tests.known_start import recording
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.covariance import FEW
-from trackers.core.recording import Recording, stack
+from trackers.core.data.recording import Recording, stack
+from trackers.core.model.covariance import FEW
 from tuning.correlation import rows_and_inflation, window_sums
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters

@@ -14,7 +14,7 @@ from experiments.monte_carlo.chunk import tracked_runs
 from experiments.monte_carlo.errors import scored
 from experiments.monte_carlo.results import ChunkTotals, Results
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig, Tag
+from trackers.core.model.rig import Rig, Tag
 from trackers.recordings.folder import RecordingFolder
 from tuning.data import fit_data
 from tuning.fit_arrays import fit_arrays

@@ -11,9 +11,9 @@ from tests.catalogue import CASES, ROWS, trajectories
 from tests.tuning.worlds import line_tracker, walks
 from trackers.aoa.fusion import bearing_tracker
 from trackers.catalogue import TRACKERS
-from trackers.core.chunks import as_dtype
-from trackers.core.recording import Recording, stack
-from trackers.core.tunable import tunables
+from trackers.core.data.recording import Recording, stack
+from trackers.core.model.tunable import tunables
+from trackers.core.run.chunks import as_dtype
 from trackers.mhk.tracker import mhk_tracker
 from trackers.uwb_imu.fusion import range_tracker
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted

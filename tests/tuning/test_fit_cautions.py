@@ -11,7 +11,7 @@ import pytest
 import trackwright as tw
 from tests.known_start import recording
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
-from trackers.core.recording import Recording
+from trackers.core.data.recording import Recording
 from tuning.correlation import WINDOWS_S, window_sums
 from tuning.fit_cautions import correlation, standstill
 from tuning.optimisers import AbstractOptimiser

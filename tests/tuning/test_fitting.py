@@ -8,10 +8,10 @@ import pytest
 from tests.tuning.worlds import STATION, beams, line_tracker, walks
 from trackers.aoa.beam import beam_tracker
 from trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
-from trackers.core.chunks import jitted
+from trackers.core.data.recording import Readings, Recording, stack
 from trackers.core.errors import UnusableInput
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.tunable import tunables
+from trackers.core.model.tunable import tunables
+from trackers.core.run.chunks import jitted
 from tuning import NegativeLogLikelihood, RootMeanSquareError
 from tuning.checkpoint import to_arrays
 from tuning.fitting import fit

@@ -8,11 +8,11 @@ import pytest
 
 from tests.known_start import NEVER_LOST, recording
 from tests.tuning.worlds import SIGMA_START, LineStart
-from trackers.core.motion import ConstantPosition
-from trackers.core.recording import Recording, stack
-from trackers.core.sensor import AbstractSensor, Channel, independent
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Real, Scale
+from trackers.core.data.recording import Recording, stack
+from trackers.core.model.motion import ConstantPosition
+from trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackers.core.model.tunable import Real, Scale
+from trackers.core.run.tracker import Tracker
 from tuning import NegativeLogLikelihood, RootMeanSquareError
 from tuning.optimisation import MultiStart
 from tuning.optimisers import AbstractOptimiser

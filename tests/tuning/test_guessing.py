@@ -16,13 +16,13 @@ from trackers.aoa.beam import beam_tracker
 from trackers.baselines.fixes import fix_tracker
 from trackers.baselines.windows import MovingWindow
 from trackers.catalogue import TRACKERS
-from trackers.core.algebra import Vector
-from trackers.core.motion import AbstractMotion, Placed
-from trackers.core.polyline import Polyline
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.sensor import AbstractSensor, Channel, independent
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale, tunables
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import AbstractMotion, Placed
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackers.core.model.tunable import Scale, tunables
+from trackers.core.run.tracker import Tracker
 from trackers.line.fixes import FloorFixes
 from trackers.line.motion import LineMotion, PathState
 from trackers.line.tracker import line_grid_tracker

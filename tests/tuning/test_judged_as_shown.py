@@ -11,7 +11,7 @@ from sim.agv import simulate_agv
 from sim.stations import simulate_phases, work_station
 from sim.worlds import ranges as ranges_world
 from trackers import build
-from trackers.core.smoother import Smoothed
+from trackers.core.run.smoother import Smoothed
 from trackers.evaluation.evaluate import associate
 from trackers.evaluation.scoring import covariances, score
 from tuning.data import fit_data

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.recording import stack
+from trackers.core.data.recording import stack
 from tuning.named_objectives import all_metrics, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
 

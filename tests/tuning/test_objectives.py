@@ -9,7 +9,7 @@ import pytest
 import trackwright as tw
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
-from trackers.core.recording import Recording, stack
+from trackers.core.data.recording import Recording, stack
 from tuning import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.recording import stack
+from trackers.core.data.recording import stack
 from tuning import NegativeLogLikelihood
 from tuning.optimisation import MultiStart
 from tuning.optimisers import LBFGS

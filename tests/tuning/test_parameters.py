@@ -8,8 +8,8 @@ import pytest
 from tests.tuning.worlds import STATION
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
-from trackers.core.rig import Station
-from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
+from trackers.core.model.rig import Station
+from trackers.core.model.tunable import Covariance, Fraction, Real, Scale, tunables
 from tuning.parameters import flatten, physical, physical_errors, select_parameters, with_parameters
 
 

@@ -12,7 +12,7 @@ import pytest
 from sim import worlds
 from tests.tuning.worlds import line_tracker, walks
 from trackers.catalogue import build
-from trackers.core.recording import stack
+from trackers.core.data.recording import stack
 from tuning.checkpoint import fingerprint
 from tuning.data import fit_data
 from tuning.fitting import fit
@@ -110,7 +110,7 @@ def data():
 @pytest.mark.parametrize("chunk", [512, 3])
 def test_rows_stacked_piece_by_piece_are_those_of_whole_batches(data, monkeypatch, chunk, largest, long):
     monkeypatch.setattr("trackers.recordings.tracks.MAX_BATCH", largest)
-    monkeypatch.setattr("trackers.core.chunks.LONG", long)
+    monkeypatch.setattr("trackers.core.run.chunks.LONG", long)
     whole, lazy = (dataclasses.replace(data, stacked=stacked) for stacked in (True, False))
     pairs = list(zip(*(Pieces(own.batches(), chunk) for own in (whole, lazy)), strict=True))
     assert len(pairs) > 1 or chunk == 512

@@ -16,14 +16,14 @@ from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
 from trackers.baselines.fixes import fix_tracker
 from trackers.baselines.windows import MovingWindow
-from trackers.core.algebra import Vector
-from trackers.core.estimates import Status
-from trackers.core.motion import Kinematic
-from trackers.core.recording import Recording, stack
-from trackers.core.scan import Output
-from trackers.core.smoother import Smoothed
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Recording, stack
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import Kinematic
+from trackers.core.model.tunable import Scale
+from trackers.core.run.scan import Output
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.tracker import Tracker
 from trackers.mhk.tracker import mhk_tracker
 from tuning.named_objectives import all_metrics, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted

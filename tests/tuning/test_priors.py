@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from trackers.core.tunable import Covariance, Fraction, Real, Scale
+from trackers.core.model.tunable import Covariance, Fraction, Real, Scale
 from tuning.parameters import Parameter
 from tuning.priors import Prior, parse_prior, penalty
 

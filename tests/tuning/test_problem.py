@@ -6,9 +6,9 @@ import pytest
 from scipy import stats
 
 from tests.tuning.worlds import LineStart, line_tracker, walks
-from trackers.core.estimates import Status
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.run.track_loss import TrackLossPolicy
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import flatten, select_parameters
 from tuning.priors import Prior

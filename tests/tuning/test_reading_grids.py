@@ -9,7 +9,7 @@ import pytest
 import trackwright as tw
 from sim import worlds
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.recording import Readings, Recording, stack
+from trackers.core.data.recording import Readings, Recording, stack
 from trackers.recordings.reading_grids import of_raw_readings, reading_grids
 from tuning.data import fit_data
 from tuning.fit_arrays import FitArrays

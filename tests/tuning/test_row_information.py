@@ -5,8 +5,8 @@ import pytest
 
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
-from trackers.core.covariance import FEW
-from trackers.core.recording import stack
+from trackers.core.data.recording import stack
+from trackers.core.model.covariance import FEW
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem

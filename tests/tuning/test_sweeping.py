@@ -5,9 +5,9 @@ import pytest
 
 from sim.line import THESIS_KNOTS, simulate_line
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.polyline import Polyline
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.tunable import Real, Scale
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.tunable import Real, Scale
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.tracker import line_motion
 from trackers.line.tracker import line_tracker as particle_tracker

@@ -11,7 +11,7 @@ from sim.stations import work_station
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
 from trackers.core.errors import UnusableInput
-from trackers.core.tunable import tunables, with_values
+from trackers.core.model.tunable import tunables, with_values
 from trackers.recordings.calibration_file import identity
 from tuning.parameters import flatten, physical, select_parameters, with_parameters
 from tuning.tuned_file import read_tuned, tuned_content, write_tuned

@@ -10,8 +10,8 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.recording import Readings, stack
-from trackers.core.tunable import Covariance, Fraction, Real, Scale
+from trackers.core.data.recording import Readings, stack
+from trackers.core.model.tunable import Covariance, Fraction, Real, Scale
 from tuning.identifiability import flat_components, identifiability_issues
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.optimum import Optimum, optimum

@@ -6,7 +6,7 @@ from scipy import stats
 
 import trackwright as tw
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.recording import stack
+from trackers.core.data.recording import stack
 from tuning.named_objectives import all_metrics, parse_objective
 from tuning.optimum import optimum
 from tuning.parameters import flatten, select_parameters

@@ -10,12 +10,12 @@ import numpy as np
 from sim.stations import work_station
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackers.aoa.beam import Beam, BeamMotion
-from trackers.core.algebra import Vector
-from trackers.core.motion import ConstantPosition, Placed
-from trackers.core.recording import Readings, Recording
-from trackers.core.sensor import AbstractSensor, Channel, independent
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Real, Scale
+from trackers.core.data.recording import Readings, Recording
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import ConstantPosition, Placed
+from trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackers.core.model.tunable import Real, Scale
+from trackers.core.run.tracker import Tracker
 
 STATION = work_station().stations["1"]
 SIGMA_START = 0.5

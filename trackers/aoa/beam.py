@@ -11,17 +11,17 @@ import numpy as np
 
 from trackers.aoa.beamformer import Grid, direction
 from trackers.aoa.phases import InPlanePhases, PlanePhases, require_array
-from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.filter import Gaussian
-from trackers.core.inputs import Inputs
-from trackers.core.motion import AbstractMotion, Noise, process_noise
-from trackers.core.recording import Row
-from trackers.core.rig import Station
-from trackers.core.start import AbstractStart
-from trackers.core.state import Heading
-from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.model.algebra import Scalar, Vector, diagonal
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.motion import AbstractMotion, Noise, process_noise
+from trackers.core.model.rig import Station
+from trackers.core.model.sensor import Row
+from trackers.core.model.start import AbstractStart
+from trackers.core.model.state import Heading
+from trackers.core.model.tunable import Scale
+from trackers.core.run.track_loss import TrackLossPolicy
+from trackers.core.run.tracker import Tracker
 
 PHASES = "phases"
 """The name of a station's phases in the recordings of a tracker of one station."""

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.aoa.peak import Blocks, power, strongest_index
-from trackers.core.rig import Station
+from trackers.core.model.rig import Station
 
 
 class Grid(eqx.Module):

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar
-from trackers.core.inputs import AnyArray, Input, Need
+from trackers.core.model.algebra import Scalar
+from trackers.core.model.inputs import AnyArray, Input, Need
 
 CALIBRATION = Input(
     "calibration",

@@ -13,17 +13,17 @@ from trackers.aoa.beam import beam_tracker
 from trackers.aoa.fusion import AXES, BEARINGS, ORIGIN, BearingSensor, bearing_inputs, region_centre
 from trackers.aoa.phases import require_arrays
 from trackers.aoa.rays import nearest_to_rays, unit_vector
-from trackers.core.estimates import Status
-from trackers.core.filter import Gaussian
-from trackers.core.layout import Layout
-from trackers.core.linearise import covariance_of
-from trackers.core.motion import ConstantVelocity
-from trackers.core.recording import Batch
-from trackers.core.rig import Station
-from trackers.core.scan import Output, ScanState
-from trackers.core.sensor import AbstractSensor, Reading
-from trackers.core.tracker import AbstractEpochwiseTracker, Tracker
-from trackers.core.tunable import Scale
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Batch
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.linearise import covariance_of
+from trackers.core.model.motion import ConstantVelocity
+from trackers.core.model.rig import Station
+from trackers.core.model.sensor import AbstractSensor, Reading
+from trackers.core.model.tunable import Scale
+from trackers.core.run.layout import Layout
+from trackers.core.run.scan import Output, ScanState
+from trackers.core.run.tracker import AbstractEpochwiseTracker, Tracker
 from trackers.parts.start_nearby import NEARBY, NearbyStart
 
 

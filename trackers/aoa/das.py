@@ -11,15 +11,15 @@ import jax.numpy as jnp
 from trackers.aoa.beam import PHASES, Beam, InPlaneBeam
 from trackers.aoa.beamformer import Grid, direction
 from trackers.aoa.phases import require_array
-from trackers.core.algebra import triangle
-from trackers.core.estimates import Status
-from trackers.core.layout import Layout
-from trackers.core.recording import Batch
-from trackers.core.rig import Station
-from trackers.core.scan import Output
-from trackers.core.sensor import Channel
-from trackers.core.state import Heading
-from trackers.core.tracker import AbstractEpochwiseTracker
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Batch
+from trackers.core.model.algebra import triangle
+from trackers.core.model.rig import Station
+from trackers.core.model.sensor import Channel
+from trackers.core.model.state import Heading
+from trackers.core.run.layout import Layout
+from trackers.core.run.scan import Output
+from trackers.core.run.tracker import AbstractEpochwiseTracker
 
 
 class DelayAndSum(AbstractEpochwiseTracker):

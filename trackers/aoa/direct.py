@@ -13,16 +13,16 @@ from trackers.aoa.beamformer import Grid, direction
 from trackers.aoa.fusion import region_centre
 from trackers.aoa.phases import SphericalPhases, require_arrays
 from trackers.aoa.rays import nearest_to_rays, unit_vector
-from trackers.core.algebra import Scalar, Vector, diagonal, total
-from trackers.core.filter import Gaussian
-from trackers.core.inputs import HEIGHT, Input
-from trackers.core.motion import ConstantVelocity, Kinematic, Noise
-from trackers.core.recording import Row
-from trackers.core.rig import Station
-from trackers.core.start import AbstractStart
-from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.model.algebra import Scalar, Vector, diagonal, total
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.inputs import HEIGHT, Input
+from trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
+from trackers.core.model.rig import Station
+from trackers.core.model.sensor import Row
+from trackers.core.model.start import AbstractStart
+from trackers.core.model.tunable import Scale
+from trackers.core.run.track_loss import TrackLossPolicy
+from trackers.core.run.tracker import Tracker
 
 
 class PhaseStart(AbstractStart):

@@ -14,16 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.aoa.calibrated import CALIBRATION, measured_angles
-from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.errors import is_count, require
-from trackers.core.inputs import HEIGHT, Input, Inputs, Need
-from trackers.core.motion import Noise
-from trackers.core.rig import Station
-from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
-from trackers.core.state import wrap
-from trackers.core.track_loss import TrackScorePolicy
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Real, Scale
+from trackers.core.model.algebra import Scalar, Vector, total
+from trackers.core.model.inputs import HEIGHT, Input, Inputs, Need
+from trackers.core.model.motion import Noise
+from trackers.core.model.rig import Station
+from trackers.core.model.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
+from trackers.core.model.state import wrap
+from trackers.core.model.tunable import Real, Scale
+from trackers.core.run.track_loss import TrackScorePolicy
+from trackers.core.run.tracker import Tracker
 from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackers.parts.ranges import entry_at
 

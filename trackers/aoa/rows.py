@@ -14,10 +14,10 @@ from trackers.aoa.das import DelayAndSum
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
 from trackers.aoa.rays import recent_points_of_each
-from trackers.core.recording import Readings
-from trackers.core.rig import Station, room_rows
-from trackers.core.track_loss import ROOM
-from trackers.core.tracker import AbstractTracker
+from trackers.core.data.recording import Readings
+from trackers.core.model.rig import Station, room_rows
+from trackers.core.run.track_loss import ROOM
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.checks.readings import readings as readings_of
 from trackers.recordings.checks.repeats import repeated_share
 from trackers.recordings.columns import TagRows

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from trackers.core.motion import ConstantVelocity, GroundMotion
-from trackers.core.particle.filter import ParticleFilter
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.filters.particle.filter import ParticleFilter
+from trackers.core.model.motion import ConstantVelocity, GroundMotion
+from trackers.core.model.tunable import Scale
+from trackers.core.run.tracker import Tracker
 from trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart
 from trackers.parts.singer import Singer
 from trackers.parts.walls import Walls
@@ -58,7 +58,7 @@ def floor_tracker(
 
     The model of a planar `fix_tracker` with a floor plan (reference [25] of the thesis). `sigma_a` m/s² per √Hz,
     `sigma_horizontal` m; `dof`: degrees of freedom of Student's t, None for normal noise. Once no particle is left the
-    track restarts at the next fix. Gradients are score-function estimates: `trackers/core/particle/score.py`.
+    track restarts at the next fix. Gradients are score-function estimates: `trackers/core/filters/particle/score.py`.
     """
     sensor = FixSensor(sigma_horizontal, sigma_horizontal, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), True, 2)

@@ -10,8 +10,8 @@ import numpy as np
 from trackers.baselines.fixes import fix_tracker, floor_tracker, singer_tracker
 from trackers.baselines.switching import mirror_tracker, switching_tracker
 from trackers.baselines.windows import MovingWindow
+from trackers.core.data.recording import Readings
 from trackers.core.errors import UnusableInput
-from trackers.core.recording import Readings
 from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
 from trackers.parts.walls import Walls

@@ -20,19 +20,24 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.ekf import ExtendedKalman
 from trackers.core.errors import require
-from trackers.core.filter import Gaussian
-from trackers.core.imm import AbstractInteractingModels, AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
-from trackers.core.inputs import HEIGHT, Input, Inputs
-from trackers.core.linearise import covariance_of
-from trackers.core.motion import GroundMotion, Kinematic, Noise
-from trackers.core.recording import Row
-from trackers.core.sensor import AbstractSensor, Channel
-from trackers.core.start import AbstractStart
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Real, Scale
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.filters.imm import (
+    AbstractInteractingModels,
+    AbstractSwitching,
+    InteractingModels,
+    Mixture,
+    SwitchingMotion,
+)
+from trackers.core.model.algebra import Scalar, Vector, diagonal
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.inputs import HEIGHT, Input, Inputs
+from trackers.core.model.linearise import covariance_of
+from trackers.core.model.motion import GroundMotion, Kinematic, Noise
+from trackers.core.model.sensor import AbstractSensor, Channel, Row
+from trackers.core.model.start import AbstractStart
+from trackers.core.model.tunable import Real, Scale
+from trackers.core.run.tracker import Tracker
 from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart
 
 BELOW, ABOVE = 0, 1

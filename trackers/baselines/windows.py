@@ -8,14 +8,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.algebra import Vector, triangle
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Batch
 from trackers.core.errors import is_count, require
-from trackers.core.estimates import Status
-from trackers.core.layout import Layout
-from trackers.core.motion import Placed
-from trackers.core.recording import Batch
-from trackers.core.scan import Output
-from trackers.core.tracker import AbstractEpochwiseTracker
+from trackers.core.model.algebra import Vector, triangle
+from trackers.core.model.motion import Placed
+from trackers.core.run.layout import Layout
+from trackers.core.run.scan import Output
+from trackers.core.run.tracker import AbstractEpochwiseTracker
 from trackers.parts.fixes import FIXES
 from trackers.parts.median import nan_median
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
+from trackers.core.data.seconds import span
 from trackers.core.errors import UnusableInput, listed
-from trackers.core.rig import Station
-from trackers.core.seconds import span
+from trackers.core.model.rig import Station
 from trackers.core.wording import counted
 from trackers.recordings.columns import float_column, require_columns, run_starts
 from trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, track_keys

@@ -8,12 +8,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from trackers.core.algebra import Vector
-from trackers.core.crlb import NoBoundError, posterior_bound
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.motion import Kinematic
-from trackers.core.recording import Batch, Row, stack
-from trackers.core.tracker import Tracker
+from trackers.core.data.recording import Batch, stack
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import Kinematic
+from trackers.core.model.sensor import Row
+from trackers.core.run.crlb import NoBoundError, posterior_bound
+from trackers.core.run.tracker import Tracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 

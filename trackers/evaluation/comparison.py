@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.core.chi_square import chi_square_quantile
+from trackers.core.data.chi_square import chi_square_quantile
 from trackers.evaluation.association import Association
 from trackers.evaluation.scoring import Scored
 from trackers.recordings.columns import float_column

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import polars as pl
 
+from trackers.core.data.estimates import Estimates, numbered_names
+from trackers.core.data.frames import evaluation_html, evaluation_text
+from trackers.core.data.recording import Recording
 from trackers.core.errors import UnusableInput, one_or_more
-from trackers.core.estimates import Estimates, numbered_names
-from trackers.core.frames import evaluation_html, evaluation_text
-from trackers.core.recording import Recording
-from trackers.core.rig import Station
+from trackers.core.model.rig import Station
 from trackers.core.wording import counted
 from trackers.evaluation.association import Association, associate_paths, associate_truth, refuse_without_overlap
 from trackers.evaluation.metrics import metric_rows

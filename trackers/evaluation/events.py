@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
-from trackers.core.recording import Readings, Recording
+from trackers.core.data.recording import Readings, Recording
 from trackers.line.leaving import excursions
 from trackers.line.path import path_of
 from trackers.parts.fixes import FIXES

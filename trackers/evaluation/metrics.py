@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackers.core.chi_square import chi_square_quantile
+from trackers.core.data.chi_square import chi_square_quantile
 from trackers.evaluation.rank_correlation import LAGS_S, correlation, inflation
 from trackers.evaluation.scores import LEVELS, Scores
 

@@ -13,11 +13,11 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float, Int
 
-from trackers.core.algebra import Vector
-from trackers.core.sensor import AbstractSensor
-from trackers.core.smoother import Smoothed
-from trackers.core.state import wrap
-from trackers.core.tracker import Tracker
+from trackers.core.model.algebra import Vector
+from trackers.core.model.sensor import AbstractSensor
+from trackers.core.model.state import wrap
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.tracker import Tracker
 from trackers.recordings.local_frame import from_origins
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.trajectories import Trajectory

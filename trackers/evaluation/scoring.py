@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from trackers.core import metrics
-from trackers.core.rig import Station
+from trackers.core.data import metrics
+from trackers.core.model.rig import Station
 from trackers.evaluation.association import Association, true_bearings
 from trackers.evaluation.metrics import bearing_sizes, position_sizes
 from trackers.evaluation.rank_correlation import rank_sums

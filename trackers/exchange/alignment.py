@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import rotation_matrices
+from trackers.core.model.rig import rotation_matrices
 from trackers.evaluation.scoring import covariances
 from trackers.exchange.poses import AXES, PoseTrajectory, quaternions_of
 from trackers.recordings.columns import float_column

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from trackers.core.data.seconds import HOLE_S, span
 from trackers.core.errors import UnusableInput
-from trackers.core.seconds import HOLE_S, span
 from trackers.exchange.alignment import Alignment, Similarity, alignment
 from trackers.exchange.pose_errors import Statistics, Step, absolute_errors, associate, relative_errors, statistics
 from trackers.exchange.poses import PoseTrajectory

@@ -8,7 +8,7 @@ from pathlib import Path
 import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.exchange.trajectory_files import Kind, read_trajectory
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.input_file import beginning

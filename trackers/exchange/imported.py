@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.exchange.mapped_table import mapped_table
 from trackers.exchange.mapping import TableMapping, checked, columns_of
 from trackers.exchange.origin import origin_of, since

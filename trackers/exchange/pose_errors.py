@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import rotation_matrices
+from trackers.core.model.rig import rotation_matrices
 from trackers.exchange.poses import PoseTrajectory
 
 Statistics = dict[str, float]

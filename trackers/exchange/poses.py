@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from trackers.core.data.seconds import span
 from trackers.core.errors import UnusableInput
-from trackers.core.seconds import span
 from trackers.recordings.columns import float_column
 from trackers.recordings.kinds import QUATERNION
 from trackers.recordings.tracks_table import NO_ESTIMATE

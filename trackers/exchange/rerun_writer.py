@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.exchange.exported_tracks import ExportedTrack
 from trackers.exchange.poses import quaternions_of
 

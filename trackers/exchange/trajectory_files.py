@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import rotation_matrices
+from trackers.core.model.rig import rotation_matrices
 from trackers.exchange.poses import PoseTrajectory, quaternions_of
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.input_file import file_bytes

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from trackers.core.algebra import Scalar
-from trackers.core.inputs import Inputs
-from trackers.core.motion import Noise, as_scale
-from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
+from trackers.core.model.algebra import Scalar
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.motion import Noise, as_scale
+from trackers.core.model.sensor import AbstractSensor, Channel, Reading, Residual, independent
 
 FIXES = "fixes"
 

@@ -13,16 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from trackers.core.algebra import Scalar, compute_once, total
-from trackers.core.filter import AbstractFilter, Gaussian, Innovation
-from trackers.core.inputs import Inputs
-from trackers.core.keys import RawKey
-from trackers.core.linearise import covariance_of
-from trackers.core.motion import AbstractMotion
-from trackers.core.particle.filter import particle_residuals, weighted_moments, weighted_nis
-from trackers.core.polyline import Polyline
-from trackers.core.sensor import AbstractSensor, Reading
-from trackers.core.state import State
+from trackers.core.filters.filter import AbstractFilter, Innovation
+from trackers.core.filters.particle.filter import particle_residuals, weighted_moments, weighted_nis
+from trackers.core.model.algebra import Scalar, compute_once, total
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.keys import RawKey
+from trackers.core.model.linearise import covariance_of
+from trackers.core.model.motion import AbstractMotion
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.sensor import AbstractSensor, Reading
+from trackers.core.model.state import State
 from trackers.line.motion import HaltingMotion, LineMotion, PathOutputMap, PathState
 
 LAPS = 2

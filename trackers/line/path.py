@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.core.polyline import Polyline
+from trackers.core.model.polyline import Polyline
 from trackers.recordings.folder import RecordingFolder
 
 CLOSING_GAP = 0.05

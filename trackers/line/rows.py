@@ -9,10 +9,10 @@ from functools import partial
 import numpy as np
 import polars as pl
 
+from trackers.core.data.recording import Readings
 from trackers.core.errors import UnusableInput
-from trackers.core.recording import Readings
-from trackers.core.sensor import AbstractSensor
-from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.model.sensor import AbstractSensor
+from trackers.core.run.tracker import AbstractTracker, Tracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.path import path_of

@@ -10,18 +10,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, diagonal, total
 from trackers.core.errors import require
-from trackers.core.filter import Gaussian
-from trackers.core.motion import Noise
-from trackers.core.particle.filter import ParticleFilter, log_density
-from trackers.core.polyline import Polyline
-from trackers.core.recording import Row
-from trackers.core.sensor import AbstractSensor
-from trackers.core.start import AbstractStart
-from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.filters.particle.filter import ParticleFilter, log_density
+from trackers.core.model.algebra import Scalar, diagonal, total
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.motion import Noise
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.sensor import AbstractSensor, Row
+from trackers.core.model.start import AbstractStart
+from trackers.core.model.tunable import Scale
+from trackers.core.run.track_loss import TrackLossPolicy
+from trackers.core.run.tracker import Tracker
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState, floor_state
 

@@ -16,7 +16,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jax.scipy.special import i0e, i1e
 
-from trackers.core.algebra import Scalar, Vector, compute_once, inverse_or_zero
+from trackers.core.model.algebra import Scalar, Vector, compute_once, inverse_or_zero
 from trackers.mhk.accelerations import AZIMUTHS, Rings
 
 LIMITS = {4: 36.0, 8: 12.0}

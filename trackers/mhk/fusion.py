@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, Vector
-from trackers.core.covariance import AnyCovariance
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.filter import AbstractFilter, Gaussian, Innovation
-from trackers.core.inputs import Inputs
-from trackers.core.keys import RawKey
-from trackers.core.motion import AbstractMotion, Kinematic, Noise
-from trackers.core.sensor import AbstractSensor, Reading
-from trackers.core.tunable import Scale
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.filters.filter import AbstractFilter, Innovation
+from trackers.core.model.algebra import Scalar, Vector
+from trackers.core.model.covariance import AnyCovariance, Gaussian
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.keys import RawKey
+from trackers.core.model.motion import AbstractMotion, Kinematic, Noise
+from trackers.core.model.sensor import AbstractSensor, Reading
+from trackers.core.model.tunable import Scale
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.azimuths import mean_acceleration
 from trackers.mhk.chain import predicted, updated

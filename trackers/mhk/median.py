@@ -8,11 +8,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.algebra import inverse_or_zero
-from trackers.core.motion import Noise
-from trackers.core.recording import Batch
-from trackers.core.sensor import Reading
-from trackers.core.tunable import Scale
+from trackers.core.data.recording import Batch
+from trackers.core.model.algebra import inverse_or_zero
+from trackers.core.model.motion import Noise
+from trackers.core.model.sensor import Reading
+from trackers.core.model.tunable import Scale
 from trackers.parts.fixes import FIXES
 from trackers.parts.median import nan_median
 

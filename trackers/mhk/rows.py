@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from trackers.core.recording import Readings
+from trackers.core.data.recording import Readings
 from trackers.mhk.tracker import mhk_tracker
 from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES

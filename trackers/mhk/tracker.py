@@ -8,15 +8,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.filter import Gaussian
-from trackers.core.latency import scored_truth
-from trackers.core.layout import Layout
-from trackers.core.motion import ConstantVelocity
-from trackers.core.recording import Batch
-from trackers.core.scan import Output, ScanState, Score, scan_rows
-from trackers.core.sensor import AbstractSensor
-from trackers.core.tracker import AbstractTracker, Tracker
-from trackers.core.tunable import Scale, freeze
+from trackers.core.data.recording import Batch
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.motion import ConstantVelocity
+from trackers.core.model.sensor import AbstractSensor
+from trackers.core.model.tunable import Scale, freeze
+from trackers.core.run.latency import scored_truth
+from trackers.core.run.layout import Layout
+from trackers.core.run.scan import Output, ScanState, Score, scan_rows
+from trackers.core.run.tracker import AbstractTracker, Tracker
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.fusion import AccelerationFilter
 from trackers.mhk.median import LimitedMedian, MedianState

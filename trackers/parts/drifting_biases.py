@@ -8,13 +8,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, Vector, diagonal, total
-from trackers.core.covariance import variance
-from trackers.core.filter import Gaussian
-from trackers.core.inputs import Inputs
-from trackers.core.motion import AbstractMotion, Noise
-from trackers.core.recording import Row
-from trackers.core.tunable import Scale
+from trackers.core.model.algebra import Scalar, Vector, diagonal, total
+from trackers.core.model.covariance import Gaussian, variance
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.motion import AbstractMotion, Noise
+from trackers.core.model.sensor import Row
+from trackers.core.model.tunable import Scale
 from trackers.parts.start_nearby import AbstractNearbyStart
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.core.recording import Readings
+from trackers.core.data.recording import Readings
 from trackers.parts.fixes import FIXES
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of

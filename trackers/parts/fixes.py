@@ -12,24 +12,24 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, Vector, diagonal, total
-from trackers.core.filter import Gaussian
-from trackers.core.inputs import HEIGHT, Input, Inputs
-from trackers.core.latency import AbstractDelayedSensor
-from trackers.core.motion import Accelerated, Kinematic, Noise
-from trackers.core.recording import Row
-from trackers.core.sensor import (
+from trackers.core.model.algebra import Scalar, Vector, diagonal, total
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.inputs import HEIGHT, Input, Inputs
+from trackers.core.model.motion import Accelerated, Kinematic, Noise
+from trackers.core.model.sensor import (
     LOG_2PI,
     AbstractSensor,
     Channel,
     Reading,
     Residual,
+    Row,
     position_in_space,
     student_t_log_peak,
 )
-from trackers.core.start import AbstractStart
-from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tunable import Covariance, Real, Scale
+from trackers.core.model.start import AbstractStart
+from trackers.core.model.tunable import Covariance, Real, Scale
+from trackers.core.run.latency import AbstractDelayedSensor
+from trackers.core.run.track_loss import TrackLossPolicy
 
 FIXES = "fixes"
 

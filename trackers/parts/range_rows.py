@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 
-from trackers.core.recording import Readings
-from trackers.core.rig import room_rows
-from trackers.core.track_loss import ROOM
+from trackers.core.data.recording import Readings
+from trackers.core.model.rig import room_rows
+from trackers.core.run.track_loss import ROOM
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import recent_positions
 from trackers.recordings.columns import TagRows

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.chunks import called
+from trackers.core.run.chunks import called
 from trackers.parts.multilaterate import multilaterate
 
 MEDIAN_RANGES = 5

@@ -8,13 +8,12 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.filter import Gaussian
-from trackers.core.inputs import Input
-from trackers.core.motion import Kinematic, Noise
-from trackers.core.recording import Row
-from trackers.core.sensor import AbstractSensor
-from trackers.core.start import AbstractStart
+from trackers.core.model.algebra import Scalar, Vector, diagonal
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.inputs import Input
+from trackers.core.model.motion import Kinematic, Noise
+from trackers.core.model.sensor import AbstractSensor, Row
+from trackers.core.model.start import AbstractStart
 
 NEARBY = Input(
     "nearby",

@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar
-from trackers.core.particle.filter import AbstractPotential
-from trackers.core.particle.resampling import LOG_ZERO
+from trackers.core.filters.particle.filter import AbstractPotential
+from trackers.core.filters.particle.resampling import LOG_ZERO
+from trackers.core.model.algebra import Scalar
 
 
 class Walls(AbstractPotential):

@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 
 from trackers.core.errors import UnusableInput, listed
-from trackers.core.rig import Station
+from trackers.core.model.rig import Station
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.calibration import (
     ANGLES,

@@ -15,10 +15,10 @@ from typing import IO, Any, Literal, cast, get_args
 
 import polars as pl
 
+from trackers.core.data.frames import html_table
+from trackers.core.data.seconds import moment, seconds
 from trackers.core.errors import UnusableInput, listed
-from trackers.core.frames import html_table
-from trackers.core.rig import Rig
-from trackers.core.seconds import moment, seconds
+from trackers.core.model.rig import Rig
 from trackers.recordings.averaging import averaged
 from trackers.recordings.beside import beside
 from trackers.recordings.calibration import Calibration

@@ -6,7 +6,7 @@ import difflib
 from pathlib import Path
 
 from trackers.core.errors import UnusableInput, has_control, listed
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.kinds import table_kinds
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackers.recordings.table_file import SUFFIXES

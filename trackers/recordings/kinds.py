@@ -17,9 +17,9 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float, Int
 
+from trackers.core.data.seconds import seconds
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Point, Rig
-from trackers.core.seconds import seconds
+from trackers.core.model.rig import Point, Rig
 from trackers.recordings.columns import TagRows
 
 QUATERNION = ("qw", "qx", "qy", "qz")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.kinds import table_kinds
 from trackers.recordings.tracker_spec import TrackerBatch

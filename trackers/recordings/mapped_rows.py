@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trackers.core.recording import Readings, Recording
+from trackers.core.data.recording import Readings, Recording
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.trajectories import Trajectory
 

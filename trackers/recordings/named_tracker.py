@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from trackers.core.errors import UnusableInput, one_or_more
-from trackers.core.smoother import Smoothed
-from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import AbstractTunable, tunables, with_values
+from trackers.core.model.tunable import AbstractTunable, tunables, with_values
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackers.recordings.local_frame import near_origin
 from trackers.recordings.reading_grids import above_rounding

@@ -10,10 +10,10 @@ from fnmatch import fnmatch
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.recording import Batch
-from trackers.core.sensor import AbstractSensor
-from trackers.core.tracker import AbstractTracker, Tracker
-from trackers.core.tunable import Scale, tunables, with_values
+from trackers.core.data.recording import Batch
+from trackers.core.model.sensor import AbstractSensor
+from trackers.core.model.tunable import Scale, tunables, with_values
+from trackers.core.run.tracker import AbstractTracker, Tracker
 from trackers.recordings.checks.quantisation import quantisation_step
 from trackers.recordings.checks.readings import Readings, readings
 from trackers.recordings.checks.repeats import repeated_share

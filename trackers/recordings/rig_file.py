@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from trackers.core.errors import UnusableInput, has_control
-from trackers.core.rig import Rig, Station, Tag, checked_knots
+from trackers.core.model.rig import Rig, Station, Tag, checked_knots
 from trackers.recordings.input_file import read_toml
 
 FORMAT = 1

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.kinds import QUATERNION, Kind, Layout, table_kinds, unit_of
 from trackers.recordings.table_file import TableFile, read_table_file
 

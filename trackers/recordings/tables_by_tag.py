@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import polars as pl
 
-from trackers.core.seconds import seconds
+from trackers.core.data.seconds import seconds
 from trackers.recordings.averaging import averaged
 from trackers.recordings.columns import TableRows, TagRows
 from trackers.recordings.kinds import table_kinds

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.core.tracker import AbstractTracker
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackers.core.chunks import CHUNK
-from trackers.core.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
-from trackers.core.frames import frame_html, to_pandas
-from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.data.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
+from trackers.core.data.frames import frame_html, to_pandas
+from trackers.core.data.recording import Batch
+from trackers.core.run.chunks import CHUNK
+from trackers.core.run.tracker import AbstractTracker, Tracker
 from trackers.recordings.columns import stable_order
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectories, Trajectory

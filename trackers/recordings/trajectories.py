@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trackers.core.recording import Columns, Readings, Recording
+from trackers.core.data.recording import Columns, Readings, Recording
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.kinds import Kind, std_column
 from trackers.recordings.truth import TruthStatus

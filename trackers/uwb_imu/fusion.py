@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from trackers.core.errors import is_count, require
-from trackers.core.track_loss import TrackScorePolicy
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.model.tunable import Scale
+from trackers.core.run.track_loss import TrackScorePolicy
+from trackers.core.run.tracker import Tracker
 from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.recordings.calibration import Calibration

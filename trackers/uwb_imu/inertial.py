@@ -7,16 +7,16 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, Vector, diagonal, triangle
 from trackers.core.errors import is_count, require
-from trackers.core.filter import Gaussian
-from trackers.core.inputs import Input
-from trackers.core.motion import Noise
-from trackers.core.recording import Row
-from trackers.core.state import Heading, Rotation, component_names
-from trackers.core.track_loss import TrackScorePolicy
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.model.algebra import Scalar, Vector, diagonal, triangle
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.inputs import Input
+from trackers.core.model.motion import Noise
+from trackers.core.model.sensor import Row
+from trackers.core.model.state import Heading, Rotation, component_names
+from trackers.core.model.tunable import Scale
+from trackers.core.run.track_loss import TrackScorePolicy
+from trackers.core.run.tracker import Tracker
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.parts.start_nearby import NEARBY, AbstractNearbyStart
 from trackers.uwb_imu.fusion import MAX_BIASES, REACH

@@ -8,17 +8,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, Vector, triangle
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Batch
 from trackers.core.errors import require
-from trackers.core.estimates import Status
-from trackers.core.inputs import HEIGHT, Input, Need
-from trackers.core.layout import Layout
-from trackers.core.motion import Noise, Placed
-from trackers.core.recording import Batch
-from trackers.core.scan import Output
-from trackers.core.sensor import rounding_variance
-from trackers.core.tracker import AbstractEpochwiseTracker
-from trackers.core.tunable import Scale, freeze
+from trackers.core.model.algebra import Scalar, Vector, triangle
+from trackers.core.model.inputs import HEIGHT, Input, Need
+from trackers.core.model.motion import Noise, Placed
+from trackers.core.model.sensor import rounding_variance
+from trackers.core.model.tunable import Scale, freeze
+from trackers.core.run.layout import Layout
+from trackers.core.run.scan import Output
+from trackers.core.run.tracker import AbstractEpochwiseTracker
 from trackers.parts.multilaterate import PositionFit, multilaterate
 from trackers.parts.ranges import ANCHORS, RANGES
 

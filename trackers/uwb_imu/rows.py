@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackers.core.recording import Readings
-from trackers.core.tracker import AbstractTracker
+from trackers.core.data.recording import Readings
+from trackers.core.run.tracker import AbstractTracker
 from trackers.parts.range_rows import anchor_positions, range_inputs, range_rows, range_trajectories, room_of_anchors
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import latest_rows

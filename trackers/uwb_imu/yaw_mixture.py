@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, total
-from trackers.core.covariance import AnyCovariance, matched
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
-from trackers.core.inputs import Inputs
-from trackers.core.keys import RawKey
-from trackers.core.motion import AbstractMotion
-from trackers.core.sensor import AbstractSensor, Reading
-from trackers.core.state import Heading, Rotation, State, local, retract
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
+from trackers.core.model.algebra import Scalar, total
+from trackers.core.model.covariance import AnyCovariance, Gaussian, matched
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.keys import RawKey
+from trackers.core.model.motion import AbstractMotion
+from trackers.core.model.sensor import AbstractSensor, Reading
+from trackers.core.model.state import Heading, Rotation, State, local, retract
 
 
 class YawMixture(NamedTuple):

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from trackers.aoa.phases import SphericalPhases
-from trackers.core.algebra import Scalar
-from trackers.core.rig import Station
+from trackers.core.model.algebra import Scalar
+from trackers.core.model.rig import Station
 from trackers.parts.ranges import RangeSensor
 from tuning.design.bound import Points, SensorAtEpoch, mean_bound
 

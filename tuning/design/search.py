@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from jaxtyping import Float
 
-from trackers.core.algebra import Scalar
+from trackers.core.model.algebra import Scalar
 from tuning.design.layouts import WEIGHT, Theta
 
 Objective = Callable[..., Scalar]

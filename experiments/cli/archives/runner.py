@@ -12,8 +12,8 @@ from experiments.cli.archives.part import Found, guarded
 from experiments.cli.archives.store import Item, RecordingStore
 from experiments.cli.archives.tables import Refusals
 from experiments.jobs.executors import cluster_executor, finished
-from trackers.core.chunks import n_workers
-from trackers.core.freed_memory import give_back
+from trackers.core.run.chunks import n_workers
+from trackers.programs.freed_memory import give_back
 
 BLOCK = 256
 """Recordings after which memory is freed, which otherwise grows with their number."""

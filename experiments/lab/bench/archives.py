@@ -78,7 +78,7 @@ def write_archive(size: int, folder: str) -> Row:
     import polars as pl
 
     from sim import worlds
-    from trackers.core.rig import Rig
+    from trackers.core.model.rig import Rig
     from trackers.recordings.folder import RecordingFolder, write_recording
 
     # Of the repository, not of the package.

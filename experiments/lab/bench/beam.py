@@ -18,14 +18,14 @@ import numpy as np
 from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-from trackers.core.algebra import diagonal
-from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
-from trackers.core.filter import Gaussian
-from trackers.core.recording import Batch
-from trackers.core.rig import Station
-from trackers.core.sensor import Reading
-from trackers.core.start import AbstractStart
-from trackers.core.tracker import AbstractTracker, filter_batch
+from trackers.core.data.recording import Batch
+from trackers.core.model.algebra import diagonal
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.rig import Station
+from trackers.core.model.sensor import Reading
+from trackers.core.model.start import AbstractStart
+from trackers.core.run.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackers.core.run.tracker import AbstractTracker, filter_batch
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem

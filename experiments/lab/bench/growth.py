@@ -82,8 +82,8 @@ def lanes(
 ) -> int:
     """Time per row against the number of trajectories: covariances as scalars and as matrices, or smoothers.
 
-    Ranges in the plane, 200 rows; `FEW` in trackers/core/covariance.py chooses the form. With `--smoothed` trackers of
-    simulated recordings, 50 times, filtered and smoothed, with the call of `run`. 1 if a point fails.
+    Ranges in the plane, 200 rows; `FEW` in trackers/core/model/covariance.py chooses the form. With `--smoothed`
+    trackers of simulated recordings, 50 times, filtered and smoothed, with the call of `run`. 1 if a point fails.
 
     Args:
         lanes: numbers of trajectories.

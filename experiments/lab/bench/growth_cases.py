@@ -16,14 +16,14 @@ from experiments.lab.validation.track_loss import kidnapped_walk
 from sim import worlds
 from trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_tracker
 from trackers.catalogue import TRACKERS
-from trackers.core import covariance
-from trackers.core.chunks import CHUNK
-from trackers.core.motion import ConstantVelocity
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.smoother import Smoothed
-from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model import covariance
+from trackers.core.model.motion import ConstantVelocity
+from trackers.core.model.tunable import Scale
+from trackers.core.run.chunks import CHUNK
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.track_loss import TrackLossPolicy
+from trackers.core.run.tracker import Tracker
 from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.parts.start_nearby import NearbyStart

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackers.aoa.fusion import BEARINGS, BearingSensor
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.motion import GroundMotion
-from trackers.core.recording import Recording
-from trackers.core.tracker import Tracker
+from trackers.core.data.recording import Recording
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.model.motion import GroundMotion
+from trackers.core.run.tracker import Tracker
 from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackers.parts.fixes import FIXES, FixSensor
 from trackers.parts.ranges import RANGES, RangeSensor

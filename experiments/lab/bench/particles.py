@@ -17,8 +17,8 @@ import numpy as np
 from experiments.lab.bench.beam import filtering
 from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
 from sim.line import THESIS_KNOTS, simulate_line
-from trackers.core.polyline import Polyline
-from trackers.core.recording import Readings, Recording, stack
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model.polyline import Polyline
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import LineMotion
 from trackers.line.tracker import line_tracker

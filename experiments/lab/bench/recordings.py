@@ -16,7 +16,7 @@ from experiments.lab.bench.loops import filtered, model_of, vector, with_filterp
 from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown, turns
 from experiments.lab.subprocesses import required_recordings
 from trackers.catalogue import TRACKERS
-from trackers.core.smoother import Smoothed
+from trackers.core.run.smoother import Smoothed
 from trackers.recordings.folder import read_recording
 
 RECORDINGS = (

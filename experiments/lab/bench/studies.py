@@ -14,9 +14,9 @@ from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, s
 from experiments.monte_carlo.chunk import run_chunk
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
 from sim.worlds import WORLDS as MAKE
-from trackers.core.chunks import as_dtype, chunks
-from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, filter_batch
+from trackers.core.data.recording import Batch
+from trackers.core.run.chunks import as_dtype, chunks
+from trackers.core.run.tracker import AbstractTracker, filter_batch
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
 

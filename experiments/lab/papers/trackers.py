@@ -10,7 +10,7 @@ from typing import Any
 from experiments.monte_carlo import TrackerConfig
 from trackers.baselines.windows import MovingWindow
 from trackers.catalogue import spec_of
-from trackers.core.tracker import AbstractTracker
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.trajectories import Trajectory
 
 CONSTANT = MappingProxyType({"motion.time_constant": 1000.0, "motion.length": 1e4, "start.sigma_shared": 1e-3})

@@ -25,7 +25,7 @@ from experiments.lab.validation.folds import SEEN_BY_DEFAULTS
 from experiments.text.tables import aligned
 from trackers.aoa.fusion import CALIBRATED, bearing_tracker
 from trackers.catalogue import build
-from trackers.core.tracker import AbstractTracker
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder, read_recordings
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.uwb_imu.fusion import range_tracker

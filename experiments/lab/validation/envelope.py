@@ -30,9 +30,9 @@ from experiments.lab.validation.envelope_oracles import METHODS, difference
 from experiments.lab.validation.envelope_worlds import Cell, Walks, recorded
 from experiments.text.tables import markdown
 from trackers.catalogue import build
+from trackers.core.data.estimates import STATUS_WORDS, Status
 from trackers.core.errors import UnusableInput
-from trackers.core.estimates import STATUS_WORDS, Status
-from trackers.core.tunable import Covariance, tunables
+from trackers.core.model.tunable import Covariance, tunables
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches

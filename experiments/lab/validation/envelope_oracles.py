@@ -11,10 +11,10 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student_t
 
 from experiments.lab.bench.loops import filtered, fix_channels, ground, model_of, vector
-from trackers.core.estimates import Estimates, Status
-from trackers.core.imm import InteractingModels, SwitchingMotion
-from trackers.core.motion import GroundMotion
-from trackers.core.recording import Recording
+from trackers.core.data.estimates import Estimates, Status
+from trackers.core.data.recording import Recording
+from trackers.core.filters.imm import InteractingModels, SwitchingMotion
+from trackers.core.model.motion import GroundMotion
 from trackers.parts.fixes import FIXES
 from trackers.parts.ranges import RANGES
 from trackers.recordings.tracker_spec import TrackerBatch

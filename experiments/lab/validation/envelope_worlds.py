@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackers.core.rig import Rig, Station
+from trackers.core.model.rig import Rig, Station
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.rig_file import mounted
 

@@ -13,11 +13,11 @@ import numpy as np
 from trackers import Gaussian, Readings, Recording, Tracker, Vector, stack
 from trackers.aoa.fusion import BearingSensor
 from trackers.aoa.phases import AbstractPhaseSensor
-from trackers.core.algebra import triangle
-from trackers.core.imm import AbstractInteractingModels, AbstractSwitching
-from trackers.core.recording import Batch, Row
-from trackers.core.sensor import AbstractSensor
-from trackers.core.state import retract
+from trackers.core.data.recording import Batch
+from trackers.core.filters.imm import AbstractInteractingModels, AbstractSwitching
+from trackers.core.model.algebra import triangle
+from trackers.core.model.sensor import AbstractSensor, Row
+from trackers.core.model.state import retract
 from trackers.line.fixes import FloorFixes
 from trackers.parts.fixes import AbstractFixSensor
 from trackers.parts.ranges import RangeSensor
@@ -70,7 +70,7 @@ class _Modes:
         return self.rng.choice(len(self.shares), self.n, p=self.shares)
 
     def switch(self, dt: np.ndarray) -> None:
-        """At the switching rate a mode is drawn again, as `trackers.core.imm` has it."""
+        """At the switching rate a mode is drawn again, as `trackers.core.filters.imm` has it."""
         self.mode = np.where(self.rng.random(self.n) < -np.expm1(-self.rate * dt), self._draws(), self.mode)
 
     def turned(self, state: Any) -> Any:

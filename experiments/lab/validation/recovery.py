@@ -25,7 +25,7 @@ from experiments.cli.runtime import set_flags
 from experiments.text.terminal import progress
 from sim import work_station
 from trackers.aoa.beam import Beam
-from trackers.core.recording import Batch
+from trackers.core.data.recording import Batch
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import PathState
 from trackers.parts.ranges import RANGES, RangeSensor

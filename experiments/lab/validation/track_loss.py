@@ -15,7 +15,7 @@ import numpy as np
 import trackwright as tw
 from experiments.cli.runtime import set_flags
 from experiments.text.tables import aligned
-from trackers.core.tunable import with_values
+from trackers.core.model.tunable import with_values
 
 TRAJECTORIES = 500
 RATE_HZ, SECONDS, HEIGHT = 8.0, 60.0, 1.1

@@ -25,9 +25,9 @@ from experiments.text.tables import aligned
 from experiments.text.terminal import progress
 from sim.line import SITUATIONS, simulate_line
 from trackers.catalogue import build
-from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import Scale, replaced, tunables
+from trackers.core.data.recording import Batch
+from trackers.core.model.tunable import Scale, replaced, tunables
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.tracks import batches
 from tuning import fit
 from tuning.named_objectives import parse_objective

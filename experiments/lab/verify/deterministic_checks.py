@@ -15,9 +15,9 @@ from experiments.lab.verify.check_result import CheckResult
 from experiments.lab.verify.gradients import Gradients, gradients
 from experiments.lab.verify.worlds import HALT_DT, HALT_TUNABLES, halt_batch, halt_tracker
 from trackers.baselines.fixes import fix_tracker
-from trackers.core.polyline import Polyline
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.tunable import Real, Scale, replaced
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.tunable import Real, Scale, replaced
 from trackers.line.grid import GridFilter
 from trackers.line.motion import PathOutputMap
 from trackers.mhk.chain import predicted, updated

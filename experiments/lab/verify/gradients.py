@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.core.particle.filter import AbstractParticleFilter
-from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.data.recording import Batch
+from trackers.core.filters.particle.filter import AbstractParticleFilter
+from trackers.core.run.tracker import AbstractTracker, Tracker
 from tuning.marginal_score import marginal_scores
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters

@@ -23,7 +23,7 @@ from experiments.lab.verify.worlds import (
     score_form,
 )
 from experiments.lab.verify.wrong_estimators import Naive, Reparameterised
-from trackers.core.particle.filter import ParticleFilter
+from trackers.core.filters.particle.filter import ParticleFilter
 
 KEYS, PARTICLES = 400, 2000
 """Estimates with different random numbers, and particles of each."""

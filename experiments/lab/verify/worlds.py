@@ -10,20 +10,20 @@ import numpy as np
 from jax.scipy.special import ndtr
 
 from experiments.lab.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
-from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.covariance import AnyCovariance
-from trackers.core.filter import Gaussian, Innovation
-from trackers.core.inputs import Inputs
-from trackers.core.motion import AbstractMotion, ConstantPosition, Noise, Placed
-from trackers.core.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
-from trackers.core.polyline import Polyline
-from trackers.core.recording import Batch, Readings, Recording, Row, stack
-from trackers.core.sensor import AbstractSensor, Reading
-from trackers.core.start import AbstractStart
-from trackers.core.state import State
-from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.data.recording import Batch, Readings, Recording, stack
+from trackers.core.filters.filter import Innovation
+from trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
+from trackers.core.model.algebra import Scalar, Vector, diagonal
+from trackers.core.model.covariance import AnyCovariance, Gaussian
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.motion import AbstractMotion, ConstantPosition, Noise, Placed
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.sensor import AbstractSensor, Reading, Row
+from trackers.core.model.start import AbstractStart
+from trackers.core.model.state import State
+from trackers.core.model.tunable import Scale
+from trackers.core.run.track_loss import TrackLossPolicy
+from trackers.core.run.tracker import Tracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import LineMotion, PathState
 from trackers.parts.walls import Walls

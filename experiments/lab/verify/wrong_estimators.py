@@ -10,15 +10,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, Vector, cholesky, total, triangle
-from trackers.core.filter import Gaussian, Innovation
-from trackers.core.inputs import Inputs
-from trackers.core.motion import AbstractMotion
-from trackers.core.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
-from trackers.core.particle.random import draws
-from trackers.core.particle.resampling import LOG_ZERO
-from trackers.core.sensor import AbstractSensor, Reading
-from trackers.core.state import State, dimension, retract
+from trackers.core.filters.filter import Innovation
+from trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
+from trackers.core.filters.particle.random import draws
+from trackers.core.filters.particle.resampling import LOG_ZERO
+from trackers.core.model.algebra import Scalar, Vector, cholesky, total, triangle
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.motion import AbstractMotion
+from trackers.core.model.sensor import AbstractSensor, Reading
+from trackers.core.model.state import State, dimension, retract
 
 
 class AbstractPathwise(AbstractParticleFilter):

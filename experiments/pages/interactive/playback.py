@@ -12,9 +12,9 @@ import polars as pl
 
 from experiments.pages.interactive.track_page import run_data, track_page
 from experiments.pages.scored_tracks import ScoredTracks
-from trackers.core.estimates import Estimates
-from trackers.core.recording import Recording
-from trackers.core.rig import Rig
+from trackers.core.data.estimates import Estimates
+from trackers.core.data.recording import Recording
+from trackers.core.model.rig import Rig
 from trackers.evaluation.association import associate_truth
 from trackers.evaluation.evaluate import associate, evaluate
 from trackers.recordings.atomic import atomic_write

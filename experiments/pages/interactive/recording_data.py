@@ -13,8 +13,8 @@ from experiments.pages.interactive.packing import packed, rounded
 from experiments.pages.interactive.residuals import page_residuals
 from experiments.pages.interactive.summaries import calibration_curve, error_distribution, error_map
 from experiments.pages.scored_tracks import Component, ScoredRecording
-from trackers.core.rig import Rig
-from trackers.core.seconds import time_label
+from trackers.core.data.seconds import time_label
+from trackers.core.model.rig import Rig
 from trackers.recordings.columns import float_column
 from trackers.recordings.kinds import KINDS
 from tuning.diagnostics import nis_quantile

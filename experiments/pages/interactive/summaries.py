@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.pages.interactive.packing import packed, rounded
 from experiments.pages.scored_tracks import ScoredRecording
-from trackers.core.chi_square import chi_square_probability
+from trackers.core.data.chi_square import chi_square_probability
 
 CELLS = 30
 """The most cells along the longer side of the map of errors."""

@@ -16,7 +16,7 @@ from matplotlib.path import Path as Polygon
 from trackers.aoa.fusion import AXES, ORIGIN, BearingSensor, bearing_inputs
 from trackers.aoa.phases import SphericalPhases
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from tuning.design.bound import SensorAtEpoch, information
 from tuning.design.layouts import range_sensor
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from experiments.pages.plan.accuracy import FloorMap, floor_map, floor_of
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from tuning.design.layouts import WallAnchors, range_sensor
 from tuning.design.search import descend
 

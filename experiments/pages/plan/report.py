@@ -17,7 +17,7 @@ from experiments.pages.plan.accuracy import UNLIMITED, FloorMap, floor_of, minim
 from experiments.pages.plan.placement import Placement
 from experiments.pages.reports.pages import page, write_page
 from experiments.text.tables import rendered, ruled_table
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 
 COLOURS = 64
 WIDTH = 80

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from experiments.pages.plots.style import BLACK, GREY, LINES, figure_file, literal
-from trackers.core.chi_square import chi_square_probability
+from trackers.core.data.chi_square import chi_square_probability
 from trackers.evaluation.statements import COVERAGE
 
 NAMED = len(LINES)

@@ -26,7 +26,7 @@ from experiments.pages.plots.style import (
 )
 from experiments.pages.reports.tuning_data import ErrorTrack
 from experiments.text.wording import length_unit
-from trackers.core.metrics import percentiles
+from trackers.core.data.metrics import percentiles
 
 MARKED = (50.0, 90.0, 95.0)
 """Percentiles marked on the distribution of errors."""

@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from experiments.pages.interactive.playback import playback
 from experiments.pages.plots.style import BLACK, GREY, LINES, SKY, broken_at_gaps
 from experiments.text.wording import length_unit
+from trackers.core.data.estimates import Estimates
+from trackers.core.data.recording import Recording
+from trackers.core.data.seconds import time_label, zero_of
 from trackers.core.errors import UnusableInput
-from trackers.core.estimates import Estimates
-from trackers.core.recording import Recording
-from trackers.core.seconds import time_label, zero_of
 from trackers.evaluation.association import Association
 from trackers.evaluation.evaluate import associate
 from trackers.recordings.columns import float_column

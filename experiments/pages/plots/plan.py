@@ -11,7 +11,7 @@ from matplotlib.patheffects import withStroke
 
 from experiments.pages.plan.accuracy import FloorMap
 from experiments.pages.plots.style import BLACK, GREY, VERMILION, figure_file, literal
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 
 LABELLED = 12
 """The most anchors whose ids are written beside them."""

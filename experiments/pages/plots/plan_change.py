@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from experiments.pages.plots.style import BEFORE, BLUE, GREEN, GREY, WIDTH, legend_above, literal, svg_address
 from experiments.pages.plots.tracks import draw_rig
 from experiments.pages.reports.tracks_compared import Side, TrackChange
-from trackers.core.chi_square import chi_square_quantile
-from trackers.core.rig import Rig
+from trackers.core.data.chi_square import chi_square_quantile
+from trackers.core.model.rig import Rig
 
 CORNERS = 25
 """Points of an ellipse."""

@@ -14,7 +14,7 @@ from experiments.pages.plots.filters import consistency
 from experiments.pages.plots.style import LINES
 from experiments.pages.plots.tracks import floor_plan, natural
 from experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, directions, drawn_of
-from trackers.core.seconds import time_label
+from trackers.core.data.seconds import time_label
 from trackers.evaluation.association import true_bearings
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import track_keys

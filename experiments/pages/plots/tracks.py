@@ -16,8 +16,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from experiments.pages.plots.style import GREY, LINES, broken_at_gaps, figure_file, literal
-from trackers.core.chi_square import chi_square_quantile
-from trackers.core.rig import Station
+from trackers.core.data.chi_square import chi_square_quantile
+from trackers.core.model.rig import Station
 from trackers.evaluation.scoring import covariances
 from trackers.recordings.columns import float_column
 

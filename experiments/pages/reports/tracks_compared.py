@@ -14,7 +14,7 @@ import polars as pl
 from experiments.pages.interactive.decimation import drawn_rows
 from experiments.pages.plots.style import broken_at_gaps
 from experiments.text.wording import fixed, length_unit
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.evaluation.association import Association
 from trackers.evaluation.scoring import covariances
 from trackers.recordings.columns import float_column

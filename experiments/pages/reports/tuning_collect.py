@@ -19,9 +19,9 @@ from experiments.pages.reports.tuning_data import (
     TuningReportData,
 )
 from experiments.text.wording import number, uncapitalised
-from trackers.core.estimates import Estimates
-from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker
+from trackers.core.data.estimates import Estimates
+from trackers.core.data.recording import Batch
+from trackers.core.run.tracker import AbstractTracker
 from trackers.recordings.tracks import batches, for_positions
 from trackers.recordings.trajectories import Trajectory
 from tuning import FitResult

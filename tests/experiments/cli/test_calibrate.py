@@ -12,7 +12,7 @@ from experiments.cli.tuning_job import cross_calibrated
 from experiments.pages.reports.calibration import report_on
 from tests.in_process import assert_refused, trackwright
 from tests.tuning.calibration_worlds import RIG, world
-from trackers.core.rig import Rig, Tag
+from trackers.core.model.rig import Rig, Tag
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.calibration_file import identity, read_calibration, write_calibration
 from trackers.recordings.folder import RecordingFolder, read_recording, write_recording

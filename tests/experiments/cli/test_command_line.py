@@ -17,7 +17,7 @@ import pytest
 from sim.stations import facing
 from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import TRACKERS
-from trackers.core.rig import Station
+from trackers.core.model.rig import Station
 
 TAGS, ROWS, SEED = 6, 40, 3
 SIMULATE = ("--n", TAGS, "--rows", ROWS, "--seed", SEED, "--sigma-p", 0.2)

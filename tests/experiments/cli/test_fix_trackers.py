@@ -10,7 +10,7 @@ from sim.agv import ANCHOR_HEIGHT, simulate_agv
 from sim.fixes import correlated_noise, delayed
 from tests.in_process import assert_refused, trackwright
 from trackers.baselines.rows import lacks_coplanar_anchors, mirror_trajectories
-from trackers.core.rig import Rig, Tag
+from trackers.core.model.rig import Rig, Tag
 from trackers.mhk.rows import spatial_trajectories
 from trackers.mhk.tracker import STILL
 from trackers.parts.fix_rows import fix_trajectories, lacks_fixes

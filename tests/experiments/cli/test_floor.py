@@ -5,11 +5,11 @@ import polars as pl
 import pytest
 
 from tests.in_process import assert_refused, trackwright
-from trackers.core.algebra import Vector
 from trackers.core.errors import UnusableInput
-from trackers.core.motion import Placed
-from trackers.core.particle.resampling import LOG_ZERO
-from trackers.core.rig import Rig
+from trackers.core.filters.particle.resampling import LOG_ZERO
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import Placed
+from trackers.core.model.rig import Rig
 from trackers.parts.walls import Walls
 from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from tuning.tuned_file import read_tuned

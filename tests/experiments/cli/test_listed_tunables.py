@@ -10,7 +10,7 @@ import pytest
 from experiments.cli.trackers import _simulated
 from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import TRACKERS, build
-from trackers.core.tunable_meaning import meanings
+from trackers.core.model.tunable_meaning import meanings
 
 NOT_SIMULATED = ("bearings", "trilateration", "trilateration-compensated", "floor-pf")
 

@@ -12,7 +12,7 @@ from experiments.pages.reports.recordings_compared import Compared
 from experiments.pages.reports.worse_recordings import worse
 from tests.in_process import trackwright
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.rig import Rig, Tag
+from trackers.core.model.rig import Rig, Tag
 from trackers.recordings.folder import RecordingFolder, write_recording
 from tuning import fit
 

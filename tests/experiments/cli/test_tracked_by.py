@@ -11,7 +11,7 @@ from sim import worlds
 from tests.faulty import good_tables
 from trackers.catalogue import build
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 
 DELAY_S = 0.4

@@ -17,7 +17,7 @@ from experiments.cli import tuning_job
 from sim import worlds
 from tests.held_here import client_here
 from tests.in_process import assert_refused, trackwright
-from trackers.core.rig import Tag
+from trackers.core.model.rig import Tag
 from trackers.recordings.folder import write_recording
 
 FIT = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "sensors.*.sigma*", "--objective", "nll")

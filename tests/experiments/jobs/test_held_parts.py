@@ -30,7 +30,7 @@ from tuning.unstacked import Pieces
 MINE = """
 import dataclasses
 from trackers.catalogue import spec_of
-from trackers.core.motion import GroundMotion
+from trackers.core.model.motion import GroundMotion
 
 class Mine(GroundMotion):
     pass

@@ -15,9 +15,9 @@ from experiments.monte_carlo.sources import load_study
 from experiments.pages.reports.study_text import to_json, to_text
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, no_progress, study_command
 from tests.in_process import trackwright
-from trackers.core.chi_square import chi_square_quantile
+from trackers.core.data.chi_square import chi_square_quantile
+from trackers.core.data.estimates import Status
 from trackers.core.errors import UnusableInput
-from trackers.core.estimates import Status
 from trackers.evaluation.metrics import METRICS, position_sizes
 from trackers.evaluation.scores import BIN_WIDTH, BINS, error_sums, quantile
 

@@ -14,12 +14,12 @@ from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import beam_jacobian, beam_transition, cramer_rao, paper_beam_filter
 from trackers.aoa.beam import Beam, BeamMotion
 from trackers.aoa.phases import PlanePhases
-from trackers.core.algebra import Vector
-from trackers.core.crlb import posterior_bound
-from trackers.core.metrics import consistency, nees
-from trackers.core.recording import stack
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.data.metrics import consistency, nees
+from trackers.core.data.recording import stack
+from trackers.core.model.algebra import Vector
+from trackers.core.model.tunable import Scale
+from trackers.core.run.crlb import posterior_bound
+from trackers.core.run.tracker import Tracker
 
 RUNS, ROWS, SIGMA_A, SIGMA_P = 1000, 40, 0.3, 0.2
 # A prior for which no phase difference is off by half a turn; beyond, an ambiguous lobe is equally valid.

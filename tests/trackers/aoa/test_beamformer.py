@@ -7,7 +7,7 @@ import pytest
 
 from sim.stations import work_station
 from trackers.aoa.beamformer import Grid, capon, delay_and_sum, direction, music, snapshots, strongest
-from trackers.core.rig import Station
+from trackers.core.model.rig import Station
 
 STATION = work_station().stations["1"]
 GRID = Grid.of(STATION)

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from tests.catalogue import CALIBRATED
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from trackers.aoa.fusion import BearingSensor, bearing_inputs, bearing_tracker
-from trackers.core.algebra import Vector
-from trackers.core.motion import ConstantVelocity, Kinematic
-from trackers.core.recording import stack
-from trackers.core.rig import Station
-from trackers.core.sensor import Reading
-from trackers.core.tracker import Tracker
+from trackers.core.data.recording import stack
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import ConstantVelocity, Kinematic
+from trackers.core.model.rig import Station
+from trackers.core.model.sensor import Reading
+from trackers.core.run.tracker import Tracker
 from trackers.recordings.calibration import StationCalibration
 
 TAGS, ROWS, SIGMA = 256, 36, np.deg2rad(0.05)

@@ -5,9 +5,9 @@ import polars as pl
 
 from trackers.aoa.beam import in_plane_beam_tracker
 from trackers.catalogue import spec_of
-from trackers.core.estimates import Status
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.rig import Rig, Station, Tag
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model.rig import Rig, Station, Tag
 from trackers.recordings.folder import RecordingFolder
 
 ROWS, SIGMA_P, RATE = 150, 0.2, 0.5

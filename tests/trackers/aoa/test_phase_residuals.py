@@ -9,7 +9,7 @@ import pytest
 
 from trackers.aoa.circular import arctangent, circular_mean
 from trackers.aoa.phases import centred, pairwise
-from trackers.core.sensor import Reading
+from trackers.core.model.sensor import Reading
 
 FORMS = {"default": centred, "paper": pairwise}
 TURN = 2 * np.pi

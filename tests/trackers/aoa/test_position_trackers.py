@@ -12,9 +12,9 @@ from trackers.aoa.cascade import cascade_tracker
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_inputs
 from trackers.aoa.rays import nearest_to_rays, recent_points, unit_vector
-from trackers.core.estimates import Status
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.rig import Station
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model.rig import Station
 
 RIG = work_station()
 TAGS, ROWS, SIGMA_P = 6, 40, 0.2

@@ -9,8 +9,8 @@ import pytest
 
 from sim.stations import work_station
 from trackers.aoa.beam import beam_tracker
-from trackers.core.estimates import Status
-from trackers.core.recording import Readings, Recording, stack
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Readings, Recording, stack
 
 ROWS, ANTENNAS, SIGMA_P, JUMP_ROW = 120, 8, 0.15, 50
 STATION = work_station().stations["1"]

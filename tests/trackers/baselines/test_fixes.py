@@ -11,11 +11,11 @@ import pytest
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman, van_loan
 from trackers.baselines.fixes import fix_tracker, singer_tracker
-from trackers.core.algebra import Vector
-from trackers.core.chunks import as_dtype
-from trackers.core.motion import GroundMotion, Kinematic
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.tracker import Tracker
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import GroundMotion, Kinematic
+from trackers.core.run.chunks import as_dtype
+from trackers.core.run.tracker import Tracker
 from trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 

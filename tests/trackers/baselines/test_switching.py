@@ -12,13 +12,13 @@ from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
 from trackers.baselines.rows import mirror_trajectories
 from trackers.baselines.switching import MirrorSensor, mirror_tracker
-from trackers.core.algebra import Vector
-from trackers.core.imm import InteractingModels
-from trackers.core.motion import GroundMotion, Kinematic
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.smoother import Smoothed
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Real
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.filters.imm import InteractingModels
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import GroundMotion, Kinematic
+from trackers.core.model.tunable import Real
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.tracker import Tracker
 from trackers.mhk.tracker import STILL
 from trackers.parts.fixes import FIXES
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from trackers.baselines.windows import MovingWindow
-from trackers.core.estimates import Status
-from trackers.core.recording import Readings, Recording, stack
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Readings, Recording, stack
 from trackers.parts.fixes import FIXES
 
 WINDOW, ROWS = 5, 30

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.oracles import cramer_rao, van_loan
-from trackers.core.motion import GroundMotion
-from trackers.core.recording import Readings, Recording
-from trackers.core.rig import Rig
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.data.recording import Readings, Recording
+from trackers.core.model.motion import GroundMotion
+from trackers.core.model.rig import Rig
+from trackers.core.model.tunable import Scale
+from trackers.core.run.tracker import Tracker
 from trackers.evaluation.bounds import bounds_of
 from trackers.parts.fixes import FIXES, FixSensor, FixStart
 from trackers.recordings.folder import RecordingFolder

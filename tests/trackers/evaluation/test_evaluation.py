@@ -15,7 +15,7 @@ from experiments.cli.evaluating import violation
 from experiments.text.evaluation_text import to_json, to_text
 from sim.worlds import WORLDS
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig, Station
+from trackers.core.model.rig import Rig, Station
 from trackers.evaluation.association import associate_truth
 from trackers.evaluation.evaluate import _truths, associate, evaluate, evaluate_table
 from trackers.recordings.folder import RecordingFolder

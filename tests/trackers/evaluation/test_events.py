@@ -8,7 +8,7 @@ import pytest
 
 import trackwright as tw
 from trackers.catalogue import spec_of
-from trackers.core.rig import Rig, Tag
+from trackers.core.model.rig import Rig, Tag
 from trackers.evaluation.events import events_of
 from trackers.recordings.folder import RecordingFolder
 

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.trackers.exchange.against_evo import evo_errors
+from trackers.core.data.metrics import nees
 from trackers.core.errors import UnusableInput
-from trackers.core.metrics import nees
 from trackers.evaluation.scoring import covariances
 from trackers.exchange.alignment import Similarity
 from trackers.exchange.compare import compare_trajectories

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.exchange.imported import import_frames
 from trackers.exchange.mapped_table import mapped_table
 from trackers.exchange.mapping import TableMapping, columns_of, parsed, read_mapping

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.trackers.exchange.against_evo import evo_modules
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import rotation_matrices
+from trackers.core.model.rig import rotation_matrices
 from trackers.exchange.poses import PoseTrajectory, quaternions_of
 from trackers.exchange.trajectory_files import kind_of, read_trajectory, write_trajectory
 

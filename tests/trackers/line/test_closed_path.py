@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.core.particle.filter import ParticleFilter
-from trackers.core.polyline import Polyline
-from trackers.core.recording import Readings, Recording
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.data.recording import Readings, Recording
+from trackers.core.filters.particle.filter import ParticleFilter
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.tunable import Scale
+from trackers.core.run.tracker import Tracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState

@@ -9,7 +9,7 @@ import pytest
 from sim.line import simulate_line
 from trackers.catalogue import fitting, spec_of
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig, Tag
+from trackers.core.model.rig import Rig, Tag
 from trackers.evaluation.evaluate import evaluate
 from trackers.evaluation.events import left_the_line
 from trackers.line import rows as line

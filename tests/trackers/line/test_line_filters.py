@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.core.algebra import diagonal
-from trackers.core.chunks import as_dtype
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import stack
 from trackers.core.errors import UnusableInput
-from trackers.core.estimates import Status
-from trackers.core.filter import Gaussian
-from trackers.core.particle.filter import ParticleFilter
-from trackers.core.polyline import Polyline
-from trackers.core.recording import stack
-from trackers.core.tracker import Tracker, filter_batch
-from trackers.core.tunable import Scale
+from trackers.core.filters.particle.filter import ParticleFilter
+from trackers.core.model.algebra import diagonal
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.polyline import Polyline
+from trackers.core.model.tunable import Scale
+from trackers.core.run.chunks import as_dtype
+from trackers.core.run.tracker import Tracker, filter_batch
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState

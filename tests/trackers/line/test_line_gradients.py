@@ -6,10 +6,10 @@ import pytest
 from experiments.lab.verify.gradients import gradients
 from tests.known_start import NEVER_LOST
 from tests.trackers.line.test_line_filters import GRID, REPORT, STARTS, _trajectories
-from trackers.core.particle.filter import ParticleFilter
-from trackers.core.recording import stack
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import Scale
+from trackers.core.data.recording import stack
+from trackers.core.filters.particle.filter import ParticleFilter
+from trackers.core.model.tunable import Scale
+from trackers.core.run.tracker import Tracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.tracker import LineStart
 

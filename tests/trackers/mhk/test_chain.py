@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.algebra import Vector
-from trackers.core.tunable import freeze
+from trackers.core.model.algebra import Vector
+from trackers.core.model.tunable import freeze
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.azimuths import mean_acceleration
 from trackers.mhk.chain import predicted, updated

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.known_start import flat
-from trackers.core.recording import Readings, Recording, stack
+from trackers.core.data.recording import Readings, Recording, stack
 from trackers.mhk.tracker import STILL, mhk_tracker
 from trackers.parts.fixes import FIXES
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackers.core.recording import Readings, Recording, stack
+from trackers.core.data.recording import Readings, Recording, stack
 from trackers.mhk.median import LimitedMedian, speed_limited
 from trackers.parts.fixes import FIXES
 

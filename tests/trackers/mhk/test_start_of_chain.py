@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import pytest
 
-from trackers.core.algebra import Vector
+from trackers.core.model.algebra import Vector
 from trackers.mhk.tracker import mhk_tracker
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tests.known_start import flat
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.estimates import Status
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.tunable import tunables
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.model.tunable import tunables
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.fusion import AccelerationFilter
 from trackers.mhk.tracker import mhk_tracker

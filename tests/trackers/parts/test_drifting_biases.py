@@ -8,8 +8,8 @@ import pytest
 
 from tests.oracles import van_loan
 from tests.trackers.parts.biased_walks import inside_shares
-from trackers.core.algebra import Vector, triangle
-from trackers.core.filter import Gaussian
+from trackers.core.model.algebra import Vector, triangle
+from trackers.core.model.covariance import Gaussian
 from trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
 
 SIGMAS, TIME, LENGTH = np.array([0.1, 0.3]), 9.0, 0.4

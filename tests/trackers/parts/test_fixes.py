@@ -3,8 +3,8 @@
 import equinox as eqx
 import numpy as np
 
-from trackers.core.sensor import Reading
-from trackers.core.tunable import Scale, freeze
+from trackers.core.model.sensor import Reading
+from trackers.core.model.tunable import Scale, freeze
 from trackers.parts.fixes import FixSensor
 
 

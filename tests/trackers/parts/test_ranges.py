@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.algebra import Vector, diagonal
-from trackers.core.checks import Still
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.filter import Gaussian
-from trackers.core.motion import Placed
-from trackers.core.sensor import Reading
-from trackers.core.state import Heading, Rotation
-from trackers.core.tunable import Real, freeze, replaced
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.model.algebra import Vector, diagonal
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.motion import Placed
+from trackers.core.model.sensor import Reading
+from trackers.core.model.state import Heading, Rotation
+from trackers.core.model.tunable import Real, freeze, replaced
+from trackers.core.run.checks import Still
 from trackers.parts.ranges import RangeSensor, in_world_axes
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])

@@ -9,7 +9,7 @@ import pytest
 
 from sim.worlds import WORLDS
 from trackers.catalogue import TRACKERS
-from trackers.core.recording import stack
+from trackers.core.data.recording import stack
 from trackers.recordings.trajectories import Trajectories
 
 CASES = [

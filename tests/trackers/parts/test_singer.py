@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.oracles import van_loan
-from trackers.core.algebra import Vector
-from trackers.core.motion import Accelerated
-from trackers.core.tunable import freeze
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import Accelerated
+from trackers.core.model.tunable import freeze
 from trackers.parts.singer import Singer
 
 SIGMA, TAU = 1.7, 2.5

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.algebra import Vector
-from trackers.core.motion import ConstantPosition, Placed
-from trackers.core.particle.filter import ParticleFilter, Particles
-from trackers.core.particle.resampling import LOG_ZERO
-from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
-from trackers.core.tunable import Constant
+from trackers.core.filters.particle.filter import ParticleFilter, Particles
+from trackers.core.filters.particle.resampling import LOG_ZERO
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import ConstantPosition, Placed
+from trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
+from trackers.core.model.tunable import Constant
 from trackers.parts.walls import Walls
 
 CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]

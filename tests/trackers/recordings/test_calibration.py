@@ -10,7 +10,7 @@ from sim import worlds as simulate
 from tests.faulty import write_good
 from trackers.aoa.fusion import BEARINGS
 from trackers.aoa.rows import bearing_trajectories
-from trackers.core.rig import Station, Tag
+from trackers.core.model.rig import Station, Tag
 from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RANGES
 from trackers.recordings.calibration import (

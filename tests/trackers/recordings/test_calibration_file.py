@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Station
+from trackers.core.model.rig import Station
 from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration, TagCalibration
 from trackers.recordings.calibration_file import read_calibration, write_calibration
 

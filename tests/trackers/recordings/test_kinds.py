@@ -9,9 +9,9 @@ import pytest
 
 from trackers.aoa.fusion import BearingSensor, bearing_inputs
 from trackers.aoa.phases import SphericalPhases
-from trackers.core.algebra import Vector
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig, Station
+from trackers.core.model.algebra import Vector
+from trackers.core.model.rig import Rig, Station
 from trackers.parts.fixes import FixSensor
 from trackers.parts.ranges import RangeSensor
 from trackers.recordings.kinds import KINDS, TRUTH, Column, Kind, Sensors, add_kind, wrapped

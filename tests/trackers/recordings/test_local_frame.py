@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.evaluation.events import events_of
 from trackers.recordings.local_frame import near_origin
 from trackers.recordings.tracks import Tracks

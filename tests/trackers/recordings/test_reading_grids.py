@@ -9,8 +9,8 @@ import pytest
 
 import trackwright as tw
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.recording import Readings, Recording, stack
-from trackers.core.rig import Station
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model.rig import Station
 from trackers.recordings.reading_grids import reading_grids
 
 SIGMA, STEP = "sensors.fixes.sigma_horizontal", 0.3

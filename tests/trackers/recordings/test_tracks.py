@@ -12,10 +12,10 @@ from experiments.monte_carlo.chunk import tracked_runs
 from experiments.monte_carlo.errors import scored
 from experiments.monte_carlo.results import ChunkTotals, Results
 from trackers.catalogue import spec_of
-from trackers.core.algebra import Vector
-from trackers.core.estimates import STEP_COLUMNS, Estimates, Status
-from trackers.core.motion import Placed
-from trackers.core.rig import Rig
+from trackers.core.data.estimates import STEP_COLUMNS, Estimates, Status
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import Placed
+from trackers.core.model.rig import Rig
 from trackers.evaluation.events import events_of
 from trackers.recordings.folder import RecordingFolder
 

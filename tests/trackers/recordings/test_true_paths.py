@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackers.core.seconds import HOLE_M, HOLE_S
+from trackers.core.data.seconds import HOLE_M, HOLE_S
 from trackers.recordings.truth import TruePaths, TruthStatus
 
 

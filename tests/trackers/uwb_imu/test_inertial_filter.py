@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.core.algebra import Vector
-from trackers.core.metrics import consistency, nees
-from trackers.core.recording import stack
-from trackers.core.state import Rotation, local, retract
-from trackers.core.tracker import Tracker
-from trackers.core.tunable import freeze
+from trackers.core.data.metrics import consistency, nees
+from trackers.core.data.recording import stack
+from trackers.core.model.algebra import Vector
+from trackers.core.model.state import Rotation, local, retract
+from trackers.core.model.tunable import freeze
+from trackers.core.run.tracker import Tracker
 from trackers.parts.ranges import RangeSensor
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, Strapdown
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from trackers.core.recording import stack
+from trackers.core.data.recording import stack
 from trackers.recordings.folder import read_recording
 from trackers.uwb_imu.inertial import inertial_tracker
 from trackers.uwb_imu.rows import inertial_trajectories

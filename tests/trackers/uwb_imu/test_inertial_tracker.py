@@ -10,10 +10,11 @@ import pytest
 from sim.imu import ideal_readings, simulate_uwb_imu, swinging
 from sim.keys import trajectory_keys
 from sim.ranging import chamber
-from trackers.core.algebra import Vector
-from trackers.core.recording import Row, stack
-from trackers.core.rig import Rig, Tag
-from trackers.core.state import Rotation
+from trackers.core.data.recording import stack
+from trackers.core.model.algebra import Vector
+from trackers.core.model.rig import Rig, Tag
+from trackers.core.model.sensor import Row
+from trackers.core.model.state import Rotation
 from trackers.recordings.folder import RecordingFolder
 from trackers.uwb_imu.inertial import InertialStart, inertial_tracker, level_attitude
 from trackers.uwb_imu.rows import TRACKERS, inertial_trajectories

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.recording import Readings, Recording
+from trackers.core.data.recording import Readings, Recording
 from trackers.parts.multilaterate import inverse, lower_median, multilaterate
 from trackers.parts.ranges import RANGES
 from trackers.uwb_imu.multilateration import multilateration_tracker

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.oracles import van_loan
-from trackers.core.algebra import Vector
-from trackers.core.recording import Readings, Recording, stack
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.model.algebra import Vector
 from trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import recent_positions

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackers.core.recording import stack
+from trackers.core.data.recording import stack
 from trackers.parts.range_rows import range_trajectories
 from trackers.recordings.folder import read_recording
 from trackers.uwb_imu.fusion import range_tracker

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
-from trackers.core.algebra import Vector
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.recording import stack
-from trackers.core.smoother import Smoothed
-from trackers.core.state import Heading
-from trackers.core.tracker import Tracker
+from trackers.core.data.recording import stack
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.model.algebra import Vector
+from trackers.core.model.state import Heading
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.tracker import Tracker
 from trackers.parts.ranges import RangeSensor
 from trackers.uwb_imu.strapdown import ImuNoise, PlanarInertial, PlanarStrapdown
 from trackers.uwb_imu.yaw_mixture import YawMixtureFilter

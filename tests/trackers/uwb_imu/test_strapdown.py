@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.algebra import Vector
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.filter import Gaussian
-from trackers.core.linearise import linearise
-from trackers.core.state import Heading, Rotation, coordinates, local
-from trackers.core.tunable import freeze
+from trackers.core.filters.ekf import ExtendedKalman
+from trackers.core.model.algebra import Vector
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.linearise import linearise
+from trackers.core.model.state import Heading, Rotation, coordinates, local
+from trackers.core.model.tunable import freeze
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 
 ATTITUDE = np.array([0.9, 0.2, -0.3, 0.1]) / np.linalg.norm([0.9, 0.2, -0.3, 0.1])

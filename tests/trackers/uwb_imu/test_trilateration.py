@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackers.core.algebra import Vector
-from trackers.core.recording import Readings, Recording
+from trackers.core.data.recording import Readings, Recording
+from trackers.core.model.algebra import Vector
 from trackers.parts.ranges import RANGES
 from trackers.uwb_imu.trilateration import (
     compensation,

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.algebra import Vector
-from trackers.core.ekf import Gaussian
-from trackers.core.state import Heading, Rotation
+from trackers.core.filters.ekf import Gaussian
+from trackers.core.model.algebra import Vector
+from trackers.core.model.state import Heading, Rotation
 from trackers.uwb_imu.strapdown import Inertial, PlanarInertial
 from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 

@@ -10,7 +10,7 @@ from experiments.lab.questions.worksteps import MEASURES
 from experiments.monte_carlo.errors import TrackedRuns
 from tests.faulty import good_tables
 from tests.in_process import assert_refused, trackwright
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 from trackers.worksteps.decisions import NO_POINT, FasteningPoints, decide, nearest_point, probabilities, visit_numbers
 from trackers.worksteps.metrics import calibration, score, share, unlock_metrics

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import polars as pl
 
+from trackers.core.data.seconds import place_in_time, zero_of
 from trackers.core.errors import listed
-from trackers.core.rig import Rig
-from trackers.core.seconds import place_in_time, zero_of
+from trackers.core.model.rig import Rig
 from trackers.recordings.columns import codes, stable_order
 from trackers.recordings.kinds import QUATERNION, Kind, first_time, table_kinds
 

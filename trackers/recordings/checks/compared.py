@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trackers.core.rig import rotation_matrices
+from trackers.core.model.rig import rotation_matrices
 from trackers.recordings.columns import stable_order
 from trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
 from trackers.recordings.truth import TruePaths

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 
 import polars as pl
 
+from trackers.core.data.seconds import HOLE_M, HOLE_S, moment, place_in_time, span, zero_of
 from trackers.core.errors import listed
-from trackers.core.rig import Rig
-from trackers.core.seconds import HOLE_M, HOLE_S, moment, place_in_time, span, zero_of
+from trackers.core.model.rig import Rig
 from trackers.recordings.checks.anomalies import streams
 from trackers.recordings.checks.check_result import CheckResult, Level
 from trackers.recordings.kinds import first_time, layout

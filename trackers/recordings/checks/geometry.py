@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import polars as pl
 
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.checks.check_result import CheckResult, Level
 from trackers.recordings.kinds import KINDS, Kind, wrapped
 

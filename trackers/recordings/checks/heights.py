@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import polars as pl
 
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.kinds import KINDS, Kind
 

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float
 
-from trackers.core.rig import rotation_matrices
+from trackers.core.model.rig import rotation_matrices
 from trackers.recordings.kinds import QUATERNION, layout
 
 MOST_ROWS = 30_000

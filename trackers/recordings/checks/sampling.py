@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import polars as pl
 
-from trackers.core.seconds import moment, place_in_time, span, zero_of
+from trackers.core.data.seconds import moment, place_in_time, span, zero_of
 from trackers.core.wording import counted
 from trackers.recordings.checks.anomalies import long_gaps, streams
 from trackers.recordings.checks.check_result import CheckResult

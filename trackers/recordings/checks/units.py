@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import polars as pl
 
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.kinds import KINDS, QUATERNION, Column, Kind, table_kinds
 

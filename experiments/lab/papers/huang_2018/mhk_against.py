@@ -17,7 +17,7 @@ from experiments.lab.papers.fitting import fitted
 from experiments.lab.papers.huang_2018.workshop import MEASURES, OF_WORLD, workshop
 from experiments.lab.papers.trackers import built
 from experiments.text.wording import fixed_interval
-from trackers.core.ekf import ExtendedKalman
+from trackers.core.filters.ekf import ExtendedKalman
 from trackers.mhk.tracker import mhk_tracker
 
 NUMBERS = fitted("papers/huang_2018/workshop")

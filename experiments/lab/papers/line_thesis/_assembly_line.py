@@ -20,8 +20,8 @@ from experiments.lab.papers.trackers import built
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from trackers.baselines.fixes import fix_tracker
-from trackers.core.polyline import Polyline
-from trackers.core.tracker import AbstractTracker
+from trackers.core.model.polyline import Polyline
+from trackers.core.run.tracker import AbstractTracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import LineMotion
 from trackers.line.rows import path_of

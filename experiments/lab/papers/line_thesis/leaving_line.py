@@ -25,8 +25,8 @@ from experiments.pages.plots.style import LINES, plain
 from experiments.text.wording import fixed_interval, listed
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
-from trackers.core.recording import stack
-from trackers.core.tunable import with_values
+from trackers.core.data.recording import stack
+from trackers.core.model.tunable import with_values
 from trackers.evaluation.events import LEFT_LIMIT, LEFT_SLACK
 from trackers.line.leaving import cusum
 from trackers.recordings.folder import RecordingFolder

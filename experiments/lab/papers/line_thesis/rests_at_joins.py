@@ -23,7 +23,7 @@ from experiments.lab.papers.line_thesis._assembly_line import SIGMA, least
 from experiments.monte_carlo.chunk import tracked_runs
 from experiments.pages.plots.style import BLACK, BLUE, VERMILION, plain
 from experiments.text.wording import fixed_interval
-from trackers.core.polyline import Polyline
+from trackers.core.model.polyline import Polyline
 
 SWEPT = (0.02, 0.04, 0.08, 0.16, 0.3)
 RESTS, TRAVELS = "rests at joins", "no rests"

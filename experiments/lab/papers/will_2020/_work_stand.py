@@ -22,7 +22,7 @@ from sim.keys import Keys
 from sim.stations import simulate_phases, work_station
 from trackers.aoa.beam import beam_tracker
 from trackers.aoa.rows import PHASES
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 
 ALL = "full array"

@@ -25,10 +25,10 @@ from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
 from trackers.aoa.das import DelayAndSum
 from trackers.aoa.rows import PHASES
 from trackers.catalogue import spec_of
-from trackers.core.algebra import diagonal
-from trackers.core.filter import Gaussian
-from trackers.core.rig import Station
-from trackers.core.sensor import Reading
+from trackers.core.model.algebra import diagonal
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.rig import Station
+from trackers.core.model.sensor import Reading
 
 RESOLUTIONS = {"DAS, 1.2 deg": 1.2, "DAS, 0.6 deg": 0.6, "DAS, 0.3 deg": 0.3}
 

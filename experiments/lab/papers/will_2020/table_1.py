@@ -30,8 +30,8 @@ from experiments.lab.papers.will_2020._work_stand import ALL, POINTS, PRINTED_DE
 from experiments.lab.papers.will_2020.fit_array_layout import HALF_BOX, SMALLEST_SPACING, exact_layouts, side_lobe
 from sim.stations import simulate_phases
 from trackers.aoa.beam import beam_tracker
-from trackers.core.recording import Batch
-from trackers.core.sensor import Reading
+from trackers.core.data.recording import Batch
+from trackers.core.model.sensor import Reading
 
 AXES = ("azimuth", "elevation")
 _of = partial(Printed, origin=mc.FITTED, unit="deg", tracker="EKF")

@@ -9,7 +9,7 @@ import pytest
 
 from experiments.lab.validation.envelope import NONSENSE, SUBJECTS, Run, envelope, judged, table
 from experiments.lab.validation.envelope_worlds import Cell, recorded
-from trackers.core.estimates import Status
+from trackers.core.data.estimates import Status
 
 CORNERS = [Cell(*one) for one in product((1e-6, 1.0), (0.0, 1.0, 1e6), (10.0, 1e5))]
 

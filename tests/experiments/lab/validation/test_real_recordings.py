@@ -10,7 +10,7 @@ from experiments.lab.validation.fold_runs import Figures, Outside, farthest_outs
 from experiments.lab.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, Fold
 from experiments.lab.validation.real_recordings import all_checks, main, quoted, written
 from trackers.catalogue import tracker_for
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.folder import RecordingFolder, read_recording
 from tuning.cross_calibration import halves
 

@@ -32,12 +32,12 @@ from experiments.lab.verify.worlds import (
 )
 from experiments.lab.verify.wrong_estimators import Naive, Reparameterised
 from tests.in_process import trackwright
-from trackers.core.algebra import Vector
-from trackers.core.filter import Gaussian
-from trackers.core.motion import ConstantPosition, Placed
-from trackers.core.particle.filter import ParticleFilter, Particles
-from trackers.core.particle.resampling import LOG_ZERO
-from trackers.core.recording import Readings, Recording, stack
+from trackers.core.data.recording import Readings, Recording, stack
+from trackers.core.filters.particle.filter import ParticleFilter, Particles
+from trackers.core.filters.particle.resampling import LOG_ZERO
+from trackers.core.model.algebra import Vector
+from trackers.core.model.covariance import Gaussian
+from trackers.core.model.motion import ConstantPosition, Placed
 from trackers.line.fixes import FIXES
 from trackers.parts.walls import Walls
 

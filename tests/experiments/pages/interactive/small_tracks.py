@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 
 from experiments.pages.scored_tracks import ScoredTracks
-from trackers.core.rig import Rig, Station
+from trackers.core.model.rig import Rig, Station
 from trackers.evaluation.association import associate_truth
 from trackers.recordings.folder import RecordingFolder
 

@@ -15,7 +15,7 @@ from experiments.pages.plan.placement import HIGHEST, LOWEST, SPACING, place_anc
 from experiments.pages.plan.report import plan_data, summary_text, write_plan
 from sim.stations import work_station
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.rig_file import rig_text
 from tuning.design.layouts import WallAnchors
 

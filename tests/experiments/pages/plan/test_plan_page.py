@@ -10,7 +10,7 @@ from experiments.pages.plan.accuracy import Sigmas, floor_map
 from experiments.pages.plan.report import write_plan
 from sim.stations import work_station
 from tests.browser import chromium, watched
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.rig_file import rig_text
 
 SIGMAS, HEIGHT = Sigmas(0.1, 0.05, 0.3), 1.2

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from experiments.pages.reports.runs import TrackRun
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.evaluation.association import associate_truth
 from trackers.evaluation.comparison import errors_by_track
 from trackers.evaluation.scoring import score

@@ -23,8 +23,8 @@ from experiments.pages.plots.tracks import TRUTH, floor_plan
 from experiments.pages.reports.tuning_data import ErrorTrack
 from experiments.text.wording import length_unit
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Station
-from trackers.core.tunable import Scale
+from trackers.core.model.rig import Station
+from trackers.core.model.tunable import Scale
 from tuning.diagnostics import Innovations
 from tuning.parameters import Parameter
 from tuning.sweeping import Sweep

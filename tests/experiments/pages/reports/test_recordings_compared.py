@@ -8,7 +8,7 @@ import trackwright as tw
 from experiments.pages.reports.recordings_compared import compare, tracked
 from experiments.pages.reports.tuning import tuning_page
 from tests.experiments.pages.reports.tuning_report_data import report_data
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 
 SIGMAS = "sensors.fixes.sigma_*"

@@ -18,7 +18,7 @@ from experiments.pages.reports.tuning import tuning_page, write_tuning_report
 from sim import worlds
 from tests.browser import chromium, watched
 from tests.experiments.pages.reports.tuning_report_data import report_data
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 
 SIGMAS = "sensors.fixes.sigma_*"

@@ -8,7 +8,7 @@ import trackwright as tw
 from experiments.pages.reports.tuning import tuning_page
 from experiments.pages.reports.tuning_collect import Request, _parameters, collect
 from trackers.catalogue import spec_of
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import batches
 from tuning import fit

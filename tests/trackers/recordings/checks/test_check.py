@@ -13,7 +13,7 @@ import pytest
 
 from tests.broken import ANOMALOUS
 from tests.faulty import write_good
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.checks import CheckResult, check, format_results
 from trackers.recordings.folder import RecordingFolder, read_recording
 

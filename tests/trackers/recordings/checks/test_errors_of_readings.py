@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.rig import Rig, Station
+from trackers.core.model.rig import Rig, Station
 from trackers.recordings.checks import check
 from trackers.recordings.checks.correlation import autocorrelation
 from trackers.recordings.checks.quantisation import quantisation_step

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.core.rig import Rig, Station
+from trackers.core.model.rig import Rig, Station
 from trackers.recordings.checks.geometry import Dilution, dilution, shape
 from trackers.recordings.kinds import KINDS
 

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.rig import Rig, Station, Tag
+from trackers.core.model.rig import Rig, Station, Tag
 from trackers.recordings.checks import check, closing_mistakes, quick_check
 from trackers.recordings.checks.closing import moments
 from trackers.recordings.folder import RecordingFolder

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.rig import Rig, Station
+from trackers.core.model.rig import Rig, Station
 from trackers.recordings.checks import check, quick_check
 from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from sim import worlds
-from trackers.core.rig import Station
+from trackers.core.model.rig import Station
 from trackers.recordings.checks import check, quick_check
 from trackers.recordings.folder import RecordingFolder, read_recording
 

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.rig import Rig
+from trackers.core.model.rig import Rig
 from trackers.recordings.checks import check
 from trackers.recordings.checks.compared import compared, median_of
 from trackers.recordings.checks.residuals import residuals

@@ -1,0 +1,108 @@
+"""Estimates: shapes and names for any state, verdicts in one sentence, and statuses row by row."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.known_start import NEVER_LOST, KnownStart, recording
+from trackers.core.data.estimates import Estimates, Status
+from trackers.core.data.recording import stack
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import AbstractMotion, ConstantPosition, Placed
+from trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackers.core.run.tracker import Tracker
+
+
+class Place(NamedTuple):
+    position: Any
+
+
+class Drift(AbstractMotion):
+    """A random walk of a state that is one array, not a vector of scalars."""
+
+    @property
+    def noise_dimension(self):
+        return 2
+
+    def step(self, state, inputs, dt, w):
+        return Place(state.position + jnp.stack(list(w)) * (0.4 * jnp.sqrt(dt)))
+
+    def view(self, state):
+        return state
+
+
+class Fix(AbstractSensor):
+    @property
+    def channels(self):
+        return Channel("x", "m"), Channel("y", "m")
+
+    def measure(self, view, inputs):
+        return list(view.position)
+
+    def residual(self, reading, predicted):
+        return independent([z - p for z, p in zip(reading.values, predicted, strict=True)], [0.1, 0.2], reading.seen)
+
+
+def _array_state(x):
+    return Place(jnp.stack(x))
+
+
+def _vector_state(x):
+    return Placed(Vector(*x))
+
+
+@pytest.fixture(scope="module")
+def both_states():
+    rng, recordings = np.random.default_rng(0), []
+    for rows in (7, 5, 6):
+        z = rng.normal(size=(rows, 2)), rng.random((rows, 2)) > 0.3
+        recordings.append(recording(np.cumsum(rng.uniform(0.1, 1.0, rows)), {"fix": z}, [0.5, -0.5], np.eye(2)))
+    pairs = ((Drift(), _array_state), (ConstantPosition(0.4, 2), _vector_state))
+    return [Tracker(m, {"fix": Fix()}, KnownStart(b), track_loss=NEVER_LOST).run(stack(recordings)) for m, b in pairs]
+
+
+def test_a_state_that_holds_an_array_is_filtered_like_one_of_scalars(both_states):
+    array, scalars = both_states
+    assert array.mean.position.shape == (3, 7, 2)
+    np.testing.assert_allclose(array.mean.position, np.stack(list(scalars.mean.position), axis=-1), rtol=1e-13)
+    np.testing.assert_allclose(array.covariance, scalars.covariance, rtol=1e-13)
+
+
+def test_one_trajectory_of_an_array_state_is_that_trajectory(both_states):
+    array, scalars = both_states
+    for trajectory in range(3):
+        mean = np.stack(list(scalars[trajectory].mean.position), axis=-1)
+        np.testing.assert_allclose(array[trajectory].mean.position, mean, rtol=1e-13)
+
+
+def test_sigmas_are_named_roots_of_the_covariances_diagonal(both_states):
+    for estimates in both_states:
+        assert list(estimates.sigmas) == ["position.0", "position.1"]
+        diagonal = np.sqrt(np.diagonal(estimates.covariance, axis1=-2, axis2=-1))
+        np.testing.assert_array_equal(np.stack(list(estimates.sigmas.values()), axis=-1), diagonal)
+
+
+def _with_status(*status):
+    none = np.zeros(len(status))
+    return Estimates(Placed(Vector(none)), none[None], none, none, none, none, np.array(status, np.int8))
+
+
+@pytest.mark.parametrize(
+    ("status", "summary"),
+    [
+        ((Status.WAITING, Status.OK, Status.OK, Status.PADDING), "ok"),
+        ((Status.WAITING, Status.WAITING, Status.PADDING), "too little data: no row could start the tracker"),
+        ((Status.OK, Status.LOST, Status.RESTARTED, Status.OK), "lost and re-started 1 times"),
+        ((Status.OK, Status.LOST, Status.LOST), "lost and never re-started"),
+        ((Status.OK, Status.OK, Status.NON_FINITE, Status.LOST), "non-finite at row 2"),
+    ],
+)
+def test_the_summary_is_one_sentence(status, summary):
+    assert _with_status(*status).summary() == summary
+
+
+def test_usable_rows_are_those_with_an_estimate():
+    every = _with_status(*Status)
+    assert {Status(s) for s in every.status[every.usable]} == {Status.OK, Status.RESTARTED, Status.LOST}

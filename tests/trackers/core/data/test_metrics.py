@@ -1,0 +1,155 @@
+"""Error figures against plain formulas, chi-square against closed forms, consistency against Monte Carlo."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackers.core.data import metrics
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20240611)
+
+
+def _covariances(rng, n, d):
+    factors = rng.normal(size=(n, d, d)) + 2 * np.eye(d)
+    return factors @ factors.transpose(0, 2, 1)
+
+
+def _draws(rng, covs):
+    return np.einsum("nij,nj->ni", np.linalg.cholesky(covs), rng.normal(size=covs.shape[:2]))
+
+
+def _even_chi_square_cdf(x, dof):
+    """The closed form for even degrees of freedom: one minus a sum of Poisson probabilities."""
+    k = np.arange(dof // 2)
+    return 1.0 - math.fsum(np.exp(k * math.log(x / 2) - x / 2 - np.array([math.lgamma(j + 1.0) for j in k])))
+
+
+def test_error_figures_of_known_lengths_are_those_of_the_lengths():
+    lengths = [5.0, 0.0, 1.0, 13.0, 2.0]
+    errors = np.array([[3.0, 4.0], [0.0, 0.0], [0.0, -1.0], [5.0, 12.0], [-2.0, 0.0]])
+    figures = metrics.error_metrics(errors)
+    assert figures.rmse == pytest.approx(math.sqrt(sum(x * x for x in lengths) / 5), rel=1e-12)
+    assert figures.median == 2.0
+    assert figures.max == 13.0
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60), st.lists(st.floats(0, 100), min_size=1, max_size=4))
+def test_percentiles_are_those_of_numpy(values, percents):
+    # Both interpolate between two doubles and may round differently; squares of less than 1e-150 are zero.
+    expected = np.percentile(np.abs(values), percents)
+    np.testing.assert_allclose(
+        metrics.percentiles(np.array(values)[:, None], tuple(percents)), expected, rtol=1e-9, atol=1e-150
+    )
+
+
+def test_bias_is_the_mean_error_vector(rng):
+    errors = rng.normal([1.0, -2.0, 0.5], 1.0, (40, 3))
+    np.testing.assert_allclose(metrics.bias(errors), [sum(e[k] for e in errors) / 40 for k in range(3)], rtol=1e-12)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 6])
+def test_nees_is_the_quadratic_form_solved_row_by_row(rng, d):
+    covs, errors = _covariances(rng, 30, d), rng.normal(size=(30, d))
+    expected = [e @ np.linalg.solve(P, e) for e, P in zip(errors, covs, strict=True)]
+    # Both are direct solvers in double precision on matrices with condition numbers up to some thousands.
+    np.testing.assert_allclose(metrics.nees(errors, covs), expected, rtol=1e-9)
+
+
+def test_nees_is_nan_where_the_covariance_is_singular_and_right_elsewhere(rng):
+    covs, errors = _covariances(rng, 4, 3), rng.normal(size=(4, 3))
+    alone = metrics.nees(errors, covs)
+    covs[1, 2, :] = covs[1, :, 2] = 0.0
+    covs[2] = np.diag([1.0, -1.0, 1.0])
+    values = metrics.nees(errors, covs)
+    assert np.isnan(values[[1, 2]]).all()
+    assert (values[[0, 3]] == alone[[0, 3]]).all()
+
+
+def test_nees_of_a_damaged_covariance_is_no_number_or_infinite_and_the_others_are_right(rng):
+    covs, errors = _covariances(rng, 4, 2), np.ones((4, 2))
+    right = metrics.nees(errors, covs)
+    covs[0] = [[1e-300, 1e200], [1e200, 1.0]]
+    found = metrics.nees(errors, covs)
+    assert not np.isfinite(found[0])
+    np.testing.assert_array_equal(found[1:], right[1:])
+
+
+def test_nees_changes_neither_errors_nor_covariances(rng):
+    covs, errors = _covariances(rng, 5, 2), rng.normal(size=(5, 2))
+    before = covs.copy(), errors.copy()
+    metrics.nees(errors, covs)
+    assert (covs == before[0]).all()
+    assert (errors == before[1]).all()
+
+
+def test_mean_nees_of_true_covariances_lies_inside_its_bounds_as_often_as_promised(rng):
+    studies, runs, d = 2000, 20, 3
+    covs = _covariances(rng, runs, d)
+    inside = []
+    for _ in range(studies):
+        found = metrics.consistency(metrics.nees(_draws(rng, covs), covs), d)
+        inside.append(found.low <= found.mean <= found.high)
+    # Four standard errors of a share of 0.95 in 2,000 studies.
+    assert np.mean(inside) == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / studies))
+
+
+def test_bounds_of_values_with_different_dof_are_those_of_their_sum(rng):
+    dof = np.array([2.0, 8.0, 5.0, 5.0])
+    found = metrics.consistency(np.array([2.0, 8.0, 5.0, 5.0]), dof)
+    assert (found.mean, found.expected, found.n) == (5.0, 5.0, 4)
+    assert _even_chi_square_cdf(4 * found.low, 20) == pytest.approx(0.025, abs=1e-9)
+    assert _even_chi_square_cdf(4 * found.high, 20) == pytest.approx(0.975, abs=1e-9)
+
+
+def test_consistency_leaves_out_rows_without_a_value():
+    found = metrics.consistency(np.array([3.0, math.nan, 5.0]), np.array([4.0, 100.0, 4.0]))
+    assert (found.mean, found.expected, found.n) == (4.0, 4.0, 2)
+
+
+def test_a_covariance_too_small_by_half_is_outside_the_bounds(rng):
+    covs = _covariances(rng, 200, 2)
+    found = metrics.consistency(metrics.nees(_draws(rng, covs), covs / 2), 2)
+    assert found.mean > found.high
+
+
+@pytest.mark.parametrize("level", [0.68, 0.95])
+@pytest.mark.parametrize("d", [2, 3])
+def test_coverage_of_true_covariances_is_the_level(rng, level, d):
+    n = 20_000
+    covs = _covariances(rng, n, d)
+    four_standard_errors = 4 * math.sqrt(level * (1 - level) / n)
+    assert metrics.coverage(_draws(rng, covs), covs, level) == pytest.approx(level, abs=four_standard_errors)
+
+
+def test_coverage_of_a_disc_counts_by_hand():
+    radius = math.sqrt(-2 * math.log(0.05))
+    errors = np.array([[0.0, 0.0], [radius - 1e-6, 0.0], [0.0, radius + 1e-6], [9.0, 9.0]])
+    assert metrics.coverage(errors, np.tile(np.eye(2), (4, 1, 1)), 0.95) == 0.5
+
+
+def test_a_lost_row_is_lost_until_the_next_row():
+    times = np.array([0.0, 1.0, 3.0, 3.5, 10.0])
+    lost = np.array([False, True, False, True, True])
+    assert metrics.time_lost(times, lost) == (2.0 + 6.5, 0.85)
+
+
+def test_time_lost_of_rows_at_one_time_is_a_share_of_the_rows():
+    assert metrics.time_lost(np.array([2.0]), np.array([True])) == (0.0, 1.0)
+
+
+def test_no_rows_have_no_figures():
+    none, no_covs = np.empty((0, 3)), np.empty((0, 3, 3))
+    assert all(math.isnan(value) for value in metrics.error_metrics(none))
+    assert np.isnan(metrics.bias(none)).all()
+    assert math.isnan(metrics.rmse(none))
+    assert math.isnan(metrics.percentiles(none, (50.0,))[0])
+    assert math.isnan(metrics.coverage(none, no_covs))
+    assert math.isnan(metrics.consistency(np.empty(0), 3).mean)
+    assert math.isnan(metrics.time_lost(np.empty(0), np.empty(0, bool)).fraction)

@@ -1,0 +1,125 @@
+"""Recordings refuse what no tracker can use, and batches hold them in float32 without losing time."""
+
+import numpy as np
+import pytest
+
+from trackers.core.data.recording import Readings, Recording, stack
+
+
+def _recording(times=(0.0, 0.1, 0.3), values=None, seen=None, name="run 3", sensor="north", reported=None):
+    values = np.zeros((3, 2)) if values is None else np.asarray(values, float)
+    seen = np.ones(np.shape(values), bool) if seen is None else seen
+    return Recording(np.asarray(times), {sensor: Readings(values, seen, reported)}, name=name)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"times": (0.0, 0.2, 0.1)}, r"run 3: times\[2\] = 0.1 s comes before the row above; sort the rows first"),
+        ({"times": (0.0, np.nan, 0.1)}, r"run 3: times\[1\] is not finite"),
+        ({"times": (np.inf, 1.0, 2.0)}, r"run 3: times\[0\] is not finite"),
+        ({"times": ()}, r"times have shape \(0,\), expected \(T,\) with at least one row"),
+        ({"times": ((0.0,), (1.0,), (2.0,))}, r"times have shape \(3, 1\)"),
+        (
+            {"values": np.zeros((4, 2))},
+            r"readings\['north'\] has values \(4, 2\) and seen \(4, 2\), expected \(3, channels\)",
+        ),
+        ({"values": np.zeros(3)}, r"expected \(3, channels\) both"),
+        ({"seen": np.ones((3, 1), bool)}, r"values \(3, 2\) and seen \(3, 1\)"),
+        (
+            {"values": [[0, 0], [0, np.nan], [0, 0]]},
+            r"'north'\] row 1, channel 1 is not finite; for a missing value store 0",
+        ),
+        ({"values": [[0, 0], [0, 0], [-np.inf, 0]]}, "row 2, channel 0 is not finite"),
+        ({"reported": np.array([[0.1], [np.inf], [0.1]])}, "row 1, channel 0 is not finite"),
+    ],
+)
+def test_an_unusable_recording_is_refused_with_the_place_of_its_fault(arguments, message):
+    with pytest.raises(ValueError, match=message) as error:
+        _recording(**arguments)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ({"inputs": {"height": np.zeros(2)}}, "run 3: .*height.* 2 .*3"),
+        ({"inputs": {"height": np.array([1.0, np.nan, 1.0])}}, "run 3: .*height.* row 1.* not finite"),
+        ({"truth": {"position": (np.zeros((3, 2)), np.ones(2, bool))}}, "run 3: .*position.*"),
+        ({"truth": {"position": (np.full((3, 2), np.nan), np.ones(3, bool))}}, "run 3: .*position.* not finite"),
+        (
+            {"readings": {"north": Readings(np.zeros((3, 2)), np.ones((3, 2), bool), np.zeros((2, 3)))}},
+            "run 3: .*north.*",
+        ),
+    ],
+    ids=["short input", "NaN input", "short truth", "NaN truth", "short reported"],
+)
+def test_inputs_truth_and_reported_noise_of_another_length_or_not_finite_are_refused(extra, message):
+    good = {"readings": {"north": Readings(np.zeros((3, 2)), np.ones((3, 2), bool))}}
+    with pytest.raises(ValueError, match=message):
+        Recording(np.arange(3.0), **(good | extra), name="run 3")
+
+
+def test_recordings_of_other_shapes_do_not_stack():
+    with pytest.raises(ValueError, match="'b'.*1.*'a'.*2"):
+        stack([_recording(name="a"), _recording(name="b", values=np.zeros((3, 1)))])
+
+
+def test_equal_times_are_in_order():
+    assert len(_recording(times=(0.0, 0.0, 0.0))) == 3
+
+
+def test_recordings_of_other_sensors_do_not_stack():
+    with pytest.raises(ValueError, match=r"'b' has readings \['south'\], 'a' \['north'\]"):
+        stack([_recording(name="a"), _recording(name="b", sensor="south")])
+
+
+def test_a_batch_shorter_than_its_longest_recording_is_refused():
+    with pytest.raises(ValueError, match="rows = 2 is less than the longest recording's 3"):
+        stack([_recording()], rows=2)
+
+
+def test_rows_beyond_the_end_are_not_valid_and_hold_zeros():
+    short = Recording(np.array([5.0]), {"north": Readings(np.full((1, 2), 7.0), np.ones((1, 2), bool))})
+    batch = stack([_recording(values=np.ones((3, 2))), short], rows=4)
+    np.testing.assert_array_equal(batch.valid, [[1, 1], [1, 0], [1, 0], [0, 0]])
+    np.testing.assert_array_equal(batch.readings["north"].values[:, 0], [[1, 7], [1, 0], [1, 0], [0, 0]])
+    assert not batch.readings["north"].seen[1:, :, 1].any()
+
+
+def test_time_steps_keep_their_digits_in_single_precision_far_from_zero():
+    # A microsecond's step at a Unix time: the times themselves would be 128 s apart in float32.
+    times = 1.7e9 + np.cumsum([0.0, 1e-3, 2e-3])
+    batch = stack([_recording(times=times)], dtype=np.float32)
+    assert batch.dt.dtype == np.float32
+    np.testing.assert_allclose(batch.dt[:, 0], np.diff(times, prepend=times[:1]), rtol=1e-7)
+
+
+def test_the_trajectories_of_a_batch_are_filled_up_with_invalid_ones():
+    batch = stack([_recording(name=str(k), values=np.full((3, 2), k)) for k in range(3)])
+    part = batch.columns(2, 6)
+    assert part.size == 4
+    np.testing.assert_array_equal(part.valid[0], [True, False, False, False])
+    assert part.readings["north"].values[0, 0].tolist() == [2, 0, 0, 0]
+
+
+def test_the_arrays_of_a_recording_are_read_only_views():
+    times, values, seen, reported = np.arange(3.0), np.zeros((3, 2)), np.ones((3, 2), bool), np.ones((3, 1))
+    heights, true, known = np.ones(3), np.zeros((3, 3)), np.ones(3, bool)
+    readings = {"north": Readings(values, seen, reported)}
+    made = Recording(times, readings, {"height": heights}, {"position": (true, known)})
+    own = made.readings["north"]
+    arrays = [made.times, own.values, own.seen, own.reported, made.inputs["height"], *made.truth["position"]]
+    for array, given in zip(arrays, (times, values, seen, reported, heights, true, known), strict=True):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+        assert np.shares_memory(array, given)
+        # The caller's own array stays writable, and an array made from the view is a new one.
+        given[0] = 0
+        array.copy()[0] = 1
+
+
+def test_recordings_of_other_inputs_do_not_stack():
+    one, other = (Recording(np.arange(3.0), {}, {name: np.zeros(3)}, name=name) for name in ("height", "wheel"))
+    with pytest.raises(ValueError, match=r"'wheel' has inputs \['wheel'\], 'height' \['height'\]; expected the same"):
+        stack([one, other])

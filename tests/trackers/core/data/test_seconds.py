@@ -1,0 +1,99 @@
+"""Time stamps in any unit are the seconds that they mean, and never the bits that count their unit."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import polars as pl
+import pytest
+
+from trackers.core.data.recording import Readings, Recording
+from trackers.core.data.seconds import moment, place_in_time, seconds, span, time_label, zero_of
+from trackers.core.model.rig import Rig
+from trackers.from_arrays import fix_recording, range_recording
+from trackers.recordings.checks import check
+from trackers.recordings.checks.anomalies import anomalies
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.kinds import first_time
+
+START = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
+STAMPS = [START + timedelta(milliseconds=250 * k) for k in range(5)]
+TRUE = np.array([stamp.timestamp() for stamp in STAMPS])
+NAIVE = np.array([stamp.replace(tzinfo=None) for stamp in STAMPS], "datetime64[us]")
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+def test_a_recordings_times_are_seconds_whatever_the_unit(unit):
+    times = NAIVE.astype(f"datetime64[{unit}]")
+    readings = {"fixes": Readings(np.zeros((5, 3)), np.ones((5, 3), bool))}
+    assert Recording(times, readings).times == pytest.approx(TRUE, abs=1e-6)
+    assert np.diff(fix_recording(times, np.zeros((5, 3))).times) == pytest.approx(0.25, abs=1e-6)
+    anchors = np.array([[0.0, 0, 0], [5, 0, 0], [0, 5, 0], [5, 5, 2]])
+    assert np.ptp(range_recording(times, np.full((5, 4), 3.0), anchors).times) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_durations_time_zones_and_whole_seconds():
+    assert seconds(np.array([0, 1500], "timedelta64[ms]")) == pytest.approx([0.0, 1.5])
+    assert seconds(np.array(STAMPS, object)) == pytest.approx(TRUE, abs=1e-6)
+    assert seconds(np.array(["1970-01-02"], "datetime64[D]")) == pytest.approx([86400.0])
+    assert seconds([1, 2]).dtype == np.float64
+
+
+def test_pandas_columns_and_indices():
+    pd = pytest.importorskip("pandas", reason="pandas is not installed")
+    for zone in (None, "UTC", "Europe/Berlin"):
+        index = pd.DatetimeIndex(NAIVE).tz_localize("UTC").tz_convert(zone)
+        for given in (index, pd.Series(index), index.as_unit("ms")):
+            assert seconds(given) == pytest.approx(TRUE, abs=1e-6)
+
+
+def test_missing_and_unclear_time_stamps_are_refused():
+    with pytest.raises(ValueError, match=r"times\[1\] is missing"):
+        seconds(np.array(["2026-01-01", "NaT"], "datetime64[s]"))
+    with pytest.raises(ValueError, match=r"datetime64\[M\]"):
+        seconds(np.array(["2026-01"], "datetime64[M]"))
+
+
+def test_tables_with_time_stamps_are_in_seconds():
+    table = pl.DataFrame({"t_s": STAMPS, "tag": "T", "x_m": 0.0, "y_m": 0.0, "z_m": 0.0})
+    folder = RecordingFolder("stamped", None, Rig("stamped"), {"fixes": table})
+    assert folder.rows("fixes").times == pytest.approx(TRUE, abs=1e-6)
+    assert "2026-03-01 12:00:00 UTC" in folder._repr_html_()
+    assert first_time(folder.tables) == TRUE[0]
+
+
+def test_times_that_count_from_1970_are_never_rounded_to_five_digits():
+    unix = 1777896826.66
+    assert moment(unix) == "2026-05-04 12:13:46.66 UTC"
+    assert moment(12.5) == "12.5 s"
+    assert moment(1234567.25) == "1234567.25 s"
+    assert moment(1777897459.9 - 1777897400.0) == "59.9 s"
+    assert moment(1.77e12) == "1.77e+12 s"
+    assert span(unix, unix + 1) == "2026-05-04 12:13:46.66 UTC to 2026-05-04 12:13:47.66 UTC"
+    assert span(0.0, 120.1) == "0 to 120.1 s"
+    assert (zero_of(1777896800.26), zero_of(12.5), zero_of(np.inf)) == (1777896800.26, 0.0, 0.0)
+    assert place_in_time(unix, 1777896800.26) == "26.4 s after the start"
+    assert place_in_time(26.4, 0.0) == "t_s 26.4"
+    assert time_label(1777896800.26) == "time (s) since 2026-05-04 12:13:20.26 UTC"
+    recording = fix_recording(unix + np.arange(3.0), np.zeros((3, 3)))
+    assert "e+" not in repr(recording)
+
+
+def test_notices_and_checks_name_times_that_count_from_1970_by_the_seconds_since_the_start():
+    times = 1777896800.0 + 0.1 * np.arange(100)
+    times[60:] += 20.0
+    ranges = pl.DataFrame(
+        {"t_s": times, "tag": "T", "anchor": "A", "range_m": np.where(np.arange(100) == 30, 9e2, 2.0)}
+    )
+    truth = pl.DataFrame({"t_s": times + 7200.0, "tag": "T", "x_m": 1.0, "y_m": 0.0, "z_m": 0.0})
+    rig = Rig("hall", {"A": np.zeros(3)})
+    gaps, outlier = anomalies({"ranges": ranges}, rig)
+    assert "the longest 20.1 s before 26 s after the start" in gaps
+    assert outlier.endswith("the worst 900 at 3 s after the start")
+    said = " ".join(
+        result.message for result in check(RecordingFolder("hall", None, rig, {"ranges": ranges, "truth": truth}))
+    )
+    assert "the truth, 2026-05-04 14:13:20 UTC to 2026-05-04 14:13:49.9 UTC; the measurements begin at" in said
+    assert "`trackwright import --origin start`" in said
+    assert "e+09" not in said

@@ -1,0 +1,224 @@
+"""One update: compressed and sequential against the joint update of the textbook, and what an empty reading does."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sim.stations import work_station
+from tests.oracles import normal_log_density
+from trackers.aoa.beam import Beam, BeamMotion
+from trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackers.aoa.phases import PlanePhases, SphericalPhases
+from trackers.core.filters.ekf import ExtendedKalman, compressed, sequential_updates
+from trackers.core.model.algebra import Vector
+from trackers.core.model.covariance import Gaussian, matrix
+from trackers.core.model.motion import ConstantVelocity, Kinematic
+from trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
+from trackers.core.model.tunable import Scale
+
+STATES = 4
+# Four antennas for two angles: enough to compress.
+STATION = work_station(work_station().stations["1"].antennas[:4]).stations["1"]
+GEOMETRY = {"origin": bearing_inputs(STATION)[:3], "axes": bearing_inputs(STATION)[3:]}
+
+
+def _rows(H, columns):
+    return [{j: jnp.asarray(row[j]) for j in columns} for row in H]
+
+
+def _joint(cov, residual, H):
+    """The textbook's joint update with unit noise: small step, covariance, NIS and log density without its 2π."""
+    S = H @ cov @ H.T + np.eye(len(H))
+    K = cov @ H.T @ np.linalg.inv(S)
+    density = normal_log_density(residual, S) + 0.5 * len(residual) * np.log(2 * np.pi)
+    return K @ residual, cov - K @ S @ K.T, residual @ np.linalg.solve(S, residual), density
+
+
+def _problem(seed, channels, columns):
+    rng = np.random.default_rng(seed)
+    factor = rng.normal(size=(STATES, STATES))
+    H = np.zeros((channels, STATES))
+    H[:, columns] = rng.normal(size=(channels, len(columns))) * 3
+    return factor @ factor.T, rng.normal(size=channels) * 4, H
+
+
+def _assert_is_joint(cov, residual, H, result):
+    step, upper, nis, log_density = result
+    expected = _joint(cov, residual, H)
+    np.testing.assert_allclose(step, expected[0], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(upper, expected[1][np.triu_indices(STATES)], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose([nis, log_density], expected[2:], rtol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_channels_one_after_another_are_the_joint_update(seed):
+    cov, residual, H = _problem(seed, 3, [0, 1, 2, 3])
+    upper = tuple(jnp.asarray(cov[np.triu_indices(STATES)]))
+    _assert_is_joint(cov, residual, H, sequential_updates(upper, list(residual), _rows(H, range(STATES)), STATES))
+
+
+@pytest.mark.parametrize("columns", [[1, 3], [2], [0, 1, 2, 3]])
+@pytest.mark.parametrize("deficient", [False, True])
+def test_compressed_channels_are_the_joint_update_of_all(columns, deficient):
+    cov, residual, H = _problem(len(columns), 8, columns)
+    if deficient:
+        # Masked channels, and all others seeing one direction only, like antennas on a line.
+        H, residual = np.outer(np.arange(8) % 3, H[0]), residual * (np.arange(8) % 3 > 0)
+    equivalent, rows, rest = compressed(list(map(jnp.asarray, residual)), _rows(H, columns))
+    assert len(equivalent) == len(columns)
+    upper = tuple(jnp.asarray(cov[np.triu_indices(STATES)]))
+    step, upper, nis, log_density = sequential_updates(upper, equivalent, rows, STATES)
+    _assert_is_joint(cov, residual, H, (step, upper, nis + rest, log_density - 0.5 * rest))
+
+
+def test_what_no_state_explains_keeps_its_digits_in_single_precision():
+    # A residual almost along H: |r|² is 1e8 times what is left of it, so that a difference of squares has no digit.
+    rng = np.random.default_rng(0)
+    H = rng.normal(size=(8, 2)).astype(np.float32)
+    beside = rng.normal(size=8)
+    beside -= H @ np.linalg.lstsq(H.astype(float), beside, rcond=None)[0]
+    residual = (H @ np.array([3e3, -2e3]) + beside).astype(np.float32)
+    exact = residual - H.astype(float) @ np.linalg.lstsq(H.astype(float), residual.astype(float), rcond=None)[0]
+    rest = compressed(list(jnp.asarray(residual)), [dict(enumerate(jnp.asarray(row))) for row in H])[2]
+    assert rest.dtype == jnp.float32
+    # Each component of the remainder is rounded like the residual, to 2e-4.
+    assert float(rest) == pytest.approx(exact @ exact, rel=2e-3)
+
+
+BELIEFS = {
+    "beam": (
+        BeamMotion(Scale(1.0)), PlanePhases(STATION, 0.3), Beam(0.1, 0.2, 0.3, 0.4), None,
+    ),
+    "pairwise": (
+        BeamMotion(Scale(1.0)), PlanePhases(STATION, 0.3, paper_form=True), Beam(0.1, 0.2, 0.3, 0.4), None,
+    ),
+    "spherical": (
+        ConstantVelocity(1.0, 3), SphericalPhases(STATION, 0.3),
+        Kinematic(Vector(0.1, 0.2, 0.3), Vector(1.0, -1.0, 0.5)), None,
+    ),
+    "bearing": (
+        ConstantVelocity(1.0, 3), BearingSensor(0.1, 0.2, 4.0),
+        Kinematic(Vector(0.1, 0.2, 0.3), Vector(1.0, -1.0, 0.5)), GEOMETRY,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BELIEFS)
+def test_an_empty_reading_moves_nothing_and_has_zero_gradients_without_nan(name):
+    motion, sensor, state, inputs = BELIEFS[name]
+    state = jax.tree_util.tree_map(jnp.asarray, state)
+    n = len(jax.tree_util.tree_leaves(state))
+    m = len(sensor.channels)
+    cov = tuple(jnp.asarray(np.diag(np.arange(1.0, n + 1))[np.triu_indices(n)]))
+    # Far from any prediction: what a mask hides must not come back through a derivative.
+    reading = Reading(jnp.full(m, 40.0), jnp.zeros(m, bool), ())
+
+    def update(sensor, belief):
+        return ExtendedKalman().update(belief, motion, sensor, reading, inputs)
+
+    belief = Gaussian(state, cov)
+    after, innovation = update(sensor, belief)
+    np.testing.assert_array_equal(*map(jax.tree_util.tree_leaves, (after, belief)))
+    np.testing.assert_array_equal(jnp.stack(jax.tree_util.tree_leaves(innovation)), 0.0)
+
+    def log_likelihood(both):
+        return update(*both)[1].log_likelihood
+
+    # Not compiled: reverse mode through the sparse algebra takes XLA far longer than to run it once.
+    gradient = eqx.filter_grad(log_likelihood)((sensor, belief))
+    assert all(np.all(np.asarray(g) == 0) for g in jax.tree_util.tree_leaves(gradient))
+
+
+def test_students_t_with_many_degrees_of_freedom_is_the_normal_update():
+    cov, residual, H = _problem(7, 3, [0, 1, 2, 3])
+    upper = tuple(jnp.asarray(cov[np.triu_indices(STATES)]))
+    normal = sequential_updates(upper, list(residual), _rows(H, range(STATES)), STATES)
+    student = sequential_updates(upper, list(residual), _rows(H, range(STATES)), STATES, jnp.asarray(1e9))
+    for a, b in zip(jax.tree_util.tree_leaves(student), jax.tree_util.tree_leaves(normal), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6)
+
+
+def test_students_t_moves_less_the_farther_off_a_reading_is():
+    one = (jnp.asarray(1.0),)
+    moves = [
+        float(sequential_updates(one, [jnp.asarray(r)], [{0: jnp.asarray(1.0)}], 1, jnp.asarray(4.0))[0][0]) / r
+        for r in (0.1, 1.0, 10.0, 100.0)
+    ]
+    assert moves == sorted(moves, reverse=True)
+    assert moves[0] > 0.5
+    assert moves[-1] < 0.01
+
+
+class _Position(AbstractSensor):
+    """x and y of a tag, m."""
+
+    sigma: Any
+
+    @property
+    def channels(self):
+        return Channel("x", "m"), Channel("y", "m")
+
+    def measure(self, view, inputs):
+        return list(view.position)
+
+    def residual(self, reading, predicted):
+        misses = [z - p for z, p in zip(reading.values, predicted, strict=True)]
+        return independent(misses, [self.sigma] * 2, reading.seen)
+
+
+@pytest.mark.parametrize("form", [tuple, jnp.asarray])
+@pytest.mark.parametrize("far", [0.0, 1e5])
+def test_a_position_is_known_to_the_spacing_of_numbers(form, far):
+    """Readings with 1 µm of noise at 100 km, where numbers in single precision are 8 mm apart."""
+    rng = np.random.default_rng(4)
+    truth, motion = far + rng.uniform(0, 1, 2), ConstantVelocity(1e-9, 2)
+    with jax.enable_x64(False):
+        cov = np.diag([1.0, 1.0, 1e-12, 1e-12]).astype(np.float32)
+        cov = jnp.asarray(cov) if form is not tuple else tuple(jnp.asarray(cov[np.triu_indices(4)]))
+        mean = Kinematic(Vector(*(jnp.float32(far),) * 2), Vector(jnp.float32(0), jnp.float32(0)))
+        belief, sensor = Gaussian(mean, cov), _Position(jnp.float32(1e-6))
+        for _ in range(20):
+            values = jnp.asarray(truth + 1e-6 * rng.normal(size=2), jnp.float32)
+            reading = Reading(list(values), [jnp.asarray(True)] * 2)
+            belief, _ = ExtendedKalman().update(belief, motion, sensor, reading, {})
+        variance = belief.cov[0] if form is tuple else belief.cov[0, 0]
+    error = abs(float(belief.mean.position[0]) - truth[0])
+    assert error <= float(variance) ** 0.5 * (1.0 if far else 5.0)
+    assert float(variance) ** 0.5 < 0.02 if far else float(variance) ** 0.5 < 1e-6
+
+
+class _Sums(AbstractSensor):
+    """Position and velocity with these weights (4,), of which one number is measured, with 1 µm of noise."""
+
+    weights: Any
+
+    @property
+    def channels(self):
+        return (Channel("sum", "m"),)
+
+    def measure(self, view, inputs):
+        return [sum(w * x for w, x in zip(self.weights, [*view.position, *view.velocity], strict=True))]
+
+    def residual(self, reading, predicted):
+        return independent([reading.values[0] - predicted[0]], [1e-6], reading.seen)
+
+
+@pytest.mark.parametrize("form", [tuple, jnp.asarray])
+def test_variances_stay_positive_where_precise_readings_leave_large_ones_that_cancel(form):
+    """Three of four directions are measured a hundred times each; every component keeps a variance of about 1."""
+    rows = np.random.default_rng(2).normal(size=(3, 4)).astype(np.float32)
+    with jax.enable_x64(False):
+        cov = jnp.eye(4) if form is not tuple else tuple(jnp.eye(4)[np.triu_indices(4)])
+        zero = jnp.float32(0)
+        belief = Gaussian(Kinematic(Vector(zero, zero), Vector(zero, zero)), cov)
+        for k in range(300):
+            sensor, reading = _Sums(jnp.asarray(rows[k % 3])), Reading([zero], [jnp.asarray(True)])
+            belief, _ = ExtendedKalman().update(belief, ConstantVelocity(0.1, 2), sensor, reading, {})
+        found = np.asarray(matrix(belief.cov), float)
+    assert np.linalg.eigvalsh(found)[0] > 0
+    unseen = np.linalg.svd(rows)[2][-1]
+    assert unseen @ found @ unseen == pytest.approx(1.0, rel=1e-3)

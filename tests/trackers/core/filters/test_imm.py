@@ -1,0 +1,141 @@
+"""Interacting models: one model is the plain filter, several are the textbook's K² mixing, no switching is enumeration."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
+from tests.oracles import normal_log_density, van_loan
+from trackers.core.data.recording import stack
+from trackers.core.filters.imm import InteractingModels, SwitchingMotion
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import ConstantVelocity, Kinematic
+from trackers.core.model.tunable import matching
+from trackers.core.run.tracker import Tracker
+from tuning.objectives import NegativeLogLikelihood
+from tuning.parameters import flatten, select_parameters
+from tuning.problem import Problem
+
+SIGMAS, RATE, ODDS = (0.1, 1.0, 5.0), 0.8, (2.0, 1.0, 1.0)
+H, R = np.array([[1.0, 0.0], [0.3, 1.0]]), np.array([0.2, 0.4])
+MEAN, COV = np.array([0.5, -0.2]), np.array([[1.0, 0.2], [0.2, 0.6]])
+
+
+def _state(x):
+    return Kinematic(Vector(x[0]), Vector(x[1]))
+
+
+def _rows(seed=0, rows=12):
+    rng = np.random.default_rng(seed)
+    # A third of the rows share their time with the row before.
+    times = np.cumsum(rng.exponential(0.4, rows) * (rng.random(rows) > 0.33))
+    return times, rng.normal(size=(rows, 2)), rng.random((rows, 2)) > 0.3
+
+
+def _run(motion, modes):
+    times, values, seen = _rows()
+    sensors = {"z": LinearSensor(H, R, 2)}
+    tracker = Tracker(motion, sensors, KnownStart(_state), modes, NEVER_LOST)
+    return tracker.run(recording(times, {"z": (values, seen)}, MEAN, COV))
+
+
+def _transition(sigma, dt):
+    return van_loan(np.array([[0.0, 1.0], [0.0, 0.0]]), np.diag([0.0, sigma**2]), dt)
+
+
+def _textbook(sigmas, rate, mode_prior):
+    """Bar-Shalom 2001, section 11.6.6, with all K² mixing probabilities and rows really deleted."""
+    times, values, seen = _rows()
+    K, shares = len(sigmas), np.array(mode_prior) / np.sum(mode_prior)
+    means, covs, weights = np.tile(MEAN, (K, 1)), np.tile(COV, (K, 1, 1)), shares
+    out = []
+    for dt, z, s in zip(np.diff(times), values[1:], seen[1:], strict=True):
+        kept = np.exp(-rate * dt)
+        P = kept * np.eye(K) + (1 - kept) * shares
+        c = weights @ P
+        mixing = weights[:, None] * P / c
+        mixed = mixing.T @ means
+        deviations = means[:, None] - mixed[None]
+        spread = [
+            sum(mixing[i, j] * (covs[i] + np.outer(deviations[i, j], deviations[i, j])) for i in range(K))
+            for j in range(K)
+        ]
+        lls = np.zeros(K)
+        for j in range(K):
+            F, Q = _transition(sigmas[j], dt)
+            m, C = F @ mixed[j], F @ spread[j] @ F.T + Q
+            h, r = H[s], np.diag(R[s] ** 2)
+            S, e = h @ C @ h.T + r, z[s] - h @ m
+            gain = C @ h.T @ np.linalg.inv(S)
+            means[j], covs[j], lls[j] = m + gain @ e, C - gain @ S @ gain.T, normal_log_density(e, S)
+        joint = c * np.exp(lls)
+        weights = joint / joint.sum()
+        mean = weights @ means
+        cov = sum(w * (C + np.outer(m - mean, m - mean)) for w, m, C in zip(weights, means, covs, strict=True))
+        out.append((mean, cov, np.log(joint.sum())))
+    return tuple(np.array(x) for x in zip(*out, strict=True))
+
+
+def test_one_model_is_the_plain_filter_to_rounding():
+    alone = _run(SwitchingMotion((ConstantVelocity(0.7, 1),)), InteractingModels(RATE, [1.0]))
+    plain = _run(ConstantVelocity(0.7, 1), Tracker.__dataclass_fields__["filter"].default)
+    np.testing.assert_allclose(flat(alone.mean), flat(plain.mean), rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(alone.cov_upper, plain.cov_upper, rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(alone.log_likelihood, plain.log_likelihood, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(alone.nis, plain.nis, rtol=1e-12, atol=1e-13)
+
+
+@pytest.fixture(scope="module")
+def three():
+    return _run(SwitchingMotion(tuple(ConstantVelocity(s, 1) for s in SIGMAS)), InteractingModels(RATE, ODDS))
+
+
+def test_three_models_are_the_textbooks_with_every_pair_mixed(three):
+    means, covs, lls = _textbook(SIGMAS, RATE, ODDS)
+    np.testing.assert_allclose(flat(three.mean)[1:], means, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(three.covariance[1:], covs, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(three.log_likelihood[1:], lls, rtol=1e-10, atol=1e-12)
+
+
+def test_three_equal_models_are_one(three):
+    same = _run(SwitchingMotion(tuple(ConstantVelocity(0.7, 1) for _ in SIGMAS)), InteractingModels(RATE, ODDS))
+    plain = _run(ConstantVelocity(0.7, 1), Tracker.__dataclass_fields__["filter"].default)
+    np.testing.assert_allclose(flat(same.mean), flat(plain.mean), rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(same.cov_upper, plain.cov_upper, rtol=1e-11, atol=1e-12)
+    assert not np.allclose(flat(three.mean), flat(plain.mean), atol=1e-3)
+
+
+@pytest.mark.slow
+def test_where_rows_share_their_time_and_nothing_is_drawn_anew_the_gradient_is_the_central_difference():
+    times, values, seen = _rows()
+    assert np.any(np.diff(times) == 0)
+    motion = SwitchingMotion(tuple(ConstantVelocity(s, 1) for s in SIGMAS))
+    sensors = {"z": LinearSensor(H, R, 2)}
+    tracker = Tracker(motion, sensors, KnownStart(_state), InteractingModels(RATE, ODDS), NEVER_LOST)
+    parameters = select_parameters(tracker, ("filter.switching_rate", "motion.*"))
+    batch = stack([recording(times, {"z": (values, seen)}, MEAN, COV)])
+    problem, vector, h = Problem(tracker, [batch], NegativeLogLikelihood(), parameters), flatten(parameters), 1e-5
+    shifts = h * np.eye(len(vector))
+    differences = (problem.values(vector + shifts) - problem.values(vector - shifts)) / (2 * h)
+    # In double precision a central difference of this step is good to some 1e-9.
+    np.testing.assert_allclose(problem.evaluate(vector).gradients[0], differences, rtol=1e-6, atol=1e-8)
+
+
+def test_a_filter_without_modes_sees_the_first_motion():
+    switching = SwitchingMotion(tuple(ConstantVelocity(s, 1) for s in (0.7, 9.0)))
+    default = Tracker.__dataclass_fields__["filter"].default
+    np.testing.assert_array_equal(
+        flat(_run(switching, default).mean), flat(_run(ConstantVelocity(0.7, 1), default).mean)
+    )
+
+
+def test_switching_rate_and_mode_prior_are_tunables_by_name():
+    tracker = Tracker(
+        SwitchingMotion((ConstantVelocity(0.1, 1), ConstantVelocity(1.0, 1))),
+        {"z": LinearSensor(H, R, 2)},
+        KnownStart(_state),
+        InteractingModels(RATE, [1.0, 1.0]),
+    )
+    assert set(matching(tracker, "filter.*")) == {"filter.switching_rate", "filter.mode_prior"}
+    assert set(matching(tracker, "motion.*")) == {"motion.modes.0.sigma_a", "motion.modes.1.sigma_a"}
+    assert eqx.is_array_like(tracker.filter.mode_prior.value)

@@ -1,0 +1,222 @@
+"""Runs that begin with a belief or continue an earlier run, random numbers by seed and id, and the pure function."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import trackwright as tw
+from tests.known_start import NEVER_LOST, flat
+from tests.oracles import kalman, van_loan
+from trackers.core.model.keys import trajectory_key_data
+from trackers.core.model.tunable import Constant
+from trackers.core.run.chunks import as_dtype
+from trackers.parts.fixes import FIXES
+
+SIGMA_A, SIGMA = 0.7, 0.2
+
+
+def _tracker(filter=None):
+    start = tw.fix_tracker(planar=True).start
+    sensors = {FIXES: tw.FixSensor(SIGMA, SIGMA)}
+    return tw.Tracker(tw.ConstantVelocity(SIGMA_A, 2), sensors, start, filter or tw.ExtendedKalman(), NEVER_LOST)
+
+
+def _recording(rows=20, seed=0, id=None, begin=0.0):
+    rng = np.random.default_rng(seed)
+    times = begin + np.cumsum(rng.uniform(0.05, 0.3, rows))
+    position = np.stack([0.5 * times, np.sin(times), np.ones(rows)], axis=1) + SIGMA * rng.normal(size=(rows, 3))
+    recording = tw.fix_recording(times, position, height=1.0)
+    return dataclasses.replace(recording, id=id)
+
+
+def _prior(mean=(0.0, 0.0, 0.4, 0.8), spread=1.0):
+    cov = spread * (np.eye(4) + 0.1)
+    upper = tuple(cov[i, j] for i in range(4) for j in range(i, 4))
+    return tw.Gaussian(tw.Kinematic(tw.Vector(*mean[:2]), tw.Vector(*mean[2:])), upper), np.array(mean), cov
+
+
+def test_a_run_from_a_given_belief_is_the_textbook_filter_from_that_prior():
+    recording = _recording()
+    prior, mean, cov = _prior()
+    estimates = _tracker().run(recording, initial=prior)
+    A = np.zeros((4, 4))
+    A[0, 2] = A[1, 3] = 1.0
+    noise = np.diag([0, 0, SIGMA_A**2, SIGMA_A**2])
+    steps = [van_loan(A, noise, dt) for dt in np.diff(recording.times, prepend=recording.times[:1])]
+    fixes = recording.readings[FIXES]
+    means, covs, lls, _ = kalman(
+        steps, np.eye(2, 4), SIGMA**2 * np.eye(2), fixes.values[:, :2], fixes.seen[:, :2], mean, cov
+    )
+    np.testing.assert_allclose(flat(estimates.mean), means, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(estimates.covariance, covs, rtol=1e-8, atol=1e-10)
+    # The known height is measured, too: a constant per row of the planar motion.
+    z = -0.5 * ((fixes.values[:, 2] - 1.0) / SIGMA) ** 2 - np.log(SIGMA) - 0.5 * np.log(2 * np.pi)
+    np.testing.assert_allclose(estimates.log_likelihood, lls + np.where(fixes.seen[:, 2], z, 0.0), rtol=1e-9, atol=1e-9)
+
+
+def test_each_recording_has_its_own_belief_or_all_have_one():
+    recordings = [_recording(12, k) for k in range(3)]
+    priors = [_prior((k, 0.0, 0.0, 0.0), 0.1)[0] for k in range(3)]
+    together = _tracker().run(recordings, initial=priors)
+    one = _tracker().run(recordings, initial=priors[1])
+    for k in range(3):
+        alone = _tracker().run(recordings[k], initial=priors[k])
+        np.testing.assert_allclose(flat(together[k].mean), flat(alone.mean), rtol=1e-12)
+    np.testing.assert_allclose(flat(one[1].mean), flat(together[1].mean), rtol=1e-12)
+    assert not np.allclose(flat(one[0].mean)[:3], flat(together[0].mean)[:3])
+
+
+def test_rows_that_come_in_turn_give_the_estimates_of_the_whole_to_the_bit():
+    recordings = [_recording(9, k) for k in range(2)]
+    tracker, whole = _tracker(), _tracker().run(recordings)
+    state, rows = None, []
+    for k in range(9):
+        part = [
+            tw.fix_recording(r.times[k : k + 1], r.readings[FIXES].values[k : k + 1], height=1.0) for r in recordings
+        ]
+        estimates = tracker.run(part, initial=state)
+        rows.append(estimates)
+        state = estimates.final
+    for leaf, parts in zip(
+        jax.tree_util.tree_leaves((whole.mean, whole.nis, whole.status)),
+        zip(*[jax.tree_util.tree_leaves((r.mean, r.nis, r.status)) for r in rows], strict=True),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(np.concatenate(parts, axis=1), leaf)
+    np.testing.assert_array_equal(state.times, [r.times[-1] for r in recordings])
+
+
+def test_one_trajectory_of_several_continues_alone():
+    recordings = [_recording(9, k) for k in range(2)]
+    later = _recording(5, 7, begin=recordings[1].times[-1])
+    final = _tracker().run(recordings)[1].final
+    both = _tracker().run([later, later], initial=tw.TrackerState(
+        jax.tree_util.tree_map(lambda x: np.repeat(x, 2, axis=0), final.state), np.repeat(final.times, 2)
+    ))  # fmt: skip
+    alone = _tracker().run(later, initial=final)
+    np.testing.assert_allclose(flat(both[0].mean), flat(alone.mean), rtol=1e-12)
+    assert alone.status[0] == tw.Status.OK
+
+
+@pytest.mark.parametrize(
+    ("recordings", "initial", "parts"),
+    [
+        (
+            lambda: [_recording(5), _recording(5)],
+            lambda: [_prior()[0]],
+            ["1 beliefs for 2 recordings", "one Gaussian for"],
+        ),
+        (lambda: [_recording(5)], lambda: ["prior"], ["`initial`", "expected one Gaussian"]),
+        (lambda: [_recording(5)] * 2, lambda: _tracker().run(_recording(5)).final, ["after 1 recordings, found 2"]),
+        (lambda: _recording(5), lambda: _tracker().run(_recording(5)).final, ["begins at", "expected later rows"]),
+        (lambda: tw.stack([_recording(5)]), lambda: _prior()[0], ["found a Batch", "`tracker.scan`"]),
+    ],
+)
+def test_an_initial_belief_that_does_not_fit_is_refused_in_one_sentence(recordings, initial, parts):
+    with pytest.raises(tw.UnusableInput) as caught:
+        _tracker().run(recordings(), initial=initial())
+    assert all(part in str(caught.value) for part in parts)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_tracker_without_a_belief_begins_with_none():
+    with pytest.raises(tw.UnusableInput, match="MovingWindow, whose estimates depend on no belief"):
+        tw.MovingWindow(3, False).run(_recording(5), initial=_prior()[0])
+
+
+def test_random_numbers_come_from_the_seed_and_the_id_alone():
+    tracker = _tracker(tw.ParticleFilter(50))
+
+    def last(recordings, **kwargs):
+        return tracker.run(recordings, **kwargs).mean.position[0][..., -1]
+
+    one = _recording(10)
+    unnamed = last([one, one, one])
+    # Recordings without an id differ; a name has no influence.
+    assert len(set(unnamed.tolist())) == 3
+    np.testing.assert_array_equal(last([dataclasses.replace(one, name=str(k)) for k in range(3)]), unnamed)
+    np.testing.assert_array_equal(last([dataclasses.replace(one, id=k) for k in (2, 0, 1)]), unnamed[[2, 0, 1]])
+    assert not np.any(last([one, one, one], seed=1) == unnamed)
+
+
+def test_keys_differ_by_seed_and_by_id_up_to_64_bits():
+    ids = [0, 1, 2**31, 2**32, 2**32 + 1, 2**64 - 1]
+    keys = np.concatenate([trajectory_key_data(seed, ids) for seed in (0, 1, 2**32)], axis=1)
+    assert len(np.unique(keys, axis=1).T) == 18
+    np.testing.assert_array_equal(trajectory_key_data(1, ids)[:, 2], trajectory_key_data(1, ids[2:3])[:, 0])
+    for wrong in (-1, 2**64, 0.5):
+        with pytest.raises(ValueError, match="expected a whole number"):
+            trajectory_key_data(0, [wrong])
+
+
+@pytest.mark.slow
+def test_the_pure_function_is_the_run_and_jax_goes_through_it():
+    tracker, recordings = _tracker(), [_recording(15, k) for k in range(4)]
+    batch = tw.stack(recordings)
+    model = as_dtype(tracker, batch.dt.dtype)
+    output, estimates = jax.jit(tw.filter_batch)(model, batch), tracker.run(batch)
+    np.testing.assert_allclose(np.stack(output.mean.position).T, np.stack(estimates.mean.position, axis=-1))
+
+    def last_x(sigma):
+        noisy = dataclasses.replace(model, motion=tw.ConstantVelocity(Constant(sigma), 2))
+        return tw.filter_batch(noisy, batch).mean.position[0][-1]
+
+    sigmas = jnp.array([0.3, 0.7])
+    each = jax.vmap(last_x)(sigmas)
+    np.testing.assert_allclose(each[1], output.mean.position[0][-1], rtol=1e-9)
+    slope = jax.grad(lambda s: last_x(s).sum())(0.7)
+    assert slope == pytest.approx(float(last_x(0.7 + 1e-5).sum() - last_x(0.7 - 1e-5).sum()) / 2e-5, rel=1e-5)
+
+
+def test_a_run_inside_a_transformation_names_the_pure_function():
+    recording = _recording(5)
+
+    def error(sigma):
+        tracker = dataclasses.replace(_tracker(), motion=tw.ConstantVelocity(Constant(sigma), 2))
+        return tracker.run(recording).mean.position[0][-1]
+
+    with pytest.raises(TypeError, match=r"traced values.*trackwright.filter_batch"):
+        jax.grad(error)(0.5)
+
+
+@pytest.mark.slow
+def test_the_gradient_of_an_error_by_an_anchors_position_is_that_of_finite_differences():
+    anchors = np.array([[0.0, 0.0, 2.5], [8.0, 0.0, 1.0], [8.0, 6.0, 2.5], [0.0, 6.0, 1.0]])
+    times = np.arange(0.0, 3.0, 0.1)
+    path = np.stack([4 + np.cos(times), 3 + np.sin(times), 1.0 + 0 * times], axis=1)
+    ranges = np.linalg.norm(path[:, None] - anchors, axis=-1) + 0.05 * np.random.default_rng(1).normal(size=(30, 4))
+    batch = tw.stack([tw.range_recording(times, ranges, anchors, truth=path)])
+    tracker = tw.range_tracker(4)
+    numbers = batch.inputs["anchor"][:, 0].astype(int)
+
+    @jax.jit
+    def rmse(anchors):
+        moved = batch._replace(inputs=batch.inputs | {"anchors": jnp.moveaxis(anchors[numbers], -1, 1)})
+        errors = [
+            m - t
+            for m, t in zip(
+                tw.filter_batch(tracker, moved).mean.position, batch.truth["position"][0].swapaxes(0, 1), strict=True
+            )
+        ]
+        return jnp.sqrt(jnp.mean(sum(e[20:] ** 2 for e in errors)))
+
+    slope = jax.grad(rmse)(jnp.asarray(anchors))
+    assert slope.shape == (4, 3)
+    for index in ((0, 0), (2, 1), (3, 2)):
+        by = np.zeros((4, 3))
+        by[index] = 1e-5
+        assert slope[index] == pytest.approx(float(rmse(anchors + by) - rmse(anchors - by)) / 2e-5, rel=1e-3, abs=1e-6)
+
+
+def test_a_numerical_failure_is_shown_in_its_row_and_the_next_row_starts_a_track():
+    recording = _recording(8)
+    fixes = recording.readings[FIXES]
+    values = fixes.values.copy()
+    # Whitened it overflows.
+    values[4, 0] = 1.7e308
+    failing = dataclasses.replace(recording, readings={FIXES: tw.Readings(values, fixes.seen, fixes.reported)})
+    status = _tracker().run(failing).status
+    assert status.tolist() == [tw.Status.OK] * 4 + [tw.Status.NON_FINITE, tw.Status.RESTARTED] + [tw.Status.OK] * 2

@@ -1,0 +1,94 @@
+"""Track loss by the track score and by the room, against the same rules in NumPy."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import trackwright as tw
+from experiments.lab.validation.track_loss import detection
+from trackers.core.model.rig import MARGIN, room_rows
+from trackers.core.model.tunable import with_values
+from trackers.core.run.track_loss import ROOM, SIGMAS
+from trackers.parts.start_nearby import NEARBY
+
+ANCHORS = np.array([[0.0, 0.0, 2.0], [8.0, 0.0, 1.0], [8.0, 6.0, 2.5], [0.0, 6.0, 1.0]])
+TIMES = np.arange(0.0, 30.0, 0.1)
+AWAY_S, BACK_S = 10.0, 15.0
+
+
+def _recording(eastward):
+    """Ranges of a tag that circles for 10 s, then `eastward` (T,) m away from the circle for 5 s, then on it again."""
+    angle = TIMES / 3
+    path = np.stack([4 + 2 * np.cos(angle), 3 + 1.5 * np.sin(angle), np.full(len(TIMES), 1.1)], axis=1)
+    away = (TIMES >= AWAY_S) & (TIMES < BACK_S)
+    path[away, 0] += eastward[away]
+    rng = np.random.default_rng(0)
+    ranges = np.linalg.norm(path[:, None] - ANCHORS, axis=2) + 0.05 * rng.standard_t(3, (len(TIMES), 4))
+    return tw.range_recording(TIMES, ranges, ANCHORS, height=1.1), np.repeat(path, 4, axis=0)
+
+
+def _never(tracker):
+    return with_values(tracker, {"track_loss.score_limit": np.inf, "track_loss.max_gap": np.inf})
+
+
+def _without_room(recording):
+    return dataclasses.replace(recording, inputs={k: x for k, x in recording.inputs.items() if k != ROOM.name})
+
+
+def _first(condition):
+    return int(np.flatnonzero(condition)[0])
+
+
+def _assert_same_before(one, other, row):
+    for name in ("cov_upper", "log_likelihood", "nis", "status"):
+        np.testing.assert_array_equal(getattr(one, name)[..., :row], getattr(other, name)[..., :row])
+
+
+def test_the_room_is_the_outline_or_wider_than_the_anchors_by_its_longer_side_and_at_least_by_10_m():
+    corners = np.array([[1.0, 2.0], [5.0, 2.0], [3.0, 9.0]])
+    np.testing.assert_array_equal(room_rows(ANCHORS, corners, 2), [[1, 5, 2, 9]] * 2)
+    np.testing.assert_array_equal(room_rows(ANCHORS, None, 1), [[-MARGIN, 8 + MARGIN, -MARGIN, 6 + MARGIN]])
+    np.testing.assert_array_equal(room_rows(5 * ANCHORS, None, 1), [[-40, 80, -40, 70]])
+
+
+@pytest.mark.parametrize("together", [1, 9])
+def test_a_track_three_standard_deviations_outside_the_room_is_lost_and_starts_again_where_ranges_agree(together):
+    recording, path = _recording(5.0 * (TIMES - AWAY_S))
+    tracker = _never(tw.range_tracker(4, planar=True))
+    free = tracker.run([_without_room(recording)] * together)[together - 1]
+    kept = tracker.run([recording] * together)[together - 1]
+    x, sigma = np.asarray(free.mean.position[0]), free.sigmas["position.0"]
+    leaves = _first(x - (8 + MARGIN) > SIGMAS * sigma)
+    assert leaves == _first(np.isin(kept.status, (tw.Status.LOST, tw.Status.RESTARTED)))
+    _assert_same_before(free, kept, leaves)
+    determined = recording.inputs[NEARBY.name][leaves:, 3] == 1
+    assert leaves + _first(determined) == _first(kept.status == tw.Status.RESTARTED)
+    # The tag returns at once: a track in the room needs no search for it.
+    error = np.hypot(*(np.asarray(p) - q for p, q in zip(kept.mean.position, path.T, strict=False)))
+    assert error[recording.times > BACK_S + 2].max() < 0.5
+
+
+def test_a_track_is_lost_where_its_score_has_fallen_by_the_limit_below_its_maximum():
+    recording, path = _recording(np.full(len(TIMES), 5.0))
+    tracker = tw.range_tracker(4, planar=True)
+    free, kept = _never(tracker).run(recording), tracker.run(recording)
+    policy = tracker.track_loss
+    ratios = free.log_likelihood + free.nis_dof * np.log(policy.width.value)
+    score = np.cumsum(ratios.astype(float))
+    fallen = np.maximum.accumulate(np.maximum(score, 0.0)) - score
+    lost = _first(fallen > policy.score_limit.value)
+    assert lost == _first(kept.status == tw.Status.RESTARTED)
+    assert AWAY_S < recording.times[lost] < AWAY_S + 1
+    _assert_same_before(free, kept, lost)
+    error = np.hypot(*(np.asarray(p) - q for p, q in zip(kept.mean.position, path.T, strict=False)))
+    assert error[(recording.times > AWAY_S + 2) & (recording.times < BACK_S)].max() < 0.5
+
+
+@pytest.mark.slow
+def test_kidnapped_tags_are_found_and_no_other_track_is_lost():
+    with_test, without = detection("ranges", 24), detection("ranges", 24, 1e9)
+    assert with_test.false_alarms == without.false_alarms == without.detected == 0
+    assert with_test.detected > 0.8
+    assert with_test.errors[0] < 0.3 * without.errors[0]
+    assert detection("bearings", 24).false_alarms == 0

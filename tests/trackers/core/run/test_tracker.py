@@ -1,0 +1,140 @@
+"""A trajectory has the same numbers alone, in chunks, and with two readings in a row; to the bit: `test_identities.py`."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.known_start import NEVER_LOST, KnownStart, recording
+from trackers.baselines.fixes import fix_tracker
+from trackers.core.data.recording import Recording, stack
+from trackers.core.errors import UnusableInput
+from trackers.core.model.algebra import Vector
+from trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
+from trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackers.core.model.tunable import Scale
+from trackers.core.run.smoother import Smoothed
+from trackers.core.run.tracker import Tracker, filter_batch
+from trackers.from_arrays import fix_recording
+
+
+class Ruler(AbstractSensor):
+    """A linear sensor: the position, or the velocity."""
+
+    sigma: Noise
+    field: str = eqx.field(static=True)
+
+    @property
+    def channels(self):
+        return (Channel(self.field, "m"),)
+
+    def measure(self, view, inputs):
+        return list(getattr(view, self.field))
+
+    def residual(self, reading, predicted):
+        return independent([reading.values[0] - predicted[0]], [self.sigma.value], reading.seen)
+
+
+def _kinematic(x):
+    return Kinematic(Vector(x[0]), Vector(x[1]))
+
+
+def _flat(sigma=0.7):
+    sensors = {"a": Ruler(Scale(0.3), "position"), "b": Ruler(Scale(0.5), "velocity")}
+    return Tracker(ConstantVelocity(sigma, 1), sensors, KnownStart(_kinematic), track_loss=NEVER_LOST)
+
+
+LANES, ROWS = 6, 14
+
+
+def _recordings():
+    """Ragged recordings with masks and irregular times, with rows at one time."""
+    rng, recordings = np.random.default_rng(0), []
+    for trajectory in range(LANES):
+        rows = ROWS - 2 * trajectory
+        times = 5.0 + np.cumsum(rng.exponential(0.3, rows) * (rng.random(rows) > 0.3))
+        readings = {name: (rng.normal(size=(rows, 1)), rng.random((rows, 1)) > 0.3) for name in "ab"}
+        recordings.append(recording(times, readings, rng.normal(size=2) * 0.5, np.diag(rng.uniform(0.1, 1.0, 2))))
+    return recordings
+
+
+def _as_tree(e):
+    return e.mean, e.cov_upper, e.log_likelihood, e.nis, e.nis_dof, e.wrapped, e.status
+
+
+def test_a_trajectory_of_a_batch_is_the_one_run_alone():
+    recordings = _recordings()
+    alone, together = _flat().run(recordings[0]), _flat().run(stack(recordings))[0]
+    for a, b in zip(*map(jax.tree_util.tree_leaves, (_as_tree(alone), _as_tree(together))), strict=True):
+        # Another shape is another program, which may round otherwise: 1e-12 is a few thousand roundings.
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_chunks_side_by_side_give_what_one_chunk_gives():
+    batch = stack(_recordings())
+    in_pairs, together = _flat().run(batch, chunk=2), _flat().run(batch)
+    for a, b in zip(*map(jax.tree_util.tree_leaves, (_as_tree(in_pairs), _as_tree(together))), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_two_readings_in_a_row_are_two_rows_at_one_time_for_linear_sensors():
+    both = _recordings()[0]
+    twice = {k: np.repeat(v, 2, axis=0) for k, v in both.inputs.items()}
+    readings = {}
+    for name, rows in (("a", 0), ("b", 1)):
+        r = both.readings[name]
+        seen = np.repeat(r.seen, 2, axis=0)
+        seen[1 - rows :: 2] = False
+        # The row that starts a track is not read: both of its readings stand in the first of the two.
+        seen[:2] = False
+        readings[name] = (np.repeat(r.values, 2, axis=0), seen)
+    split = Recording(np.repeat(both.times, 2), {}, twice)
+    split = recording(split.times, readings, both.inputs["start_mean"][0], np.diag(both.inputs["start_cov"][0][[0, 2]]))
+    estimates = _flat().run(stack([both, split]))
+    one, two = estimates[0], estimates[1]
+    for a, b in zip(
+        *map(jax.tree_util.tree_leaves, ((one.mean, one.cov_upper), (two.mean, two.cov_upper))), strict=True
+    ):
+        np.testing.assert_allclose(a[..., :ROWS], b[..., 1 : 2 * ROWS : 2], rtol=1e-12, atol=1e-13)
+    pairs = two.log_likelihood[: 2 * ROWS].reshape(ROWS, 2).sum(axis=1)
+    np.testing.assert_allclose(one.log_likelihood[:ROWS], pairs, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 9], ids=["few trajectories", "many"])
+def test_with_the_position_alone_estimates_have_its_covariance_and_nothing_else_differs(size):
+    batch = stack((_recordings() * 2)[:size])
+    whole, part = _flat().run(batch), dataclasses.replace(_flat(), position_alone=True).run(batch)
+    assert [*part.sigmas] == ["position.0"]
+    assert part.dimension == 1
+    np.testing.assert_array_equal(part.cov_upper, whole.cov_upper[:1])
+    np.testing.assert_array_equal(part.marginal("position"), whole.marginal("position"))
+    rest = [dataclasses.replace(e, cov_upper=e.cov_upper[:1]) for e in (part, whole)]
+    for a, b in zip(*(jax.tree_util.tree_leaves(_as_tree(e)) for e in rest), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_an_error_is_a_function_of_a_noise_level_for_vmap_and_grad():
+    rng = np.random.default_rng(4)
+    times, sigmas = np.arange(30) * 0.1, np.array([0.1, 0.4, 2.0])
+    path = np.stack([np.cos(times), np.sin(times)], axis=1)
+    batch = stack([fix_recording(times, path + 0.1 * rng.normal(size=path.shape), height=1.0)])
+    tracker = fix_tracker(planar=True)
+
+    def error(sigma):
+        found = filter_batch(tracker.with_values({"motion.sigma_a": sigma}), batch).mean.position
+        return jnp.mean((found[0][:, 0] - path[:, 0]) ** 2 + (found[1][:, 0] - path[:, 1]) ** 2)
+
+    together = jax.vmap(error)(sigmas)
+    np.testing.assert_allclose(together, [error(s) for s in sigmas], rtol=1e-9)
+    difference = (error(0.4 + 1e-5) - error(0.4 - 1e-5)) / 2e-5
+    assert float(jax.grad(error)(0.4)) == pytest.approx(float(difference), rel=1e-5)
+
+
+def test_values_are_set_by_name_on_every_tracker_and_refused_where_they_do_not_fit():
+    window = Smoothed(fix_tracker())
+    assert float(window.with_values({"*.sigma_a": 3.0}).tracker.motion.sigma_a.value) == pytest.approx(3.0)
+    with pytest.raises(UnusableInput, match="this tracker has no 'sigma_q'"):
+        fix_tracker().with_values({"sigma_q": 1.0})

@@ -1,0 +1,59 @@
+"""Freed memory goes back to the system, or is kept, and other systems than Linux are left alone."""
+
+import ctypes
+import os
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from trackers.programs.freed_memory import give_back
+
+FAULTS = """
+import resource, sys
+import numpy as np
+from trackers.programs.freed_memory import keep
+if sys.argv[1] == "kept":
+    keep()
+np.ones(200_000)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(100):
+    np.ones(200_000)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+def test_memory_is_given_back_where_glibc_can(monkeypatch):
+    calls = []
+
+    class Library:
+        def malloc_trim(self, padding):
+            calls.append(padding)
+
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: Library())
+    monkeypatch.setattr(sys, "platform", "linux")
+    give_back()
+    monkeypatch.setattr(sys, "platform", "darwin")
+    give_back()
+    assert calls == [0]
+
+
+@pytest.mark.parametrize("error", [OSError, AttributeError])
+def test_a_library_without_the_call_is_no_error(monkeypatch, error):
+    def missing(name):
+        raise error
+
+    monkeypatch.setattr(ctypes, "CDLL", missing)
+    monkeypatch.setattr(sys, "platform", "linux")
+    give_back()
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="parameters of glibc")
+def test_memory_that_is_kept_is_not_cleared_again_under_the_limit_of_dasks_workers():
+    limited = os.environ | {"MALLOC_TRIM_THRESHOLD_": "65536"}
+    faults = [
+        int(subprocess.check_output([sys.executable, "-c", FAULTS, how], env=limited)) for how in ("given", "kept")
+    ]
+    assert faults[0] > 30_000
+    assert faults[1] < 1_000

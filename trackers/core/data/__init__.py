@@ -1,0 +1,1 @@
+"""Rows of recordings, estimates, and measures of their errors."""

@@ -1,0 +1,282 @@
+"""Recordings: the rows of one trajectory in time order, and batches of them.
+
+A recording is checked once, on the host: sorted times, finite numbers, missing values marked by a mask, never by NaN.
+Batches are batch-last, so that inside a filter step each number is one contiguous vector over trajectories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
+
+from trackers.core.data.frames import recording_html
+from trackers.core.data.row_checks import check_rows, read_only
+from trackers.core.data.seconds import seconds, span
+from trackers.core.errors import UnusableInput
+from trackers.core.model.inputs import AnyArray
+from trackers.core.model.keys import trajectory_key_data
+from trackers.core.model.sensor import Reading
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """All rows of one sensor: `values` (T, m), `seen` (T, m) bool, `reported` noise columns (T, k), k often 0.
+
+    Its arrays are read-only views: recordings share them.
+    """
+
+    values: np.ndarray
+    seen: np.ndarray
+    reported: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("values", "seen") if self.reported is None else ("values", "seen", "reported"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+def _reported(readings: Readings) -> np.ndarray:
+    """The reported noise columns (T, k), k = 0 for none."""
+    return np.zeros((len(readings.values), 0)) if readings.reported is None else readings.reported
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording:
+    """One trajectory's rows.
+
+    `times`: (T,) seconds, not decreasing; time stamps in any unit become seconds since 1970. `readings`: by sensor
+    name. `inputs`: by name, (T, …), known quantities that motion and sensors may use. `truth`: by quantity name, values
+    (T, d) with the rows where it is known. Its arrays are read-only views. `id`: from it and the seed of a run come the
+    random numbers of filters that draw any; None for the recording's place among those that run together. Equal to
+    itself alone. Raises UnusableInput where times are unsorted, shapes differ or a number isn't finite.
+    """
+
+    times: np.ndarray
+    readings: Mapping[str, Readings]
+    inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
+    truth: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    name: str = "recording"
+    id: int | None = None
+
+    def __post_init__(self) -> None:
+        times = seconds(self.times)
+        check_rows(self.name, times, self.readings, self.inputs, self.truth)
+        object.__setattr__(self, "times", read_only(times))
+        object.__setattr__(self, "inputs", {name: read_only(x) for name, x in self.inputs.items()})
+        truth = {name: (read_only(values), read_only(known)) for name, (values, known) in self.truth.items()}
+        object.__setattr__(self, "truth", truth)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __repr__(self) -> str:
+        sensors = ", ".join(f"{name} ({np.shape(r.values)[1]})" for name, r in self.readings.items())
+        truth = f"; truth of {', '.join(self.truth)}" if self.truth else ""
+        return f"<Recording '{self.name}': {len(self)} rows, {span(self.times[0], self.times[-1])}; {sensors}{truth}>"
+
+    _repr_html_ = recording_html
+
+
+class Batch(NamedTuple):
+    """Recordings stacked batch-last: `dt` (T, B) s, `valid` (T, B), readings (T, m, B), inputs and truth likewise.
+
+    `key` (2, B): random key of each trajectory, from its id and a seed. Rows beyond a recording's end
+    are not valid (padding): the belief passes them bit-identical.
+    """
+
+    dt: Float[AnyArray, "T B"]
+    valid: Bool[AnyArray, "T B"]
+    readings: dict[str, Reading]
+    inputs: Mapping[str, Float[AnyArray, "T *shape B"]]
+    truth: Mapping[str, tuple[Float[AnyArray, "T d B"], Bool[AnyArray, "T B"]]]
+    key: UInt32[AnyArray, "2 B"]
+
+    @property
+    def size(self) -> int:
+        """The number of trajectories."""
+        return int(self.dt.shape[-1])
+
+    def rows(self, part: slice) -> Batch:
+        """A slice of the time steps of all trajectories."""
+        return jax.tree_util.tree_map(lambda x: x[part], self)._replace(key=self.key)
+
+    def columns(self, start: int, stop: int) -> Batch:
+        """The trajectories start … stop − 1, padded with invalid ones beyond the end of the batch."""
+
+        def cut(x: Shaped[AnyArray, "*shape all"]) -> Shaped[np.ndarray, "*shape part"]:
+            part = np.asarray(x[..., start:stop])
+            missing = stop - start - part.shape[-1]
+            return np.pad(part, [(0, 0)] * (part.ndim - 1) + [(0, missing)]) if missing else part
+
+        return jax.tree_util.tree_map(cut, self)
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """The rows of n recordings of the same sensors, inputs and truths as columns, one recording after another.
+
+    `starts` (n + 1,): the first of the N rows of each recording, then N. `times` (N,) s, `readings`, `inputs` and
+    `truth`: those of a `Recording`, with N rows. `names` and `ids` (n,). Raises UnusableInput as `Recording` does.
+    """
+
+    starts: np.ndarray
+    times: np.ndarray
+    readings: Mapping[str, Readings]
+    inputs: Mapping[str, np.ndarray]
+    truth: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    names: Sequence[str]
+    ids: Sequence[int | None]
+
+    def __post_init__(self) -> None:
+        numbers = [self.times, *self.inputs.values(), *(x for pair in self.truth.values() for x in pair)]
+        numbers += [x for r in self.readings.values() for x in (r.values, r.reported) if x is not None]
+        sorted_times = np.diff(self.times) >= 0
+        sorted_times[self.starts[1:-1] - 1] = True
+        if not (sorted_times.all() and all(np.isfinite(x).all() for x in numbers) and np.diff(self.starts).all()):
+            for k in range(len(self)):
+                # The first unsuitable recording is refused with its name and row.
+                self.recording(k)
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording]) -> Columns:
+        """The rows of recordings; raises UnusableInput where these differ in the names or shapes of their arrays."""
+        starts = np.cumsum([0, *(len(r) for r in recordings)])
+        return cls(
+            starts,
+            *_joined_rows(recordings, [r.name for r in recordings]),
+            [r.name for r in recordings],
+            [r.id for r in recordings],
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Columns]) -> Columns:
+        """The recordings of all parts; raises UnusableInput where they differ in the names or shapes of arrays."""
+        starts = np.cumsum([0, *(n for part in parts for n in np.diff(part.starts))])
+        names, ids = [x for part in parts for x in part.names], [x for part in parts for x in part.ids]
+        return cls(starts, *_joined_rows(parts, [part.names[0] for part in parts]), names, ids)
+
+    def chosen(self, numbers: np.ndarray) -> Columns:
+        """The recordings with these numbers, in their order."""
+        first, lengths = self.starts[:-1][numbers], np.diff(self.starts)[numbers]
+        starts = np.concatenate([[0], np.cumsum(lengths)])
+        rows = np.arange(starts[-1]) + np.repeat(first - starts[:-1], lengths)
+        readings = {k: Readings(r.values[rows], r.seen[rows], _reported(r)[rows]) for k, r in self.readings.items()}
+        truth = {name: (values[rows], known[rows]) for name, (values, known) in self.truth.items()}
+        inputs = {name: x[rows] for name, x in self.inputs.items()}
+        names, ids = [self.names[k] for k in numbers], [self.ids[k] for k in numbers]
+        return Columns(starts, self.times[rows], readings, inputs, truth, names, ids)
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def of_each(self, values: np.ndarray) -> np.ndarray:
+        """A number of every recording (n, …), repeated in each of its rows (N, …)."""
+        return np.repeat(values, np.diff(self.starts), axis=0)
+
+    def padded(self, rows: np.ndarray, width: int | None = None) -> np.ndarray:
+        """The values of all rows (N, …) by recording (n, width, …), NaN or zero beyond its end.
+
+        `width`: by default the rows of the longest.
+        """
+        lengths = np.diff(self.starts)
+        width = width or int(lengths.max())
+        if (lengths == width).all():
+            return rows.reshape(len(self), width, *rows.shape[1:])
+        found = np.full((len(self), width, *rows.shape[1:]), np.nan if rows.dtype.kind == "f" else 0, rows.dtype)
+        found[np.arange(width) < lengths[:, None]] = rows
+        return found
+
+    def recording(self, number: int) -> Recording:
+        """One of the recordings; its arrays are views of the columns."""
+        part = slice(self.starts[number], self.starts[number + 1])
+        readings = {k: Readings(r.values[part], r.seen[part], _reported(r)[part]) for k, r in self.readings.items()}
+        inputs = {name: x[part] for name, x in self.inputs.items()}
+        truth = {name: (values[part], known[part]) for name, (values, known) in self.truth.items()}
+        return Recording(self.times[part], readings, inputs, truth, self.names[number], self.ids[number])
+
+    def batch(
+        self, rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0, truth: bool = True
+    ) -> Batch:
+        """The recordings as one batch; arguments as of `stack`. `truth`: whether with their truth, unused by runs."""
+        dtype, lengths, size = dtype or jax.dtypes.canonicalize_dtype(float), np.diff(self.starts), len(self)
+        longest = int(lengths.max())
+        rows = rows or longest
+        if rows < longest:
+            raise UnusableInput(f"rows = {rows} is less than the longest recording's {longest}")
+        first, equally_long = self.starts[:-1], bool(lengths.min() == longest)
+        place = None if equally_long else np.flatnonzero(np.arange(longest) < lengths[:, None])
+
+        def pile(array: np.ndarray, kind: DTypeLike) -> Shaped[np.ndarray, "rows *shape B"]:
+            shape = np.shape(array)[1:]
+            if not equally_long:
+                padded = np.zeros((size * longest, *shape), kind)
+                padded[place] = array
+                array = padded
+            out = np.zeros((rows, *shape, size), kind)
+            rows_last = np.moveaxis(np.reshape(array, (size, longest, *shape)), 0, -1)
+            for k in range(0, size if np.any(array) else 0, 32):  # as many as the cache holds rows of
+                out[:longest, ..., k : k + 32] = rows_last[..., k : k + 32]
+            return out
+
+        dt = np.diff(self.times, prepend=self.times[:1])
+        dt[first] = 0.0
+        return Batch(
+            dt=pile(dt, dtype),
+            valid=np.arange(rows)[:, None] < lengths,
+            readings={
+                name: Reading(pile(r.values, dtype), pile(r.seen, bool), pile(_reported(r), dtype))
+                for name, r in self.readings.items()
+            },
+            inputs={name: pile(x, dtype) for name, x in self.inputs.items()},
+            truth={k: (pile(x, dtype), pile(known, bool)) for k, (x, known) in self.truth.items() if truth},
+            key=trajectory_key_data(seed, [k if own is None else own for k, own in enumerate(self.ids)]),
+        )
+
+
+def _joined_rows(parts: Sequence[Recording] | Sequence[Columns], names: Sequence[str]) -> tuple[Any, Any, Any, Any]:
+    """Times, readings, inputs and truth of all parts; raises UnusableInput, by the parts' names, where they differ."""
+    first = parts[0]
+    for other, label in zip(parts, names, strict=True):
+        for what in ("readings", "inputs", "truth"):
+            mine, theirs = getattr(first, what), getattr(other, what)
+            if set(mine) != set(theirs):
+                raise UnusableInput(
+                    f"stack: '{label}' has {what} {sorted(theirs)}, '{names[0]}' {sorted(mine)}; expected the same "
+                    "names in all; leave the others out, or stack these recordings apart"
+                )
+
+    def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
+        shape = np.shape(arrays[0])[1:]
+        for label, array in zip(names, arrays, strict=True):
+            if np.shape(array)[1:] != shape:
+                raise UnusableInput(f"'{label}' has rows of shape {np.shape(array)[1:]}, '{names[0]}' of {shape}")
+        return np.concatenate(arrays) if len(arrays) > 1 else np.asarray(arrays[0])
+
+    readings = {}
+    for name in first.readings:
+        each = [part.readings[name] for part in parts]
+        arrays = ([r.values for r in each], [r.seen for r in each], [_reported(r) for r in each])
+        readings[name] = Readings(*map(joined, arrays))
+    truths = {name: [part.truth[name] for part in parts] for name in first.truth}
+    truth = {name: (joined([x for x, _ in t]), joined([known for _, known in t])) for name, t in truths.items()}
+    inputs = {name: joined([part.inputs[name] for part in parts]) for name in first.inputs}
+    return joined([part.times for part in parts]), readings, inputs, truth
+
+
+def stack(
+    recordings: Sequence[Recording], rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0
+) -> Batch:
+    """The recordings as one batch, padded to `rows` (default: the longest), floats in `dtype` (default: jax's).
+
+    `seed`: with the ids of the recordings it gives the random keys, for filters that draw random numbers.
+
+    All recordings name the same sensors, inputs and truths; `dt` is computed here, in float64. Raises UnusableInput for
+    no recording.
+    """
+    if not len(recordings):
+        raise UnusableInput("stack: found no recording; expected one or more; usual fix: look at how the list is made")
+    return Columns.of(recordings).batch(rows, dtype, seed)

@@ -1,0 +1,1 @@
+"""Bayesian filters and smoothers behind one interface."""

@@ -1,0 +1,230 @@
+"""The extended Kalman filter over named states, for one trajectory and one time step.
+
+    x  state            F  ∂step/∂x          H  −∂(whitened residual)/∂x    P  covariance of the small step about x
+    w  unit noise       G  ∂step/∂w          k  gain of one channel         s  variance of one whitened innovation
+
+Residuals are whitened, so that each channel is one scalar update in Joseph form: no Cholesky factor of an innovation
+covariance, a masked channel is a zero row, and a diffuse prior survives a precise reading in single precision, where a
+joint update does not. Many channels that observe few directions of the state (eight phases, two angles) are first
+compressed to one equivalent channel per direction, which is exact.
+
+Student's t noise is approximated by one reweighting of each channel, (ν + 1)/(ν + innovation²/s), and by a predictive
+density that is a t of the same ν and scale √s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
+from trackers.core.filters.rts import RtsGain, rts_gain, rts_step
+from trackers.core.model.algebra import (
+    Jacobian,
+    Scalar,
+    SparseRow,
+    Vector,
+    cholesky,
+    compute_once,
+    congruence,
+    gram,
+    inverse_or_zero,
+    total,
+)
+from trackers.core.model.covariance import (
+    AnyCovariance,
+    Gaussian,
+    added,
+    dot,
+    product,
+    propagated,
+    row_for,
+    unconnected,
+    updated,
+    zero_of,
+    zeros,
+)
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.keys import RawKey
+from trackers.core.model.linearise import jacobian, linearise
+from trackers.core.model.motion import AbstractMotion
+from trackers.core.model.sensor import AbstractSensor, Reading
+from trackers.core.model.state import State, coordinates, local_after, retract
+
+
+class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
+    """The extended Kalman filter: motion and sensors are linearised at the current mean."""
+
+    def init(self, belief: Gaussian, key: RawKey) -> Gaussian:
+        """The filter's belief, given the prior; `key` is unused."""
+        return belief
+
+    def moments(self, belief: Gaussian) -> tuple[State, AnyCovariance]:
+        """The mean state and the covariance's upper triangle."""
+        return belief.mean, belief.cov
+
+    def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Gaussian:
+        """The belief `dt` s later: mean through the motion, covariance FPFᵀ + GGᵀ."""
+        mean, cov = belief
+        motion = motion.at(belief)
+        if not isinstance(cov, tuple):
+            mean, F_and_G = jacobian_of(motion, mean, inputs, dt)
+            return Gaussian(mean, propagated(cov, F_and_G))
+        for stage in motion.stages:
+            mean, F, G = sparse_jacobians(motion, stage, mean, inputs, dt)
+            grown = congruence(F, cov, G)
+            # Entries that are unchanged need no barrier again.
+            cov = tuple(a if a is b else compute_once(a) for a, b in zip(grown, cov, strict=True))
+        return Gaussian(compute_once(mean), cov)
+
+    def update(
+        self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
+    ) -> tuple[Gaussian, Innovation]:
+        """The belief after one reading, and the reading's `Innovation`."""
+        point, rebuild = coordinates(belief.mean)
+        has_student_t: list[bool] = []
+
+        def residual_of(*values: Scalar) -> list[Scalar]:
+            predicted = sensor.measure(motion.view(rebuild(values)), inputs)
+            result = sensor.residual(reading, list(predicted))
+            has_student_t[:] = [result.dof is not None]
+            wrapped = jnp.where(result.wrapped, 1.0, 0.0)
+            dof = 0.0 if result.dof is None else result.dof
+            return [*result.whitened, result.log_scale, result.nis_dof, wrapped, dof]
+
+        (*whitened, log_scale, nis_dof, wrapped, dof), rows = linearise(residual_of, point)
+        jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
+        # Student's t weights each channel by itself; compression would spread an outlier over all of them.
+        student_t = has_student_t[0]
+        channels = compute_once((whitened, jacobian))
+        residual, H, rest = (*channels, jnp.zeros_like(nis_dof)) if student_t else compute_once(compressed(*channels))
+        each = [row_for(belief.cov, h, len(point)) for h in H]
+        step, cov, nis, log_density = sequential_updates(
+            belief.cov, residual, each, len(point), dof if student_t else None
+        )
+        innovation = Innovation(log_scale + log_density - 0.5 * rest, nis + rest, nis_dof, wrapped)
+        mean = retract(belief.mean, step)
+        return Gaussian(mean, above_resolution(cov, coordinates(mean)[0])), innovation
+
+    def rts_gain(
+        self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
+    ) -> RtsGain:
+        """The RTS gains to the next time step, `dt` s later; `connected`: that step continues the track."""
+        constants: list[Any] = []
+
+        def linearised(belief: Gaussian, inputs: Inputs, dt: Scalar) -> tuple[State, Array]:
+            predicted, (sums, *rest) = jacobian_of(motion.at(belief), belief.mean, inputs, dt)
+            constants[:] = rest
+            return predicted, sums
+
+        predicted, sums = jax.vmap(linearised, in_axes=-1, out_axes=-1)(belief, inputs, dt)
+        return rts_gain(belief, predicted, Jacobian(sums, *constants), connected, dt == 0)
+
+    def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
+        """The smoothed beliefs of a time step, given those of the next one."""
+        return rts_step(rts_gain, after)
+
+
+def above_resolution(cov: AnyCovariance, point: Sequence[Scalar]) -> AnyCovariance:
+    """The covariance with the variances of rounding: a state in single precision is known to 1 cm at 100 km.
+
+    That of a component is the square of its relative spacing of numbers times its value, which fixes and ranges of the
+    same size are rounded to as well. Nothing is added in double precision.
+    """
+    eps = float(jnp.finfo(zero_of(cov).dtype).eps)
+    return cov if eps < 1e-12 else added(cov, [eps * jax.lax.stop_gradient(x) for x in point])
+
+
+def sparse_jacobians(
+    motion: AbstractMotion, stage: Any, state: State, inputs: Inputs, dt: Scalar
+) -> tuple[State, list[SparseRow], list[SparseRow]]:
+    """The state after one stage of a motion without noise, and the sparse Jacobians F (state) and G (noise)."""
+    point, rebuild = coordinates(state)
+    zero = jnp.zeros_like(point[0])
+    n = len(point)
+    predicted = stage(state, inputs, dt, Vector.of([zero] * motion.noise_dimension))
+
+    def step(*values: Scalar) -> list[Scalar]:
+        before = rebuild(values[:n])
+        return local_after(predicted, before, values[:n], stage(before, inputs, dt, Vector.of(values[n:])))
+
+    _, rows = linearise(step, [*point, *[zero] * motion.noise_dimension])
+    F = [{j: v for j, v in row.items() if j < n} for row in rows]
+    G = [{j - n: v for j, v in row.items() if j >= n} for row in rows]
+    return predicted, compute_once(F), compute_once(G)
+
+
+def jacobian_of(motion: AbstractMotion, state: State, inputs: Inputs, dt: Scalar) -> tuple[State, Jacobian]:
+    """The state `dt` s later without noise, and the Jacobian (F G) with respect to state and noise as one array."""
+    point, rebuild = coordinates(state)
+    zero = jnp.zeros_like(point[0])
+    n = len(point)
+
+    def step(*values: Scalar) -> State:
+        return motion.step(rebuild(values[:n]), inputs, dt, Vector.of(values[n:]))
+
+    return jacobian(step, [*point, *[zero] * motion.noise_dimension])
+
+
+def compressed(
+    residual: Sequence[Scalar], H: Sequence[SparseRow]
+) -> tuple[Sequence[Scalar], Sequence[SparseRow], Scalar]:
+    """One whitened channel per observed direction of the state, and the sum of squares that no state explains.
+
+    With HᵀH = LLᵀ the equivalent channels are Lᵀ with residual L⁻¹Hᵀr. The remaining sum of squares is |r −
+    H(HᵀH)⁻¹Hᵀr|², by projection: the difference of two large numbers would lose it in single precision.
+    """
+    columns = sorted({j for row in H for j in row})
+    if len(H) <= len(columns):
+        return residual, H, jnp.zeros_like(residual[0])
+    tolerance = 16 * float(jnp.finfo(jnp.asarray(residual[0]).dtype).eps)
+    L = cholesky(gram(H, columns), columns, tolerance)
+    projected = {j: total(row[j] * r for row, r in zip(H, residual, strict=True) if j in row) for j in columns}
+    equivalent: dict[int, Scalar] = {}
+    pivot = {j: inverse_or_zero(L[j, j]) for j in columns}
+    for a, j in enumerate(columns):
+        equivalent[j] = (projected[j] - total(L[j, k] * equivalent[k] for k in columns[:a])) * pivot[j]
+    solution: dict[int, Scalar] = {}
+    for a, j in reversed(list(enumerate(columns))):
+        solution[j] = (equivalent[j] - total(L[i, j] * solution[i] for i in columns[a + 1 :])) * pivot[j]
+    remainder = [r - total(row[j] * solution[j] for j in row) for row, r in zip(H, residual, strict=True)]
+    rows = [{i: L[i, j] for i in columns[a:]} for a, j in enumerate(columns)]
+    return [equivalent[j] for j in columns], rows, total(x * x for x in remainder)
+
+
+def sequential_updates(
+    cov: AnyCovariance, residual: Sequence[Scalar], H: Sequence[SparseRow | Array], n: int, dof: Scalar | None = None
+) -> tuple[Any, AnyCovariance, Scalar, Scalar]:
+    """Scalar updates in Joseph form, one per channel: the small step, the covariance, the NIS and the log density.
+
+    P⁺ = (I − khᵀ) P (I − khᵀ)ᵀ + kkᵀ with k = Ph/s and s = hᵀPh + 1. With Student's t of `dof` ν the noise variance is
+    divided by the weight (ν + 1)/(ν + innovation²/s). The log density is without `Residual.log_scale`.
+    """
+    step = zeros(cov, n)
+    nis = log_density = zero_of(cov)
+    coarse = 256 * float(jnp.finfo(nis.dtype).eps)
+    for r, h in zip(residual, H, strict=True):
+        Ph = product(cov, h, n)
+        a = jnp.maximum(dot(h, Ph), 0.0)
+        innovation = r - dot(h, step)
+        square = innovation * innovation / (1.0 + a)
+        # A covariance in single precision cannot hold 10 km beside 1 mm: one reading reduces a variance as far as the
+        # number format allows, later ones further. What counts are the variances of which hᵀPh is the sum: where they
+        # cancel, as those of a position and a bias do, hᵀPh is all rounding. This never happens in double precision.
+        resolved = coarse * unconnected(cov, h, n)
+        noise = jnp.maximum(1.0, resolved)
+        if dof is None:
+            log_density = log_density - 0.5 * (square + jnp.log(1.0 + a))
+        else:
+            weight = (dof + 1.0) / (dof + square)
+            noise = jnp.maximum(1.0 / weight, resolved)
+            log_density = log_density - 0.5 * ((dof + 1.0) * jnp.log1p(square / dof) + jnp.log(1.0 + a))
+            square = square * weight
+        k, cov = updated(cov, Ph, h, a, noise)
+        step = step + k * innovation
+        nis = nis + square
+    return step, cov, nis, log_density

@@ -1,0 +1,86 @@
+"""Filters: Bayes' rule for one trajectory and one time step, over a belief of the filter's own form.
+
+    init     prior -> belief                  predict  belief at a later time
+    update   belief after one reading         moments  mean and covariance of a belief
+
+A filter with an RTS recursion is an `AbstractSmoothableFilter`.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+
+import equinox as eqx
+
+from trackers.core.model.algebra import Scalar
+from trackers.core.model.covariance import AnyCovariance, Gaussian
+from trackers.core.model.inputs import Input, Inputs
+from trackers.core.model.keys import RawKey
+from trackers.core.model.motion import AbstractMotion
+from trackers.core.model.sensor import AbstractSensor, Reading
+from trackers.core.model.state import State
+
+Belief = TypeVar("Belief")
+
+
+class Innovation(NamedTuple):
+    """Statistics of one reading: log-likelihood, NIS and its degrees of freedom, number of ambiguous wraps."""
+
+    log_likelihood: Scalar
+    nis: Scalar
+    nis_dof: Scalar
+    wrapped: Scalar
+
+
+class AbstractFilter(eqx.Module, Generic[Belief]):
+    """A recursive filter of one trajectory; its belief is a tree of arrays.
+
+    `has_particle_axis`: the belief has a large axis of its own, of particles or grid cells. In a batch trajectories are
+    then the first axis of the belief, not the last, and a belief is copied or started only where it must be.
+    """
+
+    has_particle_axis: ClassVar[bool] = False
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The known inputs that it reads itself; none by default."""
+        return ()
+
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        """The fields of `motion.view` that it needs itself; none by default."""
+        return ()
+
+    @abstractmethod
+    def init(self, belief: Gaussian, key: RawKey) -> Belief:
+        """The belief of a new track, from its prior; `key` (2,): raw random key."""
+
+    @abstractmethod
+    def predict(self, belief: Belief, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Belief:
+        """The belief `dt` s later, unchanged for `dt` = 0."""
+
+    @abstractmethod
+    def update(
+        self, belief: Belief, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
+    ) -> tuple[Belief, Innovation]:
+        """The belief after one reading, and the reading's `Innovation`; masked channels change nothing."""
+
+    @abstractmethod
+    def moments(self, belief: Belief) -> tuple[State, AnyCovariance]:
+        """The mean state and the upper triangle of its covariance."""
+
+
+class AbstractSmoothableFilter(AbstractFilter[Belief]):
+    """A filter whose beliefs can be smoothed by a recursion backwards in time, as `Smoothed` does.
+
+    The recursion takes all trajectories at once, last in every array, with covariances as arrays (n, n, B).
+    """
+
+    @abstractmethod
+    def rts_gain(self, belief: Belief, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
+        """The terms of the backward step from the next time step, `dt` s later; `connected`: it continues the track."""
+
+    @abstractmethod
+    def rts_step(self, rts_gain: Any, after: Belief) -> Belief:
+        """The smoothed belief of a time step, given that of the next one."""

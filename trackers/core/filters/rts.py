@@ -1,0 +1,263 @@
+"""The Rauch–Tung–Striebel smoother (Rauch, Tung and Striebel 1965): gain, backward step, fixed interval, fixed lag.
+
+With x, P the filtered state and covariance of a time step, F, G the motion's Jacobians to the next one, x⁻ = step(x),
+P⁻ = FPFᵀ + GGᵀ the prediction, and ₊ the next step's smoothed belief:
+
+    C = PFᵀ(P⁻)⁻¹        xˢ = x + C(xˢ₊ − x⁻)        Pˢ = (I − CF)P(I − CF)ᵀ + C(GGᵀ + Pˢ₊)Cᵀ
+
+The covariance is a sum of squares (Joseph's form, positive semi-definite whatever the rounding error of C), not
+P + C(Pˢ₊ − P⁻)Cᵀ. Beliefs and gains are those of all trajectories, last in every array. Covariances are arrays
+(n, n, B), not scalars as in the filter: C has no structural zeros, and programs of single entries compile for minutes
+with 15 states. No `vmap` of a product of matrices: it puts trajectories first, and numbers of one are not vectorised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from trackers.core.model.algebra import Jacobian, Scalar, SparseRow, compute_once, full, total, triangle
+from trackers.core.model.covariance import (
+    AnyCovariance,
+    Gaussian,
+    OneArray,
+    noise_covariance,
+    size_of,
+    transposed_product,
+    with_covariances,
+)
+from trackers.core.model.elapsed import Elapsed
+from trackers.core.model.state import State, local, retract
+
+Matrices = Float[Array, "n n B"]
+
+BLOCK = 32
+"""Trajectories smoothed side by side: so many that LLVM vectorises loops over them, and so few that XLA makes one
+kernel of the loop over times (with three components of 23 states it makes none)."""
+
+
+class RtsGain(NamedTuple):
+    """The backward step of one time step: filtered belief, x⁻, Cᵀ (`gain`), GGᵀ (`noise`), (I − CF)P(I − CF)ᵀ (`base`).
+
+    `connected`: the next step continues this track. `simultaneous`: it is at the same time.
+    """
+
+    filtered: Gaussian
+    predicted: State
+    gain: Matrices
+    noise: Matrices
+    base: Matrices
+    connected: Scalar
+    simultaneous: Scalar
+
+
+def rts_gain(
+    belief: Gaussian, predicted: State, jacobian: Jacobian, connected: Scalar, simultaneous: Scalar
+) -> RtsGain:
+    """The gains of one time step, from the filtered beliefs and their predictions.
+
+    `jacobian`: of the motion with respect to state and noise, (F G).
+    """
+    n, P = len(jacobian.structure), belief.cov
+    assert isinstance(P, jax.Array)
+    F = [{j: entry for j, entry in row.items() if j < n} for row in compute_once(jacobian.rows())]
+    noise = compute_once(noise_covariance(jacobian))
+    FP = compute_once(_sparse_product(F, P))
+    C_transposed = _solved(compute_once(_sparse_product(F, FP.swapaxes(0, 1)) + noise), FP)
+    unit = np.eye(n).reshape(n, n, 1)
+    # (I − CF)ᵀ = I − FᵀCᵀ.
+    rest = compute_once(jnp.asarray(unit, P.dtype) - _sparse_product(_transposed(F), C_transposed))
+    base = compute_once(_congruence(rest, P))
+    return RtsGain(belief, predicted, C_transposed, noise, base, connected, simultaneous)
+
+
+def rts_step(rts_gain: RtsGain, after: Gaussian) -> Gaussian:
+    """The smoothed beliefs of a time step, from the smoothed beliefs `after` of the next one."""
+    assert isinstance(after.cov, jax.Array)
+    C_transposed = rts_gain.gain
+    difference = jax.vmap(local, in_axes=-1, out_axes=-1)(rts_gain.predicted, after.mean)
+    step = total(row * d[None] for row, d in zip(C_transposed, difference, strict=True))
+    mean = jax.vmap(lambda x, step: retract(x, list(step)), in_axes=-1, out_axes=-1)(rts_gain.filtered.mean, step)
+    cov = compute_once(rts_gain.base + _congruence(C_transposed, compute_once(rts_gain.noise + after.cov)))
+    # Two steps at one time have one state; the filtered covariance may be singular there, without an inverse.
+    smoothed = _chosen(rts_gain.simultaneous, after, Gaussian(mean, cov))
+    chosen: Gaussian = _chosen(rts_gain.connected, smoothed, rts_gain.filtered)
+    return chosen
+
+
+def fixed_interval(
+    gain_of: Callable[..., Any],
+    rts_step: Callable[[Any, Any], Any],
+    estimate_of: Callable[[Any], Any],
+    filtered: Any,
+    connected: Bool[Array, "T B"],
+    dt: Float[Array, "T B"],
+    inputs: Any,
+) -> Any:
+    """The smoothed estimates of all T rows, by a scan backwards over the times of each trajectory.
+
+    `filtered`: the beliefs. `connected`, `dt`, `inputs`: of the step from each row to the next one, whether that row
+    continues the track, s, and known inputs; the last row has no next one. `gain_of(belief, connected, dt, inputs)`:
+    the gain of a step. `estimate_of`: the estimates of beliefs.
+    """
+    n_rows, size = dt.shape
+    block = BLOCK if size % BLOCK == 0 else size
+    # Rows at the time of the next one have its belief. The others are counted from the last row.
+    own = ~connected | (dt != 0)
+    rank = jnp.cumsum(own[::-1].astype(jnp.int32), axis=0)[::-1] - 1
+    every_row, lanes = jnp.arange(n_rows, dtype=jnp.int32)[:, None], jnp.arange(size, dtype=jnp.int32)
+    row_of = (
+        jnp.zeros_like(rank)
+        .at[jnp.where(own, rank, n_rows), lanes]
+        .set(jnp.broadcast_to(every_row, rank.shape), mode="drop")
+    )
+    estimates_of = OneArray()
+
+    def backwards(first: jax.Array) -> jax.Array:
+        """The estimates of the trajectories of one block by rank, (T, numbers, block)."""
+        rows, ranks = (jax.lax.dynamic_slice_in_dim(x, first, block, axis=-1) for x in (row_of, rank[0]))
+        # Gathered before the loop: XLA counts the whole array of a gather among the bytes that a step moves.
+        lanes = first + jnp.arange(block, dtype=jnp.int32)
+        steps = jax.tree_util.tree_map(
+            lambda x: jnp.moveaxis(x[rows, ..., lanes], 1, -1), (filtered, connected, dt, inputs)
+        )
+        last = in_matrices(jax.tree_util.tree_map(lambda x: x[0], steps[0]))
+
+        def smoothed(after: Any, belief: Any, *step: Any) -> tuple[Any, jax.Array]:
+            before = rts_step(gain_of(in_matrices(belief), *step), after)
+            return before, estimates_of.packed(estimate_of(before))
+
+        nothing = jax.eval_shape(lambda: estimates_of.packed(estimate_of(last)))
+
+        def body(after: Any, one: tuple[jax.Array, Any]) -> tuple[Any, jax.Array]:
+            number, step = one
+            return jax.lax.cond(
+                number <= jnp.max(ranks),
+                lambda: smoothed(after, *step),
+                lambda: (after, jnp.zeros(nothing.shape, nothing.dtype)),
+            )
+
+        return jax.lax.scan(body, last, (jnp.arange(n_rows, dtype=jnp.int32), steps))[1]
+
+    firsts = jnp.arange(0, size, block, dtype=jnp.int32)
+    by_rank = jax.lax.map(backwards, firsts) if len(firsts) > 1 else backwards(firsts[0])[None]
+    blocks, within = (lanes // block)[None, None], (lanes % block)[None, None]
+
+    def of_rows(start: int, end: int) -> jax.Array:
+        numbers = jnp.arange(start, end, dtype=jnp.int32)[None, :, None]
+        return by_rank.at[blocks, rank[:, None], numbers, within].get(mode="promise_in_bounds")
+
+    # Leaf by leaf: one array of all numbers would be written and read once more, at nearly the cost of smoothing.
+    return estimates_of.unpacked_from(of_rows)
+
+
+def in_matrices(beliefs: Any) -> Any:
+    """Beliefs with covariances (…, n, n, B)."""
+
+    def one(cov: AnyCovariance) -> Any:
+        if not isinstance(cov, tuple):
+            return cov
+        return jnp.stack([jnp.stack(row, axis=-2) for row in full(cov, size_of(cov))], axis=-3)
+
+    return with_covariances(beliefs, one)
+
+
+def in_scalars(beliefs: Any) -> Any:
+    """Beliefs `in_matrices` with the upper triangle of each covariance as a tuple (…, B)."""
+
+    def one(cov: Any) -> AnyCovariance:
+        return tuple(cov[..., i, j, :] for i, j in triangle(cov.shape[-2]))
+
+    return with_covariances(beliefs, one)
+
+
+def fixed_lag(
+    gain_of: Callable[..., Any],
+    rts_step: Callable[[Any, Any], Any],
+    filtered: Any,
+    steps: tuple[Any, ...],
+    dt: Float[Array, "steps B"],
+    lag: Scalar,
+) -> Any:
+    """The smoothed beliefs of all time steps but the last, batch-last, each from measurements at most `lag` s later.
+
+    All windows run backwards in parallel, each from its own last step, until they have reached their first one.
+    """
+    filtered = in_matrices(filtered)
+    gains = jax.vmap(lambda belief, *rest: gain_of(in_matrices(belief), *rest))(*steps)
+
+    def trajectory(gains: Any, filtered: Any, dt: Any) -> Any:
+        first = jnp.arange(len(dt), dtype=jnp.int32)
+        times = Elapsed.of(jnp.concatenate([jnp.zeros_like(dt[:1]), dt]), 2 * lag)
+        # The last step of each window; the slack makes 0.1 s + 0.2 s equal 0.3 s.
+        slack = 4 * jnp.finfo(dt.dtype).eps * lag
+        end = times.last_within(jnp.broadcast_to(lag + slack, times.whole.shape))[:-1]
+        # The windows take the place of the trajectories.
+        gains, filtered = jax.tree_util.tree_map(lambda x: jnp.moveaxis(x, 0, -1), (gains, filtered))
+        initial = jax.tree_util.tree_map(lambda x: x[..., end], filtered)
+
+        def body(state: tuple[Any, Any]) -> tuple[Any, Any]:
+            index, belief = state
+            previous = jnp.maximum(index - 1, 0)
+            smoothed = rts_step(jax.tree_util.tree_map(lambda x: x[..., previous], gains), belief)
+            running = index > first
+            return jnp.where(running, index - 1, index), _chosen(running, smoothed, belief)
+
+        found = jax.lax.while_loop(lambda state: jnp.any(state[0] > first), body, (end, initial))[1]
+        return jax.tree_util.tree_map(lambda x: jnp.moveaxis(x, -1, 0), found)
+
+    return jax.vmap(trajectory, in_axes=-1, out_axes=-1)(gains, filtered, dt)
+
+
+def _chosen(condition: Bool[Array, " B"], yes: Any, no: Any) -> Any:
+    """The tree `yes` of the trajectories for which the condition holds, else `no`."""
+    return jax.tree_util.tree_map(lambda a, b: jnp.where(condition.reshape((1,) * (a.ndim - 1) + (-1,)), a, b), yes, no)
+
+
+def _sparse_product(rows: Sequence[SparseRow], A: Matrices) -> Matrices:
+    """The product of a matrix of sparse rows and A."""
+
+    def one(row: SparseRow) -> Any:
+        return total(A[j] if isinstance(entry, float) else entry[None] * A[j] for j, entry in row.items())
+
+    return jnp.stack([one(row) if row else jnp.zeros_like(A[0]) for row in rows])
+
+
+def _transposed(rows: Sequence[SparseRow]) -> list[SparseRow]:
+    """The sparse rows of the transposed square matrix."""
+    return [{i: row[j] for i, row in enumerate(rows) if j in row} for j in range(len(rows))]
+
+
+def _congruence(A: Matrices, P: Matrices) -> Matrices:
+    """AᵀPA of a symmetric P."""
+    return transposed_product(A, compute_once(transposed_product(P, A)))
+
+
+def _solved(cov: Matrices, right: Matrices) -> Matrices:
+    """The pseudo-inverse of a covariance times a matrix, by LDLᵀ; directions without variance drop out.
+
+    Row by row: LLVM vectorises loops over the columns of one row, not those over all rows of few trajectories.
+    """
+    n, tolerance = cov.shape[0], 16 * float(jnp.finfo(cov.dtype).eps)
+    upper, solution = [cov[i, i:] for i in range(n)], list(right)
+    for j in range(n):
+        pivot = upper[j][0]
+        positive = pivot > tolerance * cov[j, j]
+        inverse = compute_once(jnp.where(positive, 1.0 / jnp.where(positive, pivot, 1.0), 0.0))
+        # Row j of Lᵀ, its diagonal included.
+        row = compute_once(upper[j] * inverse[None])
+        for i in range(j + 1, n):
+            upper[i] = upper[i] - upper[j][i - j][None] * row[i - j :]
+            solution[i] = solution[i] - row[i - j][None] * solution[j]
+        upper[j + 1 : j + 2] = compute_once(upper[j + 1 : j + 2])
+        solution[j + 1 : j + 2] = compute_once(solution[j + 1 : j + 2])
+        upper[j], solution[j] = row, compute_once(solution[j] * inverse[None])
+    for i in reversed(range(n)):
+        later = total(upper[i][k - i][None] * solution[k] for k in range(i + 1, n))
+        solution[i] = compute_once(solution[i] - later)
+    return jnp.stack(solution)

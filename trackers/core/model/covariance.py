@@ -1,0 +1,280 @@
+"""Covariances in two forms: a scalar for each entry for many trajectories, one matrix for few.
+
+For hundreds of trajectories a covariance is its upper triangle, row by row, as a tuple of scalars: each entry is one
+vector over trajectories, and structural zeros cost nothing. With few trajectories an operation costs the same whether
+it works on one entry or on a matrix, and thousands of operations compile for minutes: there it is an array (n, n). The
+functions here take either form and return the same; both agree to rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import isqrt
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.model.algebra import (
+    ZERO,
+    Jacobian,
+    Scalar,
+    SparseRow,
+    Vector,
+    compute_once,
+    dense,
+    full,
+    total,
+    triangle,
+)
+from trackers.core.model.state import State
+
+FEW = 8
+"""Most trajectories whose covariances are matrices; both forms: `python -m experiments.lab.bench lanes`."""
+
+AnyCovariance = tuple[Scalar, ...] | jax.Array
+"""A covariance: its upper triangle, entry by entry, or its matrix (n, n)."""
+
+
+def few(trajectories: int) -> bool:
+    """Whether the covariances of so many trajectories are matrices."""
+    return trajectories <= FEW
+
+
+def compiler_options(trajectories: int) -> dict[str, str | bool] | None:
+    """Options of XLA's compiler for a program of so many trajectories.
+
+    Products of matrices are compiled, not calls of a library: a loop becomes one kernel only without calls.
+    """
+    return {"xla_cpu_experimental_ynn_fusion_type": ""} if few(trajectories) else None
+
+
+class OneArray:
+    """A tree of arrays (…, B) as one array: a loop over rows stores one array in place, not a hundred."""
+
+    structure: Any
+    leaves: Sequence[Any]
+
+    def packed(self, tree: Any) -> jax.Array:
+        """The leaves of the tree below one another, (numbers, B), in the type of the first."""
+        self.leaves, self.structure = jax.tree_util.tree_flatten(tree)
+        kind = self.leaves[0].dtype
+        return jnp.concatenate([x.reshape(-1, x.shape[-1]).astype(kind) for x in self.leaves])
+
+    def unpacked(self, array: jax.Array) -> Any:
+        """The tree of an array (T, numbers, B), with its leaves (T, …, B)."""
+        return self.unpacked_from(lambda start, end: array[:, start:end])
+
+    def unpacked_from(self, part: Callable[[int, int], jax.Array]) -> Any:
+        """The tree whose numbers from `start` to `end` are `part(start, end)`, (T, numbers, B) of any B."""
+        ends = np.cumsum([0, *(x.size // x.shape[-1] for x in self.leaves)])
+        parts = [part(int(start), int(end)) for start, end in pairwise(ends)]
+        leaves = [
+            found.reshape(len(found), *x.shape[:-1], found.shape[-1]).astype(x.dtype)
+            for x, found in zip(self.leaves, parts, strict=True)
+        ]
+        return jax.tree_util.tree_unflatten(self.structure, leaves)
+
+
+def as_scalars(cov: AnyCovariance) -> tuple[Scalar, ...]:
+    """The upper triangle as a tuple of scalars."""
+    return cov if isinstance(cov, tuple) else tuple(cov[..., i, j] for i, j in triangle(cov.shape[-1]))
+
+
+def entries(cov: AnyCovariance) -> AnyCovariance:
+    """The upper triangle: a tuple of scalars, or one array (entries,) of a matrix."""
+    return cov if isinstance(cov, tuple) else cov[np.triu_indices(len(cov))]
+
+
+def by_entry(covs: Any) -> tuple[jax.Array, ...]:
+    """The `entries` of all time steps and trajectories, a tuple or (T, entries, B), entry by entry."""
+    return covs if isinstance(covs, tuple) else tuple(covs[:, k] for k in range(covs.shape[1]))
+
+
+def size_of(upper: Sequence[Any]) -> int:
+    """The number of components whose covariance has this upper triangle."""
+    return (isqrt(8 * len(upper) + 1) - 1) // 2
+
+
+def variance(cov: AnyCovariance, component: int) -> Scalar:
+    """The variance of one component."""
+    if not isinstance(cov, tuple):
+        return cov[component, component]
+    n = size_of(cov)
+    return cov[component * n - component * (component - 1) // 2]
+
+
+def added(cov: AnyCovariance, deviations: Sequence[Scalar]) -> AnyCovariance:
+    """The covariance with independent errors of these standard deviations added."""
+    if not isinstance(cov, tuple):
+        return cov + jnp.diag(jnp.stack(list(deviations)) ** 2)
+    pairs = zip(cov, triangle(len(deviations)), strict=True)
+    return tuple(entry + deviations[i] ** 2 if i == j else entry for entry, (i, j) in pairs)
+
+
+def leading(cov: AnyCovariance, n: int, size: int) -> AnyCovariance:
+    """The leading block of `size` components of the covariance of n."""
+    kept = [k for k, (_, j) in enumerate(triangle(n)) if j < size]
+    return tuple(cov[k] for k in kept) if isinstance(cov, tuple) else cov[:size, :size]
+
+
+def matrix(cov: AnyCovariance) -> jax.Array:
+    """The symmetric matrix (…, n, n)."""
+    return dense(cov, size_of(cov)) if isinstance(cov, tuple) else cov
+
+
+def matched(
+    weights: Sequence[Scalar], covs: Sequence[AnyCovariance], deviations: Sequence[Sequence[Scalar]]
+) -> AnyCovariance:
+    """The covariance Σ w (P + ddᵀ) of a mixture whose components deviate from its mean by d."""
+    if isinstance(covs[0], tuple):
+        return tuple(
+            total(w * (P[k] + d[i] * d[j]) for w, P, d in zip(weights, covs, deviations, strict=True))
+            for k, (i, j) in enumerate(triangle(len(deviations[0])))
+        )
+    parts = zip(weights, map(jnp.asarray, covs), [jnp.stack(list(d)) for d in deviations], strict=True)
+    # Of one trajectory, or of many, last in every array.
+    found: jax.Array = total(jnp.expand_dims(w, (0, 1)) * (P + d[:, None] * d[None]) for w, P, d in parts)
+    return found
+
+
+def propagated(cov: jax.Array, jacobian: Jacobian) -> jax.Array:
+    """F P Fᵀ + G Gᵀ of a covariance as a matrix, with the Jacobian (F G); of tuples: `algebra.congruence`."""
+    F = ChangedRows(jacobian)
+    return F.congruence(cov, F.times(cov)) + noise_covariance(jacobian)
+
+
+class ChangedRows:
+    """F of a Jacobian (F G), by the rows `at` that differ from those of the unit matrix: `block`ᵀ, columns `needed`."""
+
+    def __init__(self, jacobian: Jacobian):
+        n = len(jacobian.structure)
+        F = jacobian.structure[:, :n]
+        self.at = _span((np.eye(n) != F).any(axis=1))
+        self.needed = _span((F[self.at] != ZERO).any(axis=0))
+        self.block = jacobian.transposed(self.at, self.needed)
+
+    def times(self, P: jax.Array) -> jax.Array:
+        """F P."""
+        changed = transposed_product(self.block, P[self.needed])
+        return jnp.concatenate([P[: self.at.start], changed, P[self.at.stop :]])
+
+    def congruence(self, P: jax.Array, FP: jax.Array) -> jax.Array:
+        """F P Fᵀ, symmetric to the bit, given F P."""
+        rows = FP[self.at]
+        square = product_of(rows[:, self.needed], self.block)
+        # Both triangles of a matrix are computed, and must not drift apart.
+        square = 0.5 * (square + square.T)
+        rows = jnp.concatenate([rows[:, : self.at.start], square, rows[:, self.at.stop :]], axis=1)
+        P = jnp.concatenate([P[:, : self.at.start], rows.T, P[:, self.at.stop :]], axis=1)
+        return jnp.concatenate([P[: self.at.start], rows, P[self.at.stop :]])
+
+
+def noise_covariance(jacobian: Jacobian) -> jax.Array:
+    """G Gᵀ of a Jacobian (F G): a block of the rows that share noise, and variances."""
+    n, inputs = jacobian.structure.shape
+    present = (jacobian.structure[:, n:] != ZERO).astype(int)
+    shared = present @ present.T
+    coupled = _span(shared.sum(axis=1) > np.diag(shared))
+    noisy = _span(present[coupled].any(axis=0))
+    block = jacobian.transposed(coupled, slice(n + noisy.start, n + noisy.stop))
+    alone = np.ones(n)
+    alone[coupled] = 0.0
+    kind = jacobian.sums.dtype
+    variances = jacobian.squares(slice(n), slice(n, inputs))
+    outside, trajectories = (coupled.start, n - coupled.stop), variances.ndim - 1
+    together = jnp.pad(transposed_product(block, block), (outside, outside, *[(0, 0)] * trajectories))
+    return together + jnp.asarray(np.diag(alone).reshape(n, n, *[1] * trajectories), kind) * variances[None]
+
+
+def product_of(A: jax.Array, B: jax.Array) -> jax.Array:
+    """AB as sums: no call of a library, and contiguous in the columns of B."""
+    return jnp.sum(A[:, :, None] * B[None], axis=1)
+
+
+def transposed_product(A: jax.Array, B: jax.Array) -> jax.Array:
+    """AᵀB as sums, contiguous in the columns of B; of many trajectories, last in each, a sum of outer products."""
+    if A.ndim == 2:
+        return jnp.sum(A[:, :, None] * B[:, None], axis=0)
+    # XLA leaves reductions to a library whose calls keep a loop from becoming one kernel.
+    result: jax.Array = total(a[:, None] * b[None] for a, b in zip(A, B, strict=True))
+    return result
+
+
+def _span(which: np.ndarray) -> slice:
+    """The range from the first to the last true entry; slices are cheaper than a selection."""
+    at = np.flatnonzero(which)
+    return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
+
+
+def zero_of(cov: AnyCovariance) -> Scalar:
+    """A zero of the type of the entries."""
+    return jnp.zeros_like(cov[0]) if isinstance(cov, tuple) else jnp.zeros((), cov.dtype)
+
+
+def zeros(cov: AnyCovariance, n: int) -> Any:
+    """A zero vector of n components, a `Vector` or an array."""
+    return Vector.of([zero_of(cov)] * n) if isinstance(cov, tuple) else jnp.zeros((n,), cov.dtype)
+
+
+def row_for(cov: AnyCovariance, h: SparseRow, n: int) -> SparseRow | jax.Array:
+    """A sparse row as the products with this covariance take it: itself, or an array (n,) with a matrix."""
+    return h if isinstance(cov, tuple) else jnp.stack([jnp.asarray(h.get(j, 0.0), cov.dtype) for j in range(n)])
+
+
+def dot(h: SparseRow | jax.Array, x: Any) -> Scalar:
+    """hᵀx of a row of a Jacobian and a vector."""
+    return total(x[j] * v for j, v in h.items()) if isinstance(h, dict) else jnp.sum(h * x)
+
+
+def product(cov: AnyCovariance, h: SparseRow | jax.Array, n: int) -> Any:
+    """P h, a `Vector` or an array (n,)."""
+    if not isinstance(cov, tuple):
+        return jnp.sum(cov * jnp.asarray(h)[:, None], axis=0)
+    P, entries = full(cov, n), dict(h)
+    return Vector.of(compute_once([total(P[i][j] * v for j, v in entries.items()) for i in range(n)]))
+
+
+def unconnected(cov: AnyCovariance, h: SparseRow | jax.Array, n: int) -> Scalar:
+    """hᵀDh with D the diagonal of P: the size of the terms of hᵀPh, whose rounding errors remain where they cancel."""
+    if not isinstance(cov, tuple):
+        return jnp.sum(jnp.asarray(h) ** 2 * jnp.diagonal(cov))
+    return total(variance(cov, j) * (v * v) for j, v in dict(h).items())
+
+
+def updated(
+    cov: AnyCovariance, Ph: Any, h: SparseRow | jax.Array, a: Scalar, noise: Scalar
+) -> tuple[Any, AnyCovariance]:
+    """The gain k = Ph/(a + `noise`) of a scalar reading with a = hᵀPh, and the covariance after it.
+
+    For scalars in Joseph's form, (I − khᵀ) P (I − khᵀ)ᵀ + `noise` kkᵀ. For a matrix P − (a + `noise`) kkᵀ, the same to
+    rounding and symmetric to the bit.
+    """
+    k = Ph / (noise + a)
+    if not isinstance(cov, tuple):
+        root = Ph / jnp.sqrt(noise + a)
+        return k, cov - root[:, None] * root[None]
+    # B = (I − khᵀ)P, then B(I − khᵀ)ᵀ + noise kkᵀ as a rank-one update of B, n² products. Bh from the rounded B
+    # corrects its rounding errors as the product of three matrices does.
+    n, P, entries = len(Ph), full(cov, len(Ph)), dict(h)
+    B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in entries}
+    Bh_noise = compute_once([total(B[i, j] * v for j, v in entries.items()) - noise * k[i] for i in range(n)])
+    return k, tuple(B[i, j] - Bh_noise[i] * k[j] for i, j in triangle(n))
+
+
+class Gaussian(NamedTuple):
+    """A Gaussian belief: the mean state and the covariance of the small step about it, upper triangle row by row."""
+
+    mean: State
+    cov: AnyCovariance
+
+
+def with_covariances(belief: Any, change: Callable[[AnyCovariance], Any]) -> Any:
+    """A belief of any form with the covariance of each Gaussian in it changed."""
+
+    def one(part: Any) -> Any:
+        return part._replace(cov=change(part.cov)) if isinstance(part, Gaussian) else part
+
+    return jax.tree_util.tree_map(one, belief, is_leaf=lambda part: isinstance(part, Gaussian))

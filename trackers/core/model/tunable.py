@@ -1,0 +1,288 @@
+"""Tunables: parameters of a tracker, each with one physical value, stored unconstrained and found by name in the tree.
+
+`tuning.fit` takes the names or patterns of those to tune; nothing is switched on or off here.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, TypeVar, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.errors import UnusableInput, near, numbers_of
+from trackers.core.model.state import path_name
+
+Tree = TypeVar("Tree")
+
+Role = Literal["process noise", "bias noise", "measurement noise"]
+"""Role of a noise level: of the motion's driving noise, of slowly varying errors such as biases, or of a sensor."""
+
+Axis = Literal["horizontal", "vertical", "all"]
+"""Axes of space along which a noise acts; none for a noise that is no vector of space, as of phases or ranges."""
+
+
+class AbstractTunable(eqx.Module):
+    """A tunable number or array: `raw` is unconstrained, `value` physical; `bounds`: of the values, in words."""
+
+    bounds: ClassVar[str]
+    raw: eqx.AbstractVar[Any]
+    unit: eqx.AbstractVar[str]
+
+    @property
+    @abstractmethod
+    def value(self) -> Any:
+        """The physical value, in `unit`."""
+
+    @abstractmethod
+    def with_value(self, value: Any) -> AbstractTunable:
+        """The same tunable with another physical value."""
+
+
+def _numbers(kind: str, value: Any) -> tuple[Any, Any]:
+    """The value of a tunable of this kind as an array of floats, and NumPy for it, or `jax.numpy` where it is traced.
+
+    Traced numbers, as inside `jax.grad` and `jax.vmap`, have no value that could be checked.
+    """
+    if isinstance(value, jax.core.Tracer):
+        return value.astype(jnp.result_type(float)), jnp
+    return numbers_of(kind, value), np
+
+
+class Scale(AbstractTunable):
+    """A positive number such as a standard deviation; tuned on a logarithmic scale.
+
+    `role`, `axis`: of a noise level; first guesses and coarse grids go by them, never by names.
+    """
+
+    bounds = "> 0"
+    raw: Any
+    unit: str = eqx.field(static=True)
+    role: Role | None = eqx.field(static=True)
+    axis: Axis | None = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1", role: Role | None = None, axis: Axis | None = None):
+        value, math = _numbers("Scale", value)
+        if math is np and not (np.all(np.isfinite(value)) and np.all(value > 0)):
+            raise UnusableInput(
+                f"a Scale is positive and finite, found {value.tolist()}; a noise that is absent is left out, "
+                "not set to zero"
+            )
+        self.raw = math.log(value)
+        self.unit = unit
+        self.role, self.axis = _checked(role, axis)
+
+    @property
+    def value(self) -> Any:
+        return jnp.exp(self.raw)
+
+    def with_value(self, value: Any) -> Scale:
+        return Scale(value, self.unit, self.role, self.axis)
+
+
+class Fraction(AbstractTunable):
+    """A number strictly between 0 and 1, such as a probability; tuned on the logit scale."""
+
+    bounds = "0 to 1"
+    raw: Any
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1"):
+        value, math = _numbers("Fraction", value)
+        if math is np and not np.all((value > 0) & (value < 1)):
+            raise UnusableInput(f"a Fraction lies strictly between 0 and 1, found {value.tolist()}")
+        self.raw = math.log(value) - math.log1p(-value)
+        self.unit = unit
+
+    @property
+    def value(self) -> Any:
+        return jax.nn.sigmoid(self.raw)
+
+    def with_value(self, value: Any) -> Fraction:
+        return Fraction(value, self.unit)
+
+
+class Real(AbstractTunable):
+    """A number of either sign, such as an offset; tuned in units of `typical`, the size at which it matters."""
+
+    bounds = ""
+    raw: Any
+    unit: str = eqx.field(static=True)
+    typical: float = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1", typical: float = 1.0):
+        value, math = _numbers("Real", value)
+        if math is np and not np.all(np.isfinite(value)):
+            raise UnusableInput(f"a Real is finite, found {value.tolist()}")
+        self.raw = value / typical
+        self.unit = unit
+        self.typical = typical
+
+    @property
+    def value(self) -> Any:
+        return self.raw * self.typical
+
+    def with_value(self, value: Any) -> Real:
+        return Real(value, self.unit, self.typical)
+
+
+class Covariance(AbstractTunable):
+    """A symmetric positive definite matrix, tuned through its Cholesky factor with the logarithm of its diagonal.
+
+    `role`, `axis`: as of a `Scale`.
+    """
+
+    bounds = "positive definite"
+    raw: Any
+    unit: str = eqx.field(static=True)
+    role: Role | None = eqx.field(static=True)
+    axis: Axis | None = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1", role: Role | None = None, axis: Axis | None = None):
+        value, math = _numbers("Covariance", value)
+        square = value.ndim == 2 and value.shape[0] == value.shape[1]
+        try:
+            if not (square and (math is jnp or np.allclose(value, value.T, rtol=1e-9))):
+                raise np.linalg.LinAlgError
+            factor = math.linalg.cholesky(value)
+        except np.linalg.LinAlgError as error:
+            raise UnusableInput(f"a Covariance is symmetric positive definite, found {value}") from error
+        diagonal = math.diag(factor)
+        self.raw = factor - math.diag(diagonal) + math.diag(math.log(diagonal))
+        self.unit = unit
+        self.role, self.axis = _checked(role, axis)
+
+    @property
+    def value(self) -> Any:
+        n = self.raw.shape[0]
+        factor = [[self.raw[i, j] if j < i else jnp.exp(self.raw[i, i]) for j in range(i + 1)] for i in range(n)]
+        entries = [[sum(factor[i][k] * factor[j][k] for k in range(min(i, j) + 1)) for j in range(n)] for i in range(n)]
+        return jnp.stack([jnp.stack(row) for row in entries])
+
+    def with_value(self, value: Any) -> Covariance:
+        return Covariance(value, self.unit, self.role, self.axis)
+
+
+class Threshold(AbstractTunable):
+    """A positive limit that a comparison is made with; np.inf disables it.
+
+    Set by name and swept as other tunables. Nothing has a derivative with respect to it, so no fit changes it.
+    """
+
+    bounds = "> 0, inf: off"
+    raw: Any
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1"):
+        value, math = _numbers("Threshold", value)
+        if math is np and not np.all(value > 0):
+            raise UnusableInput(f"a Threshold is positive, np.inf to disable it, found {value.tolist()}")
+        self.raw = value
+        self.unit = unit
+
+    @property
+    def value(self) -> Any:
+        return self.raw
+
+    def with_value(self, value: Any) -> Threshold:
+        return Threshold(value, self.unit)
+
+
+class Constant(eqx.Module):
+    """The value of a tunable, frozen for a run so that it is not recomputed at each step."""
+
+    value: Any
+
+
+def role_of(node: AbstractTunable) -> Role | None:
+    """The role of a noise level; None for any other tunable."""
+    return node.role if isinstance(node, (Scale, Covariance)) else None
+
+
+def with_role(node: Scale, role: Role | None, axis: Axis | None) -> Scale:
+    """The positive number with this role and axis, unless it has a role of its own."""
+    return node if node.role is not None else eqx.tree_at(lambda n: n.raw, Scale(1.0, node.unit, role, axis), node.raw)
+
+
+def _checked(role: Role | None, axis: Axis | None) -> tuple[Role | None, Axis | None]:
+    for found, expected in ((role, Role), (axis, Axis)):
+        if found is not None and found not in get_args(expected):
+            choices = ", ".join(f"'{x}'" for x in get_args(expected))
+            raise UnusableInput(f"the role of a noise level: found '{found}'; expected one of {choices}, or None")
+    return role, axis
+
+
+def is_tunable(node: Any) -> bool:
+    """Whether the node of a tree is a tunable number."""
+    return isinstance(node, AbstractTunable)
+
+
+def freeze(tree: Tree) -> Tree:
+    """The tree with every tunable replaced by its value."""
+    return jax.tree_util.tree_map(lambda x: Constant(x.value) if is_tunable(x) else x, tree, is_leaf=is_tunable)
+
+
+def tunables(tree: Any) -> dict[str, AbstractTunable]:
+    """Every tunable of the tree by its dotted name, as `motion.sigma_a` or `sensors.north.sigma_p`."""
+    paths, _ = jax.tree_util.tree_flatten_with_path(tree, is_leaf=is_tunable)
+    return {path_name(path): node for path, node in paths if is_tunable(node)}
+
+
+def matching(tree: Any, patterns: str | Sequence[str]) -> dict[str, AbstractTunable]:
+    """The tunables whose names match one of the shell patterns (`sensors.*.sigma_p`).
+
+    Raises UnusableInput, listing the tunables, for a pattern that matches none.
+    """
+    patterns = [patterns] if isinstance(patterns, str) else list(patterns)
+    every = tunables(tree)
+    for pattern in patterns:
+        if not fnmatch.filter(every, pattern):
+            raise UnusableInput(
+                f"the pattern '{pattern}' matches no tunable{near(pattern, every)}; this tracker has: "
+                f"{', '.join(every) or 'none'}"
+            )
+    return {name: node for name, node in every.items() if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
+
+
+def replaced(tree: Tree, new: Mapping[str, AbstractTunable]) -> Tree:
+    """The tree with the named tunables replaced; names as in `tunables`."""
+
+    def exchange(path: Any, node: Any) -> Any:
+        return new.get(path_name(path), node) if is_tunable(node) else node
+
+    return jax.tree_util.tree_map_with_path(exchange, tree, is_leaf=is_tunable)
+
+
+def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values") -> Tree:
+    """The tree with physical values set by tunable name or shell pattern.
+
+    Raises UnusableInput, naming `source`, for a pattern that matches nothing and a value of another shape or range.
+    """
+    own = tunables(tree)
+    new = {}
+    for pattern, value in values.items():
+        names = [pattern] if pattern in own else fnmatch.filter(own, pattern)
+        if not names:
+            raise UnusableInput(
+                f"{source}: this tracker has no '{pattern}'{near(pattern, own)}; it has: {', '.join(own)}"
+            )
+        for name in names:
+            if np.shape(own[name].raw) == () and np.ndim(value) == 1:
+                raise UnusableInput(
+                    f"{source}: '{pattern}' has {len(value)} numbers, separated by commas, the tracker's {name} one; "
+                    "decimals have a point, as 0.1"
+                )
+            if np.shape(value) != np.shape(own[name].raw):
+                raise UnusableInput(
+                    f"{source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} {np.shape(own[name].raw)}"
+                )
+            try:
+                new[name] = own[name].with_value(value)
+            except ValueError as error:
+                raise UnusableInput(f"{source}: '{pattern}': {error}") from error
+    return replaced(tree, new)

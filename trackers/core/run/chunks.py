@@ -1,0 +1,171 @@
+"""Batches in chunks of one shape, so that the bits of a trajectory depend on its chunk's size, not on its others."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import DTypeLike
+
+from trackers.core.data.recording import Batch
+from trackers.core.model.covariance import compiler_options, few
+from trackers.programs.packed import PackedResult
+from trackers.programs.traced_programs import found_program
+
+Tree = TypeVar("Tree")
+
+CHUNK = 512
+"""Trajectories per chunk: enough to amortise the overhead of a step, few enough for the cache."""
+
+
+LONG = 1000
+"""Rows from which on few recordings run one by one: a call takes a millisecond, as long as hundreds of rows."""
+
+
+def as_numbers(tree: Tree, dtype: DTypeLike) -> Tree:
+    """The tree with its floats as NumPy arrays of `dtype`, but for arrays of jax, which remain where they are."""
+
+    def floating(x: Any) -> bool:
+        if isinstance(x, float | np.ndarray | jax.Array):
+            return isinstance(x, float) or jnp.issubdtype(x.dtype, jnp.floating)
+        return eqx.is_array_like(x) and jnp.issubdtype(jnp.result_type(x), jnp.floating)
+
+    leaves, structure = jax.tree_util.tree_flatten(tree)
+    for k, x in enumerate(leaves):
+        if floating(x):
+            leaves[k] = jnp.asarray(x, dtype) if isinstance(x, jax.Array) else np.asarray(x, dtype)
+    result: Tree = jax.tree_util.tree_unflatten(structure, leaves)
+    return result
+
+
+def as_dtype(tree: Tree, dtype: DTypeLike) -> Tree:
+    """The tree with its floats as arrays of `dtype` on the device, so that other values reuse the compiled program."""
+    leaves, structure = jax.tree_util.tree_flatten(as_numbers(tree, dtype))
+    numbers = [k for k, x in enumerate(leaves) if isinstance(x, np.ndarray) and x.dtype == dtype]
+    # Numbers go to the device together: one by one they take longer than a short run.
+    for k, array in zip(numbers, jax.device_put([leaves[k] for k in numbers]), strict=True):
+        leaves[k] = array
+    result: Tree = jax.tree_util.tree_unflatten(structure, leaves)
+    return result
+
+
+def piece_size(trajectories: int, rows: int, chunk: int) -> int:
+    """The trajectories, padding included, of each part of a batch of so many, with so many rows; at most `chunk`."""
+    # A small batch gets a small chunk, a power of two so that few shapes are compiled. Few long recordings run one by
+    # one: they gain nothing side by side, and one program serves them all.
+    alone = few(trajectories) and rows >= LONG
+    return 1 if alone else min(chunk, 1 << (trajectories - 1).bit_length())
+
+
+def pieces(batch: Batch, chunk: int) -> list[Batch]:
+    """The batch in parts of at most `chunk` trajectories, not yet on a device."""
+    size = piece_size(batch.size, len(batch.dt), chunk)
+    return [batch.columns(start, start + size) for start in range(0, batch.size, size)]
+
+
+def placed(parts: Iterable[Batch]) -> Iterator[Batch]:
+    """The parts by turns on the host's devices, or all on `jax.default_device`.
+
+    No part is sharded: XLA fuses the program for several devices differently, which changes last bits.
+    """
+    only = jax.config.jax_default_device  # type: ignore[attr-defined]
+    devices = jax.local_devices() if only is None else [only]
+    for k, part in enumerate(parts):
+        yield jax.device_put(part, devices[k % len(devices)])
+
+
+def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
+    """The parts of a batch of `chunk` trajectories, on their devices."""
+    return placed(pieces(batch, chunk))
+
+
+def n_workers() -> int:
+    """The number of chunks that run in parallel: one per device, on CPUs one per core."""
+    devices = len(jax.local_devices())
+    # The cores available to this process, where the system reports them.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(devices, cores) if jax.default_backend() == "cpu" else devices
+
+
+def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any, Batch]]) -> list[Tree]:
+    """`function(model, part)` for each pair, `part` from `chunks`; results as NumPy arrays, in order."""
+    double = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
+    if len(pairs) == 1:
+        return [on_host(function, *pairs[0], called)]
+    programs = Programs()
+
+    def run(pair: tuple[Any, Batch]) -> Tree:
+        # The x64 setting is local to a thread.
+        with jax.enable_x64(double):
+            return on_host(function, *pair, programs.dispatch)
+
+    with ThreadPoolExecutor(min(n_workers(), len(pairs))) as pool:
+        waiting = [pool.submit(run, pair) for pair in pairs]
+        try:
+            return [one.result() for one in waiting]
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def on_host(function: Callable[[Any, Batch], Tree], model: Any, part: Batch, call: Callable[..., Any]) -> Tree:
+    """`function(model, part)` by a program that `call` finds, as NumPy arrays."""
+    options = compiler_options(part.size)
+    if few(part.size):
+        # The loop of few trajectories is so short that a call with a hundred arrays takes as long.
+        found: Tree = call(PackedResult(function), model, part, options).unpacked()
+        return found
+    return jax.tree_util.tree_map(np.asarray, call(function, model, part, options))
+
+
+def _applied(function: Callable[[Any, Any], Tree], model: Any, part: Any) -> Tree:
+    """`function(model, part)`, compiled once per function, tree structure, shapes and device."""
+    return function(model, part)
+
+
+jitted = eqx.filter_jit(_applied)
+jitted_for_few = eqx.filter_jit(_applied, compiler_options=compiler_options(1))  # type: ignore[call-overload]
+
+
+class Programs:
+    """The programs of one call of `run_chunks`: if several threads need a new one, one of them compiles it."""
+
+    def __init__(self) -> None:
+        self.compiling: defaultdict[Hashable, Lock] = defaultdict(Lock)
+        self.compiled: set[Hashable] = set()
+
+    def dispatch(
+        self, function: Callable[[Any, Batch], Tree], model: Any, part: Batch, options: dict[str, str | bool] | None
+    ) -> Tree:
+        """The result of `called`, whose computation may still run."""
+        leaves, kind = jax.tree_util.tree_flatten((model, part))
+        shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
+        program = kind, shapes, part.dt.device
+        if program in self.compiled:
+            return called(function, model, part, options)
+        with self.compiling[program]:
+            result = called(function, model, part, options)
+            self.compiled.add(program)
+        return result
+
+
+def called(
+    function: Callable[[Any, Any], Tree], model: Any, part: Any, options: dict[str, str | bool] | None = None
+) -> Tree:
+    """`function(model, part)` by a compiled program, which is found without tracing where that is possible.
+
+    `options`: those of `compiler_options`.
+    """
+    program = found_program(function, model, part, options)
+    if program is None:
+        result: Tree = (jitted if options is None else jitted_for_few)(function, model, part)
+        return result
+    found: Tree = program(model, part)
+    return found

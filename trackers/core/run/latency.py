@@ -1,0 +1,130 @@
+"""Latency: estimates at the time of measurement, which is earlier than that of the row by the sensor's latency.
+
+A measurement with latency is of an earlier state, z(t) = h(x(t − latency)). The filter's state is that of the row's
+time t; shifted back for straight motion, p(t − latency) = p(t) − v(t)·latency, its error is smallest.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from trackers.core.data.recording import Batch
+from trackers.core.data.seconds import HOLE_M, HOLE_S
+from trackers.core.model.algebra import Scalar, Vector, congruence
+from trackers.core.model.covariance import AnyCovariance, as_scalars
+from trackers.core.model.elapsed import Elapsed
+from trackers.core.model.linearise import linearise
+from trackers.core.model.motion import Noise
+from trackers.core.model.sensor import AbstractSensor
+from trackers.core.model.state import State, coordinates, local_after
+
+LONGEST_S = 1e4
+"""Gaps count as this at most: the truth across a longer one is known only where it hardly changes."""
+
+
+class AbstractDelayedSensor(AbstractSensor):
+    """A sensor whose readings are of the state `latency` s before their row."""
+
+    latency: eqx.AbstractVar[Noise]
+
+
+def shifted_back(mean: State, upper: AnyCovariance, seconds: Scalar) -> tuple[State, tuple[Scalar, ...]]:
+    """Mean and covariance of the state with its position `seconds` earlier, for straight motion, one trajectory.
+
+    Axes without a velocity are unchanged.
+    """
+
+    def earlier(state: Any) -> Any:
+        moving = list(zip(state.position, state.velocity, strict=False))
+        position = [p - v * seconds for p, v in moving]
+        return state._replace(position=Vector.of([*position, *list(state.position)[len(moving) :]]))
+
+    point, rebuild = coordinates(mean)
+    shifted = earlier(mean)
+
+    def step(*values: Scalar) -> list[Scalar]:
+        before = rebuild(values)
+        return local_after(shifted, before, values, earlier(before))
+
+    _, rows = linearise(step, point)
+    return shifted, congruence(rows, as_scalars(upper), [{} for _ in rows])
+
+
+def scored_truth(batch: Batch, age: Any = None) -> dict[str, tuple[Any, Any]]:
+    """The truth of a batch for which estimates are scored: `age` s before each row, on the last row of each time.
+
+    `age` (T, B) or (B,), None for the times of the rows. The truth is differentiable in it: cubic between the rows of
+    an uninterrupted stretch of known truth, so that an objective has a slope where the age is zero and all rows are on
+    knots, straight across a gap and beyond the ends of a stretch. Positions inside a hole are not scored; else the rows
+    that are scored do not depend on the age.
+    """
+    dt = jnp.where(batch.valid, batch.dt, jnp.ones_like(batch.dt))
+    no = jnp.zeros_like(dt[:1], bool)
+    followed = jnp.concatenate([jnp.asarray(batch.valid)[1:] & (jnp.asarray(batch.dt)[1:] == 0), no])
+    found = {}
+    for name, (values, known) in batch.truth.items():
+        values, scored = jnp.asarray(values), jnp.asarray(known) & ~followed
+        if age is not None:
+            earlier = partial(_earlier_truth, moved=HOLE_M if name == "position" else jnp.inf)
+            each = jax.vmap(earlier, in_axes=-1, out_axes=-1)
+            values, hole = each(dt, jnp.broadcast_to(age, dt.shape), values, jnp.asarray(known))
+            scored &= ~hole
+        found[name] = values, scored
+    return found
+
+
+def _earlier_truth(dt: Any, age: Any, values: Any, known: Any, moved: float) -> tuple[Any, Any]:
+    """The truth (T, d) of one trajectory `age` (T,) s before its rows, and whether that time is in a hole.
+
+    A hole is a gap longer than `HOLE_S` over which the truth changes by more than `moved`.
+    """
+    times = Elapsed.of(dt, LONGEST_S)
+    at = times.last_within(jax.lax.stop_gradient(-age))
+    return _splines(dt, times, age, at, values, known), _in_hole(times, age, at, values, known, moved)
+
+
+def _splines(dt: Any, times: Elapsed, age: Any, at: Any, values: Any, known: Any) -> Any:
+    """The truth `age` before the rows by cubic Hermite splines; `at` (T,): the last row up to then."""
+    rows, end = jnp.arange(len(dt), dtype=jnp.int32), len(dt) - 1
+    no = jnp.zeros_like(known[:1])
+    joined = known[1:] & known[:-1]
+    first = jax.lax.cummax(jnp.where(known & ~jnp.concatenate([no, joined]), rows, 0))
+    last = jax.lax.cummin(jnp.where(known & ~jnp.concatenate([joined, no]), rows, end), reverse=True)
+    slopes = _slopes(dt[1:], values, joined & (dt[1:] <= HOLE_S))
+    left = jnp.maximum(jnp.minimum(jnp.maximum(at, first), last - 1), first)
+    right = jnp.minimum(left + 1, last)
+    since, span = (times.since(left) - age)[:, None], (times.since(left) - times.since(right))[:, None]
+    u = jnp.where(span > 0, since / jnp.where(span > 0, span, 1.0), 0.0)
+    step, begin, end_slope = values[right] - values[left], slopes[left], slopes[right]
+    curve = u * (1.0 - u) * ((1.0 - u) * (begin * span - step) - u * (end_slope * span - step))
+    # Tangents, not a clipped u: both have the same slope at the knot, where clipping has half of it.
+    after = step + (since - span) * end_slope
+    inner = jnp.where(u > 1, after, u * step + jnp.where(span > HOLE_S, 0.0, curve))
+    return values[left] + jnp.where(since < 0, since * begin, inner)
+
+
+def _in_hole(times: Elapsed, age: Any, at: Any, values: Any, known: Any, moved: float) -> Any:
+    """Which rows (T,) are valid between two known rows of a hole; arguments as of `_splines`."""
+    rows, end = jnp.arange(len(known), dtype=jnp.int32), len(known) - 1
+    before = jax.lax.cummax(jnp.where(known, rows, -1))[at]
+    after = jax.lax.cummin(jnp.where(known, rows, end), reverse=True)[jnp.minimum(at + 1, end)]
+    between = (at >= 0) & (before >= 0) & known[after] & (times.since(before) > age)
+    change = jnp.sum((values[after] - values[before]) ** 2, axis=-1)
+    return between & (times.since(before) - times.since(after) > HOLE_S) & (change > moved**2)
+
+
+def _slopes(spans: Any, values: Any, joined: Any) -> Any:
+    """The slopes (T, d) of the parabolas through three neighbours, or through those that are `joined` (T - 1,)."""
+    spans = jnp.where(joined, spans, 0.0)
+    chords = jnp.where(spans > 0, 1.0 / jnp.where(spans > 0, spans, 1.0), 0.0)[:, None] * (values[1:] - values[:-1])
+    none, flat = jnp.zeros(1, spans.dtype), jnp.zeros_like(values[:1])
+    # Each neighbour's chord has the other's span as its weight; a single neighbour has the whole weight.
+    before, after = jnp.concatenate([none, spans]), jnp.concatenate([spans, none])
+    total_span = jnp.where(before + after > 0, before + after, 1.0)
+    weight = jnp.where(before > 0, jnp.where(after > 0, after / total_span, 1.0), 0.0)[:, None]
+    return weight * jnp.concatenate([flat, chords]) + (1.0 - weight) * jnp.concatenate([chords, flat])

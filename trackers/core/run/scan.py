@@ -1,0 +1,255 @@
+"""The scan of a recursive tracker: one `lax.scan` over time steps of a step that `vmap` maps over trajectories.
+
+Arrays of a chunk of B trajectories are batch-last, (T, ..., B), so that each number of a step is one contiguous vector
+over trajectories. The exception is a belief with an axis of particles or cells: there the trajectories come first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental.layout import Layout, with_layout_constraint
+from jax.interpreters.partial_eval import dce_jaxpr
+from jaxtyping import Array, Bool, UInt32
+
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Batch
+from trackers.core.filters.filter import Innovation
+from trackers.core.model import covariance
+from trackers.core.model.algebra import Scalar, mark_dependent
+from trackers.core.model.covariance import AnyCovariance, OneArray, by_entry, entries
+from trackers.core.model.select import select
+from trackers.core.model.sensor import Row
+from trackers.core.run.carry import (
+    Carry,
+    RecursiveTracker,
+    StepInfo,
+    carry_axes,
+    empty_carry,
+    in_form,
+    initial_carry,
+)
+
+STARTS_AT_ONCE = 16
+"""Trajectories whose start is searched for together; one search costs as much as hundreds of filter steps."""
+
+
+class ScanState(NamedTuple):
+    """The state of a recursive tracker after some rows, trajectories first in every array: `scan` continues from it.
+
+    `n_rows` (B,): rows so far, which number the starts of a trajectory.
+    """
+
+    carry: Carry
+    n_rows: UInt32[Array | np.ndarray, " B"]
+
+
+class Output(NamedTuple):
+    """The result of one time step: mean of the state, upper triangle of its covariance entry by entry, and `StepInfo`.
+
+    `age`: s between the time for which the estimate is valid and that of its row; None where they are the same.
+    """
+
+    mean: Any
+    cov: Any
+    log_likelihood: Scalar
+    nis: Scalar
+    nis_dof: Scalar
+    wrapped: Scalar
+    status: Scalar
+    age: Scalar | None = None
+
+
+Score = Callable[[Output, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
+"""Numbers per trajectory, (B,) each, of one time step: a function of its output and its truth."""
+
+
+def scan_rows(
+    tracker: RecursiveTracker,
+    batch: Batch,
+    initial: ScanState | None = None,
+    score: Score | None = None,
+    moments: Callable[[Any], tuple[Any, AnyCovariance]] | None = None,
+    every_row: bool = False,
+) -> tuple[tuple[Any, ...], Any, Any]:
+    """All time steps of one chunk, batch-last: the outputs of every step, or with a `score` its sums over time.
+
+    `initial`: the state before the first row, by default no track. `moments`: mean and covariance of an output from the
+    belief of one trajectory, by default the tracker's. `every_row`: the scores of every step instead of their sums.
+    Returns (sums, None, None) with a score, ((), outputs, state) without.
+    """
+    size, trajectory_keys = batch.size, jnp.asarray(batch.key)
+    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
+    n_rows = jnp.zeros(size, jnp.uint32) if initial is None else jnp.asarray(initial.n_rows)
+    axes = carry_axes(tracker)
+    few = covariance.few(size) and not tracker.filter.has_particle_axis
+    every_moments = jax.vmap(
+        moments or (lambda belief: moments_by_entry(tracker, belief)), in_axes=axes.belief, out_axes=-1
+    )
+
+    def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
+        row = row._replace(key=trajectory_keys, number=n_rows + row.number)
+        carry, info = step(tracker, carry, row, few)
+        carry, info = reinitialise(tracker, carry, row, info, few)
+        mean, cov = every_moments(carry.belief)
+        return carry, Output(mean, cov, *info)
+
+    def body(state: tuple[Carry, tuple[Any, ...]], inputs: tuple[Row, Any]) -> tuple[Any, Any]:
+        carry, sums = state
+        row, truth = inputs
+        if score is None:
+            carry, output = one_row(carry, row)
+            return (carry, sums), outputs_of.packed(output) if few else output
+
+        def scored(carry: Carry) -> tuple[Carry, tuple[Any, ...]]:
+            after, output = one_row(carry, row)
+            return after, score(output._replace(cov=tuple(output.cov)), truth)
+
+        # A likelihood needs no moments; their derivatives would be traced all the same.
+        carry, scores = without_dead_code(scored, carry)
+        if every_row:
+            return (carry, sums), scores_of.packed(tuple(x[None] for x in scores))
+        return (carry, tuple(a + b for a, b in zip(sums, scores, strict=True))), None
+
+    outputs_of, scores_of = OneArray(), OneArray()
+    first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
+    if initial is None:
+        first_row = first_row._replace(key=trajectory_keys, number=jnp.zeros(size, jnp.uint32))
+        before = jax.vmap(lambda row: empty_carry(tracker, row, few), in_axes=-1, out_axes=axes)(first_row)
+    else:
+        given = jax.tree_util.tree_map(jnp.asarray, initial.carry)
+        before = jax.vmap(lambda carry: in_form(carry, few), out_axes=axes)(given)
+    # XLA chooses the layout of a carry whose first value it knows, and by it the order of sums in the loop: with one
+    # layout, a run that continues another has the bits of the one run.
+    before = jax.tree_util.tree_map(lambda x: with_layout_constraint(x, Layout(tuple(range(x.ndim)))), before)
+    sums: tuple[Any, ...] = ()
+    if score is not None and not every_row:
+        # The shapes of the score come from the state before the first row: tracing one more step takes seconds for
+        # large states.
+        zero = jnp.zeros_like(first_row.dt)
+        info = StepInfo(zero, zero, zero, zero, zero.astype(jnp.int8))
+        mean, cov = every_moments(before.belief)
+        shapes = jax.eval_shape(lambda: score(Output(mean, tuple(cov), *info), first_truth))
+        sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
+    # Particles have no derivative, so that nothing is marked as dependent.
+    start = (before, sums) if tracker.filter.has_particle_axis else mark_dependent((before, sums), tracker)
+    (carry, sums), outputs = jax.lax.scan(body, start, (rows, batch.truth))
+    if every_row:
+        return tuple(x[:, 0] for x in scores_of.unpacked(outputs)), None, None
+    if score is not None:
+        return sums, None, None
+    if outputs is not None and few:
+        outputs = outputs_of.unpacked(outputs)
+        outputs = outputs._replace(cov=by_entry(outputs.cov))
+    n_rows = n_rows + jnp.sum(jnp.asarray(batch.valid), axis=0, dtype=jnp.uint32)
+    return sums, outputs, ScanState(jax.vmap(lambda carry: in_form(carry, False), in_axes=(axes,))(carry), n_rows)
+
+
+def without_dead_code(function: Callable[[Any], Any], argument: Any) -> Any:
+    """`function(argument)`, traced without the operations that its results do not need."""
+    program, shapes = jax.make_jaxpr(function, return_shape=True)(argument)
+    live, used = dce_jaxpr(program.jaxpr, [True] * len(program.jaxpr.outvars))
+    leaves = jax.tree_util.tree_leaves(argument)
+    found = jax.core.eval_jaxpr(live, program.consts, *[x for x, u in zip(leaves, used, strict=True) if u])
+    return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(shapes), found)
+
+
+def moments_by_entry(tracker: RecursiveTracker, belief: Any) -> tuple[Any, AnyCovariance]:
+    """The mean of an estimate and the `entries` of its covariance."""
+    mean, cov = tracker.moments(belief)
+    return mean, entries(cov)
+
+
+def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[Carry, StepInfo]:
+    """Prediction and update of all trajectories of a chunk, and the status of their tracks.
+
+    With few trajectories a row at the time of the row before predicts nothing, and one without readings updates
+    nothing: ranges of one epoch, samples of an IMU between two ranges.
+    """
+    axes = carry_axes(tracker)
+    predict = jax.vmap(tracker.predict, in_axes=(axes.belief, -1), out_axes=axes.belief)
+    update = jax.vmap(tracker.update, in_axes=(axes.belief, -1), out_axes=(axes.belief, -1))
+    advance = jax.vmap(tracker.advance, in_axes=(axes, -1, axes.belief, -1), out_axes=(axes, -1))
+    if not few:
+        return advance(carry, row, *update(predict(carry.belief, row), row))
+
+    chosen = jax.vmap(select, (-1, axes.belief, axes.belief), axes.belief)
+
+    def where(condition: Bool[Array, " B"], after: Any, before: Any) -> Any:
+        # A trajectory that stands still beside others that move keeps its bits: they must not depend on its neighbours.
+        return after if len(condition) == 1 else chosen(condition, after, before)
+
+    moves = row.dt > 0
+    seen = jnp.any(jnp.concatenate([reading.seen for reading in row.readings.values()]), axis=0)
+
+    def measured(belief: Any) -> tuple[Any, Innovation]:
+        after, innovation = update(belief, row)
+        own = (jnp.where(seen, x, 0.0).astype(row.dt.dtype) for x in innovation)
+        return where(seen, after, belief), Innovation(*own)
+
+    def unmeasured(belief: Any) -> tuple[Any, Innovation]:
+        return belief, Innovation(*[jnp.zeros_like(row.dt)] * 4)
+
+    belief = jax.lax.cond(jnp.any(moves), lambda b: where(moves, predict(b, row), b), lambda b: b, carry.belief)
+    belief, innovation = jax.lax.cond(jnp.any(seen), measured, unmeasured, belief)
+    return advance(carry, row, belief, innovation)
+
+
+def reinitialise(
+    tracker: RecursiveTracker, carry: Carry, row: Row, info: StepInfo, few: bool
+) -> tuple[Carry, StepInfo]:
+    """Start a track in every trajectory of the chunk that has none and whose row suffices; the others are unchanged.
+
+    After a numerical failure the next row that suffices starts a track, so that the failure stays visible in its row.
+    """
+    sufficient = jax.vmap(tracker.start.can_start, in_axes=-1)(row)
+    need = row.valid & ~carry.running & sufficient & (info.status != Status.NON_FINITE)
+    candidates = search(tracker, row, need, few)
+    axes = carry_axes(tracker)
+
+    def with_new_tracks() -> Carry:
+        started = jax.vmap(lambda c, r: in_form(initial_carry(tracker, c, r), few), in_axes=-1, out_axes=axes)
+        fresh = started(candidates, row)
+        return jax.vmap(select, in_axes=(-1, axes, axes), out_axes=axes)(need, fresh, carry)
+
+    # Making a Gaussian belief costs less than the condition; making a thousand particles costs more.
+    after = (
+        jax.lax.cond(jnp.any(need), with_new_tracks, lambda: carry)
+        if tracker.filter.has_particle_axis
+        else with_new_tracks()
+    )
+    status = jnp.where(need, jnp.where(carry.started, Status.RESTARTED, Status.OK), info.status).astype(jnp.int8)
+    return after, info._replace(status=status)
+
+
+def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"], few: bool) -> Any:
+    """`start.candidate` of the trajectories where `need` (B,) is true, `STARTS_AT_ONCE` at a time; zeros elsewhere."""
+    numbers, rest = eqx.partition((tracker.start, tracker.sensors), eqx.is_array)
+    start, sensors = eqx.combine(numbers if tracker.start.smooth else jax.lax.stop_gradient(numbers), rest)
+    row = jax.lax.stop_gradient(row)
+    candidate = jax.vmap(lambda r: start.candidate(sensors, r), in_axes=-1, out_axes=-1)
+    size = need.shape[0]
+    shapes = jax.eval_shape(candidate, row)
+    nothing = jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+    def all_at_once(state: tuple[Any, Any]) -> tuple[Any, Any]:
+        need, _ = state
+        return jnp.zeros_like(need), jax.tree_util.tree_map(lambda x: jnp.where(need, x, 0.0), candidate(row))
+
+    def some(state: tuple[Any, Any]) -> tuple[Any, Any]:
+        need, candidates = state
+        index = jnp.nonzero(need, size=min(STARTS_AT_ONCE, size), fill_value=size)[0]
+        rows = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=-1, mode="clip"), row)
+        candidates = jax.tree_util.tree_map(
+            lambda a, b: a.at[..., index].set(b, mode="drop"), candidates, candidate(rows)
+        )
+        return need.at[index].set(False, mode="drop"), candidates
+
+    # XLA makes one kernel of a small loop without a scatter: right for few trajectories alone.
+    found = all_at_once if few else some
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), found, (need, nothing))[1]

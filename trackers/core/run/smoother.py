@@ -1,0 +1,85 @@
+"""Smoothed trackers: estimates given later measurements too, of the whole recording or of a fixed lag."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from trackers.core.data.estimates import Status
+from trackers.core.data.recording import Batch
+from trackers.core.errors import require
+from trackers.core.filters.filter import AbstractSmoothableFilter
+from trackers.core.filters.rts import fixed_interval, fixed_lag, in_scalars
+from trackers.core.model.algebra import Scalar
+from trackers.core.model.covariance import Gaussian, by_entry, few
+from trackers.core.model.inputs import Inputs
+from trackers.core.model.sensor import AbstractSensor
+from trackers.core.model.tunable import freeze
+from trackers.core.run.layout import Layout
+from trackers.core.run.scan import Output, moments_by_entry, scan_rows
+from trackers.core.run.tracker import AbstractEpochwiseTracker, AbstractTracker, Tracker
+
+
+class Smoothed(AbstractEpochwiseTracker):
+    """A tracker with an RTS smoother; log-likelihood, NIS and status remain those of the filter.
+
+    `lag`: fixed-lag smoothing with measurements up to `lag` s later; None for fixed-interval smoothing. The recursion
+    does not cross a restart of the track, nor the end of a run that another continues. Raises TypeError unless the
+    filter is an `AbstractSmoothableFilter`.
+    """
+
+    tracker: Tracker
+    lag: float | None = None
+
+    def __check_init__(self) -> None:
+        require(
+            isinstance(self.tracker, AbstractTracker), "Smoothed", self.tracker, "a tracker, as Smoothed(fix_tracker())"
+        )
+        if not (isinstance(self.tracker, Tracker) and isinstance(self.tracker.filter, AbstractSmoothableFilter)):
+            raise TypeError("Kalman filters and their mixtures have a smoother; chains, particles and grids have none")
+
+    def check_layout(self, layout: Layout) -> None:
+        self.tracker.check_layout(layout)
+
+    @property
+    def nis_sensors(self) -> tuple[AbstractSensor, ...]:
+        return self.tracker.nis_sensors
+
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
+        tracker = freeze(self.tracker)
+        filter_ = tracker.filter
+        assert isinstance(filter_, AbstractSmoothableFilter)
+        _, output, state = scan_rows(tracker, batch, initial, moments=lambda belief: (belief, ()))
+        filtered = output.mean
+        usable = (output.status == Status.OK) | (output.status == Status.RESTARTED)
+        connected = usable[:-1] & (output.status[1:] == Status.OK)
+        # Time steps of padding rows are no times: those of a lag's windows are sums of all of them.
+        elapsed = jnp.where(jnp.asarray(batch.valid), batch.dt, 0.0)
+        dt, inputs = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[1:], (elapsed, batch.inputs))
+
+        def gain_of(belief: Any, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
+            return filter_.rts_gain(belief, tracker.motion, connected, dt, inputs)
+
+        moments = jax.vmap(lambda belief: moments_by_entry(tracker, belief), in_axes=-1, out_axes=-1)
+
+        def estimate_of(beliefs: Any) -> Any:
+            return moments(beliefs if few(batch.size) else in_scalars(beliefs))
+
+        if self.lag is None:
+            to_next = jax.tree_util.tree_map(_with_zero_row, (connected, dt, inputs))
+            mean, cov = fixed_interval(gain_of, filter_.rts_step, estimate_of, filtered, *to_next)
+        else:
+            but_last, end = (jax.tree_util.tree_map(lambda x, k=k: x[k], filtered) for k in (slice(-1), -1))
+            lag, steps = jnp.asarray(self.lag, batch.dt.dtype), (but_last, connected, dt, inputs)
+            smoothed = jax.vmap(estimate_of)(fixed_lag(gain_of, filter_.rts_step, filtered, steps, dt, lag))
+            mean, cov = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), smoothed, moments(end))
+        return tracker.with_age(output._replace(mean=mean, cov=by_entry(cov))), state
+
+    def begin(self, prior: Gaussian, batch: Batch) -> Any:
+        return self.tracker.begin(prior, batch)
+
+
+def _with_zero_row(x: jax.Array) -> jax.Array:
+    return jnp.concatenate([x, jnp.zeros_like(x[:1])])

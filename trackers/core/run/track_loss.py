@@ -1,0 +1,129 @@
+"""Track loss: when a tracker gives up a track and starts a new one."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.filters.filter import Innovation
+from trackers.core.model.algebra import Scalar
+from trackers.core.model.covariance import AnyCovariance, variance
+from trackers.core.model.inputs import Input, Need
+from trackers.core.model.state import component_names
+from trackers.core.model.tunable import Threshold
+
+ROOM = Input(
+    "room",
+    (4,),
+    "m",
+    "lowest and highest x, lowest and highest y of a tag",
+    "`outline_m` of the rig's floor, or from the positions of anchors or stations",
+    Need.IF_GIVEN,
+)
+"""The input with the horizontal box that a tag cannot leave."""
+
+SIGMAS = 3.0
+"""Standard deviations outside the room at which a track is lost."""
+
+
+class AbstractTrackLoss(eqx.Module):
+    """The test by which a track is lost and started again; no fit changes its thresholds, a sweep does.
+
+    `initial`: the test statistic of a new track. `limit`: the name of its threshold. `max_gap`: limit of
+    the time without measurements, s; np.inf for none.
+    """
+
+    initial: ClassVar[float]
+    limit: ClassVar[str]
+    max_gap: eqx.AbstractVar[Threshold]
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The known inputs that it reads; none by default."""
+        return ()
+
+    @abstractmethod
+    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
+        """The test statistic after a row."""
+
+    @abstractmethod
+    def exceeded(self, statistic: Scalar) -> Scalar:
+        """Whether the statistic is beyond its limit."""
+
+    def relaxed(self, factor: float) -> AbstractTrackLoss:
+        """The test with its limit multiplied, for noise levels far off, with which most rows would exceed it."""
+        threshold: Threshold = getattr(self, self.limit)
+        raised = threshold.with_value(factor * np.asarray(threshold.value))
+        return eqx.tree_at(lambda test: getattr(test, test.limit), self, raised)
+
+
+class TrackLossPolicy(AbstractTrackLoss):
+    """Track loss by the NIS, for Gaussian noise.
+
+    `nis_limit`: of the running mean of NIS per degree of freedom, over about `nis_window` rows with measurements.
+    `max_gap`: as in `AbstractTrackLoss`. np.inf disables a limit.
+    """
+
+    initial: ClassVar[float] = 1.0
+    limit: ClassVar[str] = "nis_limit"
+    nis_limit: Threshold
+    nis_window: Threshold
+    max_gap: Threshold
+
+    def __init__(self, nis_limit: float = 6.0, nis_window: float = 8.0, max_gap: float = 5.0):
+        self.nis_limit, self.nis_window = Threshold(nis_limit), Threshold(nis_window)
+        self.max_gap = Threshold(max_gap, "s")
+
+    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
+        correction = (innovation.nis / jnp.maximum(innovation.nis_dof, 1.0) - statistic) / self.nis_window.value
+        return statistic + jnp.where(innovation.nis_dof > 0, correction, 0.0)
+
+    def exceeded(self, statistic: Scalar) -> Scalar:
+        return statistic > self.nis_limit.value
+
+
+class TrackScorePolicy(AbstractTrackLoss):
+    """Track loss by the fall of the track score, for heavy tails, which bound the NIS, and by the room.
+
+    The track score is the log-likelihood ratio of the track against measurements that do not depend on it, of which
+    each has the uniform density 1/`width` (Blackman and Popoli 1999, section 6.2). A track is lost where the score is
+    more than `score_limit` nats below its maximum (Page's CUSUM test): under a model that fits, a row where this
+    happens has at most the probability e^−`score_limit`. It is also lost where its mean is more than `SIGMAS` standard
+    deviations outside the input `room`. `width`: in the unit of the measurements. `max_gap`: as in `AbstractTrackLoss`.
+    """
+
+    initial: ClassVar[float] = 0.0
+    limit: ClassVar[str] = "score_limit"
+    score_limit: Threshold
+    width: Threshold
+    max_gap: Threshold
+
+    def __init__(self, width: float, unit: str, score_limit: float = 20.0, max_gap: float = 10.0):
+        self.score_limit, self.width = Threshold(score_limit), Threshold(width, unit)
+        self.max_gap = Threshold(max_gap, "s")
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return (ROOM,)
+
+    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
+        ratio = innovation.log_likelihood + innovation.nis_dof * jnp.log(self.width.value)
+        return jnp.minimum(statistic + ratio, 0.0)
+
+    def exceeded(self, statistic: Scalar) -> Scalar:
+        return statistic < -self.score_limit.value
+
+
+def outside(mean: Any, cov: AnyCovariance, room: Any) -> Scalar:
+    """Whether a position is more than `SIGMAS` standard deviations outside the room (4,) of `ROOM`."""
+    first = component_names(mean).index("position.0")
+    beyond = []
+    for axis in range(2):
+        low, high = room[2 * axis], room[2 * axis + 1]
+        distance = jnp.maximum(low - mean.position[axis], mean.position[axis] - high)
+        beyond.append((distance > 0.0) & (distance * distance > SIGMAS**2 * variance(cov, first + axis)))
+    return beyond[0] | beyond[1]

@@ -1,0 +1,198 @@
+"""Compiled programs found by what they are made of, so that a later command need not trace them.
+
+jax finds a program by its text, and tracing a tracker takes up to three seconds to write that. Here a program is found
+by the function and its arguments without the numbers in their arrays, pickled: classes, static fields, shapes, types.
+The key has the text of our packages, all versions, the settings of jax and XLA, and the processor too. What comes back
+is the same machine code. A function or an argument of other code than ours, or that cannot be pickled, is traced.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import pickle
+import platform
+import re
+import sys
+import zlib
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+from jax._src.config import trace_context
+from jax.experimental import serialize_executable
+
+from trackers.programs.freed_memory import give_back
+from trackers.programs.program_cache import ProgramStore, compiling_anew, processor
+
+OURS = ("trackers", "tuning")
+KNOWN = {*OURS, "builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy"}
+"""The packages whose classes and functions may occur in a key: their text or version is part of it."""
+
+USERS_FILE = "trackwright_"
+"""What the names of modules begin with that are files of users, who may change anything of ours."""
+
+PREFIX = "traced-"
+
+Program = Callable[[Any, Any], Any]
+
+
+class TracedPrograms:
+    """The programs that this process has loaded or compiled, and those that `store` has of earlier processes."""
+
+    def __init__(self, store: ProgramStore) -> None:
+        self.store = store
+        self.loaded: dict[bytes, Program] = {}
+        self.base = _base()
+        self.modules: tuple[tuple[int, str], bool] = ((0, ""), False)
+
+    def program(
+        self, function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str | bool] | None = None
+    ) -> Program | None:
+        """The compiled `function(model, part)` for arguments of this kind; None where it cannot be told by a key.
+
+        `options`: of the compiler, which follow from the arguments.
+        """
+        leaves, structure = jax.tree_util.tree_flatten((model, part))
+        key = self._key(function, leaves, structure)
+        if key is None:
+            return None
+        if key not in self.loaded:
+            name = PREFIX + hashlib.blake2b(key, digest_size=24).hexdigest()
+            found = self._read(name, leaves)
+            if found is None:
+                # XLA loses functions of a program that it loads and serialises again.
+                with compiling_anew():
+                    found = _compiled(function, leaves, structure, options)
+                self._write(name, found)
+            self.loaded[key] = _called(found)
+        return self.loaded[key]
+
+    def _key(self, function: Any, leaves: list[Any], structure: Any) -> bytes | None:
+        if jax.local_device_count() > 1 or jax.default_backend() != "cpu":
+            return None
+        if self._users_files():
+            return None
+        kinds = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) if eqx.is_array(x) else x for x in leaves]
+        try:
+            # Objects, not their structure: some of what a structure holds is told apart by identity.
+            made_of = _pickled((function, jax.tree_util.tree_unflatten(structure, kinds)))
+        except (pickle.PicklingError, TypeError, AttributeError):
+            return None
+        return b"".join((self.base, _text(trace_context()).encode(), made_of))
+
+    def _users_files(self) -> bool:
+        """Whether files of users were imported."""
+        # Modules are many: looked through again only once there are others.
+        modules = len(sys.modules), next(reversed(sys.modules))
+        if modules != self.modules[0]:
+            self.modules = modules, any(name.startswith(USERS_FILE) for name in [*sys.modules])
+        return self.modules[1]
+
+    def _read(self, name: str, leaves: list[Any]) -> tuple[Any, Any] | None:
+        content = self.store.get(name)
+        if content is None:
+            return None
+        arguments = jax.tree_util.tree_structure((tuple(x for x in leaves if eqx.is_array(x)), {}))
+        try:
+            payload, result = pickle.loads(zlib.decompress(content))
+            indices, outputs = jax.tree_util.tree_flatten(result)
+            flat = jax.tree_util.tree_structure(list(indices))
+            loaded = serialize_executable.deserialize_and_load(payload, arguments, flat)
+        except Exception:  # whatever a compiler makes of a program that it cannot load: it is compiled again
+            return None
+        # Loading frees 60 MB and more of a large program.
+        give_back()
+        return loaded, outputs
+
+    def _write(self, name: str, found: tuple[Any, Any]) -> None:
+        compiled, outputs = found
+        try:
+            payload = serialize_executable.serialize(compiled)[0]
+            result = jax.tree_util.tree_unflatten(outputs, range(outputs.num_leaves))
+            content = zlib.compress(pickle.dumps((payload, result)), 1)
+        except (pickle.PicklingError, TypeError, AttributeError, ValueError):
+            return
+        self.store.put(name, content)
+
+
+def _compiled(
+    function: Callable[[Any, Any], Any], leaves: list[Any], structure: Any, options: dict[str, str | bool] | None
+) -> tuple[Any, Any]:
+    """The compiled program of the arrays among the leaves, as a list, and the structure of its result."""
+    structures = []
+
+    def flat(*arrays: Any) -> list[Any]:
+        numbers = iter(arrays)
+        arguments = jax.tree_util.tree_unflatten(structure, [next(numbers) if eqx.is_array(x) else x for x in leaves])
+        result, outputs = jax.tree_util.tree_flatten(function(*arguments))
+        structures.append(outputs)
+        return result
+
+    compiled = jax.jit(flat).lower(*(x for x in leaves if eqx.is_array(x))).compile(options)
+    return compiled, structures[-1]
+
+
+def _called(found: tuple[Any, Any]) -> Program:
+    compiled, outputs = found
+
+    def program(model: Any, part: Any) -> Any:
+        arrays = (x for x in jax.tree_util.tree_leaves((model, part)) if eqx.is_array(x))
+        return jax.tree_util.tree_unflatten(outputs, compiled(*arrays))
+
+    return program
+
+
+class _KeyPickler(pickle.Pickler):
+    """Refuses what is of a package whose text or version the key does not have."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        module = getattr(obj if isinstance(obj, type) or callable(obj) else type(obj), "__module__", None) or ""
+        if module.partition(".")[0] not in KNOWN:
+            raise pickle.PicklingError(f"{obj!r}: of {module}")
+        return NotImplemented
+
+
+@cache
+def _text(settings: Any) -> str:
+    """The settings of jax as text, without addresses."""
+    return re.sub(r" at 0x[0-9a-f]+", "", repr(settings))
+
+
+def _pickled(tree: Any) -> bytes:
+    buffer = io.BytesIO()
+    _KeyPickler(buffer, protocol=5).dump(tree)
+    return buffer.getvalue()
+
+
+def _base() -> bytes:
+    """What all keys of this process have in common."""
+    root = Path(__file__).parents[2]
+    parts = [platform.python_version(), processor(), os.environ.get("XLA_FLAGS", "")]
+    parts += [f"{name} {version(name)}" for name in ("jax", "jaxlib", "numpy", "equinox")]
+    digest = hashlib.blake2b("\n".join(parts).encode(), digest_size=24)
+    for package in OURS:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.digest()
+
+
+_in_use: TracedPrograms | None = None
+
+
+def use(store: ProgramStore) -> None:
+    """From now on programs are found without tracing; for processes that change nothing of our code."""
+    global _in_use
+    _in_use = TracedPrograms(store)
+
+
+def found_program(
+    function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str | bool] | None
+) -> Program | None:
+    """The program of `function(model, part)` that need not be traced; None where there is none, or none is wanted."""
+    return None if _in_use is None else _in_use.program(function, model, part, options)
