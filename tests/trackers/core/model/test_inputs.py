@@ -19,7 +19,7 @@ from trackers.core.model.sensor import Row
 from trackers.core.run.layout import Layout
 from trackers.core.run.tracker import AbstractTracker, Tracker
 
-PAGE = Path(__file__).parents[3] / "docs/inputs.md"
+PAGE = Path(__file__).parents[4] / "docs/inputs.md"
 FORWARD = {name: case for name, case in CASES.items() if "smoothed" not in name}
 RECURSIVE = [name for name, case in FORWARD.items() if isinstance(case.tracker(), Tracker)]
 OTHERS = [name for name in FORWARD if name not in RECURSIVE]
