@@ -22,7 +22,7 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks_table import read_tracks
 from trackers.recordings.truth import TruthStatus
 
-RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[2] / ".." / "shared" / "recordings"))
+RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[3] / ".." / "shared" / "recordings"))
 
 
 def _tracks(t, x, recording="hall", tag="1", **columns):
