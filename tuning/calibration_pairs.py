@@ -58,7 +58,7 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
     """The pairs of each station or anchor of one recording."""
     assert kind.predicted is not None
     rows, ids = folder.rows(kind.name), list(kind.places(folder.rig))
-    measured = rows.floats(kind.least)
+    measured, readings = rows.floats(kind.least), kind.values(rows)
     positions, status = folder.paths.at(rows.tags, rows.starts, rows.times)
     # A truth over the floor is completed by the height of the tag in the rig.
     heights = rows.of_each(known_heights(folder, rows.tags))
@@ -69,10 +69,8 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
     sensor = kind.numbers(rows, ids)
     true = kind.predicted(positions, kind.sensors_of(folder.rig, ids, sensor, len(kind.columns)))
     # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
-    away = measured - true
-    values = measured - (away - wrapped(away, kind.least))
-    positive = np.array([column.positive for column in kind.columns])
-    values = np.where(positive & ~(values > 0.0), np.nan, values)
+    away = readings - true
+    values = readings - (away - wrapped(away, kind.least))
     for code, name in enumerate(ids):
         own = known & (sensor[:, 0] == code)
         yield (

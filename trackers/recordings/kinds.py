@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 
 from trackers.core.data.seconds import seconds
 from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Point, Rig
+from trackers.core.model.rig import Point, Rig, angles_in_array
 from trackers.recordings.columns import TagRows
 
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -142,6 +142,16 @@ class Kind:
         """Whether its values are azimuth and elevation."""
         return [column.name for column in self.columns] == ["azimuth_rad", "elevation_rad"]
 
+    @cached_property
+    def distance(self) -> bool:
+        """Whether its values are a distance, of which zero and below is no reading."""
+        return self.columns[0].positive
+
+    @cached_property
+    def shown(self) -> tuple[str, float]:
+        """The unit in which its errors are shown, and how many of it are one of its own."""
+        return ("°", math.degrees(1.0)) if self.angles else (f" {self.unit}", 1.0)
+
     def places(self, rig: Rig) -> dict[str, Point]:
         """The positions, m, of the anchors or stations of a rig that its sensors may be; none without sensors."""
         if self.noun == "station":
@@ -175,6 +185,12 @@ class Kind:
     def sizes(self, which: Literal["bias", "large", "floor"], columns: int) -> Float[np.ndarray, " m"]:
         """A size of errors of each of so many columns."""
         return np.broadcast_to(np.array([getattr(column, which) for column in self.columns]), (columns,))
+
+    def values(self, rows: TagRows) -> Float[np.ndarray, "N m"]:
+        """The readings of rows in the columns that a table has at least, NaN where there is none."""
+        found = rows.floats(self.least)
+        positive = np.array([column.positive for column in self.columns])
+        return np.where(positive & ~(found > 0.0), np.nan, found) if positive.any() else found
 
     def numbers(self, rows: TagRows, ids: Sequence[str]) -> Int[np.ndarray, "N k"]:
         """The numbers in `ids` of the sensors of each row."""
@@ -212,8 +228,7 @@ def _positions(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
 
 
 def _angles(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
-    x, y, z = sensors.in_array(positions)
-    return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=1)
+    return angles_in_array(sensors.in_array(positions))
 
 
 def _phases(positions: np.ndarray, sensors: Sensors) -> np.ndarray:

@@ -121,7 +121,7 @@ def _channels(
     values = _without_systematic_errors(folder, kind, rows, ids, number)
     source = number[:, 0] if kind.sensors else np.zeros(len(values), int)
     about = [wrapped(values - predicted, columns) for predicted in (at_estimate, at_truth)]
-    factor, unit = (np.degrees(1.0), "°") if kind.angles else (1.0, kind.unit)
+    unit, factor = kind.shown[0].strip(), kind.shown[1]
     for k, column in enumerate(columns):
         name = column.rpartition("_")[0].replace("_", " ")
         yield Channel(
@@ -134,8 +134,7 @@ def _without_systematic_errors(
     folder: RecordingFolder, kind: Kind, rows: TagRows, ids: list[str], number: np.ndarray
 ) -> np.ndarray:
     """The readings (N, m), NaN where one is missing, without what the calibration says of their anchors or stations."""
-    values = rows.floats(kind.least)
-    values = np.where(np.array([column.positive for column in kind.columns]) & ~(values > 0.0), np.nan, values)
+    values = kind.values(rows)
     if folder.calibration is None or kind.calibrated is None:
         return values
     if kind.calibrated == "stations":

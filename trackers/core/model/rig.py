@@ -27,6 +27,12 @@ def rotation_matrices(quaternions: Float[np.ndarray, "*rows 4"]) -> Float[np.nda
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
+def angles_in_array(points: Float[np.ndarray, "3 *rows"]) -> Float[np.ndarray, "*rows 2"]:
+    """Azimuth and elevation (..., 2), rad, of points in array frames: u = (sin az cos el, sin el, cos az cos el)."""
+    x, y, z = points
+    return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
+
+
 @dataclass(frozen=True)
 class Station:
     """An angle-of-arrival station.
@@ -60,8 +66,7 @@ class Station:
 
     def angles(self, world: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 2"]:
         """Azimuth and elevation (..., 2), rad, of world points (..., 3): u = (sin az cos el, sin el, cos az cos el)."""
-        x, y, z = np.moveaxis(self.position_in_array(world), -1, 0)
-        return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
+        return angles_in_array(np.moveaxis(self.position_in_array(world), -1, 0))
 
     def antenna_positions(self) -> Float[np.ndarray, "n 3"]:
         """The antenna positions (n, 3), m, world frame; raises UnusableInput for a station without an array."""

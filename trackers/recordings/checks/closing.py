@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from trackers.core.model.rig import angles_in_array
 from trackers.recordings.checks.readings import MOST_ROWS
-from trackers.recordings.kinds import KINDS, Kind
+from trackers.recordings.kinds import KINDS, Kind, wrapped
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackers.recordings.folder import RecordingFolder
@@ -76,9 +77,8 @@ class Moments(NamedTuple):
         normal[:, 2, 2] += weight
         side[:, 2] += weight * height
         p = np.linalg.solve(normal, side[..., None])[..., 0]
-        x, y, z = np.einsum("gij,egi->jeg", self.axes, p[:, None] - self.places)
-        found = np.stack([azimuth - np.arctan2(x, z), elevation - np.arctan2(y, np.hypot(x, z))], axis=2)
-        return np.where(known[..., None], np.mod(found + np.pi, 2 * np.pi) - np.pi, np.nan)
+        found = self.values - angles_in_array(np.einsum("gij,egi->jeg", self.axes, p[:, None] - self.places))
+        return np.where(known[..., None], wrapped(found, self.kind.least), np.nan)
 
 
 def moments(recording: RecordingFolder, table: str) -> Moments | None:

@@ -43,7 +43,7 @@ def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
     A warning where they do not without one anchor or station, and where nothing explains it.
     """
     kind = KINDS[table]
-    closes = len(kind.sensors) == 1 and (kind.angles or kind.columns[0].positive)
+    closes = len(kind.sensors) == 1 and (kind.angles or kind.distance)
     found = moments(recording, table) if closes else None
     if found is None or (before := found.closing()) <= ONE_LARGE[kind.unit]:
         return []
@@ -51,7 +51,7 @@ def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
     tried = [(changed.closing(), change, cause) for change, cause, changed in (_changes(found) if large else ())]
     least = min(tried, default=(before,))[0]
     apart = min(_without_each(found), default=(np.inf, ""))
-    unit, factor = ("°", np.degrees(1.0)) if kind.angles else (" m", 1.0)
+    unit, factor = kind.shown
     message = f"readings of one moment contradict each other by {significant(factor * before, 2)}{unit}"
     if apart[0] <= CLEARER * min(before, least):
         line = f"{message}, and by {significant(factor * apart[0], 2)}{unit} without {kind.noun} {apart[1]}"

@@ -24,7 +24,7 @@ def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckRes
         return []
     contrary: dict[str, str] = {}
     for name, kind in KINDS.items():
-        if name in tables and kind.columns[0].positive:
+        if name in tables and kind.distance:
             contrary |= _short_distances(rig, tables[name], kind, heights)
     contrary |= _true_heights(tables["truth"], heights) if "truth" in tables else {}
     return [

@@ -105,7 +105,7 @@ def _judged(
 def _sentence(view: Compared, best: Explanation, groups: np.ndarray) -> str:
     chosen = np.flatnonzero(groups)
     errors = view.sizes(view.errors(), bias=False)[chosen]
-    unit, factor = "°" if view.kind.angles else f" {view.kind.unit}", np.degrees(1.0) if view.kind.angles else 1.0
+    unit, factor = view.kind.shown
     largest = [factor * float(np.nanmedian(np.nanmax(x, axis=1))) for x in (errors, best.sizes[chosen])]
     sizes = [f"{significant(size, 2)}{unit}" for size in largest]
     where = ""

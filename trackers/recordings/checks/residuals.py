@@ -131,7 +131,7 @@ def _all_turned(found: Sequence[Residuals], view: Compared) -> list[CheckResult]
     if (
         not len(biases)
         or np.abs(np.sum(np.sign(biases))) < len(biases)
-        or np.abs(biases).min() < KINDS["bearings"].columns[0].bias
+        or np.abs(biases).min() < view.kind.columns[0].bias
     ):
         return []
     message = (

@@ -62,7 +62,7 @@ def _of_lengths(view: Compared) -> Iterator[Explanation]:
         sizes_with(view, values=view.values - offset[view.group]), 1, True, kept,
         parts=tuple(f"{x:+.2f} m" for x in offset[:, 0]),
     )  # fmt: skip
-    if not view.kind.columns[0].positive:
+    if not view.kind.distance:
         return
     ratio = _medians(view, view.values / np.maximum(view.predicted(), 0.1))
     kept = np.abs(np.log(np.maximum(np.abs(ratio[:, 0]), 1e-6))) > 0.05

@@ -82,7 +82,7 @@ def _anchor_lengths(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckR
     distances = [
         tables[name][kind.columns[0].name].abs().rename("distance")
         for name, kind in KINDS.items()
-        if name in tables and kind.columns[0].positive
+        if name in tables and kind.distance
     ]
     if len(rig.anchors) < 2 or not any(one.count() for one in distances):
         return []
