@@ -63,19 +63,19 @@ docs: .venv-docs/installed
 	@echo 'wrote out/site; with search: $(PYTHON) -m http.server -d out/site'
 
 papers: env
-	$(BIN)/python -m experiments.lab.papers.reproduce
+	$(BIN)/python -m trackwright.experiments.lab.papers.reproduce
 
 bench: env
-	for name in beam particles tuning waiting cluster; do $(BIN)/python -m experiments.lab.bench $$name || exit; done
+	for name in beam particles tuning waiting cluster; do $(BIN)/python -m trackwright.experiments.lab.bench $$name || exit; done
 
 bench-peers: .venv-peers/installed
-	for name in beam particles tuning; do $(PEERS)/python -m experiments.lab.bench $$name --peers || exit; done
-	$(PEERS)/python -m experiments.lab.bench recordings --smooth --page docs/performance.md
-	$(PEERS)/python -m experiments.lab.bench growth --page docs/performance.md
+	for name in beam particles tuning; do $(PEERS)/python -m trackwright.experiments.lab.bench $$name --peers || exit; done
+	$(PEERS)/python -m trackwright.experiments.lab.bench recordings --smooth --page docs/performance.md
+	$(PEERS)/python -m trackwright.experiments.lab.bench growth --page docs/performance.md
 
 # On a host with CUDA GPUs; the result file is out/bench-gpu.json.
 bench-gpu: .venv-gpu/installed
-	$(GPU)/python -m experiments.lab.bench gpu
+	$(GPU)/python -m trackwright.experiments.lab.bench gpu
 
 clean:
 	rm -rf .venv .venv-peers .venv-gpu .venv-docs out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

@@ -1,6 +1,6 @@
-"""`python -m experiments` is `trackwright`."""
+"""`python -m trackwright.experiments` is `trackwright`."""
 
-from experiments.cli.main import main
+from trackwright.experiments.cli.main import main
 
 if __name__ == "__main__":
     main()

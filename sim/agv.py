@@ -9,12 +9,12 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sim.corruptions import Corruption, corrupted, gauss_markov, outliers
-from sim.fixes import correlated_noise
-from sim.keys import Keys, in_blocks, stream, trajectory_keys, uniforms
-from sim.tables import AXES, ArrayRows, folder_of
-from trackers.mhk.tracker import STILL
-from trackers.recordings.folder import RecordingFolder
+from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, outliers
+from trackwright.sim.fixes import correlated_noise
+from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_keys, uniforms
+from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.trackers.mhk.tracker import STILL
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 LARGEST_SPEED, LARGEST_ACCELERATION = 2.0, 2.0
 """Limits of the paper's vehicle, m/s and m/s²."""

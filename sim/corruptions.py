@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from jaxtyping import Bool, Float, Real
 
-from sim.keys import Keys, normals, stream, uniforms
+from trackwright.sim.keys import Keys, normals, stream, uniforms
 
 Times = Float[np.ndarray, " T"]
 Values = Float[np.ndarray, "n T *channels"]

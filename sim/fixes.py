@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from sim.corruptions import Corruption, Seen, Times, Values
-from sim.keys import Keys, normals, stream, uniforms
+from trackwright.sim.corruptions import Corruption, Seen, Times, Values
+from trackwright.sim.keys import Keys, normals, stream, uniforms
 
 
 def correlated_noise(covariance: Float[np.ndarray, "i j"]) -> Corruption:

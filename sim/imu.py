@@ -17,16 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sim.corruptions import Corruption, Seen, Times, Values, corrupted
-from sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
-from sim.paths import PathFunction
-from sim.ranging import WALK, Protocol, SimulatedRanges, round_robin, simulate_ranges
-from sim.tables import AXES, ArrayRows, OnDemand, folder_of
-from trackers.core.model.algebra import Vector
-from trackers.core.model.rig import Rig
-from trackers.core.model.state import Rotation
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import QUATERNION
+from trackwright.sim.corruptions import Corruption, Seen, Times, Values, corrupted
+from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
+from trackwright.sim.paths import PathFunction
+from trackwright.sim.ranging import WALK, Protocol, SimulatedRanges, round_robin, simulate_ranges
+from trackwright.sim.tables import AXES, ArrayRows, OnDemand, folder_of
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.model.state import Rotation
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import QUATERNION
 
 GRAVITY = 9.81
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float32, Key, Shaped, UInt32
 
-from trackers.core.model.keys import threefry
+from trackwright.trackers.core.model.keys import threefry
 
 Keys = Key[jax.Array, " n"]
 """Typed keys of JAX, one per trajectory."""

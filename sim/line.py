@@ -9,12 +9,12 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
-from sim.keys import Keys, in_blocks, stream, trajectory_keys, uniforms
-from sim.tables import AXES, ArrayRows, folder_of
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.rig import Tag
-from trackers.recordings.folder import RecordingFolder
+from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
+from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_keys, uniforms
+from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.rig import Tag
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 THESIS_KNOTS = np.array([[2.615, 8.26], [6.665, 8.26], [6.665, 6.151], [2.615, 6.151], [2.615, 4.065], [6.665, 4.065]])
 """The corners of the path, m: Table 2.1 with the millimetres of equation (2.5)."""

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float
 
-from sim.keys import Keys, normals, stream, uniforms
+from trackwright.sim.keys import Keys, normals, stream, uniforms
 
 Times = Float[np.ndarray, " T"]
 Positions = Float[np.ndarray, "n T 3"]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Float64
 
-from trackers.core.model.rig import Station
+from trackwright.trackers.core.model.rig import Station
 
 
 def wrapped(angle: Float[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:

@@ -13,13 +13,13 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sim.corruptions import Corruption, Seen, Times, Values, corrupted, in_bursts
-from sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
-from sim.paths import PathFunction, hand_motion
-from sim.tables import AXES, ArrayRows, folder_of
-from trackers.core.model.rig import Rig, Tag
-from trackers.recordings.folder import RecordingFolder
-from trackers.uwb_imu.ranging import SPEED_OF_LIGHT, double_sided, single_sided
+from trackwright.sim.corruptions import Corruption, Seen, Times, Values, corrupted, in_bursts
+from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
+from trackwright.sim.paths import PathFunction, hand_motion
+from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.uwb_imu.ranging import SPEED_OF_LIGHT, double_sided, single_sided
 
 Ranges = Float[np.ndarray, "n T anchors"]
 

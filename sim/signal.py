@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from sim.keys import Keys, normals, stream, uniforms
-from sim.phases import antenna_arrays, wrapped
-from trackers.aoa.layout import SPEED_OF_LIGHT
-from trackers.core.model.rig import Station
+from trackwright.sim.keys import Keys, normals, stream, uniforms
+from trackwright.sim.phases import antenna_arrays, wrapped
+from trackwright.trackers.aoa.layout import SPEED_OF_LIGHT
+from trackwright.trackers.core.model.rig import Station
 
 
 @dataclass(frozen=True)

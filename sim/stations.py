@@ -10,15 +10,15 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int
 
-from sim.corruptions import Corruption, corrupted, white_noise
-from sim.keys import stream, trajectory_keys, uniforms
-from sim.paths import PATHS, WORK_VOLUME, PathFunction
-from sim.phases import antenna_arrays, plane_phases, spherical_phases, wrapped
-from sim.signal import Radar, Reflector, signal_phases
-from sim.tables import AXES, ArrayRows, folder_of
-from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-from trackers.core.model.rig import Rig, Station
-from trackers.recordings.folder import RecordingFolder
+from trackwright.sim.corruptions import Corruption, corrupted, white_noise
+from trackwright.sim.keys import stream, trajectory_keys, uniforms
+from trackwright.sim.paths import PATHS, WORK_VOLUME, PathFunction
+from trackwright.sim.phases import antenna_arrays, plane_phases, spherical_phases, wrapped
+from trackwright.sim.signal import Radar, Reflector, signal_phases
+from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 # All chunks have one shape, the last one padded: nothing is compiled twice, and a chunk fits the processor's cache.
 _CHUNK, _SIGNAL_CHUNK = 64, 2
@@ -64,8 +64,8 @@ def work_station(antennas: Float[np.ndarray, "n 2"] | None = None, radius: float
 
     Each faces the centre of the volume, all of which lies within 29 degrees of its boresight (at 0.4 m); the x axis of
     its array is horizontal, along the world's -x. `antennas` (n, 2), m: another array than the default one, whose
-    layout is fitted (`python -m experiments.lab.papers.will_2020.fit_array_layout`). The paper prints no station
-    positions; these are chosen.
+    layout is fitted (`python -m trackwright.experiments.lab.papers.will_2020.fit_array_layout`). The paper prints no
+    station positions; these are chosen.
     """
     layout = DEFAULT_ANTENNAS if antennas is None else np.asarray(antennas, float)
     lower, upper = WORK_VOLUME

@@ -11,12 +11,12 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float, Int
 
-from trackers.core.model.rig import Rig, Tag
-from trackers.recordings.columns import TagRows
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import table_kinds
-from trackers.recordings.tables_by_tag import Tables
-from trackers.recordings.truth import TruePaths
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.recordings.columns import TagRows
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import table_kinds
+from trackwright.trackers.recordings.tables_by_tag import Tables
+from trackwright.trackers.recordings.truth import TruePaths
 
 
 @runtime_checkable

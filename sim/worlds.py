@@ -19,17 +19,17 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from sim.parameters import ParameterError, Range, checked, refuse_unknown
+from trackwright.sim.parameters import ParameterError, Range, checked, refuse_unknown
 
 if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Int
 
-    from sim.corruptions import Corruption
-    from sim.tables import Simulated
-    from trackers.core.data.recording import Recording
-    from trackers.recordings.folder import RecordingFolder
-    from trackers.recordings.trajectories import Trajectory
+    from trackwright.sim.corruptions import Corruption
+    from trackwright.sim.tables import Simulated
+    from trackwright.trackers.core.data.recording import Recording
+    from trackwright.trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.recordings.trajectories import Trajectory
 
 __all__ = ["WORLDS", "SimulatedWorld", "agv", "line", "ranges", "station", "tool"]
 
@@ -56,7 +56,7 @@ class SimulatedWorld:
         `tracker`: a name of `trackers.catalogue`, by default the one that fits the folder. `free_height`: heights are
         estimated even where they are known. Raises UnusableInput for a tracker that lacks a table here.
         """
-        from trackers import catalogue
+        from trackwright.trackers import catalogue
 
         folder = self.folder()
         name = tracker or catalogue.fitting(folder)
@@ -98,8 +98,8 @@ def station(
     """
     import numpy as np
 
-    from sim import corruptions
-    from sim.stations import simulate_phases, work_station
+    from trackwright.sim import corruptions
+    from trackwright.sim.stations import simulate_phases, work_station
 
     rig = work_station()
     errors: dict[str, Corruption] = {}
@@ -144,7 +144,7 @@ def line(
         speed: mean speed along the line, m/s.
         rate_hz: fixes per second.
     """
-    from sim.line import simulate_line
+    from trackwright.sim.line import simulate_line
 
     world = simulate_line(situation, _ids(n, ids).tolist(), seed, speed=speed, rate_hz=rate_hz)
     return SimulatedWorld(f"simulated-line-{situation}-{seed}", world)
@@ -173,8 +173,8 @@ def ranges(
         hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
         lost: share of the ranges that are missing.
     """
-    from sim import corruptions
-    from sim.ranging import antenna_biases, chamber, obstruction, simulate_ranges
+    from trackwright.sim import corruptions
+    from trackwright.sim.ranging import antenna_biases, chamber, obstruction, simulate_ranges
 
     errors: dict[str, Corruption] = {}
     if bias > 0:
@@ -209,8 +209,8 @@ def tool(
         rate_hz: ranges per second; the rate of IMU samples is three times as high.
         gap: start and end of a gap in the IMU's samples, s.
     """
-    from sim.imu import simulate_uwb_imu
-    from sim.ranging import chamber
+    from trackwright.sim.imu import simulate_uwb_imu
+    from trackwright.sim.ranging import chamber
 
     if gap is not None and not 0 <= gap[0] < gap[1]:
         raise ParameterError("gap", gap, "two times in seconds, the first before the second")
@@ -241,9 +241,9 @@ def agv(
         latency: delay of the fixes, s.
         mirror: share of the time for which heights are mirrored at the anchors' plane.
     """
-    from sim import corruptions
-    from sim.agv import ANCHOR_HEIGHT, FIX_ERRORS, simulate_agv
-    from sim.fixes import delayed, mirrored_heights
+    from trackwright.sim import corruptions
+    from trackwright.sim.agv import ANCHOR_HEIGHT, FIX_ERRORS, simulate_agv
+    from trackwright.sim.fixes import delayed, mirrored_heights
 
     # Corruptions that depend on the true path come before those that add noise.
     errors: dict[str, Corruption] = {}
@@ -260,7 +260,7 @@ def agv(
 
 def _in_arrays(trajectory: Trajectory) -> Recording:
     """The rows of a trajectory, with the input `height` only where the rig gives the tag one."""
-    from trackers.recordings.trajectories import known_height
+    from trackwright.trackers.recordings.trajectories import known_height
 
     recording = trajectory.recording
     if known_height(trajectory.folder, trajectory.tag) is not None:

@@ -15,21 +15,21 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from sim.stations import facing
 from tests.known_start import KnownStart
-from trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
-from trackers.aoa.cascade import cascade_tracker
-from trackers.aoa.fusion import BearingSensor, bearing_inputs
-from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
-from trackers.baselines.fixes import fix_tracker
-from trackers.baselines.switching import MirrorSensor
-from trackers.catalogue import TRACKERS
-from trackers.core.data.recording import Recording
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.filters.imm import SwitchingMotion
-from trackers.core.filters.particle.filter import ParticleFilter
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import (
+from trackwright.sim.stations import facing
+from trackwright.trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
+from trackwright.trackers.aoa.cascade import cascade_tracker
+from trackwright.trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackwright.trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
+from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.baselines.switching import MirrorSensor
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.core.data.recording import Recording
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.filters.imm import SwitchingMotion
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import (
     AbstractMotion,
     Accelerated,
     ConstantPosition,
@@ -38,26 +38,26 @@ from trackers.core.model.motion import (
     Kinematic,
     Placed,
 )
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.rig import Rig, Station, Tag
-from trackers.core.model.sensor import AbstractSensor
-from trackers.core.model.state import Heading, Rotation
-from trackers.core.model.tunable import Scale
-from trackers.core.run.checks import Still
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import AbstractTracker, Tracker
-from trackers.line.fixes import FloorFixes
-from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
-from trackers.line.tracker import line_grid_tracker, line_tracker
-from trackers.mhk.tracker import STILL, mhk_tracker
-from trackers.parts.drifting_biases import BiasedState, DriftingBiases
-from trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
-from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.parts.singer import Singer
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectory, cut
-from trackers.uwb_imu.inertial import inertial_tracker
-from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.rig import Rig, Station, Tag
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.model.state import Heading, Rotation
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.checks import Still
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.line.fixes import FloorFixes
+from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
+from trackwright.trackers.line.tracker import line_grid_tracker, line_tracker
+from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
+from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases
+from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.parts.singer import Singer
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.trajectories import Trajectory, cut
+from trackwright.trackers.uwb_imu.inertial import inertial_tracker
+from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 
 TAGS, ROWS = 8, 64
 

@@ -8,7 +8,7 @@ import itertools
 import os
 from pathlib import Path
 
-from experiments.cli.runtime import FLAGS
+from trackwright.experiments.cli.runtime import FLAGS
 
 # Before jax is imported: it halves the time that XLA takes to compile, which is what most of the suite waits for.
 os.environ.setdefault("XLA_FLAGS", FLAGS)
@@ -21,7 +21,7 @@ import pytest
 
 from tests.faulty import good_tables, write_good
 from tests.in_process import trackwright
-from trackers.programs.program_cache import cache_programs
+from trackwright.trackers.programs.program_cache import cache_programs
 
 cache_programs()
 

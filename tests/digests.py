@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.cli.runtime import keep_programs, set_flags
-from experiments.lab.subprocesses import recordings_folder, required_recordings
+from trackwright.experiments.cli.runtime import keep_programs, set_flags
+from trackwright.experiments.lab.subprocesses import recordings_folder, required_recordings
 
 ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "digests"
@@ -93,7 +93,7 @@ def of_commit(revision: str, only: str) -> Path:
 def write(folder: Path, only: str) -> None:
     """Write the numbers of this tree, a file for each subject that the folder lacks."""
     from tests.catalogue import CASES
-    from trackers.recordings.atomic import atomic_write
+    from trackwright.trackers.recordings.atomic import atomic_write
 
     folder.mkdir(parents=True, exist_ok=True)
     # Long ones first. A new process for every few subjects: compiled programs take many memory maps.
@@ -146,11 +146,11 @@ def of_case(name: str) -> dict[str, np.ndarray]:
 def _numbers(tracker: Any, batch: list[Any]) -> Iterator[tuple[str, Any]]:
     import jax
 
-    from trackers.core.data.recording import stack
-    from trackers.core.model.tunable import tunables
-    from tuning.objectives import NegativeLogLikelihood
-    from tuning.parameters import flatten, select_parameters
-    from tuning.problem import Problem
+    from trackwright.trackers.core.data.recording import stack
+    from trackwright.trackers.core.model.tunable import tunables
+    from trackwright.tuning.objectives import NegativeLogLikelihood
+    from trackwright.tuning.parameters import flatten, select_parameters
+    from trackwright.tuning.problem import Problem
 
     estimates = tracker.run(batch)
     for field in ("mean", "cov_upper", "log_likelihood", "nis", "nis_dof", "wrapped", "status"):
@@ -194,7 +194,9 @@ def of_recording(name: str) -> dict[str, np.ndarray]:
 
 def _run(*arguments: Any) -> None:
     """Run a command of this tree; its output in the error that it raises."""
-    done = subprocess.run([sys.executable, "-m", "experiments", *map(str, arguments)], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "trackwright.experiments", *map(str, arguments)], capture_output=True, text=True
+    )
     if done.returncode:
         raise RuntimeError(f"trackwright {' '.join(map(str, arguments))}: {done.stdout[-500:]}{done.stderr[-2000:]}")
 

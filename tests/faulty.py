@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from trackers.core.model.rig import Station
+from trackwright.trackers.core.model.rig import Station
 
 Builder = Callable[[Path], str]
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.jobs.environment import environment
+from trackwright.experiments.jobs.environment import environment
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from unittest import mock
 
 import jax
 
-from experiments.cli.main import main
-from experiments.pages.plots import style
-from experiments.text import terminal
-from trackers.programs import traced_programs
+from trackwright.experiments.cli.main import main
+from trackwright.experiments.pages.plots import style
+from trackwright.experiments.text import terminal
+from trackwright.trackers.programs import traced_programs
 
 
 class CommandResult(NamedTuple):

@@ -8,12 +8,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from trackers.core.data.recording import Readings, Recording
-from trackers.core.model.algebra import total
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackers.core.model.start import AbstractStart
-from trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.model.algebra import total
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 
 NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 

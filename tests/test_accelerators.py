@@ -9,12 +9,12 @@ import jax
 import pytest
 
 from tests.catalogue import CASES
-from trackers.core.data.recording import stack
-from trackers.core.run.tracker import filter_batch
-from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import flatten, select_parameters
-from tuning.point import term_sums
-from tuning.problem import Problem
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.run.tracker import filter_batch
+from trackwright.tuning.objectives import NegativeLogLikelihood
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.point import term_sums
+from trackwright.tuning.problem import Problem
 
 DEFAULT = ("beam", "das", "fix-kf, smoothed", "line-grid", "mhk", "multilateration", "particles", "uwb", "uwb-imu")
 """One tracker of each kind; the others are slow together."""

@@ -10,17 +10,17 @@ from collections.abc import Mapping
 import equinox as eqx
 import pytest
 
-import trackers
 from tests.catalogue import CASES, MOTIONS, SENSORS
-from trackers.catalogue import TRACKERS
-from trackers.core.filters.filter import AbstractFilter
-from trackers.core.filters.particle.filter import AbstractOutputMap, AbstractPotential
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.sensor import AbstractSensor
-from trackers.core.model.start import AbstractStart
-from trackers.core.run.checks import Still
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import AbstractTracker
+from trackwright import trackers
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.core.filters.filter import AbstractFilter
+from trackwright.trackers.core.filters.particle.filter import AbstractOutputMap, AbstractPotential
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.run.checks import Still
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import AbstractTracker
 
 
 def _modules():

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 
-from sim.corruptions import white_noise
-from sim.keys import trajectory_keys
-from trackers.core.model.polyline import Polyline
-from tuning.optimisers import LBFGS
+from trackwright.sim.corruptions import white_noise
+from trackwright.sim.keys import trajectory_keys
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.tuning.optimisers import LBFGS
 
 
 def test_core():

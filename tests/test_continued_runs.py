@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.catalogue import CASES
-from trackers.core.data.recording import stack
-from trackers.core.run.tracker import filter_batch
-from trackers.recordings.trajectories import cut
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.run.tracker import filter_batch
+from trackwright.trackers.recordings.trajectories import cut
 
 QUICK = ("fix-kf", "particles", "median", "mhk with memory", "das in the plane of the array")
 """One of each kind: a Kalman filter, random numbers, a window, composed trackers, a tracker without memory."""

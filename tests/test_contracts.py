@@ -3,7 +3,7 @@
 import pytest
 
 from tests.catalogue import MOTIONS, SENSORS
-from trackers.core.run.checks import check_motion, check_sensor
+from trackwright.trackers.core.run.checks import check_motion, check_sensor
 
 
 @pytest.mark.parametrize("name", MOTIONS)

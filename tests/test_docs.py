@@ -19,7 +19,7 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import assert_refused, trackwright
-from trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.kinds import KINDS
 
 ROOT = Path(__file__).parents[1]
 
@@ -273,10 +273,10 @@ def test_the_site_is_built_without_a_broken_link(tmp_path):
 
 @pytest.mark.slow
 def test_a_wheel_has_all_files_of_the_packages_and_the_command(tmp_path):
-    packages = ("trackers", "sim", "tuning", "experiments", "trackwright-stubs")
-    for name in (*packages, "trackwright.py", "pyproject.toml", "README.md", "LICENSE"):
-        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
-        copy(ROOT / name, tmp_path / name)
+    for name in ("trackers", "sim", "tuning", "experiments", "trackwright"):
+        shutil.copytree(ROOT / name, tmp_path / name, symlinks=True)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tmp_path / name)
     line = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", str(tmp_path), "-w", str(tmp_path)]
     done = subprocess.run(line, capture_output=True, text=True, check=False)
     if "No matching distribution found for setuptools" in done.stderr:
@@ -284,14 +284,20 @@ def test_a_wheel_has_all_files_of_the_packages_and_the_command(tmp_path):
     assert done.returncode == 0, done.stderr
     (wheel,) = tmp_path.glob("trackwright-*.whl")
     held = set(zipfile.ZipFile(wheel).namelist())
+    assert {name.partition("/")[0].partition("-")[0] for name in held} == {"trackwright"}
+    left_out = ("experiments/lab/bench", "experiments/lab/validation")
     ours = [
-        path.relative_to(ROOT).as_posix() for name in packages for path in (ROOT / name).rglob("*") if path.is_file()
+        f"trackwright/{path.relative_to(ROOT).as_posix()}"
+        for package in ("trackers", "sim", "tuning", "experiments")
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and not path.relative_to(ROOT).as_posix().startswith(left_out)
     ]
-    left_out = (".md", ".json", ".pyc")
-    missing = [name for name in ours if not name.endswith(left_out) and name not in held]
+    missing = [name for name in ours if not name.endswith((".md", ".json", ".pyc")) and name not in held]
     assert not missing
+    assert not [name for name in held if name.startswith(tuple(f"trackwright/{folder}" for folder in left_out))]
+    assert "trackwright/py.typed" in held
     (entry,) = (name for name in held if name.endswith("entry_points.txt"))
-    assert b"trackwright = experiments.cli.main:main" in zipfile.ZipFile(wheel).read(entry)
+    assert b"trackwright = trackwright.experiments.cli.main:main" in zipfile.ZipFile(wheel).read(entry)
 
 
 @pytest.fixture
@@ -299,8 +305,7 @@ def installed(tmp_path):
     """The interpreter of an environment in which the packages are installed, as a wheel would install them."""
     EnvBuilder(with_pip=False, symlinks=True).create(tmp_path / "env")
     (packages,) = (tmp_path / "env" / "lib").glob("python3*/site-packages")
-    for name in ("trackers", "sim", "tuning", "experiments", "trackwright.py", "trackwright-stubs"):
-        (packages / name).symlink_to(ROOT / name)
+    (packages / "trackwright").symlink_to(ROOT / "trackwright")
     (tmp_path / "project").mkdir()
     return tmp_path / "env" / "bin" / "python"
 
@@ -325,14 +330,14 @@ def test_mypy_in_a_users_project_checks_calls(installed, tmp_path):
     environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")}
     done = subprocess.run(line, cwd=tmp_path / "project", env=environment, capture_output=True, text=True, check=False)
     assert 'Argument 1 to "build" has incompatible type "int"' in done.stdout, done.stdout
-    assert "trackers.evaluation.evaluate.Evaluation" in done.stdout
+    assert "trackwright.trackers.evaluation.evaluate.Evaluation" in done.stdout
 
 
-@pytest.mark.parametrize("package", ["trackers.core", "trackers.recordings"])
-def test_every_field_that_the_docstring_of_a_record_explains_exists(package):
-    folder, missing = ROOT / package.replace(".", "/"), []
-    for path in sorted(folder.rglob("*.py")):
-        module = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+@pytest.mark.parametrize("folder", ["trackers/core", "trackers/recordings"])
+def test_every_field_that_the_docstring_of_a_record_explains_exists(folder):
+    missing = []
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        module = importlib.import_module(".".join(["trackwright", *path.relative_to(ROOT).with_suffix("").parts]))
         for name, kind in inspect.getmembers(module, inspect.isclass):
             fields = getattr(kind, "_fields", None) or list(getattr(kind, "__dataclass_fields__", ()))
             if kind.__module__ != module.__name__ or not fields:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tests.catalogue import CASES, ROWS
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import stack
-from trackers.core.model.tunable import replaced, tunables
-from trackers.core.run.tracker import Tracker
-from trackers.recordings.trajectories import cut
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.tunable import replaced, tunables
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.recordings.trajectories import cut
 
 SPOILT = 2
 """The trajectory whose measurements a test spoils."""

@@ -10,9 +10,7 @@ from types import FunctionType
 
 import pytest
 
-import sim
-import trackers
-import tuning
+from trackwright import sim, trackers, tuning
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("trackers", "sim", "tuning", "experiments")
@@ -34,7 +32,7 @@ def _part(module):
     if module.startswith("tuning.design"):
         return "design"
     if package == "experiments":
-        return f"experiments.{rest.partition('.')[0]}"
+        return f"trackwright.experiments.{rest.partition('.')[0]}"
     return package if package in PACKAGES else None
 
 
@@ -64,19 +62,23 @@ LAYERS = ("text", "jobs", "monte_carlo", "pages", "cli", "lab")
 
 OUTSIDE = {*LIBRARY, "sim", "tuning", "design"}
 for count, layer in enumerate(LAYERS, 1):
-    MAY_IMPORT[f"experiments.{layer}"] = {*OUTSIDE, *(f"experiments.{below}" for below in LAYERS[:count])}
-MAY_IMPORT["experiments."], MAY_IMPORT["experiments.__main__"] = set(), {"experiments.cli"}
+    MAY_IMPORT[f"trackwright.experiments.{layer}"] = {
+        *OUTSIDE,
+        *(f"trackwright.experiments.{below}" for below in LAYERS[:count]),
+    }
+MAY_IMPORT["experiments."], MAY_IMPORT["trackwright.experiments.__main__"] = set(), {"trackwright.experiments.cli"}
 
 
 def _imported(path):
-    """Every module that the file imports, wherever in it the import stands."""
+    """Every module that the file imports, wherever in it the import stands; ours without `trackwright.`."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            yield from (alias.name.removeprefix("trackwright.") for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import; the rule reads whole names"
-            yield node.module
-            if node.module == "trackers":
+            module = node.module.removeprefix("trackwright.")
+            yield module
+            if module == "trackers":
                 yield from (f"trackers.{alias.name}" for alias in node.names)
 
 
@@ -104,7 +106,12 @@ def test_no_modules_import_each_other_in_a_circle():
 def _modules_of(path):
     """Every name that the file imports, and `package.name` for each `from package import name`, TYPE_CHECKING included."""
     nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
-    members = {f"{n.module}.{a.name}" for n in nodes if isinstance(n, ast.ImportFrom) for a in n.names}
+    members = {
+        f"{n.module}.{a.name}".removeprefix("trackwright.")
+        for n in nodes
+        if isinstance(n, ast.ImportFrom)
+        for a in n.names
+    }
     return {*_imported(path), *members}
 
 
@@ -186,7 +193,11 @@ def test_every_test_file_is_found_by_pytest():
 
 @pytest.mark.parametrize("package", [trackers, sim, tuning], ids=lambda p: p.__name__)
 def test_the_page_of_names_lists_exactly_the_public_names(package):
-    rows = re.findall(rf"^\| `{package.__name__}` \|[^|]*\|(.*)\|$", (ROOT / "docs/api.md").read_text("utf-8"), re.M)
+    rows = re.findall(
+        rf"^\| `{package.__name__.removeprefix('trackwright.')}` \|[^|]*\|(.*)\|$",
+        (ROOT / "docs/api.md").read_text("utf-8"),
+        re.M,
+    )
     listed = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
     assert sorted(listed) == sorted(package.__all__)
     assert len(listed) == len(set(listed))

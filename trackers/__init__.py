@@ -5,6 +5,6 @@ is a motion, some sensors, a filter and a start. Estimates can become the readin
 stand below in the order in which a newcomer meets them; `trackers/README.md` shows how the parts fit.
 """
 
-from trackers.core.on_demand import names_on_demand
+from trackwright.trackers.core.on_demand import names_on_demand
 
 __getattr__, __dir__, __all__ = names_on_demand(__name__, __file__)

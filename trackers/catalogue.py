@@ -10,13 +10,13 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING
 
-from trackers.core.errors import UnusableInput, near
-from trackers.recordings.kinds import KINDS
+from trackwright.trackers.core.errors import UnusableInput, near
+from trackwright.trackers.recordings.kinds import KINDS
 
 if TYPE_CHECKING:  # shells complete the names of trackers, for which jax need not be imported
-    from trackers.recordings.folder import RecordingFolder
-    from trackers.recordings.named_tracker import NamedTracker
-    from trackers.recordings.tracker_spec import TrackerSpec
+    from trackwright.trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.recordings.named_tracker import NamedTracker
+    from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 
 SYSTEMS = ("aoa", "line", "uwb_imu", "baselines", "mhk")
 """The packages whose `rows` have catalogue entries."""
@@ -41,8 +41,8 @@ PREFERENCE: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """The trackers by kind of readings, in the order in which these are tried where none is named.
 
-`python -m experiments.lab.validation.choice` finds the order within a kind by the errors on recordings on which the
-levels of neither tracker were fitted, which are named above; docs/which-tracker.md has its figures.
+`python -m trackwright.experiments.lab.validation.choice` finds the order within a kind by the errors on recordings on
+which the levels of neither tracker were fitted, which are named above; docs/which-tracker.md has its figures.
 """
 
 
@@ -68,7 +68,7 @@ class _Catalogue(Mapping[str, "TrackerSpec"]):
 
 def _entries() -> Iterator[dict[str, TrackerSpec]]:
     for system in SYSTEMS:
-        yield import_module(f"trackers.{system}.rows").TRACKERS
+        yield import_module(f"trackwright.trackers.{system}.rows").TRACKERS
 
 
 TRACKERS: Mapping[str, TrackerSpec] = _Catalogue()
@@ -82,7 +82,7 @@ def build(
     `free_height`: estimate the height of tags even where rig.toml gives it. Raises UnusableInput for an unknown name
     and for a recording that lacks what the tracker reads.
     """
-    from trackers.recordings.named_tracker import NamedTracker
+    from trackwright.trackers.recordings.named_tracker import NamedTracker
 
     return NamedTracker.of(name, spec_of(name), recordings, free_height)
 
@@ -92,7 +92,7 @@ def tracker_for(recordings: RecordingFolder | Sequence[RecordingFolder], free_he
 
     Raises UnusableInput where none fits.
     """
-    from trackers.recordings.named_tracker import folder_list
+    from trackwright.trackers.recordings.named_tracker import folder_list
 
     folders = folder_list(recordings)
     return build(fitting(folders[0]), folders, free_height)
@@ -146,7 +146,7 @@ def _from_file(file: Path, attribute: str) -> TrackerSpec:
     except Exception as error:
         line = str(error).splitlines()[0] if str(error) else "no message"
         raise UnusableInput(f"{file}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
-    from trackers.recordings.tracker_spec import TrackerSpec
+    from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 
     found = getattr(module, attribute, None)
     if not isinstance(found, TrackerSpec):

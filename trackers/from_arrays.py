@@ -15,18 +15,18 @@ import jax
 import numpy as np
 import polars as pl
 
-from trackers.aoa.fusion import BEARINGS, bearing_inputs
-from trackers.aoa.rays import recent_points
-from trackers.core.data.recording import Readings, Recording
-from trackers.core.data.row_checks import check_times
-from trackers.core.data.seconds import seconds
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig, Station, room_rows
-from trackers.core.run.track_loss import ROOM
-from trackers.parts.fixes import FIXES
-from trackers.parts.range_rows import range_inputs
-from trackers.parts.ranges import RANGES
-from trackers.recordings.checks.units import check_units
+from trackwright.trackers.aoa.fusion import BEARINGS, bearing_inputs
+from trackwright.trackers.aoa.rays import recent_points
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.data.row_checks import check_times
+from trackwright.trackers.core.data.seconds import seconds
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig, Station, room_rows
+from trackwright.trackers.core.run.track_loss import ROOM
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.range_rows import range_inputs
+from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.recordings.checks.units import check_units
 
 COARSE_M = 1e-3
 """Spacing of numbers in single precision, m, from which on coordinates are far from their origin: that of 8 km."""

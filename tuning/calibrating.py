@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from trackers.recordings.calibration import (
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
     RANGE_PRIOR,
     TAG_SIGMA,
@@ -26,10 +26,10 @@ from trackers.recordings.calibration import (
     has_turned,
     range_terms,
 )
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import KINDS
-from tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs
-from tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs
+from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
 LEAST_SLOPE = 0.2
 """Least slope of a calibrated angle or range, so that each reading has one true value."""

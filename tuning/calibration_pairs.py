@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.recordings.columns import TagRows
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import Kind, wrapped
-from trackers.recordings.trajectories import known_heights
-from trackers.recordings.truth import TruthStatus
+from trackwright.trackers.recordings.columns import TagRows
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import Kind, wrapped
+from trackwright.trackers.recordings.trajectories import known_heights
+from trackwright.trackers.recordings.truth import TruthStatus
 
 PIECE_S, PIECE_M = 5.0, 1.0
 """Least duration, s, and way, m, of a piece of time: errors of different pieces count as independent."""

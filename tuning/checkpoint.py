@@ -11,12 +11,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write, config_hash
-from trackers.recordings.input_file import read_arrays
-from tuning.optimisation import FitState
-from tuning.optimisers import AbstractOptimiser
-from tuning.unstacked import AnyBatch, Pieces
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write, config_hash
+from trackwright.trackers.recordings.input_file import read_arrays
+from trackwright.tuning.optimisation import FitState
+from trackwright.tuning.optimisers import AbstractOptimiser
+from trackwright.tuning.unstacked import AnyBatch, Pieces
 
 CHECKPOINT = "checkpoint.npz"
 FORMAT = 2

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Num
 
-from trackers.core.data.recording import Batch
-from trackers.core.run.scan import Output
-from tuning.point import BESIDE, Point, plain_rows
-from tuning.problem import Problem
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.run.scan import Output
+from trackwright.tuning.point import BESIDE, Point, plain_rows
+from trackwright.tuning.problem import Problem
 
 WINDOWS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Lengths of the windows, s, each twice the one before."""

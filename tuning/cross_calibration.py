@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import polars as pl
 
-from trackers.recordings.folder import RecordingFolder
-from tuning.calibrating import calibrate
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.calibrating import calibrate
 
 
 def by_others(folder: RecordingFolder, folders: Sequence[RecordingFolder]) -> RecordingFolder:

@@ -10,15 +10,15 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.data.recording import Batch, stack
-from trackers.core.errors import UnusableInput, require
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.tracks import batches
-from trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
-from tuning.named_objectives import parse_objective
-from tuning.objectives import (
+from trackwright.trackers.core.data.recording import Batch, stack
+from trackwright.trackers.core.errors import UnusableInput, require
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.tracks import batches
+from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
+from trackwright.tuning.named_objectives import parse_objective
+from trackwright.tuning.objectives import (
     AbstractObjective,
     Loss,
     MeanLoss,
@@ -26,9 +26,9 @@ from tuning.objectives import (
     StateLogLikelihood,
     name_of,
 )
-from tuning.problem import is_stochastic
-from tuning.unstacked import AnyBatch, Unstacked, unstacked
-from tuning.weights import Weigh, trajectory_weights
+from trackwright.tuning.problem import is_stochastic
+from trackwright.tuning.unstacked import AnyBatch, Unstacked, unstacked
+from trackwright.tuning.weights import Weigh, trajectory_weights
 
 SEGMENT_ROWS = 8000
 """Rows of the segments that long recordings are cut into, which are fitted side by side."""

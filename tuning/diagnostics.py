@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int, Num
 
-from trackers.core.data.chi_square import chi_square_quantile
-from trackers.core.data.estimates import Estimates
-from trackers.core.data.recording import Recording
-from trackers.core.run.tracker import AbstractTracker
-from tuning.pit_uniformity import student_t_dof_of, student_t_nis_beta
+from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.data.estimates import Estimates
+from trackwright.trackers.core.data.recording import Recording
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.tuning.pit_uniformity import student_t_dof_of, student_t_nis_beta
 
 MIN_AUTOCORRELATION = 0.1
 """Correlation of consecutive rows from which on errors count as correlated in time."""

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trackers.core.data.recording import Batch
-from trackers.core.model.tunable import Covariance, Scale
-from trackers.parts.fixes import FIXES
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.tunable import Covariance, Scale
+from trackwright.trackers.parts.fixes import FIXES
 
 LAGS = 1, 2, 4, 8, 16, 32
 """Fixes between those of a difference."""

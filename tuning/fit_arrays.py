@@ -10,17 +10,17 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.data.recording import Batch, Recording, stack
-from trackers.core.errors import UnusableInput
-from trackers.core.run.requirements import check_input
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.named_tracker import NamedTracker, folder_list
-from tuning.data import FitData, fit_data, is_judged, named_objective
-from tuning.objectives import AbstractObjective, Loss, name_of
-from tuning.problem import Problem, is_stochastic
-from tuning.unstacked import AnyBatch
-from tuning.weights import Weigh, trajectory_weights
+from trackwright.trackers.core.data.recording import Batch, Recording, stack
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.run.requirements import check_input
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_list
+from trackwright.tuning.data import FitData, fit_data, is_judged, named_objective
+from trackwright.tuning.objectives import AbstractObjective, Loss, name_of
+from trackwright.tuning.problem import Problem, is_stochastic
+from trackwright.tuning.unstacked import AnyBatch
+from trackwright.tuning.weights import Weigh, trajectory_weights
 
 Arrays = Recording | Batch | Sequence[Recording] | Sequence[Batch]
 """Recordings in arrays, as `AbstractTracker.run` takes them, or several batches of them."""

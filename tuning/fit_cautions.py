@@ -8,15 +8,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.model.tunable import Scale
-from trackers.recordings.reading_grids import REPEATED, ReadingGrid
-from tuning.correlation import rows_and_inflation
-from tuning.optimum import Optimum
-from tuning.parameters import Parameter, component_kinds, component_names
-from tuning.problem import Problem
-from tuning.profiles import refit
-from tuning.reading_grids import grid_of
-from tuning.uncertainty import Uncertainty, determined
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.recordings.reading_grids import REPEATED, ReadingGrid
+from trackwright.tuning.correlation import rows_and_inflation
+from trackwright.tuning.optimum import Optimum
+from trackwright.tuning.parameters import Parameter, component_kinds, component_names
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.profiles import refit
+from trackwright.tuning.reading_grids import grid_of
+from trackwright.tuning.uncertainty import Uncertainty, determined
 
 COLLAPSED = 1e-3
 """Part of its starting value below which a noise level has collapsed."""

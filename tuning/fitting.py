@@ -12,21 +12,21 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.run.chunks import CHUNK
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.named_tracker import NamedTracker
-from trackers.recordings.reading_grids import ReadingGrid, of_raw_readings, reading_grids
-from tuning.checkpoint import from_arrays
-from tuning.data import FitData
-from tuning.fit_arrays import Arrays, fit_arrays
-from tuning.fit_cautions import collapsed, fit_cautions
-from tuning.newton import newton
-from tuning.objectives import AbstractObjective, Loss
-from tuning.optimisation import FitState, MultiStart, stands_still
-from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
-from tuning.optimum import optimum
-from tuning.parameters import (
+from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.named_tracker import NamedTracker
+from trackwright.trackers.recordings.reading_grids import ReadingGrid, of_raw_readings, reading_grids
+from trackwright.tuning.checkpoint import from_arrays
+from trackwright.tuning.data import FitData
+from trackwright.tuning.fit_arrays import Arrays, fit_arrays
+from trackwright.tuning.fit_cautions import collapsed, fit_cautions
+from trackwright.tuning.newton import newton
+from trackwright.tuning.objectives import AbstractObjective, Loss
+from trackwright.tuning.optimisation import FitState, MultiStart, stands_still
+from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
+from trackwright.tuning.optimum import optimum
+from trackwright.tuning.parameters import (
     Parameter,
     flatten,
     limits,
@@ -35,15 +35,15 @@ from tuning.parameters import (
     tuned_by_default,
     with_parameters,
 )
-from tuning.parts import LocalParts, Place
-from tuning.priors import Prior
-from tuning.problem import Evaluation, Problem
-from tuning.reading_grids import floors
-from tuning.starts import initial_state
-from tuning.uncertainty import Uncertainty, uncertainty_at, unidentifiable
-from tuning.undetermined import kept_at_start
-from tuning.unstacked import Pieces
-from tuning.weights import Weigh
+from trackwright.tuning.parts import LocalParts, Place
+from trackwright.tuning.priors import Prior
+from trackwright.tuning.problem import Evaluation, Problem
+from trackwright.tuning.reading_grids import floors
+from trackwright.tuning.starts import initial_state
+from trackwright.tuning.uncertainty import Uncertainty, uncertainty_at, unidentifiable
+from trackwright.tuning.undetermined import kept_at_start
+from trackwright.tuning.unstacked import Pieces
+from trackwright.tuning.weights import Weigh
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 

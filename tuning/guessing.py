@@ -15,20 +15,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Shaped
 
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Batch
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.inputs import AnyArray
-from trackers.core.model.tunable import Covariance, Scale, matching, role_of, tunables
-from trackers.core.run.chunks import CHUNK
-from trackers.core.run.scan import Output
-from trackers.core.run.track_loss import AbstractTrackLoss
-from trackers.core.run.tracker import AbstractTracker, Tracker
-from tuning.differences import noise_levels_of_fixes
-from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
-from tuning.parameters import Parameter, flatten, with_parameters
-from tuning.problem import Problem, has_particles
-from tuning.unstacked import AnyBatch, lengths_of, steps_of
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.inputs import AnyArray
+from trackwright.trackers.core.model.tunable import Covariance, Scale, matching, role_of, tunables
+from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.run.scan import Output
+from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.tuning.differences import noise_levels_of_fixes
+from trackwright.tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
+from trackwright.tuning.parameters import Parameter, flatten, with_parameters
+from trackwright.tuning.problem import Problem, has_particles
+from trackwright.tuning.unstacked import AnyBatch, lengths_of, steps_of
 
 ROWS, SEGMENTS, SEGMENTS_OF_PARTICLES = 400, 8, 4
 """Rows per segment and segments: long enough for a track to converge, few enough for seconds of work.

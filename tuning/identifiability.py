@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from trackers.core.errors import listed
-from trackers.core.model.tunable import Scale, tunables
-from trackers.core.run.tracker import AbstractTracker
-from tuning.objectives import AbstractObjective
-from tuning.parameters import Parameter, component_kinds, component_names
-from tuning.uncertainty import MIN_COMPONENT, Uncertainty, determined, unidentifiable, unused
+from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.model.tunable import Scale, tunables
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.tuning.objectives import AbstractObjective
+from trackwright.tuning.parameters import Parameter, component_kinds, component_names
+from trackwright.tuning.uncertainty import MIN_COMPONENT, Uncertainty, determined, unidentifiable, unused
 
 LARGE_SIGMA = 1.0
 """Standard deviation of an unconstrained number from which on it is hardly determined: a factor of e either way."""

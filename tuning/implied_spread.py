@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.core.run.tracker import AbstractTracker
 
 
 class Spread(NamedTuple):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from tuning.fitting import FitResult
-from tuning.objectives import AbstractObjective
-from tuning.profiles import MIN_TRAJECTORIES, bootstrap, percentile_intervals, profile
-from tuning.uncertainty import Uncertainty
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.tuning.fitting import FitResult
+from trackwright.tuning.objectives import AbstractObjective
+from trackwright.tuning.profiles import MIN_TRAJECTORIES, bootstrap, percentile_intervals, profile
+from trackwright.tuning.uncertainty import Uncertainty
 
 Interval = tuple[np.ndarray, np.ndarray]
 """Lowest and highest value."""

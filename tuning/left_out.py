@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tuning.fitting import FitResult, by_label
-from tuning.profiles import refit
+from trackwright.tuning.fitting import FitResult, by_label
+from trackwright.tuning.profiles import refit
 
 MOST_FOLDS = 10
 """Fits at most: of more recordings several are left out at once."""

@@ -16,19 +16,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from trackers.core.data.recording import Batch
-from trackers.core.filters.particle.filter import AbstractParticleFilter, Particles, particle_residuals
-from trackers.core.filters.particle.resampling import LOG_ZERO
-from trackers.core.filters.particle.score import normal_log_density
-from trackers.core.filters.particle.transition import check_transition_density, transition_log_density
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.sensor import Reading, Row
-from trackers.core.model.state import State
-from trackers.core.model.tunable import freeze
-from trackers.core.run.carry import initial_carry
-from trackers.core.run.chunks import as_dtype
-from trackers.core.run.tracker import Tracker
-from tuning.parameters import flatten, select_parameters, with_parameters
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, Particles, particle_residuals
+from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
+from trackwright.trackers.core.filters.particle.score import normal_log_density
+from trackwright.trackers.core.filters.particle.transition import check_transition_density, transition_log_density
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.sensor import Reading, Row
+from trackwright.trackers.core.model.state import State
+from trackwright.trackers.core.model.tunable import freeze
+from trackwright.trackers.core.run.carry import initial_carry
+from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
 
 PAIRS = 2**18
 """Pairs of particles in all trajectories that run together; more would fill the memory of a small computer."""

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.data.recording import Batch
-from trackers.core.run.chunks import CHUNK, as_dtype, chunks, run_chunks
-from trackers.core.run.tracker import AbstractTracker
-from tuning.objectives import (
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.tuning.objectives import (
     AbstractObjective,
     MissingQuantityError,
     NegativeLogLikelihood,
@@ -23,8 +23,8 @@ from tuning.objectives import (
     StateLogLikelihood,
     Weighted,
 )
-from tuning.pit_uniformity import PITUniformity
-from tuning.weights import by_chunks
+from trackwright.tuning.pit_uniformity import PITUniformity
+from trackwright.tuning.weights import by_chunks
 
 HEIGHT_WEIGHT = 0.5
 """Weight of an estimated height beside each coordinate of the plane in `state-nll`.

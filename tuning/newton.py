@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from tuning.optimisation import MultiStart, min_gain
-from tuning.optimum import Optimum, optimum
-from tuning.uncertainty import determined
+from trackwright.tuning.optimisation import MultiStart, min_gain
+from trackwright.tuning.optimum import Optimum, optimum
+from trackwright.tuning.uncertainty import determined
 
 NEWTON_STEPS = 4
 

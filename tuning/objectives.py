@@ -15,12 +15,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.data.estimates import Status
-from trackers.core.model.algebra import Scalar, cholesky, total, triangle
-from trackers.core.model.linearise import covariance_of
-from trackers.core.model.sensor import LOG_2PI
-from trackers.core.run.scan import Output
-from trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.model.algebra import Scalar, cholesky, total, triangle
+from trackwright.trackers.core.model.linearise import covariance_of
+from trackwright.trackers.core.model.sensor import LOG_2PI
+from trackwright.trackers.core.run.scan import Output
+from trackwright.trackers.core.run.tracker import AbstractTracker
 
 Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""

@@ -10,8 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from tuning.optimisers import AbstractOptimiser
-from tuning.problem import Evaluation, Problem, weighted_sum
+from trackwright.tuning.optimisers import AbstractOptimiser
+from trackwright.tuning.problem import Evaluation, Problem, weighted_sum
 
 MAX_ATTEMPTS = 7
 """Attempts at a step, each shorter than the one before; a start that none of them helps has converged."""

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tuning.objectives import AbstractObjective
-from tuning.problem import Evaluation, Problem, value_and_gradient
+from trackwright.tuning.objectives import AbstractObjective
+from trackwright.tuning.problem import Evaluation, Problem, value_and_gradient
 
 STEP = 0.02
 """Step of the central differences in unconstrained coordinates: 2 % of a noise level."""

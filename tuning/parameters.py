@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trackers.core.errors import UnusableInput
-from trackers.core.model.tunable import AbstractTunable, Threshold, matching, replaced, role_of, tunables
-from trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.tunable import AbstractTunable, Threshold, matching, replaced, role_of, tunables
+from trackwright.trackers.core.run.tracker import AbstractTracker
 
 Tree = TypeVar("Tree")
 

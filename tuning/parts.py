@@ -10,10 +10,10 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
-from trackers.core.data.recording import Batch
-from trackers.core.run.chunks import placed, run_chunks
-from tuning.point import Point
-from tuning.unstacked import lengths_of
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.run.chunks import placed, run_chunks
+from trackwright.tuning.point import Point
+from trackwright.tuning.unstacked import lengths_of
 
 Function = Callable[[Point, Batch], Any]
 """What is compiled: of a point and a chunk."""

@@ -22,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import erf, gammaln
 
-from trackers.core.model.algebra import Scalar, total
-from trackers.core.model.sensor import AbstractSensor, Reading
-from trackers.core.run.scan import Output
-from trackers.core.run.tracker import AbstractTracker
-from tuning.objectives import AbstractObjective, Truth, normalised_error
+from trackwright.trackers.core.model.algebra import Scalar, total
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.run.scan import Output
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.tuning.objectives import AbstractObjective, Truth, normalised_error
 
 ORDERS = 4
 """Polynomials: location, spread, asymmetry and weight of the ends (Rayner & Best 1989, chapter 4)."""

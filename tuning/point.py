@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trackers.core.data.recording import Batch
-from trackers.core.model.tunable import AbstractTunable
-from trackers.core.run.scan import Output
-from trackers.core.run.tracker import AbstractTracker
-from tuning.objectives import AbstractObjective
-from tuning.parameters import Parameter, with_parameters
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.tunable import AbstractTunable
+from trackwright.trackers.core.run.scan import Output
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.tuning.objectives import AbstractObjective
+from trackwright.tuning.parameters import Parameter, with_parameters
 
 BESIDE = ("nis", "nis_dof", "log_likelihood")
 """The numbers of a row beside the terms of the objective."""

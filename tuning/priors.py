@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.model.tunable import Fraction, Real, Scale
-from tuning.parameters import Parameter
+from trackwright.trackers.core.model.tunable import Fraction, Real, Scale
+from trackwright.tuning.parameters import Parameter
 
 NUMBER = r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)"
 FORM = re.compile(rf"(?P<pattern>[^=\s]+)\s*=\s*{NUMBER}\s*(?P<kind>x|\+-)\s*{NUMBER}")

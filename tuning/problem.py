@@ -12,18 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num, Shaped
 
-from trackers.core.data.recording import Batch
-from trackers.core.filters.particle.filter import AbstractParticleFilter
-from trackers.core.model.covariance import few
-from trackers.core.run.chunks import CHUNK, as_dtype
-from trackers.core.run.tracker import AbstractTracker, Tracker
-from tuning.objectives import AbstractObjective
-from tuning.parameters import Parameter, flatten
-from tuning.parts import LocalParts, Place
-from tuning.point import BESIDE, Point, plain_rows, plain_sums, row_terms, term_sums
-from tuning.priors import Penalty, Prior, penalty
-from tuning.unstacked import AnyBatch, Pieces, padded_size
-from tuning.weights import by_chunks
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter
+from trackwright.trackers.core.model.covariance import few
+from trackwright.trackers.core.run.chunks import CHUNK, as_dtype
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.tuning.objectives import AbstractObjective
+from trackwright.tuning.parameters import Parameter, flatten
+from trackwright.tuning.parts import LocalParts, Place
+from trackwright.tuning.point import BESIDE, Point, plain_rows, plain_sums, row_terms, term_sums
+from trackwright.tuning.priors import Penalty, Prior, penalty
+from trackwright.tuning.unstacked import AnyBatch, Pieces, padded_size
+from trackwright.tuning.weights import by_chunks
 
 Vectors = Float[np.ndarray, "*S p"]
 Terms = Float[np.ndarray, "many k n"]

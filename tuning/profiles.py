@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import chdtri
 
-from tuning.optimum import Optimum
-from tuning.parameters import Parameter, physical, physical_vector
-from tuning.problem import Problem
-from tuning.uncertainty import determined
+from trackwright.tuning.optimum import Optimum
+from trackwright.tuning.parameters import Parameter, physical, physical_vector
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.uncertainty import determined
 
 HALF_WIDTH = 3.5
 """Half width of a profile in standard deviations, where the likelihood of a normal shape has fallen by 6 nats."""

@@ -9,8 +9,8 @@ from fnmatch import fnmatch
 import numpy as np
 from jaxtyping import Float
 
-from trackers.recordings.reading_grids import ReadingGrid
-from tuning.parameters import Parameter
+from trackwright.trackers.recordings.reading_grids import ReadingGrid
+from trackwright.tuning.parameters import Parameter
 
 
 def floors(

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.data.recording import Batch
-from tuning.point import row_terms
-from tuning.problem import Problem
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.tuning.point import row_terms
+from trackwright.tuning.problem import Problem
 
 
 class RowInformation(NamedTuple):

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.model.tunable import Covariance, Scale, role_of
-from tuning.optimisation import FitState, MultiStart
-from tuning.parameters import Parameter
+from trackwright.trackers.core.model.tunable import Covariance, Scale, role_of
+from trackwright.tuning.optimisation import FitState, MultiStart
+from trackwright.tuning.parameters import Parameter
 
 GRID_STEP = np.log(10.0)
 """Distance between points of the coarse grid of starts, in unconstrained coordinates: a factor of ten."""

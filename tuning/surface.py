@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.model.tunable import Covariance
-from tuning.fitting import FitResult
-from tuning.parameters import Parameter, component_kinds, physical
-from tuning.sweeping import comparable_values
-from tuning.uncertainty import Uncertainty
+from trackwright.trackers.core.model.tunable import Covariance
+from trackwright.tuning.fitting import FitResult
+from trackwright.tuning.parameters import Parameter, component_kinds, physical
+from trackwright.tuning.sweeping import comparable_values
+from trackwright.tuning.uncertainty import Uncertainty
 
 POINTS, FEW = 9, 7
 """Values per axis of a surface, and where each vector is a run of its own; a curve over one number has twice as many.

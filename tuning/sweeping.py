@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.data.recording import Batch
-from trackers.core.run.chunks import CHUNK
-from trackers.core.run.tracker import AbstractTracker
-from tuning.objectives import AbstractObjective
-from tuning.parameters import TIED, Parameter, select_parameters
-from tuning.problem import Problem
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.tuning.objectives import AbstractObjective
+from trackwright.tuning.parameters import TIED, Parameter, select_parameters
+from trackwright.tuning.problem import Problem
 
 POINTS_PER_REPORT = 32
 """Grid points between two progress reports."""

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import tomli_w
 
-from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.input_file import read_toml
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.input_file import read_toml
 
 if TYPE_CHECKING:
-    from tuning.fitting import FitResult
-    from tuning.intervals import Interval
+    from trackwright.tuning.fitting import FitResult
+    from trackwright.tuning.intervals import Interval
 
 COMMENT = "# Written by `trackwright tune`; read by `trackwright track --noise`.\n"
 

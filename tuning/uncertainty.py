@@ -20,11 +20,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtri, stdtrit
 
-from trackers.core.model.tunable import Covariance
-from tuning.optimum import Optimum, optimum
-from tuning.parameters import Parameter, physical, physical_errors
-from tuning.problem import Problem
-from tuning.row_information import row_information
+from trackwright.trackers.core.model.tunable import Covariance
+from trackwright.tuning.optimum import Optimum, optimum
+from trackwright.tuning.parameters import Parameter, physical, physical_errors
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.row_information import row_information
 
 MIN_CURVATURE = 1e-5
 """Curvature of a direction, relative to the largest, below which it is undetermined: rounding."""

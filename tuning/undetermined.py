@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tuning.identifiability import flat_components
-from tuning.problem import Problem
-from tuning.profiles import refit
-from tuning.uncertainty import Uncertainty
+from trackwright.tuning.identifiability import flat_components
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.profiles import refit
+from trackwright.tuning.uncertainty import Uncertainty
 
 PART = 0.05
 """Part of what a fit gained that a flat number may have gained, where the objective is no likelihood."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int
 
-from trackers.core.data.recording import Batch, Columns
-from trackers.core.run.chunks import CHUNK, piece_size, pieces
-from trackers.recordings.tracks import by_length
-from trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.core.data.recording import Batch, Columns
+from trackwright.trackers.core.run.chunks import CHUNK, piece_size, pieces
+from trackwright.trackers.recordings.tracks import by_length
+from trackwright.trackers.recordings.trajectories import Trajectory
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from tuning.unstacked import AnyBatch, Unstacked
+from trackwright.tuning.unstacked import AnyBatch, Unstacked
 
 Weigh = Literal["recordings", "rows"]
 """What has the same say in an objective: each recording, or each row."""

@@ -12,38 +12,38 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from experiments.cli.archives.compared import compared
-from experiments.cli.archives.folders import RESULTS
-from experiments.cli.archives.part import Scoring, Tracking
-from experiments.cli.archives.runner import run_missing
-from experiments.cli.archives.store import SCORED, TRACKED, Item, RecordingStore, content_of, digest_of
-from experiments.cli.archives.tables import Refusals, Run, gathered, read_results, write_results
-from experiments.cli.console import json_alone, output_folder, ready
-from experiments.cli.evaluating import conditions, violation
-from experiments.cli.manifest import write_manifest
-from experiments.cli.options import EvaluateOptions, TrackOptions
-from experiments.cli.report import COMPARISON
-from experiments.cli.tracking import endings, tracker_names, write_shown
-from experiments.jobs.environment import environment
-from experiments.jobs.portable_tracker import PortableTracker
-from experiments.pages.interactive.track_page import run_data
-from experiments.pages.reports.comparison import Table, comparison_text
-from experiments.pages.reports.comparison_page import write_comparison
-from experiments.pages.scored_tracks import ScoredTracks, drawn_of
-from experiments.text.evaluation_text import archive_text, content
-from experiments.text.tables import terminal_width
-from experiments.text.terminal import Begin, notice, stages
-from trackers.catalogue import spec_of, split_name
-from trackers.core.errors import UnusableInput
-from trackers.core.run.chunks import CHUNK
-from trackers.core.wording import counted
-from trackers.evaluation.association import associate_truth
-from trackers.evaluation.evaluate import Evaluation, metric_names
-from trackers.evaluation.events import EVENTS
-from trackers.recordings.atomic import config_hash
-from trackers.recordings.beside import held
-from trackers.recordings.folder import RecordingFolder, read_recording, read_truth
-from trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
+from trackwright.experiments.cli.archives.compared import compared
+from trackwright.experiments.cli.archives.folders import RESULTS
+from trackwright.experiments.cli.archives.part import Scoring, Tracking
+from trackwright.experiments.cli.archives.runner import run_missing
+from trackwright.experiments.cli.archives.store import SCORED, TRACKED, Item, RecordingStore, content_of, digest_of
+from trackwright.experiments.cli.archives.tables import Refusals, Run, gathered, read_results, write_results
+from trackwright.experiments.cli.console import json_alone, output_folder, ready
+from trackwright.experiments.cli.evaluating import conditions, violation
+from trackwright.experiments.cli.manifest import write_manifest
+from trackwright.experiments.cli.options import EvaluateOptions, TrackOptions
+from trackwright.experiments.cli.report import COMPARISON
+from trackwright.experiments.cli.tracking import endings, tracker_names, write_shown
+from trackwright.experiments.jobs.environment import environment
+from trackwright.experiments.jobs.portable_tracker import PortableTracker
+from trackwright.experiments.pages.interactive.track_page import run_data
+from trackwright.experiments.pages.reports.comparison import Table, comparison_text
+from trackwright.experiments.pages.reports.comparison_page import write_comparison
+from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
+from trackwright.experiments.text.evaluation_text import archive_text, content
+from trackwright.experiments.text.tables import terminal_width
+from trackwright.experiments.text.terminal import Begin, notice, stages
+from trackwright.trackers.catalogue import spec_of, split_name
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names
+from trackwright.trackers.evaluation.events import EVENTS
+from trackwright.trackers.recordings.atomic import config_hash
+from trackwright.trackers.recordings.beside import held
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_truth
+from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
 
 LISTED = 20
 """The most refusals that are printed; the table of results has all."""

@@ -28,7 +28,7 @@ from cyclopts import (
     convert,
 )
 
-from trackers.core.errors import UnusableInput, near
+from trackwright.trackers.core.errors import UnusableInput, near
 
 if TYPE_CHECKING:
     from cyclopts.help import HelpPanel

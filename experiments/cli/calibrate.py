@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 import tomllib
 
-from experiments.cli.options import File, Recording
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.options import File, Recording
+from trackwright.trackers.core.errors import UnusableInput
 
 
 def calibrate_recordings(*recordings: Recording, out: File, json: bool = False) -> int:
@@ -22,13 +22,18 @@ def calibrate_recordings(*recordings: Recording, out: File, json: bool = False) 
     """
     if out.suffix != ".toml" or out.is_dir():
         raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give calibration.toml in a folder")
-    from experiments.cli.console import json_alone, output_folder, read_with_notices
+    from trackwright.experiments.cli.console import json_alone, output_folder, read_with_notices
 
     folders = read_with_notices(recordings)
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
-    from experiments.pages.reports.calibration import draw_report, report_on, report_text, write_calibration_report
-    from trackers.recordings.calibration_file import write_calibration
-    from tuning.calibrating import calibrate
+    from trackwright.experiments.pages.reports.calibration import (
+        draw_report,
+        report_on,
+        report_text,
+        write_calibration_report,
+    )
+    from trackwright.trackers.recordings.calibration_file import write_calibration
+    from trackwright.tuning.calibrating import calibrate
 
     calibration = calibrate(folders)
     output_folder(out.parent)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from experiments.cli.options import Recording, Tracker, run_tracker_files
-from trackers.core.errors import printable
+from trackwright.experiments.cli.options import Recording, Tracker, run_tracker_files
+from trackwright.trackers.core.errors import printable
 
 
 def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = False) -> int:
@@ -20,10 +20,10 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
-    from trackers.recordings.atomic import json_text
-    from trackers.recordings.checks import check as check_recording
-    from trackers.recordings.checks import format_results
-    from trackers.recordings.folder import read_recording
+    from trackwright.trackers.recordings.atomic import json_text
+    from trackwright.trackers.recordings.checks import check as check_recording
+    from trackwright.trackers.recordings.checks import format_results
+    from trackwright.trackers.recordings.folder import read_recording
 
     run_tracker_files(tracker)
     failed, found = False, {}

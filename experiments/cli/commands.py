@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, Group, Parameter
 
-from experiments.cli.arguments import new_app
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.arguments import new_app
+from trackwright.trackers.core.errors import UnusableInput
 
 ABOUT = "Trackers for wireless indoor positioning: how accurate, with which noise levels?"
 
@@ -40,7 +40,7 @@ def application() -> App:
     """The program with its commands, each imported when it is used; `meta` has the options that go with any of them."""
     app = new_app("trackwright", ABOUT, _version)
     for name, place in COMMANDS.items():
-        app.command(f"experiments.{place}", name=name, sort_key=len(app._commands))
+        app.command(f"trackwright.experiments.{place}", name=name, sort_key=len(app._commands))
 
     @app.meta.default
     def launch(
@@ -59,7 +59,7 @@ def application() -> App:
         if no_cache:
             os.environ["TRACKWRIGHT_CACHE"] = "off"
         if quiet:
-            from experiments.text.terminal import ERRORS
+            from trackwright.experiments.text.terminal import ERRORS
 
             ERRORS.quiet = True
         return app(words)

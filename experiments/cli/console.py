@@ -8,14 +8,14 @@ from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-from experiments.cli.options import ReadingOptions, require_output
-from experiments.text.terminal import notice
-from trackers.core.errors import UnusableInput, listed
-from trackers.recordings.atomic import json_text
-from trackers.recordings.calibration import Calibration
-from trackers.recordings.calibration_file import identity
-from trackers.recordings.checks import quick_check
-from trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, refuse_repeated
+from trackwright.experiments.cli.options import ReadingOptions, require_output
+from trackwright.experiments.text.terminal import notice
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.recordings.atomic import json_text
+from trackwright.trackers.recordings.calibration import Calibration
+from trackwright.trackers.recordings.calibration_file import identity
+from trackwright.trackers.recordings.checks import quick_check
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, refuse_repeated
 
 
 @contextmanager

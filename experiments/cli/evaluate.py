@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from experiments.cli.options import EvaluateOptions
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.options import EvaluateOptions
+from trackwright.trackers.core.errors import UnusableInput
 
 DEFAULTS = EvaluateOptions()
 
@@ -29,9 +29,9 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
         raise UnusableInput(
             f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"
         )
-    from experiments.cli.archives.folders import RECORDINGS, is_archive
-    from experiments.cli.evaluating import evaluate_folder, evaluate_poses, sources
-    from trackers.recordings.tracks_table import TRACKS
+    from trackwright.experiments.cli.archives.folders import RECORDINGS, is_archive
+    from trackwright.experiments.cli.evaluating import evaluate_folder, evaluate_poses, sources
+    from trackwright.trackers.recordings.tracks_table import TRACKS
 
     if is_archive(folder):
         if poses.given or truth or worksteps is not None:
@@ -40,7 +40,7 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
                 f"evaluate one of {folder / RECORDINGS}/*/*"
             )
         # jax takes a second to import, which the help and a refused folder need not wait for.
-        from experiments.cli.archive import evaluate_archive
+        from trackwright.experiments.cli.archive import evaluate_archive
 
         return evaluate_archive(folder, options)
     if (folder / RECORDINGS).is_dir() and not (folder / TRACKS).exists():

@@ -14,21 +14,28 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import polars as pl
 
-from experiments.cli.console import output_folder, read_with_notices
-from experiments.cli.options import EvaluateOptions, require_output
-from experiments.text.tables import terminal_width
-from experiments.text.terminal import notice
-from trackers.core.errors import UnusableInput, near
-from trackers.core.wording import counted
-from trackers.exchange.estimate_files import assigned, read_estimates, read_truth
-from trackers.exchange.tracks_compared import compare_tracks, pooled, pooled_names
-from trackers.recordings.atomic import atomic_write, json_text
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks, source_paths, write_tracks
+from trackwright.experiments.cli.console import output_folder, read_with_notices
+from trackwright.experiments.cli.options import EvaluateOptions, require_output
+from trackwright.experiments.text.tables import terminal_width
+from trackwright.experiments.text.terminal import notice
+from trackwright.trackers.core.errors import UnusableInput, near
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.exchange.estimate_files import assigned, read_estimates, read_truth
+from trackwright.trackers.exchange.tracks_compared import compare_tracks, pooled, pooled_names
+from trackwright.trackers.recordings.atomic import atomic_write, json_text
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracks_table import (
+    EVALUATION,
+    SOURCES,
+    TRACKS,
+    read_tracks,
+    source_paths,
+    write_tracks,
+)
 
 if TYPE_CHECKING:
-    from trackers.evaluation.evaluate import Evaluation, Metrics
-    from trackers.worksteps.tracks import WorkstepReport
+    from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
+    from trackwright.trackers.worksteps.tracks import WorkstepReport
 
 DEFAULT_STEPS = ("1m", "1s")
 DEFAULT_TOLERANCE = 0.01
@@ -54,11 +61,11 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     tracks = part.of_estimates(read_tracks(folder))
     folders = read_with_notices(options.truth or sources(folder))
     # jax takes a second to import, which the help and a refused folder need not wait for.
-    from experiments.jobs.executors import cluster_executor
-    from experiments.pages.reports.worksteps_text import to_text as work_text
-    from experiments.text.evaluation_text import to_json, to_text
-    from trackers.evaluation.evaluate import evaluate, metric_names
-    from trackers.worksteps.tracks import METRICS, workstep_report
+    from trackwright.experiments.jobs.executors import cluster_executor
+    from trackwright.experiments.pages.reports.worksteps_text import to_text as work_text
+    from trackwright.experiments.text.evaluation_text import to_json, to_text
+    from trackwright.trackers.evaluation.evaluate import evaluate, metric_names
+    from trackwright.trackers.worksteps.tracks import METRICS, workstep_report
 
     if options.fail_if is not None:
         conditions(options.fail_if, [*metric_names(tracks), *(METRICS if worksteps is not None else ())])
@@ -127,9 +134,9 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
             notice(f"notice: {source}: {line}")
         tracks = part.of_estimates(assigned(read, truths, tag, source))
     # jax takes a second to import, which a refused file need not wait for.
-    from experiments.pages.reports.trajectory_text import to_text as poses_text
-    from experiments.text.evaluation_text import to_text
-    from trackers.evaluation.evaluate import evaluate, metric_names
+    from trackwright.experiments.pages.reports.trajectory_text import to_text as poses_text
+    from trackwright.experiments.text.evaluation_text import to_text
+    from trackwright.trackers.evaluation.evaluate import evaluate, metric_names
 
     steps = poses.rpe or DEFAULT_STEPS
     if options.fail_if is not None:
@@ -193,10 +200,10 @@ def _write(
     source: str,
 ) -> str:
     """Writes the files of `--out`; returns in words which."""
-    from experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
-    from experiments.pages.plots.track_folder import plot_tracks
-    from experiments.pages.scored_tracks import ScoredTracks
-    from trackers.evaluation.evaluate import associate
+    from trackwright.experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
+    from trackwright.experiments.pages.plots.track_folder import plot_tracks
+    from trackwright.experiments.pages.scored_tracks import ScoredTracks
+    from trackwright.trackers.evaluation.evaluate import associate
 
     output_folder(out)
     atomic_write(out / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.errors import UnusableInput, listed
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from trackers.core.model.rig import Rig
-    from trackers.exchange.exported_tracks import ExportedTrack
-    from trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.core.model.rig import Rig
+    from trackwright.trackers.exchange.exported_tracks import ExportedTrack
+    from trackwright.trackers.recordings.folder import RecordingFolder
 
 Format = Literal["tum", "kitti", "csv", "ros2", "rrd"]
 
@@ -36,12 +36,12 @@ def export(
     """
     import polars as pl
 
-    from trackers.core.wording import counted
-    from trackers.exchange.exported_tracks import tracks_of
-    from trackers.exchange.rerun_writer import write_rrd
-    from trackers.exchange.ros_writer import write_bag
-    from trackers.exchange.trajectory_files import write_trajectory
-    from trackers.recordings.atomic import atomic_write
+    from trackwright.trackers.core.wording import counted
+    from trackwright.trackers.exchange.exported_tracks import tracks_of
+    from trackwright.trackers.exchange.rerun_writer import write_rrd
+    from trackwright.trackers.exchange.ros_writer import write_bag
+    from trackwright.trackers.exchange.trajectory_files import write_trajectory
+    from trackwright.trackers.recordings.atomic import atomic_write
 
     table, rigs, truths = _table(run, format)
     if tag is not None:
@@ -71,9 +71,9 @@ def export(
 
 def _table(run: Path, format: Format) -> tuple[pl.DataFrame, dict[str, Rig], list[pl.DataFrame]]:
     """The table to export, and for the viewer the rigs and truths of the tracked recordings."""
-    from trackers.recordings.folder import read_recording
-    from trackers.recordings.rig_file import RIG_FILE
-    from trackers.recordings.tracks_table import read_tracks
+    from trackwright.trackers.recordings.folder import read_recording
+    from trackwright.trackers.recordings.rig_file import RIG_FILE
+    from trackwright.trackers.recordings.tracks_table import read_tracks
 
     if not (run / RIG_FILE).is_file():
         known = _recordings(run) if format == "rrd" else []
@@ -109,9 +109,9 @@ def _new(out: Path) -> None:
 
 def _recordings(run: Path) -> list[RecordingFolder]:
     """The tracked recordings; a notice for each that cannot be read any more."""
-    from experiments.text.terminal import notice
-    from trackers.recordings.folder import read_recording
-    from trackers.recordings.tracks_table import source_paths
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.recordings.folder import read_recording
+    from trackwright.trackers.recordings.tracks_table import source_paths
 
     found = []
     for path in source_paths(run):

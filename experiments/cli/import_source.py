@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from experiments.cli.options import File, Folder, Seconds
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.options import File, Folder, Seconds
+from trackwright.trackers.core.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from trackers.exchange.mapping import TableMapping
-    from trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.exchange.mapping import TableMapping
+    from trackwright.trackers.recordings.folder import RecordingFolder
 
 SourceKind = Literal["csv", "tum", "kitti", "euroc", "ros", "dwm1001", "trek1000"]
 """As `trackers.exchange.sources.SourceKind`, which takes longer to import."""
@@ -71,15 +71,15 @@ def import_source(
         skip_bad_lines: leave lines of a log that are not understood out, and count them.
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
     """
-    from experiments.text.terminal import notice
-    from trackers.core.data.seconds import moment
-    from trackers.core.wording import counted
-    from trackers.exchange.imported import assembled, save
-    from trackers.exchange.mapping import TableMapping, columns_of
-    from trackers.exchange.origin import origin_of, since
-    from trackers.exchange.sources import read_source, source_kind
-    from trackers.recordings.folder import read_recording
-    from trackers.recordings.rig_file import RIG_FILE, read_rig
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.core.data.seconds import moment
+    from trackwright.trackers.core.wording import counted
+    from trackwright.trackers.exchange.imported import assembled, save
+    from trackwright.trackers.exchange.mapping import TableMapping, columns_of
+    from trackwright.trackers.exchange.origin import origin_of, since
+    from trackwright.trackers.exchange.sources import read_source, source_kind
+    from trackwright.trackers.recordings.folder import read_recording
+    from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 
     kind = format or source_kind(source)
     notice(f"{source}: read as {kind}" + ("" if format else "; another format: --format"))
@@ -117,7 +117,7 @@ def import_source(
 
 def _mappings(source: Path, kind: SourceKind, given: TableMapping, file: Path | None) -> list[TableMapping]:
     """The mappings of the tables of a source, by the options `given` or by the file of --mapping."""
-    from trackers.exchange.mapping import read_mapping
+    from trackwright.trackers.exchange.mapping import read_mapping
 
     plain = not given.columns and given.topic is None and given.separator is None and given.decimal == "."
     if file is not None:
@@ -141,8 +141,8 @@ def _mappings(source: Path, kind: SourceKind, given: TableMapping, file: Path | 
 
 def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, transform: str | None) -> RecordingFolder:
     """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it."""
-    from experiments.text.terminal import notice
-    from trackers.exchange.truth_frame import found_placement, parsed_placement
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.exchange.truth_frame import found_placement, parsed_placement
 
     truth = folder.tables.get("truth")
     if truth is None:

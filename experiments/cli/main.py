@@ -1,4 +1,4 @@
-"""The command line: `trackwright COMMAND …`, also `python -m experiments`."""
+"""The command line: `trackwright COMMAND …`, also `python -m trackwright.experiments`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import unicodedata
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from experiments.cli.runtime import set_flags
+from trackwright.experiments.cli.runtime import set_flags
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -78,8 +78,8 @@ def _of_one(character: str) -> str:
 
 
 def _run(words: list[str]) -> int:
-    from experiments.cli.commands import COMMANDS, application
-    from trackers.core.errors import UnusableInput
+    from trackwright.experiments.cli.commands import COMMANDS, application
+    from trackwright.trackers.core.errors import UnusableInput
 
     try:
         app = application()
@@ -102,7 +102,7 @@ def _answered(app: App, words: list[str], program: str) -> int:
     """The exit code of the program for these words; raises UnusableInput where it does not take them."""
     from cyclopts import CycloptsError
 
-    from experiments.cli.arguments import refusal
+    from trackwright.experiments.cli.arguments import refusal
 
     try:
         code: int | None = app(words)
@@ -122,9 +122,9 @@ def _lacks_device() -> bool:
 
 
 def run_alone(function: Callable[..., Any], program: str) -> NoReturn:
-    """Run a function as a program of its own, as `python -m experiments.lab.bench`; exits with its code, or 2."""
-    from experiments.cli.arguments import new_app
-    from trackers.core.errors import UnusableInput
+    """Run a function as a program of its own, as those of trackwright.experiments.lab; exits with its code, or 2."""
+    from trackwright.experiments.cli.arguments import new_app
+    from trackwright.trackers.core.errors import UnusableInput
 
     app = new_app(program)
     app.default(function)

@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 
-from trackers.recordings.atomic import atomic_write, config_hash, json_text
+from trackwright.trackers.recordings.atomic import atomic_write, config_hash, json_text
 
 PACKAGES = ("trackwright", "jax", "jaxlib", "numpy")
 

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from trackers.core.errors import UnusableInput, has_control
+from trackwright.trackers.core.errors import UnusableInput, has_control
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from trackers.recordings.calibration import Calibration
-    from trackers.recordings.named_tracker import NamedTracker
-    from trackers.recordings.selection import Selection
-    from tuning.tuned_file import Tuned
+    from trackwright.trackers.recordings.calibration import Calibration
+    from trackwright.trackers.recordings.named_tracker import NamedTracker
+    from trackwright.trackers.recordings.selection import Selection
+    from trackwright.tuning.tuned_file import Tuned
 
 Folder = Annotated[Path, Parameter(metavar="FOLDER")]
 Recording = Annotated[Path, Parameter(required=True)]
@@ -36,7 +36,7 @@ FigureFormat = Literal["png", "pdf"]
 
 
 def _names_of_trackers(context: Any) -> list[str]:
-    from trackers.catalogue import TRACKERS
+    from trackwright.trackers.catalogue import TRACKERS
 
     return list(TRACKERS)
 
@@ -83,7 +83,7 @@ class PartOptions:
     @property
     def part(self) -> Selection:
         """The part of each recording."""
-        from trackers.recordings.selection import Selection
+        from trackwright.trackers.recordings.selection import Selection
 
         return Selection(self.tag, self.from_, self.to, self.every)
 
@@ -109,7 +109,7 @@ class ReadingOptions(PartOptions):
 
     def read_calibration(self) -> Calibration | None:
         """The calibration, None without; raises UnusableInput as `trackers.recordings.calibration_file`."""
-        from trackers.recordings.calibration_file import read_calibration
+        from trackwright.trackers.recordings.calibration_file import read_calibration
 
         return None if self.calibration is None else read_calibration(self.calibration)
 
@@ -145,14 +145,14 @@ class TrackerOptions:
     @cached_property
     def tuned(self) -> Tuned | None:
         """The content of that file; raises UnusableInput."""
-        from tuning.tuned_file import read_tuned
+        from trackwright.tuning.tuned_file import read_tuned
 
         return None if self.file is None else read_tuned(self.file)
 
     @cached_property
     def values(self) -> dict[str, Any]:
         """Those of `--set` by tunable or pattern; raises UnusableInput."""
-        from tuning.tuned_file import parse_values
+        from trackwright.tuning.tuned_file import parse_values
 
         return parse_values(self.set_, "--set")
 
@@ -433,7 +433,7 @@ class EvaluateOptions:
 
 def run_tracker_files(trackers: str | None) -> None:
     """Runs the users' files among trackers, separated by commas: they may add the kinds of the recordings' tables."""
-    from trackers.catalogue import spec_of, split_name
+    from trackwright.trackers.catalogue import spec_of, split_name
 
     for name in (trackers or "").split(","):
         if Path(split_name(name)[0]).is_file():

@@ -6,8 +6,8 @@ import math
 import sys
 from pathlib import Path
 
-from experiments.cli.options import FigureFormat, Folder
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.options import FigureFormat, Folder
+from trackwright.trackers.core.errors import UnusableInput
 
 HEIGHT = 1.2
 
@@ -48,9 +48,9 @@ def plan(
         raise UnusableInput(f"--place {place}: expected a number of anchors from 0 to 8")
     if height is not None and not math.isfinite(height):
         raise UnusableInput(f"--height {height:g}: expected a height in metres")
-    from experiments.cli.console import json_alone, output_folder
-    from experiments.text.terminal import notice
-    from trackers.recordings.rig_file import RIG_FILE, read_rig
+    from trackwright.experiments.cli.console import json_alone, output_folder
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 
     geometry, notices = read_rig(rig / RIG_FILE if rig.is_dir() else rig)
     for text in notices:
@@ -61,10 +61,10 @@ def plan(
         height = sum(heights) / len(heights) if heights else HEIGHT
     output_folder(out)
     # jax takes a second to import, which the help and a refused rig need not wait for.
-    from experiments.pages.plan.accuracy import Sigmas, floor_map
-    from experiments.pages.plan.placement import place_anchors
-    from experiments.pages.plan.report import summary, summary_text, write_plan
-    from experiments.pages.plots.plan import bound_maps
+    from trackwright.experiments.pages.plan.accuracy import Sigmas, floor_map
+    from trackwright.experiments.pages.plan.placement import place_anchors
+    from trackwright.experiments.pages.plan.report import summary, summary_text, write_plan
+    from trackwright.experiments.pages.plots.plan import bound_maps
 
     floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase), height)
     placement = place_anchors(geometry, place, floor, known) if place else None

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from experiments.cli.options import FigureFormat, File, Recording
+from trackwright.experiments.cli.options import FigureFormat, File, Recording
 
 COMPARISON = "comparison.html"
 """The page that `track` writes where it ran several trackers."""
@@ -50,13 +50,13 @@ def print_comparison(
     page beside it, which it names.
     """
     # Reading errors of tracks and drawing take a second to import, which the help need not wait for.
-    from experiments.cli.console import output_folder
-    from experiments.pages.plots.comparison import comparison_charts, plot_comparison
-    from experiments.pages.reports.comparison import SHOWN, comparison, comparison_text, lone_subjects
-    from experiments.pages.reports.comparison_page import write_comparison
-    from experiments.pages.reports.runs import read_runs
-    from experiments.text.terminal import notice
-    from trackers.recordings.atomic import json_text
+    from trackwright.experiments.cli.console import output_folder
+    from trackwright.experiments.pages.plots.comparison import comparison_charts, plot_comparison
+    from trackwright.experiments.pages.reports.comparison import SHOWN, comparison, comparison_text, lone_subjects
+    from trackwright.experiments.pages.reports.comparison_page import write_comparison
+    from trackwright.experiments.pages.reports.runs import read_runs
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.recordings.atomic import json_text
 
     runs, notices = read_runs(folders)
     tables, contrasts = comparison(runs, metrics or SHOWN)

@@ -36,10 +36,10 @@ def set_flags() -> None:
 
 def keep_programs() -> None:
     """Keep compiled programs for later commands, as `cache_programs`; a notice where that is impossible."""
-    from experiments.text.terminal import notice
-    from trackers.core.errors import UnusableInput
-    from trackers.programs import traced_programs
-    from trackers.programs.program_cache import cache_programs, store_in_use
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.core.errors import UnusableInput
+    from trackwright.trackers.programs import traced_programs
+    from trackwright.trackers.programs.program_cache import cache_programs, store_in_use
 
     # A program that jax cannot load is compiled and replaced.
     warnings.filterwarnings("ignore", message="Error reading persistent compilation cache entry")

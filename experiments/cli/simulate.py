@@ -9,14 +9,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from experiments.cli.arguments import new_app
-from experiments.cli.options import Folder
-from sim import worlds
-from sim.parameters import ParameterError
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.arguments import new_app
+from trackwright.experiments.cli.options import Folder
+from trackwright.sim import worlds
+from trackwright.sim.parameters import ParameterError
+from trackwright.trackers.core.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from sim.worlds import SimulatedWorld
+    from trackwright.sim.worlds import SimulatedWorld
 
 COMMON = """
         out: the folder to write; it must not exist or be empty.
@@ -31,9 +31,9 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
     def simulate(out: Path, **given: Any) -> int:
         numbers = {p.name: given.get(p.name, p.default) for p in options[1:]}
         started = datetime.now(UTC)
-        from experiments.cli.manifest import write_manifest
-        from trackers.core.wording import counted
-        from trackers.recordings.folder import write_recording
+        from trackwright.experiments.cli.manifest import write_manifest
+        from trackwright.trackers.core.wording import counted
+        from trackwright.trackers.recordings.folder import write_recording
 
         try:
             folder = world(**numbers).folder()

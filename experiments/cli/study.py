@@ -12,8 +12,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from experiments.cli.options import Address, FigureFormat, Folder, require_output
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.options import Address, FigureFormat, Folder, require_output
+from trackwright.trackers.core.errors import UnusableInput
 
 MERGE = "merge"
 RESULTS = "results.json"
@@ -53,22 +53,22 @@ def study(
     """
     if out is not None:
         require_output(out)
-    from experiments.cli.console import output_folder
-    from experiments.cli.manifest import write_manifest
-    from experiments.cli.runtime import keep_programs
-    from experiments.jobs.executors import cluster_executor
-    from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
-    from experiments.monte_carlo.declaration import checked
-    from experiments.monte_carlo.runner import StopRule, run_study
-    from experiments.monte_carlo.sources import available_studies, load_study
-    from experiments.pages.plots.study import write_charts
-    from experiments.pages.reports.study import study_charts, write_study_report
-    from experiments.pages.reports.study_text import study_names, to_json, to_text
-    from experiments.text.terminal import notice, progress
-    from experiments.text.wording import figures_drawn
-    from trackers.core.run.chunks import n_workers
-    from trackers.core.wording import counted
-    from trackers.recordings.atomic import atomic_write
+    from trackwright.experiments.cli.console import output_folder
+    from trackwright.experiments.cli.manifest import write_manifest
+    from trackwright.experiments.cli.runtime import keep_programs
+    from trackwright.experiments.jobs.executors import cluster_executor
+    from trackwright.experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
+    from trackwright.experiments.monte_carlo.declaration import checked
+    from trackwright.experiments.monte_carlo.runner import StopRule, run_study
+    from trackwright.experiments.monte_carlo.sources import available_studies, load_study
+    from trackwright.experiments.pages.plots.study import write_charts
+    from trackwright.experiments.pages.reports.study import study_charts, write_study_report
+    from trackwright.experiments.pages.reports.study_text import study_names, to_json, to_text
+    from trackwright.experiments.text.terminal import notice, progress
+    from trackwright.experiments.text.wording import figures_drawn
+    from trackwright.trackers.core.run.chunks import n_workers
+    from trackwright.trackers.core.wording import counted
+    from trackwright.trackers.recordings.atomic import atomic_write
 
     if list:
         print(study_names([load_study(name) for name in available_studies()]))

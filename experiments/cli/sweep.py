@@ -6,7 +6,7 @@ import time
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from experiments.cli.options import Recording, SweepOptions
+from trackwright.experiments.cli.options import Recording, SweepOptions
 
 if TYPE_CHECKING:
     pass
@@ -21,9 +21,9 @@ def sweep(*recordings: Recording, options: SweepOptions) -> int:
         recordings: recording folders, all at once.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
-    from experiments.cli.console import json_alone, read_with_notices
-    from experiments.cli.runtime import keep_programs
-    from experiments.text.terminal import stages
+    from trackwright.experiments.cli.console import json_alone, read_with_notices
+    from trackwright.experiments.cli.runtime import keep_programs
+    from trackwright.experiments.text.terminal import stages
 
     options.read()
     _ = options.grids
@@ -33,7 +33,7 @@ def sweep(*recordings: Recording, options: SweepOptions) -> int:
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which a refused recording need not wait for.
-        from experiments.cli.sweep_job import sweep_folders
+        from trackwright.experiments.cli.sweep_job import sweep_folders
 
         put(sweep_folders(folders, recordings, options, started, clock, begin))
     return 0

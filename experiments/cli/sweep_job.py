@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from experiments.cli.console import output_folder
-from experiments.cli.manifest import write_manifest
-from experiments.cli.options import SweepOptions
-from experiments.cli.tuning_job import tracker_for_folders
-from experiments.pages.plots.objective import sweep_plot
-from experiments.text.terminal import Begin
-from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.folder import RecordingFolder
-from tuning.data import fit_data
-from tuning.problem import is_stochastic
-from tuning.sweeping import Sweep, grid_vectors, sweep, swept_parameters
+from trackwright.experiments.cli.console import output_folder
+from trackwright.experiments.cli.manifest import write_manifest
+from trackwright.experiments.cli.options import SweepOptions
+from trackwright.experiments.cli.tuning_job import tracker_for_folders
+from trackwright.experiments.pages.plots.objective import sweep_plot
+from trackwright.experiments.text.terminal import Begin
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.data import fit_data
+from trackwright.tuning.problem import is_stochastic
+from trackwright.tuning.sweeping import Sweep, grid_vectors, sweep, swept_parameters
 
 
 def sweep_folders(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from experiments.cli.options import Recording, TrackOptions
+from trackwright.experiments.cli.options import Recording, TrackOptions
 
 
 def track(*recordings: Recording, options: TrackOptions) -> int:
@@ -17,10 +17,10 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
     started = datetime.now(UTC)
-    from experiments.cli.archives.folders import archive_of
-    from experiments.cli.console import json_alone, notice_other_calibration, prepared, usable_recordings
-    from experiments.cli.runtime import keep_programs
-    from experiments.text.terminal import stages
+    from trackwright.experiments.cli.archives.folders import archive_of
+    from trackwright.experiments.cli.console import json_alone, notice_other_calibration, prepared, usable_recordings
+    from trackwright.experiments.cli.runtime import keep_programs
+    from trackwright.experiments.text.terminal import stages
 
     options.read()
     if options.tuned is not None:
@@ -34,8 +34,8 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which a refused recording need not wait for.
-        from experiments.cli.archive import track_archive
-        from experiments.cli.tracking import track_folders
+        from trackwright.experiments.cli.archive import track_archive
+        from trackwright.experiments.cli.tracking import track_folders
 
         if archive is not None:
             return track_archive(archive, options, started, begin, put)

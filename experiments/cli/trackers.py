@@ -8,15 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.cli.arguments import rows
-from experiments.cli.options import File, Tracker
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.arguments import rows
+from trackwright.experiments.cli.options import File, Tracker
+from trackwright.trackers.core.errors import UnusableInput
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from trackers.recordings.folder import RecordingFolder
-    from trackers.recordings.named_tracker import NamedTracker
+    from trackwright.trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.recordings.named_tracker import NamedTracker
 
 
 def trackers(*, json: bool = False) -> int:
@@ -28,8 +28,8 @@ def trackers(*, json: bool = False) -> int:
     Args:
         json: print JSON instead of lines.
     """
-    from trackers.catalogue import TRACKERS
-    from trackers.recordings.atomic import json_text
+    from trackwright.trackers.catalogue import TRACKERS
+    from trackwright.trackers.recordings.atomic import json_text
 
     listed = {name: f"{spec.about} ({spec.table})" for name, spec in TRACKERS.items()}
     print(json_text(listed) if json else "\n".join([*rows(listed.items(), 29), ""]), end="")
@@ -56,16 +56,16 @@ def tunables(
         free_height: the tracker that estimates the height of tags whose height the rig gives.
         json: print JSON instead of a table.
     """
-    from experiments.cli.console import read_with_notices
-    from experiments.text.tables import terminal_width
-    from experiments.text.terminal import notice
-    from trackers.recordings.atomic import json_text
-    from tuning.tuned_file import read_tuned
+    from trackwright.experiments.cli.console import read_with_notices
+    from trackwright.experiments.text.tables import terminal_width
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.recordings.atomic import json_text
+    from trackwright.tuning.tuned_file import read_tuned
 
     tuned = None if noise is None else read_tuned(noise)
     folders = [] if folder is None else read_with_notices((folder,))
     # jax takes a second to import, which the help and a refused recording need not wait for.
-    from trackers.catalogue import build, spec_of
+    from trackwright.trackers.catalogue import build, spec_of
 
     recording = folders[0] if folders else _simulated(tracker, spec_of(tracker).missing)
     named = build(tracker, recording, free_height)
@@ -92,8 +92,8 @@ def _simulated_folders() -> Iterator[RecordingFolder]:
     import numpy as np
     import polars as pl
 
-    from sim.worlds import WORLDS
-    from trackers.core.model.rig import Tag
+    from trackwright.sim.worlds import WORLDS
+    from trackwright.trackers.core.model.rig import Tag
 
     for world in WORLDS.values():
         folder = world(np.arange(1), 0)
@@ -118,8 +118,8 @@ def _simulated_folders() -> Iterator[RecordingFolder]:
 def _rows(named: NamedTracker) -> list[dict[str, Any]]:
     import numpy as np
 
-    from trackers.core.model.tunable_meaning import meanings
-    from tuning.parameters import noise_levels
+    from trackwright.trackers.core.model.tunable_meaning import meanings
+    from trackwright.tuning.parameters import noise_levels
 
     sentences = meanings(named.tracker)
     try:
@@ -143,7 +143,7 @@ def _table(listed: list[dict[str, Any]], width: int) -> str:
     """A line for each tunable, and below those of one meaning what it is."""
     import numpy as np
 
-    from experiments.text.tables import aligned
+    from trackwright.experiments.text.tables import aligned
 
     rows = [("tunable", "value", "unit", "bounds")]
     for one in listed:

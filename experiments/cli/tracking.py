@@ -12,35 +12,35 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.cli.archives.folders import RESULTS
-from experiments.cli.console import notice_unused_calibration, output_folder
-from experiments.cli.manifest import write_manifest
-from experiments.cli.options import TrackOptions
-from experiments.cli.report import COMPARISON, print_comparison
-from experiments.jobs.executors import cluster_executor
-from experiments.jobs.portable_tracker import run_on
-from experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
-from experiments.pages.scored_tracks import ScoredTracks
-from experiments.text.evaluation_text import to_json, to_text
-from experiments.text.tables import terminal_width
-from experiments.text.terminal import Begin, notice
-from experiments.text.wording import figures_drawn, uncapitalised
-from trackers.catalogue import build, fitting, spec_of, split_name
-from trackers.core.errors import UnusableInput
-from trackers.core.run.chunks import CHUNK
-from trackers.core.wording import counted
-from trackers.evaluation.association import Association, associate_truth
-from trackers.evaluation.evaluate import Evaluation, evaluate, evaluate_association
-from trackers.evaluation.events import EVENTS, events_of
-from trackers.evaluation.residuals import residual_ratios
-from trackers.programs.freed_memory import give_back
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.checks.residuals import delay_against_truth
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.named_tracker import NamedTracker
-from trackers.recordings.tracks import Tracks, track
-from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
-from trackers.recordings.trajectories import known_height
+from trackwright.experiments.cli.archives.folders import RESULTS
+from trackwright.experiments.cli.console import notice_unused_calibration, output_folder
+from trackwright.experiments.cli.manifest import write_manifest
+from trackwright.experiments.cli.options import TrackOptions
+from trackwright.experiments.cli.report import COMPARISON, print_comparison
+from trackwright.experiments.jobs.executors import cluster_executor
+from trackwright.experiments.jobs.portable_tracker import run_on
+from trackwright.experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
+from trackwright.experiments.pages.scored_tracks import ScoredTracks
+from trackwright.experiments.text.evaluation_text import to_json, to_text
+from trackwright.experiments.text.tables import terminal_width
+from trackwright.experiments.text.terminal import Begin, notice
+from trackwright.experiments.text.wording import figures_drawn, uncapitalised
+from trackwright.trackers.catalogue import build, fitting, spec_of, split_name
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.evaluation.association import Association, associate_truth
+from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, evaluate_association
+from trackwright.trackers.evaluation.events import EVENTS, events_of
+from trackwright.trackers.evaluation.residuals import residual_ratios
+from trackwright.trackers.programs.freed_memory import give_back
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.checks.residuals import delay_against_truth
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.named_tracker import NamedTracker
+from trackwright.trackers.recordings.tracks import Tracks, track
+from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
+from trackwright.trackers.recordings.trajectories import known_height
 
 LATE_S = 0.1
 """Delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice."""
@@ -249,7 +249,7 @@ def write_shown(
     if not options.no_figures:
         begin("figures")
         # matplotlib takes a third of a second to import.
-        from experiments.pages.plots.track_folder import plot_tracks
+        from trackwright.experiments.pages.plots.track_folder import plot_tracks
 
         drawn = plot_tracks(out, tracks, options.format)
         written.append(figures_drawn(drawn))

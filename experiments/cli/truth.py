@@ -7,13 +7,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from experiments.cli.options import Folder
+from trackwright.experiments.cli.options import Folder
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from trackers.line.truth import KnotTimes
-    from trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.line.truth import KnotTimes
+    from trackwright.trackers.recordings.folder import RecordingFolder
 
 
 def truth(recording: Path, /, *, out: Folder) -> int:
@@ -28,15 +28,15 @@ def truth(recording: Path, /, *, out: Folder) -> int:
         out: the folder to write; it must not exist or be empty.
     """
     started = datetime.now(UTC)
-    from experiments.cli.console import read_with_notices
-    from experiments.cli.runtime import keep_programs
-    from trackers.recordings.folder import write_recording
+    from trackwright.experiments.cli.console import read_with_notices
+    from trackwright.experiments.cli.runtime import keep_programs
+    from trackwright.trackers.recordings.folder import write_recording
 
     (folder,) = read_with_notices((recording,))
     keep_programs()
     # jax takes a second to import, which the help and a refused recording need not wait for.
-    from experiments.cli.manifest import write_manifest
-    from trackers.line.rows import fit_path_truth
+    from trackwright.experiments.cli.manifest import write_manifest
+    from trackwright.trackers.line.rows import fit_path_truth
 
     fitted, knot_times = fit_path_truth(folder)
     table = fitted.tables["truth"]
@@ -66,8 +66,8 @@ def _compare(folder: RecordingFolder, table: pl.DataFrame) -> None:
         return
     import numpy as np
 
-    from experiments.text.terminal import notice
-    from trackers.recordings.truth import TruePaths
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.recordings.truth import TruePaths
 
     fitted = TruePaths.of_table(table, folder.name)
     for tag in sorted(folder.paths.number.keys() & fitted.number.keys()):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from datetime import UTC, datetime
 
-from experiments.cli.options import Recording, TuneOptions
+from trackwright.experiments.cli.options import Recording, TuneOptions
 
 
 def tune(*recordings: Recording, options: TuneOptions) -> int:
@@ -18,9 +18,9 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
         recordings: recording folders to fit to, all at once.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
-    from experiments.cli.console import FoldersInTurn, json_alone, read_with_notices
-    from experiments.cli.runtime import keep_programs
-    from experiments.text.terminal import stages
+    from trackwright.experiments.cli.console import FoldersInTurn, json_alone, read_with_notices
+    from trackwright.experiments.cli.runtime import keep_programs
+    from trackwright.experiments.text.terminal import stages
 
     options.read()
     with json_alone(options.json) as put, stages("tune") as begin:
@@ -30,7 +30,7 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which a refused recording need not wait for.
-        from experiments.cli.tuning_folder import tune_folders
+        from trackwright.experiments.cli.tuning_folder import tune_folders
 
         code, content = tune_folders(folders, recordings, options, started, clock, begin)
         put(content)

@@ -14,29 +14,29 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
-from experiments.cli.console import FoldersInTurn
-from experiments.cli.manifest import write_manifest
-from experiments.cli.options import TuneOptions
-from experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
-from experiments.pages.plots.objective import tuning_trace
-from experiments.pages.reports.recordings_compared import Compared, compare, tracked
-from experiments.pages.reports.tracks_compared import MOST_PLANS, TrackChanges, track_changes
-from experiments.pages.reports.tuning import write_tuning_report
-from experiments.pages.reports.tuning_collect import Request, collect, recording_names
-from experiments.text.tables import aligned
-from experiments.text.terminal import Begin, notice
-from trackers.catalogue import spec_of
-from trackers.evaluation.association import Association
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.calibration_file import identity
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.named_tracker import NamedTracker
-from tuning import FitResult
-from tuning.data import FitData
-from tuning.identifiability import IdentifiabilityIssue, identifiability_issues
-from tuning.intervals import Interval, intervals_of
-from tuning.left_out import left_out_values
-from tuning.tuned_file import tuned_content, write_tuned
+from trackwright.experiments.cli.console import FoldersInTurn
+from trackwright.experiments.cli.manifest import write_manifest
+from trackwright.experiments.cli.options import TuneOptions
+from trackwright.experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
+from trackwright.experiments.pages.plots.objective import tuning_trace
+from trackwright.experiments.pages.reports.recordings_compared import Compared, compare, tracked
+from trackwright.experiments.pages.reports.tracks_compared import MOST_PLANS, TrackChanges, track_changes
+from trackwright.experiments.pages.reports.tuning import write_tuning_report
+from trackwright.experiments.pages.reports.tuning_collect import Request, collect, recording_names
+from trackwright.experiments.text.tables import aligned
+from trackwright.experiments.text.terminal import Begin, notice
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.evaluation.association import Association
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.calibration_file import identity
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.named_tracker import NamedTracker
+from trackwright.tuning import FitResult
+from trackwright.tuning.data import FitData
+from trackwright.tuning.identifiability import IdentifiabilityIssue, identifiability_issues
+from trackwright.tuning.intervals import Interval, intervals_of
+from trackwright.tuning.left_out import left_out_values
+from trackwright.tuning.tuned_file import tuned_content, write_tuned
 
 INTERRUPTED = 130
 """The exit code of a command that Ctrl-C ended, as shells have it."""

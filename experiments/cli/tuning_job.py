@@ -9,35 +9,41 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from experiments.cli.console import FoldersInTurn, notice_unused_calibration, output_folder
-from experiments.cli.options import TrackerOptions, TuneOptions
-from experiments.jobs.executors import cluster_client
-from experiments.jobs.held_parts import FitWorkers, HeldParts
-from experiments.pages.reports.tracks_compared import MOST_PLANS
-from experiments.pages.reports.tuning_collect import recording_names
-from experiments.text.terminal import Advance, Begin, notice
-from trackers.catalogue import build, fitting
-from trackers.core.errors import UnusableInput, listed
-from trackers.core.model.tunable import tunables
-from trackers.recordings.calibration import Calibration
-from trackers.recordings.calibration_file import read_calibration
-from trackers.recordings.folder import RecordingFolder, refuse_same_names
-from trackers.recordings.mapped_rows import mapped
-from trackers.recordings.named_tracker import NamedTracker
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.trajectories import Trajectory
-from tuning import FitResult, checkpoint, fit
-from tuning.cross_calibration import by_halves, by_others
-from tuning.data import FitData, fit_data, fit_segments, judged_dimensions, segments_data
-from tuning.guessing import first_guess
-from tuning.identifiability import cautions
-from tuning.intervals import require_possible
-from tuning.optimisation import FitState
-from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
-from tuning.parameters import flatten, parse_bounds, require_start_within, select_parameters, tuned_by_default
-from tuning.parts import LocalParts, Place
-from tuning.priors import Prior, parse_prior, require_fitting
-from tuning.weights import Weigh
+from trackwright.experiments.cli.console import FoldersInTurn, notice_unused_calibration, output_folder
+from trackwright.experiments.cli.options import TrackerOptions, TuneOptions
+from trackwright.experiments.jobs.executors import cluster_client
+from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
+from trackwright.experiments.pages.reports.tracks_compared import MOST_PLANS
+from trackwright.experiments.pages.reports.tuning_collect import recording_names
+from trackwright.experiments.text.terminal import Advance, Begin, notice
+from trackwright.trackers.catalogue import build, fitting
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.tunable import tunables
+from trackwright.trackers.recordings.calibration import Calibration
+from trackwright.trackers.recordings.calibration_file import read_calibration
+from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
+from trackwright.trackers.recordings.mapped_rows import mapped
+from trackwright.trackers.recordings.named_tracker import NamedTracker
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.tuning import FitResult, checkpoint, fit
+from trackwright.tuning.cross_calibration import by_halves, by_others
+from trackwright.tuning.data import FitData, fit_data, fit_segments, judged_dimensions, segments_data
+from trackwright.tuning.guessing import first_guess
+from trackwright.tuning.identifiability import cautions
+from trackwright.tuning.intervals import require_possible
+from trackwright.tuning.optimisation import FitState
+from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
+from trackwright.tuning.parameters import (
+    flatten,
+    parse_bounds,
+    require_start_within,
+    select_parameters,
+    tuned_by_default,
+)
+from trackwright.tuning.parts import LocalParts, Place
+from trackwright.tuning.priors import Prior, parse_prior, require_fitting
+from trackwright.tuning.weights import Weigh
 
 PARTS = ".tune-parts"
 """The folder of the rows, in that of the results, while the command runs."""

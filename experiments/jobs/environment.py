@@ -39,7 +39,7 @@ def environment() -> dict[str, Any]:
 
 def require_same(expected: Mapping[str, Any], found: Any, worker: str) -> None:
     """Refuse a worker whose environment differs from the caller's."""
-    from trackers.core.errors import UnusableInput
+    from trackwright.trackers.core.errors import UnusableInput
 
     if isinstance(found, BaseException):
         raise UnusableInput(

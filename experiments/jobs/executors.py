@@ -22,7 +22,7 @@ from itertools import islice
 from threading import Event, Thread
 from typing import Any, TypeVar
 
-from experiments.jobs.environment import environment, require_same
+from trackwright.experiments.jobs.environment import environment, require_same
 
 # jax and the packages that import it are imported in functions: in a worker after the XLA flags are set.
 
@@ -63,8 +63,8 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     UnusableInput for another text, where no scheduler answers, for workers with other versions, and where the cluster
     is lost.
     """
-    from experiments.text.terminal import notice
-    from trackers.core.errors import UnusableInput
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.core.errors import UnusableInput
 
     local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
     if not local and not re.fullmatch(r"[a-z]+://\S+", cluster):
@@ -92,7 +92,7 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
 
 
 def _distributed() -> Any:
-    from trackers.core.errors import UnusableInput
+    from trackwright.trackers.core.errors import UnusableInput
 
     try:
         import distributed
@@ -109,7 +109,7 @@ def _distributed() -> Any:
 @contextmanager
 def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[Any]:
     """A client of a scheduler, or of worker processes of its own."""
-    from trackers.core.errors import UnusableInput
+    from trackwright.trackers.core.errors import UnusableInput
 
     if processes is None:
         try:
@@ -140,7 +140,7 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
 
 def _notice_empty(client: Any, cluster: str) -> Callable[[], None]:
     """Says once that a cluster has had no workers for `GONE_S`, and once that it has some again."""
-    from experiments.text.terminal import notice
+    from trackwright.experiments.text.terminal import notice
 
     since, said = math.inf, False
 
@@ -226,7 +226,7 @@ def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
 
 def _prepared(flags: str) -> dict[str, Any]:
     """In a worker: its environment, with these XLA flags where jax is not imported yet; freed memory is kept."""
-    from trackers.programs.freed_memory import keep
+    from trackwright.trackers.programs.freed_memory import keep
 
     keep()
     if "jax" not in sys.modules:
@@ -237,8 +237,8 @@ def _prepared(flags: str) -> dict[str, Any]:
 @functools.cache
 def _keep_programs() -> None:
     """Keep compiled programs in the worker's cache directory, where it has one of its own."""
-    from trackers.core.errors import UnusableInput
-    from trackers.programs.program_cache import cache_programs
+    from trackwright.trackers.core.errors import UnusableInput
+    from trackwright.trackers.programs.program_cache import cache_programs
 
     with suppress(UnusableInput):
         cache_programs(report=lambda line: None)

@@ -14,15 +14,15 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from experiments.jobs.executors import computed, finished
-from experiments.jobs.portable_tracker import PortableTracker, spec_here
-from trackers.core.data.recording import Batch
-from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.named_tracker import NamedTracker
-from tuning.parts import Blocks, Function, Reduced, on_chunk
-from tuning.point import Point
-from tuning.unstacked import lengths_of
+from trackwright.experiments.jobs.executors import computed, finished
+from trackwright.experiments.jobs.portable_tracker import PortableTracker, spec_here
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.named_tracker import NamedTracker
+from trackwright.tuning.parts import Blocks, Function, Reduced, on_chunk
+from trackwright.tuning.point import Point
+from trackwright.tuning.unstacked import lengths_of
 
 HeldChunk = tuple[str, str, bytes, bytes, list[np.ndarray]]
 """Name and file of the tracker, pickled point, pickled structure of a chunk, its arrays: nothing that imports jax."""

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import polars as pl
 
-from experiments.jobs.executors import finished
-from trackers.catalogue import spec_of, split_name
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.named_tracker import NamedTracker
-from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.recordings.tracks import Tracks
+from trackwright.experiments.jobs.executors import finished
+from trackwright.trackers.catalogue import spec_of, split_name
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.named_tracker import NamedTracker
+from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.tracks import Tracks
 
 
 class PortableTracker(NamedTuple):

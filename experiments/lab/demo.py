@@ -7,7 +7,7 @@ import time
 import tomllib
 from pathlib import Path
 
-from experiments.lab.subprocesses import command, evaluation, recordings_folder
+from trackwright.experiments.lab.subprocesses import command, evaluation, recordings_folder
 
 OUT = Path("out/demo")
 SIGMA_P = 0.2
@@ -62,8 +62,8 @@ def demo() -> None:
 
 
 def _line(tracks: Path, covariances: bool = False) -> str:
-    from experiments.text.wording import shown_metric
-    from trackers.evaluation.statements import holds
+    from trackwright.experiments.text.wording import shown_metric
+    from trackwright.trackers.evaluation.statements import holds
 
     overall = evaluation(tracks)["overall"]
     spatial = shown_metric(overall, "rmse_3d_m")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -57,7 +57,7 @@ def new_interpreter(arguments: Sequence[str], limit_s: float) -> subprocess.Comp
 
 
 def _trackwright(arguments: Sequence[str | Path]) -> list[str]:
-    return [sys.executable, "-m", "experiments", *map(str, arguments)]
+    return [sys.executable, "-m", "trackwright.experiments", *map(str, arguments)]
 
 
 def _exit_on_failure(done: subprocess.CompletedProcess) -> None:

@@ -1,5 +1,5 @@
 """Monte Carlo studies: worlds × trackers × a parameter grid × runs, and metrics with bootstrap intervals."""
 
-from trackers.core.on_demand import names_on_demand
+from trackwright.trackers.core.on_demand import names_on_demand
 
 __getattr__, __dir__, __all__ = names_on_demand(__name__, __file__)

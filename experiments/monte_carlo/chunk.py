@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.tracked import TrackedChunk
-from trackers.core.errors import UnusableInput
-from trackers.core.model.tunable import tunables, with_values
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import AbstractTracker, Tracker
-from trackers.evaluation.bounds import bounds_of
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.tracks import rounded
-from trackers.recordings.trajectories import Trajectories
+from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
+from trackwright.experiments.monte_carlo.errors import TrackedRuns
+from trackwright.experiments.monte_carlo.tracked import TrackedChunk
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.tunable import tunables, with_values
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.evaluation.bounds import bounds_of
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.tracks import rounded
+from trackwright.trackers.recordings.trajectories import Trajectories
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:

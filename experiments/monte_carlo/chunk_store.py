@@ -17,12 +17,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig
-from experiments.monte_carlo.results import ChunkTotals, Results, Totals
-from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write, json_text
-from trackers.recordings.beside import remove_abandoned
-from trackers.recordings.input_file import file_bytes, read_arrays
+from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig
+from trackwright.experiments.monte_carlo.results import ChunkTotals, Results, Totals
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write, json_text
+from trackwright.trackers.recordings.beside import remove_abandoned
+from trackwright.trackers.recordings.input_file import file_bytes, read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"
 FORMAT = 2

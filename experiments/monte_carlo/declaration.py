@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.text.expectations import Claim
-from trackers.catalogue import spec_of
-from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.experiments.monte_carlo.errors import TrackedRuns
+from trackwright.experiments.text.expectations import Claim
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 
 WORLD = "world."
 """Prefix of grid names that are parameters of the worlds; all other grid names are patterns of tunables."""

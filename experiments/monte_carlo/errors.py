@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.core.data.estimates import Status
-from trackers.core.data.metrics import nees_of_leading
-from trackers.evaluation.metrics import bearing_sizes, position_sizes
-from trackers.evaluation.scores import BINS, bins, error_sums, nees_sums
-from trackers.evaluation.scoring import COMPONENTS
-from trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.metrics import nees_of_leading
+from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
+from trackwright.trackers.evaluation.scores import BINS, bins, error_sums, nees_sums
+from trackwright.trackers.evaluation.scoring import COMPONENTS
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 
 class TrackedRuns(NamedTuple):

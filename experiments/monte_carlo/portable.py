@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.chunk import run_chunk
-from experiments.monte_carlo.chunk_store import first_difference, packed, plain_identity
-from experiments.monte_carlo.declaration import Condition, Study, checked
-from experiments.monte_carlo.sources import load_study
-from trackers.catalogue import split_name
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.monte_carlo.chunk import run_chunk
+from trackwright.experiments.monte_carlo.chunk_store import first_difference, packed, plain_identity
+from trackwright.experiments.monte_carlo.declaration import Condition, Study, checked
+from trackwright.experiments.monte_carlo.sources import load_study
+from trackwright.trackers.catalogue import split_name
+from trackwright.trackers.core.errors import UnusableInput
 
 
 class PortableStudy(NamedTuple):

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Condition, Study
-from experiments.text.expectations import Value
-from trackers.evaluation.metrics import METRICS, metrics
-from trackers.evaluation.scores import BINS, EDGES, Scores
+from trackwright.experiments.monte_carlo.declaration import Condition, Study
+from trackwright.experiments.text.expectations import Value
+from trackwright.trackers.evaluation.metrics import METRICS, metrics
+from trackwright.trackers.evaluation.scores import BINS, EDGES, Scores
 
 BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 

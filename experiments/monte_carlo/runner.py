@@ -14,15 +14,15 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.jobs.executors import AT_ONCE, finished
-from experiments.monte_carlo.chunk import require_fitting_parts
-from experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore
-from experiments.monte_carlo.declaration import Condition, Study
-from experiments.monte_carlo.portable import PortableStudy, packed_chunk, portable_chunk
-from experiments.monte_carlo.results import NAMES, Results
-from trackers.core.errors import UnusableInput
-from trackers.core.run.chunks import n_workers
-from trackers.programs.freed_memory import keep
+from trackwright.experiments.jobs.executors import AT_ONCE, finished
+from trackwright.experiments.monte_carlo.chunk import require_fitting_parts
+from trackwright.experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore
+from trackwright.experiments.monte_carlo.declaration import Condition, Study
+from trackwright.experiments.monte_carlo.portable import PortableStudy, packed_chunk, portable_chunk
+from trackwright.experiments.monte_carlo.results import NAMES, Results
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.run.chunks import n_workers
+from trackwright.trackers.programs.freed_memory import keep
 
 CHUNKS_PER_DEVICE = 4
 """Chunks for which another device is used: every device compiles the trackers again."""

@@ -11,13 +11,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
-from sim.worlds import WORLDS
-from trackers.catalogue import run_file, split_name
-from trackers.core.errors import UnusableInput
-from trackers.recordings.input_file import read_toml
+from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
+from trackwright.sim.worlds import WORLDS
+from trackwright.trackers.catalogue import run_file, split_name
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.input_file import read_toml
 
-PAPERS, QUESTIONS = "experiments.lab.papers", "experiments.lab.questions"
+PAPERS, QUESTIONS = "trackwright.experiments.lab.papers", "trackwright.experiments.lab.questions"
 """Where studies are looked for by name: in the folders of the one, and in the other itself."""
 
 KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}

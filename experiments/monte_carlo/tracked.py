@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.errors import TrackedRuns, joined, scored
-from trackers.core.data.estimates import Estimates, Status, is_usable
-from trackers.core.errors import UnusableInput
-from trackers.evaluation.scoring import last_of_intervals
-from trackers.recordings.tracks import angles
-from trackers.recordings.trajectories import Trajectories
-from trackers.recordings.truth import TruthStatus
+from trackwright.experiments.monte_carlo.errors import TrackedRuns, joined, scored
+from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.scoring import last_of_intervals
+from trackwright.trackers.recordings.tracks import angles
+from trackwright.trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.recordings.truth import TruthStatus
 
 ROWS_AT_ONCE = 65_536
 """Rows that are scored together: their numbers fit the processor's cache."""

@@ -11,17 +11,17 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from experiments.text.wording import length_unit
-from trackers.core.data.seconds import zero_of
-from trackers.evaluation.association import Association
-from trackers.evaluation.bounds import bounds_of
-from trackers.evaluation.scoring import Scored, in_plane, score
-from trackers.recordings.columns import float_column
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import KINDS, first_time
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.tracks_table import is_bearing
-from tuning.pit_uniformity import student_t_dof_of
+from trackwright.experiments.text.wording import length_unit
+from trackwright.trackers.core.data.seconds import zero_of
+from trackwright.trackers.evaluation.association import Association
+from trackwright.trackers.evaluation.bounds import bounds_of
+from trackwright.trackers.evaluation.scoring import Scored, in_plane, score
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS, first_time
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.tracks_table import is_bearing
+from trackwright.tuning.pit_uniformity import student_t_dof_of
 
 DRAWN = 4
 """The most recordings with figures and a Cramér–Rao bound, and the most tracks of bearings with figures."""

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from experiments.text.tables import compact_table, rendered, width_of
-from experiments.text.wording import Unit, fixed, length_unit, shown_metric
-from trackers.evaluation.evaluate import Evaluation, Metrics
-from trackers.evaluation.metrics import METRICS, Metric
-from trackers.recordings.atomic import json_text
+from trackwright.experiments.text.tables import compact_table, rendered, width_of
+from trackwright.experiments.text.wording import Unit, fixed, length_unit, shown_metric
+from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
+from trackwright.trackers.evaluation.metrics import METRICS, Metric
+from trackwright.trackers.recordings.atomic import json_text
 
 SHOWN_TRACKS = 10
 """The most tracks listed per recording: the worst."""

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from trackers.core.errors import one_line
+from trackwright.trackers.core.errors import one_line
 
 ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
 

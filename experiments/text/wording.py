@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.text.expectations import Origin, Value
-from trackers.core.wording import counted
-from trackers.evaluation.metrics import KIND_WORDS, METRICS
+from trackwright.experiments.text.expectations import Origin, Value
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.evaluation.metrics import KIND_WORDS, METRICS
 
 MISSING = "–"
 STUDIES = {

@@ -15,7 +15,7 @@ from collections import Counter
 from importlib import import_module
 from pathlib import Path
 
-from experiments.cli.runtime import set_flags
+from trackwright.experiments.cli.runtime import set_flags
 
 set_flags()
 

@@ -21,7 +21,7 @@ import numpy as np
 import polars as pl
 
 from tests.in_process import trackwright
-from trackers.recordings.beside import PREFIX
+from trackwright.trackers.recordings.beside import PREFIX
 
 LIMIT_S = 600
 """Seconds after which a command counts as one that does not end."""
@@ -47,7 +47,7 @@ class Job(NamedTuple):
 
     def line(self, out: Path, *more: str) -> list[str]:
         """The command as a process gets it."""
-        return [sys.executable, "-m", "experiments", *self.words, *more, "--out", str(out)]
+        return [sys.executable, "-m", "trackwright.experiments", *self.words, *more, "--out", str(out)]
 
     def digest(self, out: Path) -> str:
         """Of the bits of the results."""

@@ -23,10 +23,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.lab.bench.timing import commit, replace_tables, write_json
 from tests.faults import callers, disks, networks, workers
 from tests.faults.seen import Seen, UntriedError
-from trackers.programs.program_cache import cache_programs
+from trackwright.experiments.lab.bench.timing import commit, replace_tables, write_json
+from trackwright.trackers.programs.program_cache import cache_programs
 
 RESULTS = Path(__file__).parent / "results.json"
 LEAST, LARGE = 4_000, 200_000

@@ -49,7 +49,7 @@ def test_the_same_seed_and_number_give_the_same_recording(tmp_path):
 
 
 def test_a_traceback_is_a_failure(tmp_path, monkeypatch):
-    from trackers.recordings import folder as reader
+    from trackwright.trackers.recordings import folder as reader
 
     def broken(path):
         raise ZeroDivisionError("a bug")
@@ -61,8 +61,8 @@ def test_a_traceback_is_a_failure(tmp_path, monkeypatch):
 
 
 def test_a_changed_input_is_a_failure(tmp_path, monkeypatch):
-    from trackers.core.errors import UnusableInput
-    from trackers.recordings import folder as reader
+    from trackwright.trackers.core.errors import UnusableInput
+    from trackwright.trackers.recordings import folder as reader
 
     def spoils(path):
         (path / "new").touch()

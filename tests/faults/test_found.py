@@ -9,15 +9,15 @@ import polars as pl
 import pytest
 from rich.table import Table
 
-from experiments.text.tables import width_of
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
-from trackers.core.errors import UnusableInput
-from trackers.recordings.checks.readings import known_median
-from trackers.recordings.tracks_table import source_paths
-from trackers.worksteps.points_file import read_points
-from tuning.checkpoint import from_arrays
-from tuning.optimisers import Adam
+from trackwright.experiments.text.tables import width_of
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.checks.readings import known_median
+from trackwright.trackers.recordings.tracks_table import source_paths
+from trackwright.trackers.worksteps.points_file import read_points
+from trackwright.tuning.checkpoint import from_arrays
+from trackwright.tuning.optimisers import Adam
 
 
 @pytest.mark.parametrize("table", ["bearings", "fixes", "ranges"])

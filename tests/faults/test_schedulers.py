@@ -6,10 +6,10 @@ import time
 
 import pytest
 
-from experiments.jobs.executors import GONE_S
 from tests.faults.jobs import begun, half_written, jobs, run, running, temporary
 from tests.faults.seen import Seen
 from tests.faults.workers import dask_cluster, dask_scheduler, dask_workers
+from trackwright.experiments.jobs.executors import GONE_S
 
 pytest.importorskip("distributed")
 

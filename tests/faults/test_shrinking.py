@@ -15,11 +15,11 @@ from tests.faults.judged import faults_of
 from tests.faults.texts import CALIBRATION, MAPPING, TUNED
 from tests.faults.values import CELLS, IDS
 from tests.faulty import RIG, good_tables
-from trackers.core.errors import UnusableInput, has_control
-from trackers.exchange.mapping import read_mapping
-from trackers.recordings.calibration_file import read_calibration
-from trackers.recordings.rig_file import read_rig
-from tuning.tuned_file import read_tuned
+from trackwright.trackers.core.errors import UnusableInput, has_control
+from trackwright.trackers.exchange.mapping import read_mapping
+from trackwright.trackers.recordings.calibration_file import read_calibration
+from trackwright.trackers.recordings.rig_file import read_rig
+from trackwright.tuning.tuned_file import read_tuned
 
 FEW, MANY = 12, 2000
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)

@@ -14,7 +14,7 @@ from tests.faults.soak import judged
 
 ROOT = Path(__file__).parents[2]
 LEAKS = """
-from experiments.cli.runtime import set_flags
+from trackwright.experiments.cli.runtime import set_flags
 set_flags()
 import sys, json
 from pathlib import Path

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from experiments.monte_carlo.chunk_store import ChunkStore
-from experiments.monte_carlo.runner import run_study
-from experiments.monte_carlo.sources import load_study
-from experiments.pages.reports.study_text import to_json
 from tests.experiments.monte_carlo.small_study import TOML
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.monte_carlo.chunk_store import ChunkStore
+from trackwright.experiments.monte_carlo.runner import run_study
+from trackwright.experiments.monte_carlo.sources import load_study
+from trackwright.experiments.pages.reports.study_text import to_json
+from trackwright.trackers.core.errors import UnusableInput
 
 
 @pytest.fixture(scope="module")

@@ -17,13 +17,13 @@ from unittest import mock
 
 import numpy as np
 
-from experiments.jobs import executors
-from experiments.monte_carlo import load_study, run_study
-from experiments.monte_carlo.chunk_store import ChunkStore
-from experiments.monte_carlo.declaration import Study
-from experiments.pages.reports.study_text import to_json
 from tests.faults.jobs import begun, half_written, hurt, long_fit, reference, run, running, temporary
 from tests.faults.seen import Seen
+from trackwright.experiments.jobs import executors
+from trackwright.experiments.monte_carlo import load_study, run_study
+from trackwright.experiments.monte_carlo.chunk_store import ChunkStore
+from trackwright.experiments.monte_carlo.declaration import Study
+from trackwright.experiments.pages.reports.study_text import to_json
 
 Draw = np.random.Generator
 

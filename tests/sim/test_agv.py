@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from sim.agv import Route, simulate_agv
-from sim.fixes import correlated_noise, delayed, first_order_lag, mirrored_heights
-from sim.keys import trajectory_keys
 from tests.oracles import distances_to_path
-from trackers.mhk.tracker import STILL
+from trackwright.sim.agv import Route, simulate_agv
+from trackwright.sim.fixes import correlated_noise, delayed, first_order_lag, mirrored_heights
+from trackwright.sim.keys import trajectory_keys
+from trackwright.trackers.mhk.tracker import STILL
 
 TIMES = np.arange(400) / 10.0
 SEEN = np.ones((1, 400, 3), bool)

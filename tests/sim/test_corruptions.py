@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.corruptions import (
+from trackwright.sim.corruptions import (
     constant_offsets,
     corrupted,
     drop_outs,
@@ -13,7 +13,7 @@ from sim.corruptions import (
     outliers,
     white_noise,
 )
-from sim.keys import trajectory_keys
+from trackwright.sim.keys import trajectory_keys
 
 N, T, STATIONS, ANTENNAS = 300, 60, 3, 4
 KEYS = trajectory_keys(0, np.arange(N))

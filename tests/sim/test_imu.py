@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim.imu import constant_bias, random_walk, white_density
-from sim.keys import trajectory_keys
+from trackwright.sim.imu import constant_bias, random_walk, white_density
+from trackwright.sim.keys import trajectory_keys
 
 N = 4000
 KEYS = trajectory_keys(0, np.arange(N))

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from sim.keys import in_blocks, normals, stream, trajectory_keys, uniforms
+from trackwright.sim.keys import in_blocks, normals, stream, trajectory_keys, uniforms
 
 
 @pytest.mark.parametrize("draw", [normals, uniforms])

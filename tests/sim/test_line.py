@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.corruptions import white_noise
-from sim.line import THESIS_KNOTS, along, simulate_line
+from trackwright.sim.corruptions import white_noise
+from trackwright.sim.line import THESIS_KNOTS, along, simulate_line
 
 
 def _moving(world):

@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from sim.keys import trajectory_keys
-from sim.paths import WORK_VOLUME, hand_motion, helix, straight_lines_with_halts
+from trackwright.sim.keys import trajectory_keys
+from trackwright.sim.paths import WORK_VOLUME, hand_motion, helix, straight_lines_with_halts
 
 ELSEWHERE = np.array([[2.0, -1.0, 0.8], [3.5, 0.5, 1.0]])
 KEYS, TIMES = trajectory_keys(0, np.arange(100)), np.arange(200) / 10

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sim.phases import plane_phases, spherical_phases, wrapped
-from sim.stations import facing, work_station
-from trackers.core.model.rig import Station
+from trackwright.sim.phases import plane_phases, spherical_phases, wrapped
+from trackwright.sim.stations import facing, work_station
+from trackwright.trackers.core.model.rig import Station
 
 STATIONS = list(work_station().stations.values())
 RNG = np.random.default_rng(0)

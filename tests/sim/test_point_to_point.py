@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.keys import trajectory_keys
-from sim.paths import point_to_point
+from trackwright.sim.keys import trajectory_keys
+from trackwright.sim.paths import point_to_point
 
 POINTS = np.array([[0.0, 0.0, 0.1], [0.3, 0.0, 0.1], [0.0, 0.3, 0.1], [0.3, 0.3, 0.1]])
 TIMES = np.arange(0, 20, 0.05)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sim.corruptions import drop_outs
-from sim.imu import level, simulate_uwb_imu
-from sim.keys import trajectory_keys
-from sim.ranging import (
+from trackwright.sim.corruptions import drop_outs
+from trackwright.sim.imu import level, simulate_uwb_imu
+from trackwright.sim.keys import trajectory_keys
+from trackwright.sim.ranging import (
     CHAMBER,
     Protocol,
     antenna_biases,
@@ -17,9 +17,9 @@ from sim.ranging import (
     simulate_ranges,
     two_way_ranges,
 )
-from trackers.core.model.rig import Rig
-from trackers.parts.range_rows import range_trajectories
-from trackers.uwb_imu.ranging import SPEED_OF_LIGHT
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.parts.range_rows import range_trajectories
+from trackwright.trackers.uwb_imu.ranging import SPEED_OF_LIGHT
 
 TAGS, ROWS = 40, 100
 KEYS = trajectory_keys(0, np.arange(TAGS))

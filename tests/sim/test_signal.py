@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from sim.keys import trajectory_keys
-from sim.paths import hand_motion
-from sim.phases import spherical_phases, wrapped
-from sim.signal import Radar, Reflector, phase_sigma, signal_phases
-from sim.stations import work_station
+from trackwright.sim.keys import trajectory_keys
+from trackwright.sim.paths import hand_motion
+from trackwright.sim.phases import spherical_phases, wrapped
+from trackwright.sim.signal import Radar, Reflector, phase_sigma, signal_phases
+from trackwright.sim.stations import work_station
 
 STATIONS = list(work_station().stations.values())
 KEYS = trajectory_keys(0, np.arange(60))

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-import sim.stations
-from sim.corruptions import constant_offsets, drop_outs, gauss_markov, lose_station, outliers
-from sim.paths import WORK_VOLUME, hand_motion
-from sim.phases import plane_phases, spherical_phases, wrapped
-from sim.signal import Radar, Reflector
-from sim.stations import PATHS, facing, simulate_phases, work_station
-from trackers.core.model.rig import Rig, Station
+from trackwright.sim.corruptions import constant_offsets, drop_outs, gauss_markov, lose_station, outliers
+from trackwright.sim.paths import WORK_VOLUME, hand_motion
+from trackwright.sim.phases import plane_phases, spherical_phases, wrapped
+from trackwright.sim.signal import Radar, Reflector
+from trackwright.sim.stations import PATHS, facing, simulate_phases, work_station
+from trackwright.trackers.core.model.rig import Rig, Station
 
 RIG = work_station()
 STATIONS = list(RIG.stations.values())

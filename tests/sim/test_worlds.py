@@ -7,13 +7,13 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from sim import worlds
-from sim.agv import ANCHOR_HEIGHT
-from sim.worlds import WORLDS
 from tests.in_process import trackwright
-from trackers import catalogue
-from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import read_recording
+from trackwright.sim import worlds
+from trackwright.sim.agv import ANCHOR_HEIGHT
+from trackwright.sim.worlds import WORLDS
+from trackwright.trackers import catalogue
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.folder import read_recording
 
 SHORT = {
     "station": {"rows": 12, "drop_outs": 0.2},

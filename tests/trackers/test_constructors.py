@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import trackwright as tw
-from trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.core.run.tracker import AbstractTracker
 
 RIG = tw.work_station()
 STATION = RIG.stations["1"]

@@ -12,31 +12,31 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from experiments.monte_carlo import Study, TrackerConfig, World
-from experiments.monte_carlo.chunk import tracked_runs
-from experiments.monte_carlo.errors import scored
-from experiments.monte_carlo.results import ChunkTotals, Results
-from trackers.baselines.switching import mirror_tracker
-from trackers.catalogue import spec_of
-from trackers.core.filters.ekf import Gaussian
-from trackers.core.filters.imm import Mixture
-from trackers.core.model.algebra import Vector
-from trackers.core.model.linearise import covariance_of
-from trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.rig import Rig
-from trackers.core.model.start import AbstractStart
-from trackers.core.model.state import Rotation
-from trackers.core.model.tunable import Constant, Scale
-from trackers.core.run.tracker import Tracker
-from trackers.line.grid import GridFilter
-from trackers.line.motion import PathOutputMap, PathState
-from trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracks import batches as stacked
-from trackers.recordings.tracks import track
-from trackers.uwb_imu.inertial import with_yaw_variance
-from tuning.named_objectives import all_metrics
+from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
+from trackwright.experiments.monte_carlo.chunk import tracked_runs
+from trackwright.experiments.monte_carlo.errors import scored
+from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
+from trackwright.trackers.baselines.switching import mirror_tracker
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.filters.ekf import Gaussian
+from trackwright.trackers.core.filters.imm import Mixture
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.linearise import covariance_of
+from trackwright.trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.state import Rotation
+from trackwright.trackers.core.model.tunable import Constant, Scale
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.line.grid import GridFilter
+from trackwright.trackers.line.motion import PathOutputMap, PathState
+from trackwright.trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracks import batches as stacked
+from trackwright.trackers.recordings.tracks import track
+from trackwright.trackers.uwb_imu.inertial import with_yaw_variance
+from trackwright.tuning.named_objectives import all_metrics
 
 IDS, ROWS = np.array([f"tag {k}" for k in range(12)]), 40
 

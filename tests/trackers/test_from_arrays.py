@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackers.parts.fixes import FIXES
-from trackers.parts.ranges import RANGES
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.ranges import RANGES
 
 TIMES = np.array([0.0, 0.5, 2.0])
 PATH = np.array([[1.0, 2.0, 3.0], [np.nan, 2.5, 3.5], [1.5, np.nan, np.nan]])

@@ -3,15 +3,15 @@
 import numpy as np
 import polars as pl
 
-from trackers.core.model.rig import Rig, Station
-from trackers.recordings.calibration import (
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
     RANGE_PRIOR,
     AnchorCalibration,
     Calibration,
     StationCalibration,
 )
-from trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 ROOM = np.array([9.0, 6.0])
 HEIGHT = 1.2

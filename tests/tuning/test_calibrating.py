@@ -7,11 +7,11 @@ import polars as pl
 import pytest
 
 from tests.tuning.calibration_worlds import ANCHORS, RIG, lasting, recording, standardised, walk, world
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Station, Tag
-from trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR, Calibration
-from trackers.recordings.folder import RecordingFolder
-from tuning.calibrating import LEAST_SLOPE, calibrate
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Station, Tag
+from trackwright.trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR, Calibration
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.calibrating import LEAST_SLOPE, calibrate
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import KINDS
-from tuning.calibration_pairs import PIECE_M, PIECE_S, calibration_pairs
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.tuning.calibration_pairs import PIECE_M, PIECE_S, calibration_pairs
 
 
 @pytest.mark.parametrize("first", ["moving", "still"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.tuning.calibration_worlds import lasting, walk
-from tuning.calibration_structure import differs_by_distance
+from trackwright.tuning.calibration_structure import differs_by_distance
 
 
 def _errors(seed):

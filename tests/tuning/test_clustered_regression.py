@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
+from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1e3])

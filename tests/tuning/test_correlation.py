@@ -6,12 +6,12 @@ import pytest
 import trackwright as tw
 from tests.known_start import recording
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.data.recording import Recording, stack
-from trackers.core.model.covariance import FEW
-from tuning.correlation import rows_and_inflation, window_sums
-from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.trackers.core.data.recording import Recording, stack
+from trackwright.trackers.core.model.covariance import FEW
+from trackwright.tuning.correlation import rows_and_inflation, window_sums
+from trackwright.tuning.objectives import NegativeLogLikelihood
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 SIGMA, STEP = "sensors.gauge.sigma", 0.1
 

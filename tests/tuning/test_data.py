@@ -9,18 +9,18 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from experiments.monte_carlo import Study, TrackerConfig, World
-from experiments.monte_carlo.chunk import tracked_runs
-from experiments.monte_carlo.errors import scored
-from experiments.monte_carlo.results import ChunkTotals, Results
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig, Tag
-from trackers.recordings.folder import RecordingFolder
-from tuning.data import fit_data
-from tuning.fit_arrays import fit_arrays
-from tuning.named_objectives import all_metrics
-from tuning.objectives import MissingQuantityError
-from tuning.parameters import tuned_by_default
+from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
+from trackwright.experiments.monte_carlo.chunk import tracked_runs
+from trackwright.experiments.monte_carlo.errors import scored
+from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.data import fit_data
+from trackwright.tuning.fit_arrays import fit_arrays
+from trackwright.tuning.named_objectives import all_metrics
+from trackwright.tuning.objectives import MissingQuantityError
+from trackwright.tuning.parameters import tuned_by_default
 
 ROWS = 60
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tuning.diagnostics import Innovations, nis_band, nis_quantile, violated_assumptions
+from trackwright.tuning.diagnostics import Innovations, nis_band, nis_quantile, violated_assumptions
 
 ROWS = 20_000
 

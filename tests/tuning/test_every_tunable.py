@@ -9,17 +9,17 @@ import pytest
 
 from tests.catalogue import CASES, ROWS, trajectories
 from tests.tuning.worlds import line_tracker, walks
-from trackers.aoa.fusion import bearing_tracker
-from trackers.catalogue import TRACKERS
-from trackers.core.data.recording import Recording, stack
-from trackers.core.model.tunable import tunables
-from trackers.core.run.chunks import as_dtype
-from trackers.mhk.tracker import mhk_tracker
-from trackers.uwb_imu.fusion import range_tracker
-from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
-from tuning.parameters import component_names, flatten, select_parameters, with_parameters
-from tuning.problem import Problem
-from tuning.uncertainty import unidentifiable
+from trackwright.trackers.aoa.fusion import bearing_tracker
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.core.data.recording import Recording, stack
+from trackwright.trackers.core.model.tunable import tunables
+from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.mhk.tracker import mhk_tracker
+from trackwright.trackers.uwb_imu.fusion import range_tracker
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
+from trackwright.tuning.parameters import component_names, flatten, select_parameters, with_parameters
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.uncertainty import unidentifiable
 
 STEP = 1e-5
 

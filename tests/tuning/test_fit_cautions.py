@@ -11,10 +11,10 @@ import pytest
 import trackwright as tw
 from tests.known_start import recording
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
-from trackers.core.data.recording import Recording
-from tuning.correlation import WINDOWS_S, window_sums
-from tuning.fit_cautions import correlation, standstill
-from tuning.optimisers import AbstractOptimiser
+from trackwright.trackers.core.data.recording import Recording
+from trackwright.tuning.correlation import WINDOWS_S, window_sums
+from trackwright.tuning.fit_cautions import correlation, standstill
+from trackwright.tuning.optimisers import AbstractOptimiser
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from tests.tuning.worlds import STATION, beams, line_tracker, walks
-from trackers.aoa.beam import beam_tracker
-from trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.errors import UnusableInput
-from trackers.core.model.tunable import tunables
-from trackers.core.run.chunks import jitted
-from tuning import NegativeLogLikelihood, RootMeanSquareError
-from tuning.checkpoint import to_arrays
-from tuning.fitting import fit
-from tuning.optimisation import PATIENCE
-from tuning.optimisers import LBFGS, Adam
-from tuning.parameters import flatten, select_parameters, with_parameters
-from tuning.point import term_sums
-from tuning.priors import Prior
-from tuning.problem import Problem
+from trackwright.trackers.aoa.beam import beam_tracker
+from trackwright.trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.tunable import tunables
+from trackwright.trackers.core.run.chunks import jitted
+from trackwright.tuning import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.checkpoint import to_arrays
+from trackwright.tuning.fitting import fit
+from trackwright.tuning.optimisation import PATIENCE
+from trackwright.tuning.optimisers import LBFGS, Adam
+from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
+from trackwright.tuning.point import term_sums
+from trackwright.tuning.priors import Prior
+from trackwright.tuning.problem import Problem
 
 SIGMA_A, SIGMA_P = 0.15, 0.2
 NOISE = ("motion.sigma_a", "sensors.*.sigma_p")

@@ -8,16 +8,16 @@ import pytest
 
 from tests.known_start import NEVER_LOST, recording
 from tests.tuning.worlds import SIGMA_START, LineStart
-from trackers.core.data.recording import Recording, stack
-from trackers.core.model.motion import ConstantPosition
-from trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackers.core.model.tunable import Real, Scale
-from trackers.core.run.tracker import Tracker
-from tuning import NegativeLogLikelihood, RootMeanSquareError
-from tuning.optimisation import MultiStart
-from tuning.optimisers import AbstractOptimiser
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.trackers.core.data.recording import Recording, stack
+from trackwright.trackers.core.model.motion import ConstantPosition
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackwright.trackers.core.model.tunable import Real, Scale
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.tuning import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.optimisation import MultiStart
+from trackwright.tuning.optimisers import AbstractOptimiser
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 STEEP = 1e12
 FENCE = 0.1

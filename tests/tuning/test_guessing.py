@@ -8,32 +8,32 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.corruptions import white_noise
-from sim.ranging import chamber, simulate_ranges
 from tests.known_start import NEVER_LOST
 from tests.tuning.worlds import STATION, LineStart, beams, line_tracker, walks
-from trackers.aoa.beam import beam_tracker
-from trackers.baselines.fixes import fix_tracker
-from trackers.baselines.windows import MovingWindow
-from trackers.catalogue import TRACKERS
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import AbstractMotion, Placed
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackers.core.model.tunable import Scale, tunables
-from trackers.core.run.tracker import Tracker
-from trackers.line.fixes import FloorFixes
-from trackers.line.motion import LineMotion, PathState
-from trackers.line.tracker import line_grid_tracker
-from trackers.mhk.tracker import mhk_tracker
-from trackers.parts.fixes import FIXES
-from trackers.recordings.tracks import batches as in_batches
-from trackers.uwb_imu.fusion import range_tracker
-from tuning.differences import FixNoiseLevels, noise_levels_of_fixes
-from tuning.guessing import TOLERANCE, _Search, first_guess, noise_levels, sample_segments, tolerant
-from tuning.parameters import select_parameters
-from tuning.starts import coarse_grid
+from trackwright.sim.corruptions import white_noise
+from trackwright.sim.ranging import chamber, simulate_ranges
+from trackwright.trackers.aoa.beam import beam_tracker
+from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.baselines.windows import MovingWindow
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import AbstractMotion, Placed
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackwright.trackers.core.model.tunable import Scale, tunables
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.line.fixes import FloorFixes
+from trackwright.trackers.line.motion import LineMotion, PathState
+from trackwright.trackers.line.tracker import line_grid_tracker
+from trackwright.trackers.mhk.tracker import mhk_tracker
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.recordings.tracks import batches as in_batches
+from trackwright.trackers.uwb_imu.fusion import range_tracker
+from trackwright.tuning.differences import FixNoiseLevels, noise_levels_of_fixes
+from trackwright.tuning.guessing import TOLERANCE, _Search, first_guess, noise_levels, sample_segments, tolerant
+from trackwright.tuning.parameters import select_parameters
+from trackwright.tuning.starts import coarse_grid
 
 FAR = [(10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0)]
 LEVELS = {"motion.sigma_a": 0.7, "motion.sigma_z": 0.1, "sensors.fixes.sigma_horizontal": 0.15}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import trackwright as tw
-from tuning.implied_spread import implied_spread, student_t_spread
+from trackwright.tuning.implied_spread import implied_spread, student_t_spread
 
 
 @pytest.mark.parametrize(("dof", "skew"), [(30.0, 1.0), (6.0, 3.0), (1.8, 4.0), (1.0, 1.0)])

@@ -7,15 +7,15 @@ import polars as pl
 import pytest
 from scipy import stats
 
-from sim.agv import simulate_agv
-from sim.stations import simulate_phases, work_station
-from sim.worlds import ranges as ranges_world
-from trackers import build
-from trackers.core.run.smoother import Smoothed
-from trackers.evaluation.evaluate import associate
-from trackers.evaluation.scoring import covariances, score
-from tuning.data import fit_data
-from tuning.named_objectives import HEIGHT_WEIGHT, all_metrics
+from trackwright.sim.agv import simulate_agv
+from trackwright.sim.stations import simulate_phases, work_station
+from trackwright.sim.worlds import ranges as ranges_world
+from trackwright.trackers import build
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.evaluation.evaluate import associate
+from trackwright.trackers.evaluation.scoring import covariances, score
+from trackwright.tuning.data import fit_data
+from trackwright.tuning.named_objectives import HEIGHT_WEIGHT, all_metrics
 
 LATENCY = {"sensors.fixes.latency": 0.3}
 

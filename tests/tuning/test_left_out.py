@@ -5,9 +5,9 @@ import pytest
 
 import trackwright as tw
 from tests.tuning.worlds import line_tracker, walks
-from tuning import left_out
-from tuning.left_out import left_out_values
-from tuning.objectives import StateLogLikelihood
+from trackwright.tuning import left_out
+from trackwright.tuning.left_out import left_out_values
+from trackwright.tuning.objectives import StateLogLikelihood
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 

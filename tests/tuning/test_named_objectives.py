@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.data.recording import stack
-from tuning.named_objectives import all_metrics, parse_objective
-from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
+from trackwright.trackers.core.data.recording import stack
+from trackwright.tuning.named_objectives import all_metrics, parse_objective
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
 
 SUMS = np.array([12.0, 3.0])
 """A mean of 4, a root mean square of 2."""

@@ -9,10 +9,10 @@ import pytest
 import trackwright as tw
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
-from trackers.core.data.recording import Recording, stack
-from tuning import NegativeLogLikelihood, RootMeanSquareError
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.trackers.core.data.recording import Recording, stack
+from trackwright.tuning import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 LENGTHS = [9, 16, 5, 12]
 PATTERNS = ("motion.*", "sensors.*")

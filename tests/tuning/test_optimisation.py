@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.data.recording import stack
-from tuning import NegativeLogLikelihood
-from tuning.optimisation import MultiStart
-from tuning.optimisers import LBFGS
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
-from tuning.starts import initial_state
+from trackwright.trackers.core.data.recording import stack
+from trackwright.tuning import NegativeLogLikelihood
+from trackwright.tuning.optimisation import MultiStart
+from trackwright.tuning.optimisers import LBFGS
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.starts import initial_state
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 ANYWHERE = np.full(2, -np.inf), np.full(2, np.inf)

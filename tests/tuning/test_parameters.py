@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.tuning.worlds import STATION
-from trackers.aoa.direct import direct_tracker
-from trackers.aoa.fusion import bearing_tracker
-from trackers.core.model.rig import Station
-from trackers.core.model.tunable import Covariance, Fraction, Real, Scale, tunables
-from tuning.parameters import flatten, physical, physical_errors, select_parameters, with_parameters
+from trackwright.trackers.aoa.direct import direct_tracker
+from trackwright.trackers.aoa.fusion import bearing_tracker
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale, tunables
+from trackwright.tuning.parameters import flatten, physical, physical_errors, select_parameters, with_parameters
 
 
 @pytest.fixture(scope="module")

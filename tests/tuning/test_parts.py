@@ -9,20 +9,20 @@ import jax
 import numpy as np
 import pytest
 
-from sim import worlds
 from tests.tuning.worlds import line_tracker, walks
-from trackers.catalogue import build
-from trackers.core.data.recording import stack
-from tuning.checkpoint import fingerprint
-from tuning.data import fit_data
-from tuning.fitting import fit
-from tuning.guessing import sample_segments
-from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
-from tuning.optimisers import Adam
-from tuning.parameters import flatten, select_parameters
-from tuning.parts import LocalParts, on_chunk
-from tuning.problem import Problem
-from tuning.unstacked import Pieces, lengths_of
+from trackwright.sim import worlds
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.data.recording import stack
+from trackwright.tuning.checkpoint import fingerprint
+from trackwright.tuning.data import fit_data
+from trackwright.tuning.fitting import fit
+from trackwright.tuning.guessing import sample_segments
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.optimisers import Adam
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.parts import LocalParts, on_chunk
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.unstacked import Pieces, lengths_of
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 
@@ -109,8 +109,8 @@ def data():
 )
 @pytest.mark.parametrize("chunk", [512, 3])
 def test_rows_stacked_piece_by_piece_are_those_of_whole_batches(data, monkeypatch, chunk, largest, long):
-    monkeypatch.setattr("trackers.recordings.tracks.MAX_BATCH", largest)
-    monkeypatch.setattr("trackers.core.run.chunks.LONG", long)
+    monkeypatch.setattr("trackwright.trackers.recordings.tracks.MAX_BATCH", largest)
+    monkeypatch.setattr("trackwright.trackers.core.run.chunks.LONG", long)
     whole, lazy = (dataclasses.replace(data, stacked=stacked) for stacked in (True, False))
     pairs = list(zip(*(Pieces(own.batches(), chunk) for own in (whole, lazy)), strict=True))
     assert len(pairs) > 1 or chunk == 512

@@ -9,25 +9,31 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sim.stations import work_station
 from tests.tuning.worlds import Gauge, line_tracker, walks
-from trackers.aoa.beam import Beam
-from trackers.aoa.direct import direct_tracker
-from trackers.aoa.fusion import bearing_tracker
-from trackers.baselines.fixes import fix_tracker
-from trackers.baselines.windows import MovingWindow
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Recording, stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import Kinematic
-from trackers.core.model.tunable import Scale
-from trackers.core.run.scan import Output
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import Tracker
-from trackers.mhk.tracker import mhk_tracker
-from tuning.named_objectives import all_metrics, parse_objective
-from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
-from tuning.pit_uniformity import PITUniformity, chi_square_cdf, legendre, student_t_dof_of, student_t_nis_cdf
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.beam import Beam
+from trackwright.trackers.aoa.direct import direct_tracker
+from trackwright.trackers.aoa.fusion import bearing_tracker
+from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.baselines.windows import MovingWindow
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Recording, stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import Kinematic
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.scan import Output
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.mhk.tracker import mhk_tracker
+from trackwright.tuning.named_objectives import all_metrics, parse_objective
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
+from trackwright.tuning.pit_uniformity import (
+    PITUniformity,
+    chi_square_cdf,
+    legendre,
+    student_t_dof_of,
+    student_t_nis_cdf,
+)
 
 LANES = 50
 

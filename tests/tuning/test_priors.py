@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from trackers.core.model.tunable import Covariance, Fraction, Real, Scale
-from tuning.parameters import Parameter
-from tuning.priors import Prior, parse_prior, penalty
+from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
+from trackwright.tuning.parameters import Parameter
+from trackwright.tuning.priors import Prior, parse_prior, penalty
 
 PARAMETERS = [
     Parameter(("sensors.a.sigma_p", "sensors.b.sigma_p"), Scale(0.5, "rad"), "sensors.*.sigma_p"),

@@ -6,13 +6,13 @@ import pytest
 from scipy import stats
 
 from tests.tuning.worlds import LineStart, line_tracker, walks
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.run.track_loss import TrackLossPolicy
-from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
-from tuning.parameters import flatten, select_parameters
-from tuning.priors import Prior
-from tuning.problem import Problem
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.priors import Prior
+from trackwright.tuning.problem import Problem
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 

@@ -7,14 +7,14 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from sim import worlds
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.recordings.reading_grids import of_raw_readings, reading_grids
-from tuning.data import fit_data
-from tuning.fit_arrays import FitArrays
-from tuning.parameters import select_parameters
-from tuning.reading_grids import floors
+from trackwright.sim import worlds
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.recordings.reading_grids import of_raw_readings, reading_grids
+from trackwright.tuning.data import fit_data
+from trackwright.tuning.fit_arrays import FitArrays
+from trackwright.tuning.parameters import select_parameters
+from trackwright.tuning.reading_grids import floors
 
 SIGMA = "sensors.gauge.sigma"
 

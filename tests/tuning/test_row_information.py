@@ -5,12 +5,12 @@ import pytest
 
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
-from trackers.core.data.recording import stack
-from trackers.core.model.covariance import FEW
-from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
-from tuning.row_information import row_information
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.covariance import FEW
+from trackwright.tuning.objectives import NegativeLogLikelihood
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.row_information import row_information
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 STEP = 1e-5

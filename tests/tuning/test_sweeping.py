@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from sim.line import THESIS_KNOTS, simulate_line
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.tunable import Real, Scale
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.tracker import line_motion
-from trackers.line.tracker import line_tracker as particle_tracker
-from tuning import NegativeLogLikelihood, RootMeanSquareError
-from tuning.parameters import Parameter, select_parameters
-from tuning.problem import Problem
-from tuning.sweeping import Sweep, grid_vectors, sweep
+from trackwright.sim.line import THESIS_KNOTS, simulate_line
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.tunable import Real, Scale
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.tracker import line_motion
+from trackwright.trackers.line.tracker import line_tracker as particle_tracker
+from trackwright.tuning import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.parameters import Parameter, select_parameters
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.sweeping import Sweep, grid_vectors, sweep
 
 NLL = NegativeLogLikelihood()
 SIGMA_V, SIGMA = "motion.sigma_v", "sensors.gauge.sigma"

@@ -7,14 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.stations import work_station
-from trackers.aoa.direct import direct_tracker
-from trackers.aoa.fusion import bearing_tracker
-from trackers.core.errors import UnusableInput
-from trackers.core.model.tunable import tunables, with_values
-from trackers.recordings.calibration_file import identity
-from tuning.parameters import flatten, physical, select_parameters, with_parameters
-from tuning.tuned_file import read_tuned, tuned_content, write_tuned
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.direct import direct_tracker
+from trackwright.trackers.aoa.fusion import bearing_tracker
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.tunable import tunables, with_values
+from trackwright.trackers.recordings.calibration_file import identity
+from trackwright.tuning.parameters import flatten, physical, select_parameters, with_parameters
+from trackwright.tuning.tuned_file import read_tuned, tuned_content, write_tuned
 
 
 def _result(tracker, patterns):

@@ -10,16 +10,16 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.data.recording import Readings, stack
-from trackers.core.model.tunable import Covariance, Fraction, Real, Scale
-from tuning.identifiability import flat_components, identifiability_issues
-from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
-from tuning.optimum import Optimum, optimum
-from tuning.parameters import Parameter, flatten, select_parameters
-from tuning.problem import Evaluation, Problem
-from tuning.profiles import bootstrap, percentile_intervals, profile, refit
-from tuning.uncertainty import Uncertainty, uncertainty, uncertainty_at, unidentifiable, unused
-from tuning.undetermined import kept_at_start
+from trackwright.trackers.core.data.recording import Readings, stack
+from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
+from trackwright.tuning.identifiability import flat_components, identifiability_issues
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.optimum import Optimum, optimum
+from trackwright.tuning.parameters import Parameter, flatten, select_parameters
+from trackwright.tuning.problem import Evaluation, Problem
+from trackwright.tuning.profiles import bootstrap, percentile_intervals, profile, refit
+from trackwright.tuning.uncertainty import Uncertainty, uncertainty, uncertainty_at, unidentifiable, unused
+from trackwright.tuning.undetermined import kept_at_start
 
 TYPICAL = 0.5
 

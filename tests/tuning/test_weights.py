@@ -6,13 +6,13 @@ from scipy import stats
 
 import trackwright as tw
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.data.recording import stack
-from tuning.named_objectives import all_metrics, parse_objective
-from tuning.optimum import optimum
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
-from tuning.uncertainty import uncertainty
-from tuning.weights import trajectory_weights
+from trackwright.trackers.core.data.recording import stack
+from trackwright.tuning.named_objectives import all_metrics, parse_objective
+from trackwright.tuning.optimum import optimum
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.uncertainty import uncertainty
+from trackwright.tuning.weights import trajectory_weights
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 

@@ -7,15 +7,15 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from sim.stations import work_station
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.aoa.beam import Beam, BeamMotion
-from trackers.core.data.recording import Readings, Recording
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import ConstantPosition, Placed
-from trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackers.core.model.tunable import Real, Scale
-from trackers.core.run.tracker import Tracker
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.beam import Beam, BeamMotion
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import ConstantPosition, Placed
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackwright.trackers.core.model.tunable import Real, Scale
+from trackwright.trackers.core.run.tracker import Tracker
 
 STATION = work_station().stations["1"]
 SIGMA_START = 0.5

@@ -9,19 +9,19 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.aoa.beamformer import Grid, direction
-from trackers.aoa.phases import InPlanePhases, PlanePhases, require_array
-from trackers.core.model.algebra import Scalar, Vector, diagonal
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.motion import AbstractMotion, Noise, process_noise
-from trackers.core.model.rig import Station
-from trackers.core.model.sensor import Row
-from trackers.core.model.start import AbstractStart
-from trackers.core.model.state import Heading
-from trackers.core.model.tunable import Scale
-from trackers.core.run.track_loss import TrackLossPolicy
-from trackers.core.run.tracker import Tracker
+from trackwright.trackers.aoa.beamformer import Grid, direction
+from trackwright.trackers.aoa.phases import InPlanePhases, PlanePhases, require_array
+from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.motion import AbstractMotion, Noise, process_noise
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.state import Heading
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.tracker import Tracker
 
 PHASES = "phases"
 """The name of a station's phases in the recordings of a tracker of one station."""

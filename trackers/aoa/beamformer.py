@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.aoa.peak import Blocks, power, strongest_index
-from trackers.core.model.rig import Station
+from trackwright.trackers.aoa.peak import Blocks, power, strongest_index
+from trackwright.trackers.core.model.rig import Station
 
 
 class Grid(eqx.Module):

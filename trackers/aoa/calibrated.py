@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.inputs import AnyArray, Input, Need
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.inputs import AnyArray, Input, Need
 
 CALIBRATION = Input(
     "calibration",

@@ -9,22 +9,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.aoa.beam import beam_tracker
-from trackers.aoa.fusion import AXES, BEARINGS, ORIGIN, BearingSensor, bearing_inputs, region_centre
-from trackers.aoa.phases import require_arrays
-from trackers.aoa.rays import nearest_to_rays, unit_vector
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Batch
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.linearise import covariance_of
-from trackers.core.model.motion import ConstantVelocity
-from trackers.core.model.rig import Station
-from trackers.core.model.sensor import AbstractSensor, Reading
-from trackers.core.model.tunable import Scale
-from trackers.core.run.layout import Layout
-from trackers.core.run.scan import Output, ScanState
-from trackers.core.run.tracker import AbstractEpochwiseTracker, Tracker
-from trackers.parts.start_nearby import NEARBY, NearbyStart
+from trackwright.trackers.aoa.beam import beam_tracker
+from trackwright.trackers.aoa.fusion import AXES, BEARINGS, ORIGIN, BearingSensor, bearing_inputs, region_centre
+from trackwright.trackers.aoa.phases import require_arrays
+from trackwright.trackers.aoa.rays import nearest_to_rays, unit_vector
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.linearise import covariance_of
+from trackwright.trackers.core.model.motion import ConstantVelocity
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.scan import Output, ScanState
+from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker, Tracker
+from trackwright.trackers.parts.start_nearby import NEARBY, NearbyStart
 
 
 class CascadeState(NamedTuple):

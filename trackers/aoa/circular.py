@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 
-from trackers.core.model.algebra import Scalar, compute_once, total
+from trackwright.trackers.core.model.algebra import Scalar, compute_once, total
 
 # Least-squares polynomials in t², t = angle/π, on [−1, 1]: sin πt = t(1 − t²)·Σ SINE t²ᵏ (error 3e-9) and
 # cos πt = Σ COSINE t²ᵏ (error 1e-8); XLA's own sin and cos cost ten times as much on a CPU.

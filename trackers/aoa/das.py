@@ -8,18 +8,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.aoa.beam import PHASES, Beam, InPlaneBeam
-from trackers.aoa.beamformer import Grid, direction
-from trackers.aoa.phases import require_array
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Batch
-from trackers.core.model.algebra import triangle
-from trackers.core.model.rig import Station
-from trackers.core.model.sensor import Channel
-from trackers.core.model.state import Heading
-from trackers.core.run.layout import Layout
-from trackers.core.run.scan import Output
-from trackers.core.run.tracker import AbstractEpochwiseTracker
+from trackwright.trackers.aoa.beam import PHASES, Beam, InPlaneBeam
+from trackwright.trackers.aoa.beamformer import Grid, direction
+from trackwright.trackers.aoa.phases import require_array
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.algebra import triangle
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import Channel
+from trackwright.trackers.core.model.state import Heading
+from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.scan import Output
+from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker
 
 
 class DelayAndSum(AbstractEpochwiseTracker):

@@ -9,20 +9,20 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.aoa.beamformer import Grid, direction
-from trackers.aoa.fusion import region_centre
-from trackers.aoa.phases import SphericalPhases, require_arrays
-from trackers.aoa.rays import nearest_to_rays, unit_vector
-from trackers.core.model.algebra import Scalar, Vector, diagonal, total
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.inputs import HEIGHT, Input
-from trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
-from trackers.core.model.rig import Station
-from trackers.core.model.sensor import Row
-from trackers.core.model.start import AbstractStart
-from trackers.core.model.tunable import Scale
-from trackers.core.run.track_loss import TrackLossPolicy
-from trackers.core.run.tracker import Tracker
+from trackwright.trackers.aoa.beamformer import Grid, direction
+from trackwright.trackers.aoa.fusion import region_centre
+from trackwright.trackers.aoa.phases import SphericalPhases, require_arrays
+from trackwright.trackers.aoa.rays import nearest_to_rays, unit_vector
+from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, total
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import HEIGHT, Input
+from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.tracker import Tracker
 
 
 class PhaseStart(AbstractStart):

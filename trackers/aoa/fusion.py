@@ -13,19 +13,26 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.aoa.calibrated import CALIBRATION, measured_angles
-from trackers.core.errors import is_count, require
-from trackers.core.model.algebra import Scalar, Vector, total
-from trackers.core.model.inputs import HEIGHT, Input, Inputs, Need
-from trackers.core.model.motion import Noise
-from trackers.core.model.rig import Station
-from trackers.core.model.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
-from trackers.core.model.state import wrap
-from trackers.core.model.tunable import Real, Scale
-from trackers.core.run.track_loss import TrackScorePolicy
-from trackers.core.run.tracker import Tracker
-from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
-from trackers.parts.ranges import entry_at
+from trackwright.trackers.aoa.calibrated import CALIBRATION, measured_angles
+from trackwright.trackers.core.errors import is_count, require
+from trackwright.trackers.core.model.algebra import Scalar, Vector, total
+from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs, Need
+from trackwright.trackers.core.model.motion import Noise
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import (
+    AbstractSensor,
+    Channel,
+    Reading,
+    Residual,
+    position_in_space,
+    student_t_log_peak,
+)
+from trackwright.trackers.core.model.state import wrap
+from trackwright.trackers.core.model.tunable import Real, Scale
+from trackwright.trackers.core.run.track_loss import TrackScorePolicy
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
+from trackwright.trackers.parts.ranges import entry_at
 
 BEARINGS = "bearings"
 

@@ -16,15 +16,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.aoa.circular import circular_mean
-from trackers.core.errors import require
-from trackers.core.model.algebra import Scalar, Vector, compute_once, total
-from trackers.core.model.inputs import HEIGHT, Input, Inputs
-from trackers.core.model.motion import Noise, as_scale
-from trackers.core.model.rig import Station
-from trackers.core.model.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, position_in_space
-from trackers.core.model.state import wrap
-from trackers.core.model.tunable import Real
+from trackwright.trackers.aoa.circular import circular_mean
+from trackwright.trackers.core.errors import require
+from trackwright.trackers.core.model.algebra import Scalar, Vector, compute_once, total
+from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs
+from trackwright.trackers.core.model.motion import Noise, as_scale
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import (
+    LOG_2PI,
+    AbstractSensor,
+    Channel,
+    Reading,
+    Residual,
+    position_in_space,
+)
+from trackwright.trackers.core.model.state import wrap
+from trackwright.trackers.core.model.tunable import Real
 
 
 def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:

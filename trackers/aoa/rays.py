@@ -8,8 +8,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.data.sorted_parts import first_not_before
-from trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.data.sorted_parts import first_not_before
+from trackwright.trackers.core.model.algebra import Scalar
 
 MIN_INFORMATION = 0.02
 """Smallest eigenvalue of the information matrix, per ray (0 … ⅔), with which a point is determined."""

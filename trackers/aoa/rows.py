@@ -8,22 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from trackers.aoa.beam import PHASES, beam_tracker, in_plane_beam_tracker
-from trackers.aoa.cascade import cascade_tracker
-from trackers.aoa.das import DelayAndSum
-from trackers.aoa.direct import direct_tracker
-from trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
-from trackers.aoa.rays import recent_points_of_each
-from trackers.core.data.recording import Readings
-from trackers.core.model.rig import Station, room_rows
-from trackers.core.run.track_loss import ROOM
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.checks.readings import readings as readings_of
-from trackers.recordings.checks.repeats import repeated_share
-from trackers.recordings.columns import TagRows
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
+from trackwright.trackers.aoa.beam import PHASES, beam_tracker, in_plane_beam_tracker
+from trackwright.trackers.aoa.cascade import cascade_tracker
+from trackwright.trackers.aoa.das import DelayAndSum
+from trackwright.trackers.aoa.direct import direct_tracker
+from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
+from trackwright.trackers.aoa.rays import recent_points_of_each
+from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.core.model.rig import Station, room_rows
+from trackwright.trackers.core.run.track_loss import ROOM
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.checks.readings import readings as readings_of
+from trackwright.trackers.recordings.checks.repeats import repeated_share
+from trackwright.trackers.recordings.columns import TagRows
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.trajectories import (
+    Trajectories,
+    Trajectory,
+    known_height,
+    known_heights,
+    trajectories_of,
+)
 
 REPEATED, AVERAGE_S = 0.5, 0.5
 """Share of repeated bearings above which they are averaged, over this interval, s: their errors last longer still."""

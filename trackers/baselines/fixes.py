@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from trackers.core.filters.particle.filter import ParticleFilter
-from trackers.core.model.motion import ConstantVelocity, GroundMotion
-from trackers.core.model.tunable import Scale
-from trackers.core.run.tracker import Tracker
-from trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart
-from trackers.parts.singer import Singer
-from trackers.parts.walls import Walls
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
+from trackwright.trackers.core.model.motion import ConstantVelocity, GroundMotion
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart
+from trackwright.trackers.parts.singer import Singer
+from trackwright.trackers.parts.walls import Walls
 
 
 def fix_tracker(

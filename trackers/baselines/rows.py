@@ -7,17 +7,17 @@ from functools import partial
 
 import numpy as np
 
-from trackers.baselines.fixes import fix_tracker, floor_tracker, singer_tracker
-from trackers.baselines.switching import mirror_tracker, switching_tracker
-from trackers.baselines.windows import MovingWindow
-from trackers.core.data.recording import Readings
-from trackers.core.errors import UnusableInput
-from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
-from trackers.parts.fixes import FIXES
-from trackers.parts.walls import Walls
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.recordings.trajectories import Trajectories, Trajectory
+from trackwright.trackers.baselines.fixes import fix_tracker, floor_tracker, singer_tracker
+from trackwright.trackers.baselines.switching import mirror_tracker, switching_tracker
+from trackwright.trackers.baselines.windows import MovingWindow
+from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.parts.fix_rows import fix_trajectories, lacks_fixes
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.walls import Walls
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
 
 COPLANAR = 0.5
 """Largest difference between the heights of anchors that count as coplanar, m."""

@@ -20,25 +20,25 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.errors import require
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.filters.imm import (
+from trackwright.trackers.core.errors import require
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.filters.imm import (
     AbstractInteractingModels,
     AbstractSwitching,
     InteractingModels,
     Mixture,
     SwitchingMotion,
 )
-from trackers.core.model.algebra import Scalar, Vector, diagonal
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.inputs import HEIGHT, Input, Inputs
-from trackers.core.model.linearise import covariance_of
-from trackers.core.model.motion import GroundMotion, Kinematic, Noise
-from trackers.core.model.sensor import AbstractSensor, Channel, Row
-from trackers.core.model.start import AbstractStart
-from trackers.core.model.tunable import Real, Scale
-from trackers.core.run.tracker import Tracker
-from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart
+from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs
+from trackwright.trackers.core.model.linearise import covariance_of
+from trackwright.trackers.core.model.motion import GroundMotion, Kinematic, Noise
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.tunable import Real, Scale
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart
 
 BELOW, ABOVE = 0, 1
 

@@ -8,16 +8,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Batch
-from trackers.core.errors import is_count, require
-from trackers.core.model.algebra import Vector, triangle
-from trackers.core.model.motion import Placed
-from trackers.core.run.layout import Layout
-from trackers.core.run.scan import Output
-from trackers.core.run.tracker import AbstractEpochwiseTracker
-from trackers.parts.fixes import FIXES
-from trackers.parts.median import nan_median
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.errors import is_count, require
+from trackwright.trackers.core.model.algebra import Vector, triangle
+from trackwright.trackers.core.model.motion import Placed
+from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.scan import Output
+from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.median import nan_median
 
 
 class MovingWindow(AbstractEpochwiseTracker):

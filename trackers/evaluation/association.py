@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackers.core.data.seconds import span
-from trackers.core.errors import UnusableInput, listed
-from trackers.core.model.rig import Station
-from trackers.core.wording import counted
-from trackers.recordings.columns import float_column, require_columns, run_starts
-from trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, track_keys
-from trackers.recordings.truth import TruePaths, TruthStatus
+from trackwright.trackers.core.data.seconds import span
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.recordings.columns import float_column, require_columns, run_starts
+from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, track_keys
+from trackwright.trackers.recordings.truth import TruePaths, TruthStatus
 
 
 class Association(NamedTuple):

@@ -8,15 +8,15 @@ from typing import Any
 import jax
 import numpy as np
 
-from trackers.core.data.recording import Batch, stack
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import Kinematic
-from trackers.core.model.sensor import Row
-from trackers.core.run.crlb import NoBoundError, posterior_bound
-from trackers.core.run.tracker import Tracker
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.core.data.recording import Batch, stack
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import Kinematic
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.run.crlb import NoBoundError, posterior_bound
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 
 MAX_RUNS = 256
 """Largest number of tags over which the information is averaged."""

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.core.data.chi_square import chi_square_quantile
-from trackers.evaluation.association import Association
-from trackers.evaluation.scoring import Scored
-from trackers.recordings.columns import float_column
-from trackers.recordings.tracks_table import track_keys
+from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.evaluation.association import Association
+from trackwright.trackers.evaluation.scoring import Scored
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.tracks_table import track_keys
 
 MOST_PIECES, LEAST_PIECES = 30, 5
 MANY_TRACKS = 30

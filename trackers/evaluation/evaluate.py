@@ -14,23 +14,28 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import polars as pl
 
-from trackers.core.data.estimates import Estimates, numbered_names
-from trackers.core.data.frames import evaluation_html, evaluation_text
-from trackers.core.data.recording import Recording
-from trackers.core.errors import UnusableInput, one_or_more
-from trackers.core.model.rig import Station
-from trackers.core.wording import counted
-from trackers.evaluation.association import Association, associate_paths, associate_truth, refuse_without_overlap
-from trackers.evaluation.metrics import metric_rows
-from trackers.evaluation.residuals import residual_ratios
-from trackers.evaluation.scores import Scores
-from trackers.evaluation.scoring import score, scores_of_tracks
-from trackers.evaluation.statements import covariance_statements
-from trackers.recordings.columns import require_columns
-from trackers.recordings.folder import RecordingFolder, refuse_same_names
-from trackers.recordings.tracks import Tracks
-from trackers.recordings.tracks_table import is_bearing, track_keys
-from trackers.recordings.truth import TruePaths
+from trackwright.trackers.core.data.estimates import Estimates, numbered_names
+from trackwright.trackers.core.data.frames import evaluation_html, evaluation_text
+from trackwright.trackers.core.data.recording import Recording
+from trackwright.trackers.core.errors import UnusableInput, one_or_more
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.evaluation.association import (
+    Association,
+    associate_paths,
+    associate_truth,
+    refuse_without_overlap,
+)
+from trackwright.trackers.evaluation.metrics import metric_rows
+from trackwright.trackers.evaluation.residuals import residual_ratios
+from trackwright.trackers.evaluation.scores import Scores
+from trackwright.trackers.evaluation.scoring import score, scores_of_tracks
+from trackwright.trackers.evaluation.statements import covariance_statements
+from trackwright.trackers.recordings.columns import require_columns
+from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
+from trackwright.trackers.recordings.tracks import Tracks
+from trackwright.trackers.recordings.tracks_table import is_bearing, track_keys
+from trackwright.trackers.recordings.truth import TruePaths
 
 T = TypeVar("T")
 OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]

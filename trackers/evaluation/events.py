@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
-from trackers.core.data.recording import Readings, Recording
-from trackers.line.leaving import excursions
-from trackers.line.path import path_of
-from trackers.parts.fixes import FIXES
-from trackers.parts.ranges import RANGES
-from trackers.recordings.columns import float_column
-from trackers.recordings.local_frame import from_origins
-from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
-from trackers.recordings.tracks_table import track_keys
-from trackers.recordings.trajectories import Trajectories, Trajectory
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.line.leaving import excursions
+from trackwright.trackers.line.path import path_of
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.local_frame import from_origins
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
+from trackwright.trackers.recordings.tracks_table import track_keys
+from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
 
 EVENTS = "events.parquet"
 """File in the output folder of `trackwright track`."""
@@ -108,8 +108,8 @@ def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[fl
 
 def _free_positions(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Times (T,), s, and positions (T, 2), m, estimated without the path; NaN where there is none."""
-    from trackers.baselines.fixes import fix_tracker
-    from trackers.line.rows import raw_positions
+    from trackwright.trackers.baselines.fixes import fix_tracker
+    from trackwright.trackers.line.rows import raw_positions
 
     whole = trajectory.recording
     if RANGES in whole.readings:

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackers.core.data.chi_square import chi_square_quantile
-from trackers.evaluation.rank_correlation import LAGS_S, correlation, inflation
-from trackers.evaluation.scores import LEVELS, Scores
+from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.evaluation.rank_correlation import LAGS_S, correlation, inflation
+from trackwright.trackers.evaluation.scores import LEVELS, Scores
 
 Formula = Callable[[Scores], np.ndarray]
 

@@ -13,14 +13,14 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float, Int
 
-from trackers.core.model.algebra import Vector
-from trackers.core.model.sensor import AbstractSensor
-from trackers.core.model.state import wrap
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import Tracker
-from trackers.recordings.local_frame import from_origins
-from trackers.recordings.tracks import Tracks
-from trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.model.state import wrap
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.recordings.local_frame import from_origins
+from trackwright.trackers.recordings.tracks import Tracks
+from trackwright.trackers.recordings.trajectories import Trajectory
 
 BLOCK_S = 5.0
 """Time, s, over which residuals are averaged."""

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from trackers.core.data import metrics
-from trackers.core.model.rig import Station
-from trackers.evaluation.association import Association, true_bearings
-from trackers.evaluation.metrics import bearing_sizes, position_sizes
-from trackers.evaluation.rank_correlation import rank_sums
-from trackers.evaluation.scores import Groups, Ordered, Scores, error_sums, nees_sums
-from trackers.recordings.columns import float_column
-from trackers.recordings.tracks_table import is_bearing
-from trackers.recordings.truth import TruthStatus
+from trackwright.trackers.core.data import metrics
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.evaluation.association import Association, true_bearings
+from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
+from trackwright.trackers.evaluation.rank_correlation import rank_sums
+from trackwright.trackers.evaluation.scores import Groups, Ordered, Scores, error_sums, nees_sums
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.tracks_table import is_bearing
+from trackwright.trackers.recordings.truth import TruthStatus
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trackers.core.errors import listed
-from trackers.core.wording import significant
+from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.wording import significant
 
 COVERAGE = (0.88, 0.99)
 """The share of the truth inside the 95 % ellipse with which covariances hold."""
@@ -15,7 +15,8 @@ RATIO = (0.67, 1.4)
 """NEES per degree of freedom with which covariances hold, and NIS per degree of freedom that is as expected.
 
 Standard deviations are then at most a fifth too small or too large, where the 95 % ellipse holds 88 to 99 % of normal
-errors. Worlds of a tracker's own model have a NIS within (`python -m experiments.lab.validation.nis_expectation`).
+errors. Worlds of a tracker's own model have a NIS within
+(`python -m trackwright.experiments.lab.validation.nis_expectation`).
 """
 
 LIMITS = f"limits {100 * COVERAGE[0]:.0f} to {100 * COVERAGE[1]:.0f} %", f"limits {RATIO[0]:g} to {RATIO[1]:g}"

@@ -8,12 +8,12 @@ from typing import Literal, get_args
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import rotation_matrices
-from trackers.evaluation.scoring import covariances
-from trackers.exchange.poses import AXES, PoseTrajectory, quaternions_of
-from trackers.recordings.columns import float_column
-from trackers.recordings.kinds import QUATERNION
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.evaluation.scoring import covariances
+from trackwright.trackers.exchange.poses import AXES, PoseTrajectory, quaternions_of
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.kinds import QUATERNION
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 

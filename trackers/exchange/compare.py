@@ -8,12 +8,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from trackers.core.data.seconds import HOLE_S, span
-from trackers.core.errors import UnusableInput
-from trackers.exchange.alignment import Alignment, Similarity, alignment
-from trackers.exchange.pose_errors import Statistics, Step, absolute_errors, associate, relative_errors, statistics
-from trackers.exchange.poses import PoseTrajectory
-from trackers.exchange.time_offset import estimate_offset
+from trackwright.trackers.core.data.seconds import HOLE_S, span
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.exchange.alignment import Alignment, Similarity, alignment
+from trackwright.trackers.exchange.pose_errors import (
+    Statistics,
+    Step,
+    absolute_errors,
+    associate,
+    relative_errors,
+    statistics,
+)
+from trackwright.trackers.exchange.poses import PoseTrajectory
+from trackwright.trackers.exchange.time_offset import estimate_offset
 
 SPEED_WINDOW_S = 0.5
 """Speeds are distances over this time, centred."""

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput, listed
-from trackers.core.model.rig import Rig
-from trackers.exchange.trajectory_files import Kind, read_trajectory
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.input_file import beginning
-from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.exchange.trajectory_files import Kind, read_trajectory
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.input_file import beginning
+from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:[T ]|$)")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.evaluation.scoring import covariances
-from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
-from trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.scoring import covariances
+from trackwright.trackers.exchange.poses import PoseTrajectory, trajectory_of_table
+from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput, listed
-from trackers.core.model.rig import Rig
-from trackers.exchange.mapped_table import mapped_table
-from trackers.exchange.mapping import TableMapping, checked, columns_of
-from trackers.exchange.origin import origin_of, since
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.beside import beside
-from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
-from trackers.recordings.kinds import KINDS
-from trackers.recordings.rig_file import RIG_FILE, read_rig
-from trackers.recordings.table_file import TableFile
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.exchange.mapped_table import mapped_table
+from trackwright.trackers.exchange.mapping import TableMapping, checked, columns_of
+from trackwright.trackers.exchange.origin import origin_of, since
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.beside import beside
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
+from trackwright.trackers.recordings.table_file import TableFile
 
 
 def import_frames(

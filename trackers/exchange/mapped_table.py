@@ -8,12 +8,12 @@ from collections.abc import Mapping
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput, listed
-from trackers.core.wording import counted
-from trackers.exchange.estimate_files import numbers_of
-from trackers.exchange.mapping import Expression, TableMapping, sensor_of
-from trackers.recordings.kinds import QUATERNION, layout, table_kinds
-from trackers.recordings.table_file import TableFile
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.exchange.estimate_files import numbers_of
+from trackwright.trackers.exchange.mapping import Expression, TableMapping, sensor_of
+from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
+from trackwright.trackers.recordings.table_file import TableFile
 
 _UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|ns|deg|km|ft)[\])]$", re.IGNORECASE)
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]")

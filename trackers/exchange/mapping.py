@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from trackers.core.errors import UnusableInput, listed
-from trackers.recordings.input_file import read_toml
-from trackers.recordings.kinds import table_kinds
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.recordings.input_file import read_toml
+from trackwright.trackers.recordings.kinds import table_kinds
 
 UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048},

@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.recordings.kinds import first_time
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.kinds import first_time
 
 
 def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:

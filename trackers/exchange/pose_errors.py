@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import rotation_matrices
-from trackers.exchange.poses import PoseTrajectory
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.exchange.poses import PoseTrajectory
 
 Statistics = dict[str, float]
 """Number, root mean square, mean, median, standard deviation, least, largest, and sum of squares of an error."""

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackers.core.data.seconds import span
-from trackers.core.errors import UnusableInput
-from trackers.recordings.columns import float_column
-from trackers.recordings.kinds import QUATERNION
-from trackers.recordings.tracks_table import NO_ESTIMATE
+from trackwright.trackers.core.data.seconds import span
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.kinds import QUATERNION
+from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE
 
 AXES = ("x_m", "y_m", "z_m")
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig
-from trackers.exchange.exported_tracks import ExportedTrack
-from trackers.exchange.poses import quaternions_of
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.exchange.exported_tracks import ExportedTrack
+from trackwright.trackers.exchange.poses import quaternions_of
 
 _QUANTILE_95 = 7.814727903251178
 """95 % quantile of χ² with 3 degrees of freedom."""

@@ -13,10 +13,10 @@ from typing import Any
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput, listed
-from trackers.exchange.mapping import TableMapping, parsed, sensor_of
-from trackers.recordings.input_file import LARGEST, file_bytes, size_of
-from trackers.recordings.table_file import TableFile
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.exchange.mapping import TableMapping, parsed, sensor_of
+from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, size_of
+from trackwright.trackers.recordings.table_file import TableFile
 
 RECEIVED = "received"
 """Field of every message: the time, s, at which the bag received it."""

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from trackers.exchange.exported_tracks import ExportedTrack
-from trackers.exchange.ros_reader import rosbags_module
-from trackers.recordings.beside import beside
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.exchange.exported_tracks import ExportedTrack
+from trackwright.trackers.exchange.ros_reader import rosbags_module
+from trackwright.trackers.recordings.beside import beside
 
 _TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _FRAME = "world"

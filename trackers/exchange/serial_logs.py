@@ -10,10 +10,10 @@ from typing import Literal
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.core.wording import counted
-from trackers.exchange.mapping import Expression
-from trackers.recordings.input_file import file_bytes
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.exchange.mapping import Expression
+from trackwright.trackers.recordings.input_file import file_bytes
 
 LogKind = Literal["dwm1001", "trek1000"]
 

@@ -11,14 +11,14 @@ from typing import Literal
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput, listed
-from trackers.exchange.mapped_table import mapped_table
-from trackers.exchange.mapping import TableMapping
-from trackers.exchange.ros_reader import message_columns, opened, topics_of
-from trackers.exchange.serial_logs import TIME, log_kind, read_log
-from trackers.exchange.trajectory_files import kind_of, read_trajectory
-from trackers.recordings.input_file import beginning, file_bytes
-from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.exchange.mapped_table import mapped_table
+from trackwright.trackers.exchange.mapping import TableMapping
+from trackwright.trackers.exchange.ros_reader import message_columns, opened, topics_of
+from trackwright.trackers.exchange.serial_logs import TIME, log_kind, read_log
+from trackwright.trackers.exchange.trajectory_files import kind_of, read_trajectory
+from trackwright.trackers.recordings.input_file import beginning, file_bytes
+from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 
 SourceKind = Literal["csv", "tum", "kitti", "euroc", "ros", "dwm1001", "trek1000"]
 

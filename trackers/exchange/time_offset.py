@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from trackers.exchange.alignment import Alignment, alignment
-from trackers.exchange.poses import PoseTrajectory
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.exchange.alignment import Alignment, alignment
+from trackwright.trackers.exchange.poses import PoseTrajectory
 
 _GRID_S = 0.05
 _WINDOW_S = 0.5

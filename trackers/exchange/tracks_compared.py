@@ -8,12 +8,12 @@ from typing import Any, Literal, NamedTuple
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput, listed
-from trackers.exchange.alignment import Alignment
-from trackers.exchange.compare import TrajectoryErrors, compare_trajectories
-from trackers.exchange.pose_errors import Statistics, Step
-from trackers.exchange.poses import trajectory_of_table
-from trackers.recordings.tracks_table import is_bearing
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.exchange.alignment import Alignment
+from trackwright.trackers.exchange.compare import TrajectoryErrors, compare_trajectories
+from trackwright.trackers.exchange.pose_errors import Statistics, Step
+from trackwright.trackers.exchange.poses import trajectory_of_table
+from trackwright.trackers.recordings.tracks_table import is_bearing
 
 
 class ComparedTrack(NamedTuple):

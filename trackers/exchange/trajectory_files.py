@@ -8,12 +8,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import rotation_matrices
-from trackers.exchange.poses import PoseTrajectory, quaternions_of
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.input_file import file_bytes
-from trackers.recordings.tables import restarted_at
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.exchange.poses import PoseTrajectory, quaternions_of
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.tables import restarted_at
 
 Kind = Literal["tum", "kitti", "euroc"]
 

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.exchange.alignment import Similarity
-from trackers.recordings.checks.compared import Compared, compared
-from trackers.recordings.checks.explanations import transform_text
-from trackers.recordings.checks.robust_fit import robust_fit
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import KINDS
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.exchange.alignment import Similarity
+from trackwright.trackers.recordings.checks.compared import Compared, compared
+from trackwright.trackers.recordings.checks.explanations import transform_text
+from trackwright.trackers.recordings.checks.robust_fit import robust_fit
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
 
 LONGEST_S, STEP_S = 10.0, 0.5
 """Differences of the clocks that are searched, and their steps; motion of a few decimetres lies between two."""

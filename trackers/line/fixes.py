@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.motion import Noise, as_scale
-from trackers.core.model.sensor import AbstractSensor, Channel, Reading, Residual, independent
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.motion import Noise, as_scale
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, Residual, independent
 
 FIXES = "fixes"
 

@@ -13,18 +13,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from trackers.core.filters.filter import AbstractFilter, Innovation
-from trackers.core.filters.particle.filter import particle_residuals, weighted_moments, weighted_nis
-from trackers.core.model.algebra import Scalar, compute_once, total
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.keys import RawKey
-from trackers.core.model.linearise import covariance_of
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.sensor import AbstractSensor, Reading
-from trackers.core.model.state import State
-from trackers.line.motion import HaltingMotion, LineMotion, PathOutputMap, PathState
+from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
+from trackwright.trackers.core.filters.particle.filter import particle_residuals, weighted_moments, weighted_nis
+from trackwright.trackers.core.model.algebra import Scalar, compute_once, total
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.linearise import covariance_of
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.state import State
+from trackwright.trackers.line.motion import HaltingMotion, LineMotion, PathOutputMap, PathState
 
 LAPS = 2
 """Laps of a closed path, in either direction, over which the initial normal distribution is summed."""

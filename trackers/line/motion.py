@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax.scipy.special import ndtri
 
-from trackers.core.filters.particle.filter import AbstractOutputMap, second_moments, weighted_mean
-from trackers.core.model.algebra import Scalar, Vector
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.motion import AbstractMotion, Kinematic, Noise, draw_log_density, process_noise
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.tunable import Fraction, Scale
+from trackwright.trackers.core.filters.particle.filter import AbstractOutputMap, second_moments, weighted_mean
+from trackwright.trackers.core.model.algebra import Scalar, Vector
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.motion import AbstractMotion, Kinematic, Noise, draw_log_density, process_noise
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.tunable import Fraction, Scale
 
 
 class PathState(NamedTuple):

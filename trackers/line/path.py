@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from trackers.core.model.polyline import Polyline
-from trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 CLOSING_GAP = 0.05
 """Largest gap between the ends of a closed path, as a fraction of its longest segment."""

@@ -9,21 +9,27 @@ from functools import partial
 import numpy as np
 import polars as pl
 
-from trackers.core.data.recording import Readings
-from trackers.core.errors import UnusableInput
-from trackers.core.model.sensor import AbstractSensor
-from trackers.core.run.tracker import AbstractTracker, Tracker
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.motion import HaltingMotion, LineMotion
-from trackers.line.path import path_of
-from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
-from trackers.line.truth import KnotTimes, knot_times
-from trackers.parts.fix_rows import AXES_M, AXES_STD_M
-from trackers.parts.range_rows import range_trajectories
-from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
+from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.motion import HaltingMotion, LineMotion
+from trackwright.trackers.line.path import path_of
+from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
+from trackwright.trackers.line.truth import KnotTimes, knot_times
+from trackwright.trackers.parts.fix_rows import AXES_M, AXES_STD_M
+from trackwright.trackers.parts.range_rows import range_trajectories
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.trajectories import (
+    Trajectories,
+    Trajectory,
+    known_height,
+    known_heights,
+    trajectories_of,
+)
 
 SIGMA_FIX = 0.3
 """Standard deviation of a fix per axis, m; the raw error in the thesis is 0.39 m over both axes."""

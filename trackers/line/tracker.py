@@ -10,19 +10,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.errors import require
-from trackers.core.filters.particle.filter import ParticleFilter, log_density
-from trackers.core.model.algebra import Scalar, diagonal, total
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.motion import Noise
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.sensor import AbstractSensor, Row
-from trackers.core.model.start import AbstractStart
-from trackers.core.model.tunable import Scale
-from trackers.core.run.track_loss import TrackLossPolicy
-from trackers.core.run.tracker import Tracker
-from trackers.line.grid import GridFilter
-from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState, floor_state
+from trackwright.trackers.core.errors import require
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter, log_density
+from trackwright.trackers.core.model.algebra import Scalar, diagonal, total
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.motion import Noise
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.sensor import AbstractSensor, Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.line.grid import GridFilter
+from trackwright.trackers.line.motion import (
+    HaltingMotion,
+    HaltingState,
+    LineMotion,
+    PathOutputMap,
+    PathState,
+    floor_state,
+)
 
 SIGMA_A = 0.05
 """Change of speed, m/s per √s: a cart at walking pace that may take another speed on every segment."""

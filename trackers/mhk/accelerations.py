@@ -15,8 +15,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.model.motion import Noise
-from trackers.core.model.tunable import Fraction, Scale
+from trackwright.trackers.core.model.motion import Noise
+from trackwright.trackers.core.model.tunable import Fraction, Scale
 
 ELEVATIONS, AZIMUTHS, LAYERS = 18, 36, 10
 

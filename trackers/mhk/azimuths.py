@@ -16,8 +16,8 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jax.scipy.special import i0e, i1e
 
-from trackers.core.model.algebra import Scalar, Vector, compute_once, inverse_or_zero
-from trackers.mhk.accelerations import AZIMUTHS, Rings
+from trackwright.trackers.core.model.algebra import Scalar, Vector, compute_once, inverse_or_zero
+from trackwright.trackers.mhk.accelerations import AZIMUTHS, Rings
 
 LIMITS = {4: 36.0, 8: 12.0}
 """Largest κ, by the bytes of a number, with I₃₆(κ) < ε·I₀(κ)."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.algebra import Scalar
 
 
 def predicted(weights: Any, stationary: Any, kappa: Scalar) -> Any:

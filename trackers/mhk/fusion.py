@@ -13,18 +13,18 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.filters.filter import AbstractFilter, Innovation
-from trackers.core.model.algebra import Scalar, Vector
-from trackers.core.model.covariance import AnyCovariance, Gaussian
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.keys import RawKey
-from trackers.core.model.motion import AbstractMotion, Kinematic, Noise
-from trackers.core.model.sensor import AbstractSensor, Reading
-from trackers.core.model.tunable import Scale
-from trackers.mhk.accelerations import AccelerationSphere
-from trackers.mhk.azimuths import mean_acceleration
-from trackers.mhk.chain import predicted, updated
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
+from trackwright.trackers.core.model.algebra import Scalar, Vector
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.motion import AbstractMotion, Kinematic, Noise
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.mhk.accelerations import AccelerationSphere
+from trackwright.trackers.mhk.azimuths import mean_acceleration
+from trackwright.trackers.mhk.chain import predicted, updated
 
 
 class MhkBelief(NamedTuple):

@@ -8,13 +8,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.data.recording import Batch
-from trackers.core.model.algebra import inverse_or_zero
-from trackers.core.model.motion import Noise
-from trackers.core.model.sensor import Reading
-from trackers.core.model.tunable import Scale
-from trackers.parts.fixes import FIXES
-from trackers.parts.median import nan_median
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.algebra import inverse_or_zero
+from trackwright.trackers.core.model.motion import Noise
+from trackwright.trackers.core.model.sensor import Reading
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.median import nan_median
 
 
 class MedianState(NamedTuple):

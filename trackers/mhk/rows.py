@@ -6,13 +6,13 @@ from functools import partial
 
 import numpy as np
 
-from trackers.core.data.recording import Readings
-from trackers.mhk.tracker import mhk_tracker
-from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
-from trackers.parts.fixes import FIXES
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.mhk.tracker import mhk_tracker
+from trackwright.trackers.parts.fix_rows import fix_trajectories, lacks_fixes
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.trajectories import Trajectories
 
 
 def spatial_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:

@@ -8,19 +8,19 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.data.recording import Batch
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.motion import ConstantVelocity
-from trackers.core.model.sensor import AbstractSensor
-from trackers.core.model.tunable import Scale, freeze
-from trackers.core.run.latency import scored_truth
-from trackers.core.run.layout import Layout
-from trackers.core.run.scan import Output, ScanState, Score, scan_rows
-from trackers.core.run.tracker import AbstractTracker, Tracker
-from trackers.mhk.accelerations import AccelerationSphere
-from trackers.mhk.fusion import AccelerationFilter
-from trackers.mhk.median import LimitedMedian, MedianState
-from trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.motion import ConstantVelocity
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.model.tunable import Scale, freeze
+from trackwright.trackers.core.run.latency import scored_truth
+from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.scan import Output, ScanState, Score, scan_rows
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.mhk.accelerations import AccelerationSphere
+from trackwright.trackers.mhk.fusion import AccelerationFilter
+from trackwright.trackers.mhk.median import LimitedMedian, MedianState
+from trackwright.trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart
 
 STILL = np.array([[8.409964, 3.509666, -1.23004], [3.509666, 10.34468, -0.7689], [-1.23004, -0.7689, 0.583671]]) * 1e-4
 """Covariance of 2,000 fixes of a tag at rest, m² (Huang et al. 2018, section 4)."""

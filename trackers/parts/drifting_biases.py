@@ -8,13 +8,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.model.algebra import Scalar, Vector, diagonal, total
-from trackers.core.model.covariance import Gaussian, variance
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.motion import AbstractMotion, Noise
-from trackers.core.model.sensor import Row
-from trackers.core.model.tunable import Scale
-from trackers.parts.start_nearby import AbstractNearbyStart
+from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, total
+from trackwright.trackers.core.model.covariance import Gaussian, variance
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.motion import AbstractMotion, Noise
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
 
 
 class BiasedState(NamedTuple):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.core.data.recording import Readings
-from trackers.parts.fixes import FIXES
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
+from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
 
 AXES_M, AXES_STD_M = ([f"{axis}_{what}" for axis in "xyz"] for what in ("m", "std_m"))
 

@@ -12,11 +12,11 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackers.core.model.algebra import Scalar, Vector, diagonal, total
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.inputs import HEIGHT, Input, Inputs
-from trackers.core.model.motion import Accelerated, Kinematic, Noise
-from trackers.core.model.sensor import (
+from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, total
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs
+from trackwright.trackers.core.model.motion import Accelerated, Kinematic, Noise
+from trackwright.trackers.core.model.sensor import (
     LOG_2PI,
     AbstractSensor,
     Channel,
@@ -26,10 +26,10 @@ from trackers.core.model.sensor import (
     position_in_space,
     student_t_log_peak,
 )
-from trackers.core.model.start import AbstractStart
-from trackers.core.model.tunable import Covariance, Real, Scale
-from trackers.core.run.latency import AbstractDelayedSensor
-from trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.tunable import Covariance, Real, Scale
+from trackwright.trackers.core.run.latency import AbstractDelayedSensor
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 
 FIXES = "fixes"
 

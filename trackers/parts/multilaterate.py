@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.model.algebra import Scalar, Vector, total
+from trackwright.trackers.core.model.algebra import Scalar, Vector, total
 
 ITERATIONS = 20
 """Gauss–Newton steps; with weights that change at every step, convergence is linear."""

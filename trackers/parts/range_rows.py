@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 
-from trackers.core.data.recording import Readings
-from trackers.core.model.rig import room_rows
-from trackers.core.run.track_loss import ROOM
-from trackers.parts.ranges import RANGES
-from trackers.parts.recent_positions import recent_positions
-from trackers.recordings.columns import TagRows
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
+from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.core.model.rig import room_rows
+from trackwright.trackers.core.run.track_loss import ROOM
+from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.parts.recent_positions import recent_positions
+from trackwright.trackers.recordings.columns import TagRows
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
 
 
 def range_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:

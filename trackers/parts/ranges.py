@@ -13,10 +13,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.model.algebra import Scalar, Vector, total
-from trackers.core.model.inputs import HEIGHT, Input, Inputs, Need
-from trackers.core.model.motion import Noise
-from trackers.core.model.sensor import (
+from trackwright.trackers.core.model.algebra import Scalar, Vector, total
+from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs, Need
+from trackwright.trackers.core.model.motion import Noise
+from trackwright.trackers.core.model.sensor import (
     AbstractSensor,
     Channel,
     Reading,
@@ -25,8 +25,8 @@ from trackers.core.model.sensor import (
     rounding_variance,
     student_t_log_peak,
 )
-from trackers.core.model.state import Heading
-from trackers.core.model.tunable import Real, Scale
+from trackwright.trackers.core.model.state import Heading
+from trackwright.trackers.core.model.tunable import Real, Scale
 
 RANGES = "ranges"
 

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.run.chunks import called
-from trackers.parts.multilaterate import multilaterate
+from trackwright.trackers.core.run.chunks import called
+from trackwright.trackers.parts.multilaterate import multilaterate
 
 MEDIAN_RANGES = 5
 """Latest ranges of an anchor of which the median is taken; it tolerates two outliers."""

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackers.core.model.algebra import Scalar, Vector
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.motion import AbstractMotion, Accelerated, Noise, as_scale, process_noise
+from trackwright.trackers.core.model.algebra import Scalar, Vector
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.motion import AbstractMotion, Accelerated, Noise, as_scale, process_noise
 
 
 class SingerTerms(NamedTuple):

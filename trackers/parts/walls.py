@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.filters.particle.filter import AbstractPotential
-from trackers.core.filters.particle.resampling import LOG_ZERO
-from trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.filters.particle.filter import AbstractPotential
+from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
+from trackwright.trackers.core.model.algebra import Scalar
 
 
 class Walls(AbstractPotential):

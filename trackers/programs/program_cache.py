@@ -24,7 +24,7 @@ import jax
 from jax._src import compilation_cache as jax_cache
 from jax._src.compilation_cache_interface import CacheInterface
 
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput
 
 VARIABLE = "TRACKWRIGHT_CACHE"
 """The environment variable that names the directory, or is `off`."""

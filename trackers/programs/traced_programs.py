@@ -27,8 +27,8 @@ import jax
 from jax._src.config import trace_context
 from jax.experimental import serialize_executable
 
-from trackers.programs.freed_memory import give_back
-from trackers.programs.program_cache import ProgramStore, compiling_anew, processor
+from trackwright.trackers.programs.freed_memory import give_back
+from trackwright.trackers.programs.program_cache import ProgramStore, compiling_anew, processor
 
 OURS = ("trackers", "tuning")
 KNOWN = {*OURS, "builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy"}

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.recordings.beside import beside
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.beside import beside
 
 
 def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import polars as pl
 
-from trackers.recordings.kinds import Layout, std_column, table_kinds
+from trackwright.trackers.recordings.kinds import Layout, std_column, table_kinds
 
 
 def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:

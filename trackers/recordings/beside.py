@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput
 
 try:
     import fcntl

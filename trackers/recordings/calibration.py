@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.model.rig import Point, Rig, Station
+from trackwright.trackers.core.model.rig import Point, Rig, Station
 
 ANGLES = ("azimuth", "elevation")
 ANGLE_TERMS = ("offset", "gain", "cubic", "cross")

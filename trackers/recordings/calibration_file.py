@@ -10,18 +10,18 @@ from typing import Any, NoReturn
 import numpy as np
 import tomli_w
 
-from trackers.core.errors import UnusableInput, listed
-from trackers.core.model.rig import Station
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.calibration import (
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.calibration import (
     ANGLES,
     AnchorCalibration,
     Calibration,
     StationCalibration,
     TagCalibration,
 )
-from trackers.recordings.input_file import read_toml
-from trackers.recordings.rig_file import LARGEST
+from trackwright.trackers.recordings.input_file import read_toml
+from trackwright.trackers.recordings.rig_file import LARGEST
 
 FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"

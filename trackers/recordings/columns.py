@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput
 
 NUMERIC_ENDINGS = ("_s", "_m", "_m2", "_rad", "nis", "nis_dof")
 """Endings of the names of numeric columns in tables of estimates and of truth."""

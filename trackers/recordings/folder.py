@@ -15,21 +15,21 @@ from typing import IO, Any, Literal, cast, get_args
 
 import polars as pl
 
-from trackers.core.data.frames import html_table
-from trackers.core.data.seconds import moment, seconds
-from trackers.core.errors import UnusableInput, listed
-from trackers.core.model.rig import Rig
-from trackers.recordings.averaging import averaged
-from trackers.recordings.beside import beside
-from trackers.recordings.calibration import Calibration
-from trackers.recordings.checks.anomalies import anomalies
-from trackers.recordings.columns import TagRows
-from trackers.recordings.folder_contents import folder_contents
-from trackers.recordings.kinds import KINDS, table_kinds
-from trackers.recordings.rig_file import RIG_FILE, rig_text
-from trackers.recordings.tables import read_table
-from trackers.recordings.tables_by_tag import Tables
-from trackers.recordings.truth import TruePaths
+from trackwright.trackers.core.data.frames import html_table
+from trackwright.trackers.core.data.seconds import moment, seconds
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.averaging import averaged
+from trackwright.trackers.recordings.beside import beside
+from trackwright.trackers.recordings.calibration import Calibration
+from trackwright.trackers.recordings.checks.anomalies import anomalies
+from trackwright.trackers.recordings.columns import TagRows
+from trackwright.trackers.recordings.folder_contents import folder_contents
+from trackwright.trackers.recordings.kinds import KINDS, table_kinds
+from trackwright.trackers.recordings.rig_file import RIG_FILE, rig_text
+from trackwright.trackers.recordings.tables import read_table
+from trackwright.trackers.recordings.tables_by_tag import Tables
+from trackwright.trackers.recordings.truth import TruePaths
 
 Kind = Literal["parquet", "csv.gz", "csv"]
 

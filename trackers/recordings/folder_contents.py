@@ -5,11 +5,11 @@ from __future__ import annotations
 import difflib
 from pathlib import Path
 
-from trackers.core.errors import UnusableInput, has_control, listed
-from trackers.core.model.rig import Rig
-from trackers.recordings.kinds import table_kinds
-from trackers.recordings.rig_file import RIG_FILE, read_rig
-from trackers.recordings.table_file import SUFFIXES
+from trackwright.trackers.core.errors import UnusableInput, has_control, listed
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.kinds import table_kinds
+from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
+from trackwright.trackers.recordings.table_file import SUFFIXES
 
 _OTHER_DATA = (
     ".txt", ".tsv", ".dat", ".json", ".xlsx", ".zip", ".bz2", ".xz", ".zst", ".feather", ".npz", ".mat", ".pq",

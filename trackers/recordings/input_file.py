@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput
 
 LARGEST = 2**31
 """Bytes of the largest file that is read, packed or unpacked: some 50 million rows of a table."""

@@ -17,10 +17,10 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float, Int
 
-from trackers.core.data.seconds import seconds
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Point, Rig, angles_in_array
-from trackers.recordings.columns import TagRows
+from trackwright.trackers.core.data.seconds import seconds
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Point, Rig, angles_in_array
+from trackwright.trackers.recordings.columns import TagRows
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 UNITS = {"m": "m", "rad": "rad", "mps2": "m/s²", "radps": "rad/s"}

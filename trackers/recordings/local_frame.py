@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import table_kinds
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import table_kinds
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.trajectories import Trajectories
 
 FAR_M = 1000.0
 """Distance of x or y from zero, m, from which on coordinates are those of a map if it is also larger than the site."""

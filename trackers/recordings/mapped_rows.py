@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from trackers.core.data.recording import Readings, Recording
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.trajectories import Trajectory
 
 ALIGNMENT = 64
 """Bytes that each array begins at a multiple of."""

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from trackers.core.errors import UnusableInput, one_or_more
-from trackers.core.model.tunable import AbstractTunable, tunables, with_values
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.folder import RecordingFolder, refuse_same_names
-from trackers.recordings.local_frame import near_origin
-from trackers.recordings.reading_grids import above_rounding
-from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
-from trackers.recordings.tracks import Tracks, track
+from trackwright.trackers.core.errors import UnusableInput, one_or_more
+from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
+from trackwright.trackers.recordings.local_frame import near_origin
+from trackwright.trackers.recordings.reading_grids import above_rounding
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
+from trackwright.trackers.recordings.tracks import Tracks, track
 
 Recordings = RecordingFolder | Sequence[RecordingFolder]
 

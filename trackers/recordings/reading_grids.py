@@ -10,17 +10,17 @@ from fnmatch import fnmatch
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.data.recording import Batch
-from trackers.core.model.sensor import AbstractSensor
-from trackers.core.model.tunable import Scale, tunables, with_values
-from trackers.core.run.tracker import AbstractTracker, Tracker
-from trackers.recordings.checks.quantisation import quantisation_step
-from trackers.recordings.checks.readings import Readings, readings
-from trackers.recordings.checks.repeats import repeated_share
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import KINDS, wrapped
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.model.tunable import Scale, tunables, with_values
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.recordings.checks.quantisation import quantisation_step
+from trackwright.trackers.recordings.checks.readings import Readings, readings
+from trackwright.trackers.recordings.checks.repeats import repeated_share
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS, wrapped
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.trajectories import Trajectories
 
 MOST_ROWS = 20_000
 """Rows of a sensor that are looked at."""

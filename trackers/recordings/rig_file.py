@@ -12,9 +12,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput, has_control
-from trackers.core.model.rig import Rig, Station, Tag, checked_knots
-from trackers.recordings.input_file import read_toml
+from trackwright.trackers.core.errors import UnusableInput, has_control
+from trackwright.trackers.core.model.rig import Rig, Station, Tag, checked_knots
+from trackwright.trackers.recordings.input_file import read_toml
 
 FORMAT = 1
 RIG_FILE = "rig.toml"

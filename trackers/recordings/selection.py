@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput, listed
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import KINDS
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.recordings.input_file import LARGEST, file_bytes, unpacked
-from trackers.recordings.parquet_footer import MARK, read_footer
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, unpacked
+from trackwright.trackers.recordings.parquet_footer import MARK, read_footer
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _one_at_a_time = threading.Lock()  # the error stream belongs to the whole process

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig
-from trackers.recordings.kinds import QUATERNION, Kind, Layout, table_kinds, unit_of
-from trackers.recordings.table_file import TableFile, read_table_file
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.kinds import QUATERNION, Kind, Layout, table_kinds, unit_of
+from trackwright.trackers.recordings.table_file import TableFile, read_table_file
 
 JITTER_S, JITTER = 1.0, 5.0
 """Rows count as late, and are sorted, up to this many s, or median steps of their sensor and tag."""

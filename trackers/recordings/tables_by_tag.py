@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping
 
 import polars as pl
 
-from trackers.core.data.seconds import seconds
-from trackers.recordings.averaging import averaged
-from trackers.recordings.columns import TableRows, TagRows
-from trackers.recordings.kinds import table_kinds
-from trackers.recordings.truth import TruePaths
+from trackwright.trackers.core.data.seconds import seconds
+from trackwright.trackers.recordings.averaging import averaged
+from trackwright.trackers.recordings.columns import TableRows, TagRows
+from trackwright.trackers.recordings.kinds import table_kinds
+from trackwright.trackers.recordings.truth import TruePaths
 
 
 class Tables(Mapping[str, pl.DataFrame]):

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectories, Trajectory, known_height
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackers.core.data.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
-from trackers.core.data.frames import frame_html, to_pandas
-from trackers.core.data.recording import Batch
-from trackers.core.run.chunks import CHUNK
-from trackers.core.run.tracker import AbstractTracker, Tracker
-from trackers.recordings.columns import stable_order
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.trajectories import Trajectories, Trajectory
+from trackwright.trackers.core.data.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
+from trackwright.trackers.core.data.frames import frame_html, to_pandas
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.recordings.columns import stable_order
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
 
 MAX_BATCH = 8 * CHUNK
 """Trajectories in memory at once: as many on every machine, since a batch's last chunk has a shape of its own."""

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from trackers.core.data.recording import Columns, Readings, Recording
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import Kind, std_column
-from trackers.recordings.truth import TruthStatus
+from trackwright.trackers.core.data.recording import Columns, Readings, Recording
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import Kind, std_column
+from trackwright.trackers.recordings.truth import TruthStatus
 
 
 @dataclass(frozen=True)

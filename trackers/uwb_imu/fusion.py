@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from trackers.core.errors import is_count, require
-from trackers.core.model.tunable import Scale
-from trackers.core.run.track_loss import TrackScorePolicy
-from trackers.core.run.tracker import Tracker
-from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
-from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.recordings.calibration import Calibration
+from trackwright.trackers.core.errors import is_count, require
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.track_loss import TrackScorePolicy
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.recordings.calibration import Calibration
 
 MAX_BIASES = 16
 """Largest number of anchors with a bias each in the state; the cost of an epoch grows with its square."""

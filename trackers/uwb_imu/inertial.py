@@ -7,21 +7,21 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackers.core.errors import is_count, require
-from trackers.core.model.algebra import Scalar, Vector, diagonal, triangle
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.inputs import Input
-from trackers.core.model.motion import Noise
-from trackers.core.model.sensor import Row
-from trackers.core.model.state import Heading, Rotation, component_names
-from trackers.core.model.tunable import Scale
-from trackers.core.run.track_loss import TrackScorePolicy
-from trackers.core.run.tracker import Tracker
-from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.parts.start_nearby import NEARBY, AbstractNearbyStart
-from trackers.uwb_imu.fusion import MAX_BIASES, REACH
-from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
-from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
+from trackwright.trackers.core.errors import is_count, require
+from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, triangle
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import Input
+from trackwright.trackers.core.model.motion import Noise
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.state import Heading, Rotation, component_names
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.track_loss import TrackScorePolicy
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.parts.start_nearby import NEARBY, AbstractNearbyStart
+from trackwright.trackers.uwb_imu.fusion import MAX_BIASES, REACH
+from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
+from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 
 class InertialStart(AbstractNearbyStart):

@@ -8,19 +8,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Batch
-from trackers.core.errors import require
-from trackers.core.model.algebra import Scalar, Vector, triangle
-from trackers.core.model.inputs import HEIGHT, Input, Need
-from trackers.core.model.motion import Noise, Placed
-from trackers.core.model.sensor import rounding_variance
-from trackers.core.model.tunable import Scale, freeze
-from trackers.core.run.layout import Layout
-from trackers.core.run.scan import Output
-from trackers.core.run.tracker import AbstractEpochwiseTracker
-from trackers.parts.multilaterate import PositionFit, multilaterate
-from trackers.parts.ranges import ANCHORS, RANGES
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.errors import require
+from trackwright.trackers.core.model.algebra import Scalar, Vector, triangle
+from trackwright.trackers.core.model.inputs import HEIGHT, Input, Need
+from trackwright.trackers.core.model.motion import Noise, Placed
+from trackwright.trackers.core.model.sensor import rounding_variance
+from trackwright.trackers.core.model.tunable import Scale, freeze
+from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.scan import Output
+from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker
+from trackwright.trackers.parts.multilaterate import PositionFit, multilaterate
+from trackwright.trackers.parts.ranges import ANCHORS, RANGES
 
 SOLVED_AT_ONCE = 64
 """Rows of all trajectories that are solved side by side: operations on a few numbers take as long as on so many."""

@@ -10,21 +10,33 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackers.core.data.recording import Readings
-from trackers.core.run.tracker import AbstractTracker
-from trackers.parts.range_rows import anchor_positions, range_inputs, range_rows, range_trajectories, room_of_anchors
-from trackers.parts.ranges import RANGES
-from trackers.parts.recent_positions import latest_rows
-from trackers.recordings.columns import TableRows, TagRows
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import QUATERNION
-from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
-from trackers.uwb_imu.fusion import range_levels, range_tracker
-from trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
-from trackers.uwb_imu.inertial import inertial_tracker
-from trackers.uwb_imu.multilateration import multilateration_tracker
-from trackers.uwb_imu.trilateration import trilateration_tracker
+from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.parts.range_rows import (
+    anchor_positions,
+    range_inputs,
+    range_rows,
+    range_trajectories,
+    room_of_anchors,
+)
+from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.parts.recent_positions import latest_rows
+from trackwright.trackers.recordings.columns import TableRows, TagRows
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import QUATERNION
+from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.trajectories import (
+    Trajectories,
+    Trajectory,
+    known_height,
+    known_heights,
+    trajectories_of,
+)
+from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
+from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
+from trackwright.trackers.uwb_imu.inertial import inertial_tracker
+from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
+from trackwright.trackers.uwb_imu.trilateration import trilateration_tracker
 
 GRAVITY = 9.81
 """m/s²."""

@@ -17,11 +17,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
-from trackers.core.model.algebra import Scalar, Vector
-from trackers.core.model.inputs import Input, Inputs, Need
-from trackers.core.model.motion import AbstractMotion, Noise, as_scale, process_noise
-from trackers.core.model.state import Heading, Rotation
-from trackers.core.model.tunable import Real
+from trackwright.trackers.core.model.algebra import Scalar, Vector
+from trackwright.trackers.core.model.inputs import Input, Inputs, Need
+from trackwright.trackers.core.model.motion import AbstractMotion, Noise, as_scale, process_noise
+from trackwright.trackers.core.model.state import Heading, Rotation
+from trackwright.trackers.core.model.tunable import Real
 
 _HELPER = "`tw.build('uwb-imu', folder)`, from the table imu of a recording folder"
 ACCEL = Input("accel", (3,), "m/s^2", "specific force in body axes", _HELPER)

@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
-from trackers.core.model.algebra import Scalar, total
-from trackers.core.model.covariance import AnyCovariance, Gaussian, matched
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.keys import RawKey
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.sensor import AbstractSensor, Reading
-from trackers.core.model.state import Heading, Rotation, State, local, retract
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
+from trackwright.trackers.core.model.algebra import Scalar, total
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, matched
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.state import Heading, Rotation, State, local, retract
 
 
 class YawMixture(NamedTuple):

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.core.data.metrics import nees
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.data.metrics import nees
+from trackwright.trackers.core.errors import UnusableInput
 
 LEVEL = 0.95
 """Smallest probability of a point at which the tool is unlocked."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.worksteps.decisions import (
+from trackwright.trackers.worksteps.decisions import (
     LEVEL,
     NO_POINT,
     Decisions,

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.recordings.rig_file import LARGEST
-from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
-from trackers.worksteps.decisions import FasteningPoints
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.rig_file import LARGEST
+from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
+from trackwright.trackers.worksteps.decisions import FasteningPoints
 
 _REQUIRED, _HEIGHT = ("name", "x_m", "y_m"), "z_m"
 _EXPECTED = "expected name, x_m, y_m and optionally z_m"

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
-from trackers.evaluation.association import Association, associate_truth
-from trackers.evaluation.scoring import covariances, last_of_every
-from trackers.recordings.columns import float_column
-from trackers.recordings.tracks_table import is_bearing
-from trackers.worksteps.decisions import LEVEL, NO_POINT, FasteningPoints
-from trackers.worksteps.metrics import (
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.association import Association, associate_truth
+from trackwright.trackers.evaluation.scoring import covariances, last_of_every
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.tracks_table import is_bearing
+from trackwright.trackers.worksteps.decisions import LEVEL, NO_POINT, FasteningPoints
+from trackwright.trackers.worksteps.metrics import (
     CalibrationBin,
     ScoredDecisions,
     UnlockMetrics,
@@ -24,7 +24,7 @@ from trackers.worksteps.metrics import (
     score,
     unlock_metrics,
 )
-from trackers.worksteps.points_file import read_points
+from trackwright.trackers.worksteps.points_file import read_points
 
 METRICS = {
     "work_named": "named", "work_right": "right", "work_wrong": "wrong", "work_missed": "missed",

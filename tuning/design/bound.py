@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trackers.core.model.algebra import Scalar, Vector
-from trackers.core.model.motion import Kinematic
-from trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.algebra import Scalar, Vector
+from trackwright.trackers.core.model.motion import Kinematic
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 
 Points = Float[Array | np.ndarray, "k d"]
 

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trackers.aoa.phases import SphericalPhases
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.rig import Station
-from trackers.parts.ranges import RangeSensor
-from tuning.design.bound import Points, SensorAtEpoch, mean_bound
+from trackwright.trackers.aoa.phases import SphericalPhases
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.parts.ranges import RangeSensor
+from trackwright.tuning.design.bound import Points, SensorAtEpoch, mean_bound
 
 Theta = Float[Array | np.ndarray, "elements coordinates"]
 """Numbers from 0 to 1, one row per element."""

@@ -12,8 +12,8 @@ import numpy as np
 import optax
 from jaxtyping import Float
 
-from trackers.core.model.algebra import Scalar
-from tuning.design.layouts import WEIGHT, Theta
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.tuning.design.layouts import WEIGHT, Theta
 
 Objective = Callable[..., Scalar]
 """Cost as a function of theta, and optionally of the weight of the violations."""

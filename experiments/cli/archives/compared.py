@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
-from experiments.cli.archives.tables import Run
-from experiments.pages.reports.comparison import BEARING_NAMES, Contrast, Table, adjusted, difference_table
-from experiments.text.wording import Unit, fixed, length_unit
-from trackers.core.wording import counted
-from trackers.evaluation.comparison import LEAST_PIECES, METRICS, Difference, jackknifed
+from trackwright.experiments.cli.archives.tables import Run
+from trackwright.experiments.pages.reports.comparison import BEARING_NAMES, Contrast, Table, adjusted, difference_table
+from trackwright.experiments.text.wording import Unit, fixed, length_unit
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.evaluation.comparison import LEAST_PIECES, METRICS, Difference, jackknifed
 
 SHOWN = tuple(name for name in METRICS if "3d" not in name)
 """The metrics that are compared, those of the error first."""

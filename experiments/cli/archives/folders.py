@@ -6,10 +6,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from trackers.recordings.folder import refuse_repeated
-from trackers.recordings.kinds import table_kinds
-from trackers.recordings.rig_file import RIG_FILE
-from trackers.recordings.table_file import SUFFIXES
+from trackwright.trackers.recordings.folder import refuse_repeated
+from trackwright.trackers.recordings.kinds import table_kinds
+from trackwright.trackers.recordings.rig_file import RIG_FILE
+from trackwright.trackers.recordings.table_file import SUFFIXES
 
 MANY = 60
 """The most recordings that are tracked together: as many as a page shows."""

@@ -9,20 +9,20 @@ from typing import Any
 
 import polars as pl
 
-from experiments.cli.console import errors_of, ready
-from experiments.cli.options import ReadingOptions
-from experiments.cli.tracking import late_readings
-from experiments.jobs.portable_tracker import PortableTracker, spec_here
-from trackers.catalogue import fitting, split_name
-from trackers.core.errors import UnusableInput, one_line
-from trackers.evaluation.association import associate_truth, refuse_without_overlap
-from trackers.evaluation.evaluate import Evaluation, TrackScores
-from trackers.evaluation.events import EVENTS, events_of
-from trackers.evaluation.residuals import residual_ratios
-from trackers.recordings.calibration import Calibration
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.selection import Selection
-from trackers.recordings.tracks_table import TRACKS
+from trackwright.experiments.cli.console import errors_of, ready
+from trackwright.experiments.cli.options import ReadingOptions
+from trackwright.experiments.cli.tracking import late_readings
+from trackwright.experiments.jobs.portable_tracker import PortableTracker, spec_here
+from trackwright.trackers.catalogue import fitting, split_name
+from trackwright.trackers.core.errors import UnusableInput, one_line
+from trackwright.trackers.evaluation.association import associate_truth, refuse_without_overlap
+from trackwright.trackers.evaluation.evaluate import Evaluation, TrackScores
+from trackwright.trackers.evaluation.events import EVENTS, events_of
+from trackwright.trackers.evaluation.residuals import residual_ratios
+from trackwright.trackers.recordings.calibration import Calibration
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.selection import Selection
+from trackwright.trackers.recordings.tracks_table import TRACKS
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from experiments.cli.archives.part import Found, guarded
-from experiments.cli.archives.store import Item, RecordingStore
-from experiments.cli.archives.tables import Refusals
-from experiments.jobs.executors import cluster_executor, finished
-from trackers.core.run.chunks import n_workers
-from trackers.programs.freed_memory import give_back
+from trackwright.experiments.cli.archives.part import Found, guarded
+from trackwright.experiments.cli.archives.store import Item, RecordingStore
+from trackwright.experiments.cli.archives.tables import Refusals
+from trackwright.experiments.jobs.executors import cluster_executor, finished
+from trackwright.trackers.core.run.chunks import n_workers
+from trackwright.trackers.programs.freed_memory import give_back
 
 BLOCK = 256
 """Recordings after which memory is freed, which otherwise grows with their number."""

@@ -10,14 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.cli.archives.folders import RECORDINGS, is_table
-from experiments.cli.archives.part import Found
-from experiments.text.evaluation_text import to_json
-from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write, json_text
-from trackers.recordings.input_file import file_bytes
-from trackers.recordings.rig_file import RIG_FILE
-from trackers.recordings.tracks_table import EVALUATION, SOURCES, write_tracks
+from trackwright.experiments.cli.archives.folders import RECORDINGS, is_table
+from trackwright.experiments.cli.archives.part import Found
+from trackwright.experiments.text.evaluation_text import to_json
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write, json_text
+from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.rig_file import RIG_FILE
+from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, write_tracks
 
 TRACKED, SCORED = "tracked.json", "scored.json"
 """The files that `track` and `evaluate` write last into the folder of a finished recording."""

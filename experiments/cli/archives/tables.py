@@ -11,16 +11,16 @@ from typing import Any, NamedTuple
 
 import polars as pl
 
-from experiments.cli.archives.folders import RESULTS
-from experiments.cli.archives.rows import Rows
-from experiments.cli.archives.store import RecordingStore
-from experiments.text.evaluation_text import json_pieces
-from trackers.core.errors import UnusableInput, has_control, one_line
-from trackers.evaluation.evaluate import Evaluation
-from trackers.evaluation.metrics import metric_rows
-from trackers.evaluation.scores import Scores
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.tracks_table import EVALUATION, SOURCES
+from trackwright.experiments.cli.archives.folders import RESULTS
+from trackwright.experiments.cli.archives.rows import Rows
+from trackwright.experiments.cli.archives.store import RecordingStore
+from trackwright.experiments.text.evaluation_text import json_pieces
+from trackwright.trackers.core.errors import UnusableInput, has_control, one_line
+from trackwright.trackers.evaluation.evaluate import Evaluation
+from trackwright.trackers.evaluation.metrics import metric_rows
+from trackwright.trackers.evaluation.scores import Scores
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES
 
 NAMES, TEXTS = ("recording", "path", "tracker", "tracks", "endings"), ("notices", "refused")
 """The columns of the table of results before and after the metrics."""

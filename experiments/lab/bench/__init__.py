@@ -1,1 +1,1 @@
-"""Benchmarks: a table of cases with one timer and one writer; `python -m experiments.lab.bench` lists them."""
+"""Benchmarks: one table of cases, listed by `python -m trackwright.experiments.lab.bench`, one timer and one writer."""

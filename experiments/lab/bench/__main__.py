@@ -1,11 +1,11 @@
-"""The benchmarks: `python -m experiments.lab.bench NAME [options]`; without a name, the table of them."""
+"""The benchmarks: `python -m trackwright.experiments.lab.bench NAME [options]`; without a name, the table of them."""
 
 from __future__ import annotations
 
 import sys
 
-from experiments.cli.main import run_alone
-from experiments.lab.bench.timing import FOLDER, function_of
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.lab.bench.timing import FOLDER, function_of
 
 CASES = {
     "beam": "beam:beam",

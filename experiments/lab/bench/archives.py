@@ -7,9 +7,9 @@ import tempfile
 from importlib import import_module
 from pathlib import Path
 
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, apart, timed_command
-from experiments.lab.subprocesses import REPOSITORY
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, apart, timed_command
+from trackwright.experiments.lab.subprocesses import REPOSITORY
+from trackwright.trackers.core.errors import UnusableInput
 
 ROWS, TOGETHER, TRACKER = 40, 100, "fix-kf"
 """Rows of a recording, recordings of one simulation, and the tracker."""
@@ -69,7 +69,7 @@ def _checked(found: Row) -> Row:
 def of_a_command(words: tuple[str, ...], folder: Path) -> Row:
     """Times, peak memory, exit code and printed lines of one command."""
     places, log = {"ARCHIVE": str(folder / "archive"), "OUT": str(folder / "out")}, folder / "log.txt"
-    run = timed_command(["-m", "experiments", *(places.get(word, word) for word in words)], REPOSITORY, log)
+    run = timed_command(["-m", "trackwright.experiments", *(places.get(word, word) for word in words)], REPOSITORY, log)
     return run | {"lines": len(log.read_text("utf-8").splitlines())}
 
 
@@ -77,9 +77,9 @@ def write_archive(size: int, folder: str) -> Row:
     """Writes so many recordings in folders of `TOGETHER` each; how many of them are broken."""
     import polars as pl
 
-    from sim import worlds
-    from trackers.core.model.rig import Rig
-    from trackers.recordings.folder import RecordingFolder, write_recording
+    from trackwright.sim import worlds
+    from trackwright.trackers.core.model.rig import Rig
+    from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
 
     # Of the repository, not of the package.
     broken_recording = import_module("tests.faults.recordings").broken_recording
@@ -106,11 +106,11 @@ def write_archive(size: int, folder: str) -> Row:
 
 def deviations(folder: str) -> Row:
     """The largest relative deviations of the metrics of all rows from those of all rows at once, with their names."""
-    from experiments.cli.archives.tables import read_results
-    from trackers.evaluation.evaluate import evaluate
-    from trackers.evaluation.scores import BIN_WIDTH
-    from trackers.recordings.folder import read_truth
-    from trackers.recordings.tracks_table import EVALUATION, read_tracks
+    from trackwright.experiments.cli.archives.tables import read_results
+    from trackwright.trackers.evaluation.evaluate import evaluate
+    from trackwright.trackers.evaluation.scores import BIN_WIDTH
+    from trackwright.trackers.recordings.folder import read_truth
+    from trackwright.trackers.recordings.tracks_table import EVALUATION, read_tracks
 
     out = Path(folder) / "out"
     recordings = [read_truth(path) for path, refused in read_results(out).items() if not refused]

@@ -15,20 +15,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
-from trackers.aoa.beam import Beam, beam_tracker
-from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-from trackers.core.data.recording import Batch
-from trackers.core.model.algebra import diagonal
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.rig import Station
-from trackers.core.model.sensor import Reading
-from trackers.core.model.start import AbstractStart
-from trackers.core.run.chunks import CHUNK, as_dtype, chunks, run_chunks
-from trackers.core.run.tracker import AbstractTracker, filter_batch
-from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
+from trackwright.trackers.aoa.beam import Beam, beam_tracker
+from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.algebra import diagonal
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import Reading
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
+from trackwright.tuning.objectives import NegativeLogLikelihood
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 TRAJECTORIES, ROWS = 4096, 200
 SLICES = {"textbook": (256, 50), "dynamax": (16, 50), "cuthbert": (256, 50)}

@@ -18,23 +18,32 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from experiments.cli.console import FoldersInTurn
-from experiments.cli.options import ReadingOptions
-from experiments.cli.runtime import set_flags
-from experiments.cli.tuning_job import data_in_turn
-from experiments.jobs.executors import cluster_client, cluster_executor, finished
-from experiments.jobs.held_parts import FitWorkers, HeldParts
-from experiments.lab.bench.cluster_scale import declared, tcp_bytes
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, last_line, shown, timed_command
-from experiments.lab.subprocesses import REPOSITORY
-from experiments.monte_carlo import Study, run_study
-from experiments.pages.reports.study_text import to_json
-from sim import worlds
-from trackers.catalogue import build
-from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import write_recording
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.experiments.cli.console import FoldersInTurn
+from trackwright.experiments.cli.options import ReadingOptions
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.cli.tuning_job import data_in_turn
+from trackwright.experiments.jobs.executors import cluster_client, cluster_executor, finished
+from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
+from trackwright.experiments.lab.bench.cluster_scale import declared, tcp_bytes
+from trackwright.experiments.lab.bench.timing import (
+    DEFAULTS,
+    Bench,
+    Row,
+    Table,
+    clocked,
+    last_line,
+    shown,
+    timed_command,
+)
+from trackwright.experiments.lab.subprocesses import REPOSITORY
+from trackwright.experiments.monte_carlo import Study, run_study
+from trackwright.experiments.pages.reports.study_text import to_json
+from trackwright.sim import worlds
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.folder import write_recording
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 WORKERS, PARTS = 2, 200
 PLACES = {
@@ -196,7 +205,9 @@ def tuned(words: Sequence[str], place: Path, kill: bool) -> Row:
                 os.kill(workers[0], signal.SIGKILL)
                 killed = True
 
-        run = timed_command(["-m", "experiments", "tune", *words, "--out", out], REPOSITORY, log, watch=watch)
+        run = timed_command(
+            ["-m", "trackwright.experiments", "tune", *words, "--out", out], REPOSITORY, log, watch=watch
+        )
         if run["code"]:
             raise UnusableInput(f"bench: tune: exit code {run['code']}: {last_line(log)}")
         if not killed:

@@ -22,13 +22,13 @@ import distributed
 import numpy as np
 import psutil
 
-from experiments.cli.runtime import set_flags
-from experiments.jobs.executors import cluster_executor, finished
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked
-from experiments.lab.subprocesses import REPOSITORY
-from experiments.monte_carlo import Study, load_study
-from experiments.monte_carlo.chunk_store import ChunkStore
-from experiments.monte_carlo.portable import PortableStudy, packed_chunk
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.jobs.executors import cluster_executor, finished
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked
+from trackwright.experiments.lab.subprocesses import REPOSITORY
+from trackwright.experiments.monte_carlo import Study, load_study
+from trackwright.experiments.monte_carlo.chunk_store import ChunkStore
+from trackwright.experiments.monte_carlo.portable import PortableStudy, packed_chunk
 
 
 def declared(folder: Path, runs: int) -> Study:

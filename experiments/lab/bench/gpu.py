@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.lab.bench import particles
-from experiments.lab.bench.beam import TUNED, finished, simulate, trackers
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, turns
-from trackers.core.errors import UnusableInput
-from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.experiments.lab.bench import particles
+from trackwright.experiments.lab.bench.beam import TUNED, finished, simulate, trackers
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, turns
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.tuning.objectives import NegativeLogLikelihood
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 ROUNDS = 5
 MEMORY_SHARE = 0.5

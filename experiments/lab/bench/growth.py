@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, apart
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, apart
+from trackwright.trackers.core.errors import UnusableInput
 
 ALL = 10**9
 

@@ -8,28 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from experiments.lab.bench import beam, particles
-from experiments.lab.bench.beam import filtering, finished
-from experiments.lab.bench.loops import filtered, model_of, with_filterpy
-from experiments.lab.bench.timing import Row, cold_and_warm
-from experiments.lab.validation.track_loss import kidnapped_walk
-from sim import worlds
-from trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_tracker
-from trackers.catalogue import TRACKERS
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model import covariance
-from trackers.core.model.motion import ConstantVelocity
-from trackers.core.model.tunable import Scale
-from trackers.core.run.chunks import CHUNK
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.track_loss import TrackLossPolicy
-from trackers.core.run.tracker import Tracker
-from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
-from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.parts.start_nearby import NearbyStart
-from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.experiments.lab.bench import beam, particles
+from trackwright.experiments.lab.bench.beam import filtering, finished
+from trackwright.experiments.lab.bench.loops import filtered, model_of, with_filterpy
+from trackwright.experiments.lab.bench.timing import Row, cold_and_warm
+from trackwright.experiments.lab.validation.track_loss import kidnapped_walk
+from trackwright.sim import worlds
+from trackwright.trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_tracker
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model import covariance
+from trackwright.trackers.core.model.motion import ConstantVelocity
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.parts.start_nearby import NearbyStart
+from trackwright.tuning.objectives import NegativeLogLikelihood
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 Run = tuple[Callable[[], Any], int]
 ROWS, TRAJECTORIES, BEAMS, SMOOTHED_ROWS, INERTIAL_ROWS = 200, 64, 16, 50, 100

@@ -13,16 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackers.aoa.fusion import BEARINGS, BearingSensor
-from trackers.core.data.recording import Recording
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.model.motion import GroundMotion
-from trackers.core.run.tracker import Tracker
-from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
-from trackers.parts.fixes import FIXES, FixSensor
-from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.uwb_imu.strapdown import Inertial, Strapdown
-from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
+from trackwright.trackers.aoa.fusion import BEARINGS, BearingSensor
+from trackwright.trackers.core.data.recording import Recording
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.model.motion import GroundMotion
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
+from trackwright.trackers.parts.fixes import FIXES, FixSensor
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.uwb_imu.strapdown import Inertial, Strapdown
+from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 Channel = tuple[float, np.ndarray, float]
 """One channel seen: measured minus predicted value, gradient (n,) of the prediction, standard deviation."""

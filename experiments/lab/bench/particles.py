@@ -14,14 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.lab.bench.beam import filtering
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
-from sim.line import THESIS_KNOTS, simulate_line
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.polyline import Polyline
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.motion import LineMotion
-from trackers.line.tracker import line_tracker
+from trackwright.experiments.lab.bench.beam import filtering
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
+from trackwright.sim.line import THESIS_KNOTS, simulate_line
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.motion import LineMotion
+from trackwright.trackers.line.tracker import line_tracker
 
 TRAJECTORIES, ROWS, PARTICLES, ROUNDS = 256, 200, 1000, 5
 SLICES = {"textbook": TRAJECTORIES, "particles": 4, "cuthbert": 32}

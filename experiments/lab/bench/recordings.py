@@ -11,13 +11,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.cli.runtime import set_flags
-from experiments.lab.bench.loops import filtered, model_of, vector, with_filterpy
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown, turns
-from experiments.lab.subprocesses import required_recordings
-from trackers.catalogue import TRACKERS
-from trackers.core.run.smoother import Smoothed
-from trackers.recordings.folder import read_recording
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.lab.bench.loops import filtered, model_of, vector, with_filterpy
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown, turns
+from trackwright.experiments.lab.subprocesses import required_recordings
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.recordings.folder import read_recording
 
 RECORDINGS = (
     "starloc-fast-s1",

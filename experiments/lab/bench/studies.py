@@ -9,16 +9,16 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from experiments.cli.runtime import set_flags
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown
-from experiments.monte_carlo.chunk import run_chunk
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from sim.worlds import WORLDS as MAKE
-from trackers.core.data.recording import Batch
-from trackers.core.run.chunks import as_dtype, chunks
-from trackers.core.run.tracker import AbstractTracker, filter_batch
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.tracks import batches
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown
+from trackwright.experiments.monte_carlo.chunk import run_chunk
+from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from trackwright.sim.worlds import WORLDS as MAKE
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.run.chunks import as_dtype, chunks
+from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.tracks import batches
 
 TRAJECTORIES = 256
 """Trajectories of a chunk."""

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.cli.options import OPTIONS
-from experiments.cli.runtime import set_flags
-from experiments.lab.subprocesses import REPOSITORY, new_interpreter
-from experiments.text.tables import aligned, markdown
-from trackers.recordings.atomic import atomic_write, json_text
+from trackwright.experiments.cli.options import OPTIONS
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.lab.subprocesses import REPOSITORY, new_interpreter
+from trackwright.experiments.text.tables import aligned, markdown
+from trackwright.trackers.recordings.atomic import atomic_write, json_text
 
-FOLDER = "experiments.lab.bench"
+FOLDER = "trackwright.experiments.lab.bench"
 PACKAGES = ("jax", "jaxlib", "numpy", "polars", "distributed", "dynamax", "cuthbert", "filterpy", "particles")
 """Packages whose versions are written down where they are installed."""
 

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
 
-from experiments.cli.runtime import set_flags
-from experiments.lab.bench.beam import (
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.lab.bench.beam import (
     ROWS,
     SIGMA_A,
     SIGMA_P,
@@ -23,10 +23,10 @@ from experiments.lab.bench.beam import (
     trackers,
     with_dynamax,
 )
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown, turns
-from tuning import NegativeLogLikelihood, fit
-from tuning.parameters import flatten, select_parameters, with_parameters
-from tuning.problem import Problem
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown, turns
+from trackwright.tuning import NegativeLogLikelihood, fit
+from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
+from trackwright.tuning.problem import Problem
 
 LIMIT_S = 5.0
 """Limit of the time of a compiled fit."""

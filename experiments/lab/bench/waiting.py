@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import median
 
-from experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, commit, last_line, timed_command
-from experiments.lab.subprocesses import REPOSITORY, required_recordings
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, commit, last_line, timed_command
+from trackwright.experiments.lab.subprocesses import REPOSITORY, required_recordings
+from trackwright.trackers.core.errors import UnusableInput
 
 WALKS = ("ble51-walk-u1-r1", "ble51-walk-u2-r1", "ble51-walk-u3-r1")
 LEVELS = ("sensors.ranges.sigma_r", "motion.noise.sigma_a")

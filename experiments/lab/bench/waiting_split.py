@@ -19,15 +19,15 @@ from types import ModuleType
 from typing import Any
 
 FUNCTIONS = {
-    "trackers.recordings.folder": {"read_recordings": "reading", "read_recording": "reading"},
-    "trackers.evaluation.association": {"associate_truth": "evaluation"},
-    "trackers.evaluation.evaluate": {"evaluate": "evaluation"},
-    "trackers.evaluation.bounds": {"bounds_of": "evaluation"},
-    "experiments.pages.plots.track_folder": {"plot_tracks": "figures"},
-    "experiments.pages.interactive.track_page": {"run_data": "figures", "write_track_page": "figures"},
-    "experiments.pages.plots.objective": {"tuning_trace": "figures"},
-    "experiments.pages.reports.tuning_collect": {"collect": "evaluation"},
-    "experiments.pages.reports.tuning": {"write_tuning_report": "figures"},
+    "trackwright.trackers.recordings.folder": {"read_recordings": "reading", "read_recording": "reading"},
+    "trackwright.trackers.evaluation.association": {"associate_truth": "evaluation"},
+    "trackwright.trackers.evaluation.evaluate": {"evaluate": "evaluation"},
+    "trackwright.trackers.evaluation.bounds": {"bounds_of": "evaluation"},
+    "trackwright.experiments.pages.plots.track_folder": {"plot_tracks": "figures"},
+    "trackwright.experiments.pages.interactive.track_page": {"run_data": "figures", "write_track_page": "figures"},
+    "trackwright.experiments.pages.plots.objective": {"tuning_trace": "figures"},
+    "trackwright.experiments.pages.reports.tuning_collect": {"collect": "evaluation"},
+    "trackwright.experiments.pages.reports.tuning": {"write_tuning_report": "figures"},
 }
 """What is measured around functions, by module."""
 
@@ -143,7 +143,7 @@ def main() -> None:
     builtins.__import__ = load_measured
     sys.meta_path.insert(0, Measuring(split))
     sys.path[0], sys.argv = ".", ["trackwright", *arguments]
-    from experiments.cli.main import main
+    from trackwright.experiments.cli.main import main
 
     main()
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.pages.plots.style import HEIGHT, WIDTH, write_svg
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.pages.plots.style import HEIGHT, WIDTH, write_svg
 
 UNITS = {"cm": 100.0, "mm": 1e3, "cm²": 1e4, "deg": 180 / np.pi, "%": 100.0}
 """Factors from SI units and from fractions."""

@@ -1,4 +1,6 @@
-"""Parameters that a paper does not print, fitted to what it does: `python -m experiments.lab.papers.fitting NAME`.
+"""Parameters that a paper does not print, fitted to what it does.
+
+`python -m trackwright.experiments.lab.papers.fitting NAME` writes those of a study.
 
 NAME is the path of a study's file below experiments/lab, such as papers/kwon_2021/table_4. What its `fit` returns is
 written to `fitted/table_4.toml` beside it, where the study reads it.
@@ -18,11 +20,11 @@ import numpy as np
 import tomli_w
 from scipy.optimize import least_squares
 
-import experiments.monte_carlo as mc
-from experiments.cli.main import run_alone
-from experiments.lab.papers.declared import Printed
-from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.lab.papers.declared import Printed
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write
 
 LAB = Path(__file__).parents[1]
 STEP = 0.05
@@ -116,7 +118,7 @@ def write_fitted(name: str, left: str, numbers: Mapping[str, Fitted]) -> Path:
             for number, (value, unit, to) in numbers.items()
         },
     }
-    text = f"# Written by `python -m experiments.lab.papers.fitting {name}`.\n{tomli_w.dumps(table)}"
+    text = f"# Written by `python -m trackwright.experiments.lab.papers.fitting {name}`.\n{tomli_w.dumps(table)}"
     return atomic_write(fitted_file(name), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
@@ -130,9 +132,9 @@ def main(name: str) -> None:
     known = [file.replace("/fitted/", "/") for file in known]
     if name not in known:
         raise UnusableInput(f"fit '{name}': unknown; expected one of {', '.join(known)}")
-    left, numbers = importlib.import_module(f"experiments.lab.{name.replace('/', '.')}").fit()
+    left, numbers = importlib.import_module(f"trackwright.experiments.lab.{name.replace('/', '.')}").fit()
     print(f"wrote {write_fitted(name, left, numbers)}")
 
 
 if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.papers.fitting")
+    run_alone(main, "python -m trackwright.experiments.lab.papers.fitting")

@@ -1,4 +1,4 @@
-"""All reproductions of the four papers: `python -m experiments.lab.papers.reproduce` (`make papers`).
+"""All reproductions of the four papers: `python -m trackwright.experiments.lab.papers.reproduce` (`make papers`).
 
 Every study is run as `trackwright study NAME --out out/papers/NAME` and resumes if interrupted. The results are written
 to docs/results.md; every number there is read from a results.json.
@@ -15,15 +15,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from experiments.cli.main import run_alone
-from experiments.lab.subprocesses import new_interpreter
-from experiments.monte_carlo import Value
-from experiments.monte_carlo.sources import available_studies, load_study
-from experiments.text.tables import markdown
-from experiments.text.terminal import notice, progress
-from experiments.text.wording import Unit, headline, ratio_text, with_interval
-from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.lab.subprocesses import new_interpreter
+from trackwright.experiments.monte_carlo import Value
+from trackwright.experiments.monte_carlo.sources import available_studies, load_study
+from trackwright.experiments.text.tables import markdown
+from trackwright.experiments.text.terminal import notice, progress
+from trackwright.experiments.text.wording import Unit, headline, ratio_text, with_interval
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write
 
 LIMIT_S = 1800.0
 RESULTS = Path("docs/results.md")
@@ -42,7 +42,9 @@ def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
     with progress("papers", len(chosen)) as advance:
         for study in chosen:
             folder = out / study.name
-            done = new_interpreter(["-m", "experiments", "study", study.name, "--out", str(folder)], LIMIT_S)
+            done = new_interpreter(
+                ["-m", "trackwright.experiments", "study", study.name, "--out", str(folder)], LIMIT_S
+            )
             if done.returncode:
                 failed.append(study.name)
                 notice(f"{study.name} failed: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")
@@ -121,4 +123,4 @@ def _row(claim: dict[str, Any]) -> tuple[str, ...]:
 
 
 if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.papers.reproduce")
+    run_alone(main, "python -m trackwright.experiments.lab.papers.reproduce")

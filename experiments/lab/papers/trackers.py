@@ -7,11 +7,11 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from experiments.monte_carlo import TrackerConfig
-from trackers.baselines.windows import MovingWindow
-from trackers.catalogue import spec_of
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.trajectories import Trajectory
+from trackwright.experiments.monte_carlo import TrackerConfig
+from trackwright.trackers.baselines.windows import MovingWindow
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.trajectories import Trajectory
 
 CONSTANT = MappingProxyType({"motion.time_constant": 1000.0, "motion.length": 1e4, "start.sigma_shared": 1e-3})
 """Levels of `uwb` for biases that neither time nor the way changes, and that the anchors do not share."""

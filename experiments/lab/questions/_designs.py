@@ -12,15 +12,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.fitting import Fitted, fitted
-from experiments.monte_carlo.results import resampled
-from sim.paths import WORK_VOLUME
-from sim.stations import work_station
-from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-from tuning.design.bound import bounds, mean_bound
-from tuning.design.layouts import AbstractLayout, PlanarArray, WallAnchors, range_sensor
-from tuning.design.search import SearchResult
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.fitting import Fitted, fitted
+from trackwright.experiments.monte_carlo.results import resampled
+from trackwright.sim.paths import WORK_VOLUME
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
+from trackwright.tuning.design.bound import bounds, mean_bound
+from trackwright.tuning.design.layouts import AbstractLayout, PlanarArray, WallAnchors, range_sensor
+from trackwright.tuning.design.search import SearchResult
 
 LAYOUTS = ("default", "grid", "gradient")
 
@@ -119,7 +119,7 @@ def against_grid(name: str) -> mc.Conclusion:
         gradient.bound <= grid.bound and gradient.thousands < grid.thousands,
         f"mean bound over the whole volume: {each} evaluations; default {100 * default.bound:.2f} cm; "
         f"bounds and counts are those of fitted/design_{name}.toml, written by "
-        f"`python -m experiments.lab.papers.fitting questions/design_{name}`",
+        f"`python -m trackwright.experiments.lab.papers.fitting questions/design_{name}`",
         mc.PREDICTED,
     )
 

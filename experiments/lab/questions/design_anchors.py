@@ -19,18 +19,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import plot
-from experiments.lab.papers.fitting import Fitted
-from experiments.lab.papers.trackers import CONSTANT
-from experiments.lab.questions import _designs as of
-from experiments.lab.questions._designs import LAYOUTS, SIGMA_R
-from experiments.pages.plots.style import BLACK, VERMILION
-from sim.corruptions import white_noise
-from sim.paths import hand_motion
-from sim.ranging import Protocol, chamber, simulate_ranges
-from trackers.recordings.folder import RecordingFolder
-from tuning.design.search import SearchResult, descend, exhaust
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.fitting import Fitted
+from trackwright.experiments.lab.papers.trackers import CONSTANT
+from trackwright.experiments.lab.questions import _designs as of
+from trackwright.experiments.lab.questions._designs import LAYOUTS, SIGMA_R
+from trackwright.experiments.pages.plots.style import BLACK, VERMILION
+from trackwright.sim.corruptions import white_noise
+from trackwright.sim.paths import hand_motion
+from trackwright.sim.ranging import Protocol, chamber, simulate_ranges
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.design.search import SearchResult, descend, exhaust
 
 DESIGNS = of.designs("anchors")
 EXACT = Protocol(drift=0.0, sigma_stamp=0.0)

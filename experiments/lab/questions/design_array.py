@@ -17,17 +17,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import plot
-from experiments.lab.papers.fitting import Fitted
-from experiments.lab.questions import _designs as of
-from experiments.lab.questions._designs import LAYOUTS, SIGMA_P
-from experiments.pages.plots.style import VERMILION
-from sim.paths import WORK_VOLUME
-from sim.stations import simulate_phases, work_station
-from trackers.aoa.layout import DEFAULT_ANTENNAS
-from trackers.recordings.folder import RecordingFolder
-from tuning.design.search import SearchResult, descend, exchange
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.fitting import Fitted
+from trackwright.experiments.lab.questions import _designs as of
+from trackwright.experiments.lab.questions._designs import LAYOUTS, SIGMA_P
+from trackwright.experiments.pages.plots.style import VERMILION
+from trackwright.sim.paths import WORK_VOLUME
+from trackwright.sim.stations import simulate_phases, work_station
+from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.design.search import SearchResult, descend, exchange
 
 DESIGNS = of.designs("array")
 MAGNIFIED = 10.0

@@ -22,18 +22,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from scipy.stats import norm
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import plot
-from experiments.lab.papers.trackers import CONSTANT, CONSTANT_INERTIAL
-from experiments.monte_carlo.results import resampled
-from experiments.pages.plots.style import BLUE, GREY, ORANGE, VERMILION, plain
-from sim.corruptions import white_noise
-from sim.imu import simulate_uwb_imu
-from sim.paths import point_to_point
-from sim.ranging import CHAMBER, antenna_biases, chamber, round_robin
-from sim.stations import simulate_phases, work_station
-from trackers.recordings.folder import RecordingFolder
-from trackers.worksteps.decisions import NO_POINT, Decisions, FasteningPoints, decide, nearest_point
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.trackers import CONSTANT, CONSTANT_INERTIAL
+from trackwright.experiments.monte_carlo.results import resampled
+from trackwright.experiments.pages.plots.style import BLUE, GREY, ORANGE, VERMILION, plain
+from trackwright.sim.corruptions import white_noise
+from trackwright.sim.imu import simulate_uwb_imu
+from trackwright.sim.paths import point_to_point
+from trackwright.sim.ranging import CHAMBER, antenna_biases, chamber, round_robin
+from trackwright.sim.stations import simulate_phases, work_station
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.worksteps.decisions import NO_POINT, Decisions, FasteningPoints, decide, nearest_point
 
 SIGMA_P, SIGMA_R, BIAS = 0.25, 0.03, 0.05
 SECONDS, WARM_UP_S, REST_M = 10.0, 2.0, 1e-3

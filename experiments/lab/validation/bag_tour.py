@@ -1,6 +1,7 @@
 """The page docs/ten-minutes.md, done: two bags of a simulated cart, then each of its commands, with the time it takes.
 
-`python -m experiments.lab.validation.bag_tour [--bags-only]`: the bags, the files and the results go to out/bag-tour.
+`python -m trackwright.experiments.lab.validation.bag_tour [--bags-only]`: the bags, the files and the results go to
+out/bag-tour.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from experiments.cli.main import run_alone
-from experiments.lab.subprocesses import command
-from experiments.text.tables import aligned
-from sim.worlds import ranges as simulated_ranges
-from trackers.exchange.ros_reader import rosbags_module
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.lab.subprocesses import command
+from trackwright.experiments.text.tables import aligned
+from trackwright.sim.worlds import ranges as simulated_ranges
+from trackwright.trackers.exchange.ros_reader import rosbags_module
 
 OUT = Path("out/bag-tour")
 PAGE = Path(__file__).parents[3] / "docs" / "ten-minutes.md"
@@ -109,4 +110,4 @@ def _messages(types: Any, tables: Any) -> Iterator[tuple[str, int, Any]]:
 
 
 if __name__ == "__main__":
-    run_alone(tour, "python -m experiments.lab.validation.bag_tour")
+    run_alone(tour, "python -m trackwright.experiments.lab.validation.bag_tour")

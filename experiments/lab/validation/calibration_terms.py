@@ -1,4 +1,4 @@
-"""Which terms of a calibration help: `python -m experiments.lab.validation.calibration_terms`.
+"""Which terms of a calibration help: `python -m trackwright.experiments.lab.validation.calibration_terms`.
 
 The first runs of three Bluetooth walks, each judged by a calibration on the other two. Prints, for growing sets of
 terms, the mean over the walks of the horizontal RMSE of the tracker `bearings` with its default noise levels, of its
@@ -13,15 +13,15 @@ from unittest import mock
 
 import numpy as np
 
-from experiments.cli.main import run_alone
-from experiments.cli.runtime import set_flags
-from experiments.lab.subprocesses import required_recordings
-from experiments.text.tables import aligned
-from trackers.catalogue import build
-from trackers.evaluation.evaluate import evaluate
-from trackers.recordings.calibration import ANGLE_PRIOR, ANGLE_TERMS
-from trackers.recordings.folder import RecordingFolder, read_recordings
-from tuning import calibrating
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.lab.subprocesses import required_recordings
+from trackwright.experiments.text.tables import aligned
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.calibration import ANGLE_PRIOR, ANGLE_TERMS
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
+from trackwright.tuning import calibrating
 
 WALKS = tuple(f"ble51-walk-u{k}-r1" for k in (1, 2, 3))
 
@@ -64,4 +64,4 @@ def _judged(folders: Sequence[RecordingFolder], one: RecordingFolder, terms: Seq
 
 
 if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.validation.calibration_terms")
+    run_alone(main, "python -m trackwright.experiments.lab.validation.calibration_terms")

@@ -1,4 +1,4 @@
-"""Which tracker suits which readings, on real recordings: `python -m experiments.lab.validation.choice`.
+"""Which tracker suits which readings, on real recordings: `python -m trackwright.experiments.lab.validation.choice`.
 
 Every tracker runs with its default levels on every recording with truth that it fits. The command writes the figures
 and the order that they imply to docs/which-tracker.md, and ends with exit code 1 where `trackers.catalogue.PREFERENCE`
@@ -16,18 +16,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.cli.main import run_alone
-from experiments.cli.runtime import keep_programs, set_flags
-from experiments.lab.bench.timing import replace_tables
-from experiments.lab.subprocesses import REPOSITORY, required_recordings
-from experiments.lab.validation.folds import SEEN_BY_DEFAULTS
-from experiments.text.tables import markdown
-from trackers.catalogue import PREFERENCE, TRACKERS, build
-from trackers.evaluation.evaluate import evaluate
-from trackers.recordings.folder import RecordingFolder, read_recordings
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.cli.runtime import keep_programs, set_flags
+from trackwright.experiments.lab.bench.timing import replace_tables
+from trackwright.experiments.lab.subprocesses import REPOSITORY, required_recordings
+from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS
+from trackwright.experiments.text.tables import markdown
+from trackwright.trackers.catalogue import PREFERENCE, TRACKERS, build
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
 
 PAGE = REPOSITORY / "docs" / "which-tracker.md"
-MODULE = "experiments.lab.validation.choice"
+MODULE = "trackwright.experiments.lab.validation.choice"
 
 CLEAR = 0.95
 """Ratio of the errors of two trackers below which the first is better; above it the simpler one is preferred."""

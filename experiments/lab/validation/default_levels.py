@@ -1,10 +1,11 @@
-"""Default noise levels from recordings with truth: `python -m experiments.lab.validation.default_levels KIND`.
+"""Default noise levels from recordings with truth.
 
-KIND is one of `bearings`, `bearings-calibrated` and `uwb`. The command minimises the mean over recordings of the
-negative log-likelihood of the true horizontal position (`state-nll`), by Nelder and Mead's simplex: the objective of a
-filter with Student's t has kinks at which a search by gradient ends. It prints the levels found beside the present
-defaults, with the objective of both. The recordings are not part of this repository: TRACKWRIGHT_RECORDINGS names
-their folder, default `../shared/recordings`.
+`python -m trackwright.experiments.lab.validation.default_levels KIND`: KIND is one of `bearings`,
+`bearings-calibrated` and `uwb`. The command minimises the mean over recordings of the negative log-likelihood of the
+true horizontal position (`state-nll`), by Nelder and Mead's simplex: the objective of a filter with Student's t has
+kinks at which a search by gradient ends. It prints the levels found beside the present defaults, with the objective
+of both. The recordings are not part of this repository: TRACKWRIGHT_RECORDINGS names their folder, default
+`../shared/recordings`.
 """
 
 from __future__ import annotations
@@ -18,22 +19,22 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from experiments.cli.main import run_alone
-from experiments.cli.runtime import keep_programs, set_flags
-from experiments.lab.subprocesses import required_recordings
-from experiments.lab.validation.folds import SEEN_BY_DEFAULTS
-from experiments.text.tables import aligned
-from trackers.aoa.fusion import CALIBRATED, bearing_tracker
-from trackers.catalogue import build
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.folder import RecordingFolder, read_recordings
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.uwb_imu.fusion import range_tracker
-from tuning.calibrating import calibrate
-from tuning.data import fit_data
-from tuning.fit_arrays import FitArrays
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.cli.runtime import keep_programs, set_flags
+from trackwright.experiments.lab.subprocesses import required_recordings
+from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS
+from trackwright.experiments.text.tables import aligned
+from trackwright.trackers.aoa.fusion import CALIBRATED, bearing_tracker
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.uwb_imu.fusion import range_tracker
+from trackwright.tuning.calibrating import calibrate
+from trackwright.tuning.data import fit_data
+from trackwright.tuning.fit_arrays import FitArrays
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 LOST = 50.0
 """Objective, nats a row, of a recording on which the filter diverges."""
@@ -169,4 +170,4 @@ def _shown(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.validation.default_levels")
+    run_alone(main, "python -m trackwright.experiments.lab.validation.default_levels")

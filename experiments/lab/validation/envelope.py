@@ -1,4 +1,6 @@
-"""Where single precision can be trusted: `python -m experiments.lab.validation.envelope --page docs/envelope.md`.
+"""Where single precision can be trusted.
+
+`python -m trackwright.experiments.lab.validation.envelope --page docs/envelope.md` writes the page.
 
 Every tracker runs in single and in double precision, on 256 tags together and on 32 one by one, for readings with
 standard deviations from 1e-6 to 1e6, times from 0 to 1e6 s between them, and rooms from 1 cm to 100 km. Both are
@@ -23,22 +25,22 @@ import jax
 import numpy as np
 from scipy.stats import binom
 
-from experiments.cli.main import run_alone
-from experiments.cli.runtime import set_flags
-from experiments.lab.bench.timing import replace_tables
-from experiments.lab.validation.envelope_oracles import METHODS, difference
-from experiments.lab.validation.envelope_worlds import Cell, Walks, recorded
-from experiments.text.tables import markdown
-from trackers.catalogue import build
-from trackers.core.data.estimates import STATUS_WORDS, Status
-from trackers.core.errors import UnusableInput
-from trackers.core.model.tunable import Covariance, tunables
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.tracks import batches
-from trackers.recordings.trajectories import Trajectory
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.lab.bench.timing import replace_tables
+from trackwright.experiments.lab.validation.envelope_oracles import METHODS, difference
+from trackwright.experiments.lab.validation.envelope_worlds import Cell, Walks, recorded
+from trackwright.experiments.text.tables import markdown
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.data.estimates import STATUS_WORDS, Status
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.tunable import Covariance, tunables
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.tracks import batches
+from trackwright.trackers.recordings.trajectories import Trajectory
 
-MODULE = "experiments.lab.validation.envelope"
+MODULE = "trackwright.experiments.lab.validation.envelope"
 SIGMAS = (1e-6, 1e-3, 1.0, 1e3, 1e6)
 STEPS = (0.0, 1e-3, 1.0, 1e3, 1e6)
 ROOMS = (0.01, 10.0, 1e3, 1e5)

@@ -10,16 +10,16 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import t as student_t
 
-from experiments.lab.bench.loops import filtered, fix_channels, ground, model_of, vector
-from trackers.core.data.estimates import Estimates, Status
-from trackers.core.data.recording import Recording
-from trackers.core.filters.imm import InteractingModels, SwitchingMotion
-from trackers.core.model.motion import GroundMotion
-from trackers.parts.fixes import FIXES
-from trackers.parts.ranges import RANGES
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.uwb_imu.multilateration import Multilateration
-from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
+from trackwright.experiments.lab.bench.loops import filtered, fix_channels, ground, model_of, vector
+from trackwright.trackers.core.data.estimates import Estimates, Status
+from trackwright.trackers.core.data.recording import Recording
+from trackwright.trackers.core.filters.imm import InteractingModels, SwitchingMotion
+from trackwright.trackers.core.model.motion import GroundMotion
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.uwb_imu.multilateration import Multilateration
+from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 METHODS = {
     "fix-kf": "NumPy loop, Jacobians by hand",

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackers.core.model.rig import Rig, Station
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.rig_file import mounted
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.rig_file import mounted
 
 EPOCHS = 16
 """Times at which every tag is read."""

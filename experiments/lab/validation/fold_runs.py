@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
-from experiments.lab.validation.folds import OTHER_HALF, OTHERS, Fold
-from trackers.catalogue import build
-from trackers.evaluation.evaluate import evaluate
-from trackers.recordings.columns import float_column
-from trackers.recordings.folder import RecordingFolder, read_recording
-from tuning.calibrating import calibrate
-from tuning.cross_calibration import by_halves, by_others
-from tuning.fitting import fit
+from trackwright.experiments.lab.validation.folds import OTHER_HALF, OTHERS, Fold
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
+from trackwright.tuning.calibrating import calibrate
+from trackwright.tuning.cross_calibration import by_halves, by_others
+from trackwright.tuning.fitting import fit
 
 MARGIN = 1.0
 """Largest distance, m, of an estimate outside its room."""

@@ -1,12 +1,12 @@
 """NIS against its expectation in worlds of each tracker's own model.
 
-`python -m experiments.lab.validation.nis_expectation [TRACKER …]`. Five worlds of each tracker of the catalogue with a
-NIS, `TAGS` tags each, by `own_worlds.py` with the times and the geometry of a simulated recording. Printed: NIS per
-degree of freedom in each world, 1 expected whatever the noise, and the share of the means over `WINDOW` rows inside the
-95 % band of `tuning.diagnostics.nis_band`. Rows count from `SETTLED` s on: the prior of a start is wider than a
-linearisation is exact, and that of phases is drawn within one lobe of the array. `cascade`, `mhk` and `mhk-stamped`
-read what other estimators make of the readings, errors that no model of their own has: they run on simulated worlds as
-these are. Trackers without covariance have no NIS.
+`python -m trackwright.experiments.lab.validation.nis_expectation [TRACKER …]`. Five worlds of each tracker of the
+catalogue with a NIS, `TAGS` tags each, by `own_worlds.py` with the times and the geometry of a simulated recording.
+Printed: NIS per degree of freedom in each world, 1 expected whatever the noise, and the share of the means over
+`WINDOW` rows inside the 95 % band of `tuning.diagnostics.nis_band`. Rows count from `SETTLED` s on: the prior of a
+start is wider than a linearisation is exact, and that of phases is drawn within one lobe of the array. `cascade`,
+`mhk` and `mhk-stamped` read what other estimators make of the readings, errors that no model of their own has: they
+run on simulated worlds as these are. Trackers without covariance have no NIS.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import trackwright as tw
-from experiments.cli.main import run_alone
-from experiments.cli.runtime import set_flags
-from experiments.lab.validation.own_worlds import own_world
-from experiments.text.tables import markdown
-from experiments.text.terminal import progress
-from sim import SimulatedWorld, work_station, worlds
-from trackers.baselines.fixes import floor_tracker
-from trackers.parts.walls import Walls
-from tuning.diagnostics import nis_band
-from tuning.pit_uniformity import student_t_dof_of
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.lab.validation.own_worlds import own_world
+from trackwright.experiments.text.tables import markdown
+from trackwright.experiments.text.terminal import progress
+from trackwright.sim import SimulatedWorld, work_station, worlds
+from trackwright.trackers.baselines.fixes import floor_tracker
+from trackwright.trackers.parts.walls import Walls
+from trackwright.tuning.diagnostics import nis_band
+from trackwright.tuning.pit_uniformity import student_t_dof_of
 
 TAGS, WORLDS, SETTLED, WINDOW = 24, 5, 5.0, 50
 NEVER_LOST = tw.TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
@@ -134,4 +134,4 @@ def main(trackers: tuple[str, ...] = ()) -> int:
 
 
 if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.validation.nis_expectation")
+    run_alone(main, "python -m trackwright.experiments.lab.validation.nis_expectation")

@@ -10,18 +10,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers import Gaussian, Readings, Recording, Tracker, Vector, stack
-from trackers.aoa.fusion import BearingSensor
-from trackers.aoa.phases import AbstractPhaseSensor
-from trackers.core.data.recording import Batch
-from trackers.core.filters.imm import AbstractInteractingModels, AbstractSwitching
-from trackers.core.model.algebra import triangle
-from trackers.core.model.sensor import AbstractSensor, Row
-from trackers.core.model.state import retract
-from trackers.line.fixes import FloorFixes
-from trackers.parts.fixes import AbstractFixSensor
-from trackers.parts.ranges import RangeSensor
-from trackers.uwb_imu.yaw_mixture import YawMixtureFilter, with_yaw_added
+from trackwright.trackers import Gaussian, Readings, Recording, Tracker, Vector, stack
+from trackwright.trackers.aoa.fusion import BearingSensor
+from trackwright.trackers.aoa.phases import AbstractPhaseSensor
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.filters.imm import AbstractInteractingModels, AbstractSwitching
+from trackwright.trackers.core.model.algebra import triangle
+from trackwright.trackers.core.model.sensor import AbstractSensor, Row
+from trackwright.trackers.core.model.state import retract
+from trackwright.trackers.line.fixes import FloorFixes
+from trackwright.trackers.parts.fixes import AbstractFixSensor
+from trackwright.trackers.parts.ranges import RangeSensor
+from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter, with_yaw_added
 
 
 def own_world(

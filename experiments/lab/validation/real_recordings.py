@@ -1,4 +1,4 @@
-"""Accuracy and covariances on real recordings: `python -m experiments.lab.validation.real_recordings`.
+"""Accuracy and covariances on real recordings: `python -m trackwright.experiments.lab.validation.real_recordings`.
 
 Runs every fold of `folds.FOLDS`, writes `docs/real-recordings.md` and its summary in the README, and ends with exit
 code 1 where a limit is missed. No fold is judged on a recording that its calibration or tuning has seen. The recordings
@@ -16,18 +16,26 @@ from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
 
-from experiments.cli.main import run_alone
-from experiments.cli.runtime import keep_programs, set_flags
-from experiments.lab.bench.timing import replace_tables
-from experiments.lab.subprocesses import REPOSITORY, required_recordings
-from experiments.lab.validation.fold_runs import MARGIN, Check, Figures, checks, covariance_checks, mean_of, run_fold
-from experiments.lab.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, SEEN_BY_DEFAULTS, Fold
-from experiments.text.tables import markdown
-from experiments.text.wording import fixed
-from trackers.evaluation.evaluate import Metrics
-from trackers.evaluation.statements import covariance_statements
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.cli.runtime import keep_programs, set_flags
+from trackwright.experiments.lab.bench.timing import replace_tables
+from trackwright.experiments.lab.subprocesses import REPOSITORY, required_recordings
+from trackwright.experiments.lab.validation.fold_runs import (
+    MARGIN,
+    Check,
+    Figures,
+    checks,
+    covariance_checks,
+    mean_of,
+    run_fold,
+)
+from trackwright.experiments.lab.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, SEEN_BY_DEFAULTS, Fold
+from trackwright.experiments.text.tables import markdown
+from trackwright.experiments.text.wording import fixed
+from trackwright.trackers.evaluation.evaluate import Metrics
+from trackwright.trackers.evaluation.statements import covariance_statements
 
-MODULE = "experiments.lab.validation.real_recordings"
+MODULE = "trackwright.experiments.lab.validation.real_recordings"
 PAGE = REPOSITORY / "docs" / "real-recordings.md"
 QUICK_PAGE = Path("out/real-recordings.md")
 PACKAGES = ("trackwright", "jax", "numpy")
@@ -43,9 +51,9 @@ command finds them through `TRACKWRIGHT_RECORDINGS` (default `../shared/recordin
 restrictions:
 
 - Default noise levels of `bearings`, `uwb`, `uwb-imu` and `fix-mirror` were set on some of the recordings, which are
-  marked by * (of the first two by `python -m experiments.lab.validation.default_levels`, then partly by hand, see
-  [decisions.md](decisions.md)); those of the other trackers were chosen with these recordings at hand. Such figures
-  show how one set of levels fits several kinds of recordings, and are no prediction for others.
+  marked by * (of the first two by `python -m trackwright.experiments.lab.validation.default_levels`, then partly by
+  hand, see [decisions.md](decisions.md)); those of the other trackers were chosen with these recordings at hand. Such
+  figures show how one set of levels fits several kinds of recordings, and are no prediction for others.
 - Where a site has only one recording, each half of it, in time, is calibrated on the other half. Later changes of the
   site do not show in these figures.
 """
@@ -108,7 +116,7 @@ and covariances are still missed. Walks with a Bluetooth tag: mean horizontal RM
 levels, {calibrated:.2f} m ({smoothed:.2f} m smoothed) with stations calibrated on earlier walks. Reported uncertainty
 is on target in {held} of {judged} recordings ({held_smoothed} of {judged_smoothed} smoothed); some of them were used to
 choose the defaults. All figures: [docs/real-recordings.md](docs/real-recordings.md)
-(`python -m experiments.lab.validation.real_recordings`).
+(`python -m trackwright.experiments.lab.validation.real_recordings`).
 """
 
 

@@ -1,10 +1,11 @@
 """Parameter recovery: 200 fits to data of each tracker's own model.
 
-`python -m experiments.lab.validation.recovery [SYSTEM …]`. Every replicate has new data and starts a factor of ten too
-high or too low in motion and sensor noise. Checked for every parameter: the coverage of its 95 % intervals, 89 to 99 %
-for 200 replicates, by the likelihood's curvature, by the scatter of rows, and by the wider of both, which `tune` gives;
-the bias of the unconstrained parameter, at most 3 standard errors; and that no fit ends worse than it began. Systems:
-A, the beam tracker; B, the grid on a line; C, ranges; D, MH-K's fusion of fixes with a full covariance.
+`python -m trackwright.experiments.lab.validation.recovery [SYSTEM …]`. Every replicate has new data and starts a
+factor of ten too high or too low in motion and sensor noise. Checked for every parameter: the coverage of its 95 %
+intervals, 89 to 99 % for 200 replicates, by the likelihood's curvature, by the scatter of rows, and by the wider of
+both, which `tune` gives; the bias of the unconstrained parameter, at most 3 standard errors; and that no fit ends
+worse than it began. Systems: A, the beam tracker; B, the grid on a line; C, ranges; D, MH-K's fusion of fixes with a
+full covariance.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ import jax.numpy as jnp
 import numpy as np
 
 import trackwright as tw
-from experiments.cli.main import run_alone
-from experiments.cli.runtime import set_flags
-from experiments.text.terminal import progress
-from sim import work_station
-from trackers.aoa.beam import Beam
-from trackers.core.data.recording import Batch
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.motion import PathState
-from trackers.parts.ranges import RANGES, RangeSensor
-from tuning import NegativeLogLikelihood, fit
-from tuning.parameters import Parameter, component_names, flatten, select_parameters, with_parameters
-from tuning.uncertainty import By, unused
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.text.terminal import progress
+from trackwright.sim import work_station
+from trackwright.trackers.aoa.beam import Beam
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.motion import PathState
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.tuning import NegativeLogLikelihood, fit
+from trackwright.tuning.parameters import Parameter, component_names, flatten, select_parameters, with_parameters
+from trackwright.tuning.uncertainty import By, unused
 
 REPLICATES = 200
 COVERED = (0.89, 0.99)
@@ -254,4 +255,4 @@ def main(systems: tuple[str, ...] = ()) -> int:
 
 
 if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.validation.recovery")
+    run_alone(main, "python -m trackwright.experiments.lab.validation.recovery")

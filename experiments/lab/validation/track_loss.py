@@ -1,4 +1,4 @@
-"""False alarms and delays of track loss, by simulation: `python -m experiments.lab.validation.track_loss`.
+"""False alarms and delays of track loss, by simulation: `python -m trackwright.experiments.lab.validation.track_loss`.
 
 Walks in a room of 12 by 6 m, with ranges or with bearings whose errors have Student's t distribution; halfway each tag
 is carried 6.7 m away at once. Printed are the tracks lost before that, which are false alarms, the share lost within
@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 import trackwright as tw
-from experiments.cli.runtime import set_flags
-from experiments.text.tables import aligned
-from trackers.core.model.tunable import with_values
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.text.tables import aligned
+from trackwright.trackers.core.model.tunable import with_values
 
 TRAJECTORIES = 500
 RATE_HZ, SECONDS, HEIGHT = 8.0, 60.0, 1.1

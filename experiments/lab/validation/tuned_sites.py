@@ -1,4 +1,4 @@
-"""Fits on every site with one recording left out each: `python -m experiments.lab.validation.tuned_sites`.
+"""Fits on every site with one recording left out each: `python -m trackwright.experiments.lab.validation.tuned_sites`.
 
 Fits noise levels to a site's recordings as `trackwright tune` does, judges each recording with the values fitted to the
 others, and names what `tune` refuses. Halves of a site's only recording are judged so. The recordings are those of
@@ -10,21 +10,21 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from experiments.cli.main import run_alone
-from experiments.cli.runtime import keep_programs, set_flags
-from experiments.cli.tuning_folder import in_words, refusals
-from experiments.lab.subprocesses import required_recordings
-from experiments.lab.validation.folds import SITES, Site
-from experiments.pages.reports.recordings_compared import Compared, compare, tracked
-from trackers.catalogue import build
-from trackers.core.errors import UnusableInput
-from trackers.evaluation.association import Association
-from trackers.recordings.folder import RecordingFolder, read_recordings
-from trackers.recordings.selection import Selection
-from tuning import FitResult
-from tuning.cross_calibration import halves
-from tuning.fitting import fit
-from tuning.left_out import left_out_values
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.cli.runtime import keep_programs, set_flags
+from trackwright.experiments.cli.tuning_folder import in_words, refusals
+from trackwright.experiments.lab.subprocesses import required_recordings
+from trackwright.experiments.lab.validation.folds import SITES, Site
+from trackwright.experiments.pages.reports.recordings_compared import Compared, compare, tracked
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.association import Association
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
+from trackwright.trackers.recordings.selection import Selection
+from trackwright.tuning import FitResult
+from trackwright.tuning.cross_calibration import halves
+from trackwright.tuning.fitting import fit
+from trackwright.tuning.left_out import left_out_values
 
 
 def main(*, seconds: float | None = None, site: tuple[str, ...] = ()) -> None:
@@ -74,4 +74,4 @@ def judged(site: Site, folders: Sequence[RecordingFolder]) -> tuple[FitResult, C
 
 
 if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.validation.tuned_sites")
+    run_alone(main, "python -m trackwright.experiments.lab.validation.tuned_sites")

@@ -1,5 +1,6 @@
-"""Cost of tuning by gradient and by the papers' sweep: `python -m experiments.lab.validation.tuning_against_sweep`.
+"""Cost of tuning by gradient and by the papers' sweep.
 
+`python -m trackwright.experiments.lab.validation.tuning_against_sweep`:
 Nine simulated recordings of the assembly line, three of each situation, and one parameter, σ_a, the noise of the speed.
 The sweep follows the thesis (2.7, chapter 3): ten runs of the particle filter at each of 101 values up to 1 m/s per √s,
 the first 1 mm/s because zero noise is a different model. The gradient starts at the far end of that range: of the grid
@@ -20,21 +21,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.cli.main import run_alone
-from experiments.text.tables import aligned
-from experiments.text.terminal import progress
-from sim.line import SITUATIONS, simulate_line
-from trackers.catalogue import build
-from trackers.core.data.recording import Batch
-from trackers.core.model.tunable import Scale, replaced, tunables
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.tracks import batches
-from tuning import fit
-from tuning.named_objectives import parse_objective
-from tuning.objectives import Weighted
-from tuning.optimisers import LBFGS, Adam
-from tuning.parameters import select_parameters
-from tuning.problem import Problem
+from trackwright.experiments.cli.main import run_alone
+from trackwright.experiments.text.tables import aligned
+from trackwright.experiments.text.terminal import progress
+from trackwright.sim.line import SITUATIONS, simulate_line
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.tunable import Scale, replaced, tunables
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.tracks import batches
+from trackwright.tuning import fit
+from trackwright.tuning.named_objectives import parse_objective
+from trackwright.tuning.objectives import Weighted
+from trackwright.tuning.optimisers import LBFGS, Adam
+from trackwright.tuning.parameters import select_parameters
+from trackwright.tuning.problem import Problem
 
 GOALS = ("rmse", "nll")
 SIGMA = "motion.sigma_a"
@@ -187,4 +188,4 @@ def table(every: Sequence[Found], scores: Sequence[Score]) -> str:
 
 
 if __name__ == "__main__":
-    run_alone(main, "python -m experiments.lab.validation.tuning_against_sweep")
+    run_alone(main, "python -m trackwright.experiments.lab.validation.tuning_against_sweep")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.text.tables import aligned
+from trackwright.experiments.text.tables import aligned
 
 MAX_STANDARD_ERRORS = 4.0
 """Allowed deviation of a mean, in standard errors: of a hundred correct means, one exceeds it in 160 runs."""

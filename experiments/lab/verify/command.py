@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from experiments.lab.verify.check_result import CheckResult
+    from trackwright.experiments.lab.verify.check_result import CheckResult
 
 
 def verify(*, json: bool = False) -> int:
@@ -22,10 +22,10 @@ def verify(*, json: bool = False) -> int:
     Args:
         json: print JSON instead of a table.
     """
-    from experiments.cli.runtime import keep_programs
-    from experiments.lab.verify.check_result import table
-    from experiments.text.terminal import progress
-    from trackers.recordings.atomic import json_text
+    from trackwright.experiments.cli.runtime import keep_programs
+    from trackwright.experiments.lab.verify.check_result import table
+    from trackwright.experiments.text.terminal import progress
+    from trackwright.trackers.recordings.atomic import json_text
 
     keep_programs()
     results: list[CheckResult] = []
@@ -40,7 +40,7 @@ def verify(*, json: bool = False) -> int:
 
 def _checks() -> tuple[Callable[[], list[CheckResult]], ...]:
     """Correct gradients against their oracles, and biased ones that must fail."""
-    from experiments.lab.verify import deterministic_checks, particle_checks
+    from trackwright.experiments.lab.verify import deterministic_checks, particle_checks
 
     return (
         deterministic_checks.kalman_checks,

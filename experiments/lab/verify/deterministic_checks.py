@@ -10,18 +10,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.lab.verify import oracles
-from experiments.lab.verify.check_result import CheckResult
-from experiments.lab.verify.gradients import Gradients, gradients
-from experiments.lab.verify.worlds import HALT_DT, HALT_TUNABLES, halt_batch, halt_tracker
-from trackers.baselines.fixes import fix_tracker
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.tunable import Real, Scale, replaced
-from trackers.line.grid import GridFilter
-from trackers.line.motion import PathOutputMap
-from trackers.mhk.chain import predicted, updated
-from trackers.parts.fixes import FIXES
+from trackwright.experiments.lab.verify import oracles
+from trackwright.experiments.lab.verify.check_result import CheckResult
+from trackwright.experiments.lab.verify.gradients import Gradients, gradients
+from trackwright.experiments.lab.verify.worlds import HALT_DT, HALT_TUNABLES, halt_batch, halt_tracker
+from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.tunable import Real, Scale, replaced
+from trackwright.trackers.line.grid import GridFilter
+from trackwright.trackers.line.motion import PathOutputMap
+from trackwright.trackers.mhk.chain import predicted, updated
+from trackwright.trackers.parts.fixes import FIXES
 
 SINGLE_PRECISION = 1e-4
 """Allowed relative deviation in single precision; absolute for values below 1."""

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.core.data.recording import Batch
-from trackers.core.filters.particle.filter import AbstractParticleFilter
-from trackers.core.run.tracker import AbstractTracker, Tracker
-from tuning.marginal_score import marginal_scores
-from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.tuning.marginal_score import marginal_scores
+from trackwright.tuning.objectives import NegativeLogLikelihood
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 MAX_BATCH = 64
 """Trajectories of 2,000 particles per chunk, which fit the cache; more in proportion for fewer particles."""

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.lab.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START
-from experiments.lab.verify.worlds import (
+from trackwright.experiments.lab.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START
+from trackwright.experiments.lab.verify.worlds import (
     HALT_ARCLENGTH,
     HALT_DT,
     HALT_SIGMA_A,

@@ -8,11 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from experiments.lab.verify import oracles
-from experiments.lab.verify.check_result import MAX_STANDARD_ERRORS, CheckResult, random_check
-from experiments.lab.verify.corridor import corridor_fixes
-from experiments.lab.verify.gradients import Gradients, gradients, marginal_gradients
-from experiments.lab.verify.worlds import (
+from trackwright.experiments.lab.verify import oracles
+from trackwright.experiments.lab.verify.check_result import MAX_STANDARD_ERRORS, CheckResult, random_check
+from trackwright.experiments.lab.verify.corridor import corridor_fixes
+from trackwright.experiments.lab.verify.gradients import Gradients, gradients, marginal_gradients
+from trackwright.experiments.lab.verify.worlds import (
     CORRIDOR_TUNABLES,
     HALT_TUNABLES,
     Estimator,
@@ -22,8 +22,8 @@ from experiments.lab.verify.worlds import (
     halt_tracker,
     score_form,
 )
-from experiments.lab.verify.wrong_estimators import Naive, Reparameterised
-from trackers.core.filters.particle.filter import ParticleFilter
+from trackwright.experiments.lab.verify.wrong_estimators import Naive, Reparameterised
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 
 KEYS, PARTICLES = 400, 2000
 """Estimates with different random numbers, and particles of each."""

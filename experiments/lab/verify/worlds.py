@@ -9,24 +9,31 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from experiments.lab.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
-from trackers.core.data.recording import Batch, Readings, Recording, stack
-from trackers.core.filters.filter import Innovation
-from trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
-from trackers.core.model.algebra import Scalar, Vector, diagonal
-from trackers.core.model.covariance import AnyCovariance, Gaussian
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.motion import AbstractMotion, ConstantPosition, Noise, Placed
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.sensor import AbstractSensor, Reading, Row
-from trackers.core.model.start import AbstractStart
-from trackers.core.model.state import State
-from trackers.core.model.tunable import Scale
-from trackers.core.run.track_loss import TrackLossPolicy
-from trackers.core.run.tracker import Tracker
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.motion import LineMotion, PathState
-from trackers.parts.walls import Walls
+from trackwright.experiments.lab.verify.corridor import (
+    CORRIDOR,
+    SIGMA_FIX,
+    SIGMA_MOVE,
+    START,
+    corridor_fixes,
+    rectangle,
+)
+from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
+from trackwright.trackers.core.filters.filter import Innovation
+from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
+from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, Noise, Placed
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.state import State
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.motion import LineMotion, PathState
+from trackwright.trackers.parts.walls import Walls
 
 CORRIDOR_TUNABLES = ("motion.sigma_v", "sensors.fixes.sigma_p")
 """The tunables of the corridor's tracker, in the order of the oracle's gradient."""

@@ -10,16 +10,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.filters.filter import Innovation
-from trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
-from trackers.core.filters.particle.random import draws
-from trackers.core.filters.particle.resampling import LOG_ZERO
-from trackers.core.model.algebra import Scalar, Vector, cholesky, total, triangle
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.sensor import AbstractSensor, Reading
-from trackers.core.model.state import State, dimension, retract
+from trackwright.trackers.core.filters.filter import Innovation
+from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
+from trackwright.trackers.core.filters.particle.random import draws
+from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
+from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, total, triangle
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.state import State, dimension, retract
 
 
 class AbstractPathwise(AbstractParticleFilter):

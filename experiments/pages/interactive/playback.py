@@ -10,16 +10,16 @@ from typing import Any
 
 import polars as pl
 
-from experiments.pages.interactive.track_page import run_data, track_page
-from experiments.pages.scored_tracks import ScoredTracks
-from trackers.core.data.estimates import Estimates
-from trackers.core.data.recording import Recording
-from trackers.core.model.rig import Rig
-from trackers.evaluation.association import associate_truth
-from trackers.evaluation.evaluate import associate, evaluate
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracks import Tracks
+from trackwright.experiments.pages.interactive.track_page import run_data, track_page
+from trackwright.experiments.pages.scored_tracks import ScoredTracks
+from trackwright.trackers.core.data.estimates import Estimates
+from trackwright.trackers.core.data.recording import Recording
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.evaluate import associate, evaluate
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracks import Tracks
 
 HEIGHT = 900
 """Height of the page in a notebook, pixels; it scrolls."""

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from experiments.pages.interactive.decimation import MOST_EVENTS, drawn_rows, drawn_tracks
-from experiments.pages.interactive.packing import packed, rounded
-from experiments.pages.interactive.residuals import page_residuals
-from experiments.pages.interactive.summaries import calibration_curve, error_distribution, error_map
-from experiments.pages.scored_tracks import Component, ScoredRecording
-from trackers.core.data.seconds import time_label
-from trackers.core.model.rig import Rig
-from trackers.recordings.columns import float_column
-from trackers.recordings.kinds import KINDS
-from tuning.diagnostics import nis_quantile
+from trackwright.experiments.pages.interactive.decimation import MOST_EVENTS, drawn_rows, drawn_tracks
+from trackwright.experiments.pages.interactive.packing import packed, rounded
+from trackwright.experiments.pages.interactive.residuals import page_residuals
+from trackwright.experiments.pages.interactive.summaries import calibration_curve, error_distribution, error_map
+from trackwright.experiments.pages.scored_tracks import Component, ScoredRecording
+from trackwright.trackers.core.data.seconds import time_label
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.tuning.diagnostics import nis_quantile
 
 FAR_M = 500.0
 """Distance from the origin, m, from which the page holds positions relative to another one."""

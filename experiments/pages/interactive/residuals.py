@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.pages.interactive.packing import packed, rounded
-from experiments.pages.scored_tracks import ScoredRecording
-from trackers.recordings.columns import TagRows, float_column
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import KINDS, Kind, wrapped
+from trackwright.experiments.pages.interactive.packing import packed, rounded
+from trackwright.experiments.pages.scored_tracks import ScoredRecording
+from trackwright.trackers.recordings.columns import TagRows, float_column
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 
 LEAST = 5
 """The fewest readings of a quantile or of a mean."""

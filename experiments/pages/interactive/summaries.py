@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.pages.interactive.packing import packed, rounded
-from experiments.pages.scored_tracks import ScoredRecording
-from trackers.core.data.chi_square import chi_square_probability
+from trackwright.experiments.pages.interactive.packing import packed, rounded
+from trackwright.experiments.pages.scored_tracks import ScoredRecording
+from trackwright.trackers.core.data.chi_square import chi_square_probability
 
 CELLS = 30
 """The most cells along the longer side of the map of errors."""

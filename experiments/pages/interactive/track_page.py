@@ -14,15 +14,15 @@ from typing import Any
 
 import polars as pl
 
-from experiments.pages import reports
-from experiments.pages.interactive.decimation import MOST_POINTS, MOST_ROWS, MOST_TRACKS
-from experiments.pages.interactive.packing import plotting_script, rounded, script_json
-from experiments.pages.interactive.recording_data import recording_data
-from experiments.pages.scored_tracks import ScoredTracks
-from experiments.text.wording import shown_metric
-from trackers.evaluation.evaluate import Evaluation
-from trackers.evaluation.metrics import METRICS
-from trackers.recordings.atomic import atomic_write
+from trackwright.experiments.pages import reports
+from trackwright.experiments.pages.interactive.decimation import MOST_POINTS, MOST_ROWS, MOST_TRACKS
+from trackwright.experiments.pages.interactive.packing import plotting_script, rounded, script_json
+from trackwright.experiments.pages.interactive.recording_data import recording_data
+from trackwright.experiments.pages.scored_tracks import ScoredTracks
+from trackwright.experiments.text.wording import shown_metric
+from trackwright.trackers.evaluation.evaluate import Evaluation
+from trackwright.trackers.evaluation.metrics import METRICS
+from trackwright.trackers.recordings.atomic import atomic_write
 
 PAGE = "report.html"
 """File in the output folder of `trackwright track`."""

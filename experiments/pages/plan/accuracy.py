@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.path import Path as Polygon
 
-from trackers.aoa.fusion import AXES, ORIGIN, BearingSensor, bearing_inputs
-from trackers.aoa.phases import SphericalPhases
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig
-from tuning.design.bound import SensorAtEpoch, information
-from tuning.design.layouts import range_sensor
+from trackwright.trackers.aoa.fusion import AXES, ORIGIN, BearingSensor, bearing_inputs
+from trackwright.trackers.aoa.phases import SphericalPhases
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.tuning.design.bound import SensorAtEpoch, information
+from trackwright.tuning.design.layouts import range_sensor
 
 CELLS = 60
 """Cells of the map along the longer side of the floor."""

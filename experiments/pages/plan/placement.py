@@ -9,11 +9,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from experiments.pages.plan.accuracy import FloorMap, floor_map, floor_of
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig
-from tuning.design.layouts import WallAnchors, range_sensor
-from tuning.design.search import descend
+from trackwright.experiments.pages.plan.accuracy import FloorMap, floor_map, floor_of
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.tuning.design.layouts import WallAnchors, range_sensor
+from trackwright.tuning.design.search import descend
 
 STARTS = 24
 POINTS = 200

@@ -12,12 +12,12 @@ from markupsafe import Markup
 from matplotlib import colormaps
 from rich.table import Table
 
-from experiments.pages.interactive.packing import script_json
-from experiments.pages.plan.accuracy import UNLIMITED, FloorMap, floor_of, minimised
-from experiments.pages.plan.placement import Placement
-from experiments.pages.reports.pages import page, write_page
-from experiments.text.tables import rendered, ruled_table
-from trackers.core.model.rig import Rig
+from trackwright.experiments.pages.interactive.packing import script_json
+from trackwright.experiments.pages.plan.accuracy import UNLIMITED, FloorMap, floor_of, minimised
+from trackwright.experiments.pages.plan.placement import Placement
+from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.text.tables import rendered, ruled_table
+from trackwright.trackers.core.model.rig import Rig
 
 COLOURS = 64
 WIDTH = 80

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.pages.plots.style import BLACK, BLUE, SKY, broken_at_gaps, figure_file, legend_above
-from experiments.pages.scored_tracks import IN_PLANE, in_one_plane, in_the_plane
+from trackwright.experiments.pages.plots.style import BLACK, BLUE, SKY, broken_at_gaps, figure_file, legend_above
+from trackwright.experiments.pages.scored_tracks import IN_PLANE, in_one_plane, in_the_plane
 
 
 def bearings_over_time(

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from experiments.pages.plots.style import (
+from trackwright.experiments.pages.plots.style import (
     BEFORE,
     BLACK,
     BLUE,

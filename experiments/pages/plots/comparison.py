@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.pages.plots.style import (
+from trackwright.experiments.pages.plots.style import (
     BLACK,
     LINES,
     WIDTH,
@@ -22,12 +22,12 @@ from experiments.pages.plots.style import (
     plain,
     svg_address,
 )
-from experiments.pages.plots.tracks import TRUTH, draw_rig
-from experiments.pages.reports.comparison import Contrast
-from experiments.pages.reports.runs import StudyRun, TrackRun
-from experiments.pages.scored_tracks import drawn_of
-from experiments.text.wording import Unit, heading, length_unit, unit_of
-from trackers.recordings.columns import float_column
+from trackwright.experiments.pages.plots.tracks import TRUTH, draw_rig
+from trackwright.experiments.pages.reports.comparison import Contrast
+from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
+from trackwright.experiments.pages.scored_tracks import drawn_of
+from trackwright.experiments.text.wording import Unit, heading, length_unit, unit_of
+from trackwright.trackers.recordings.columns import float_column
 
 MOST_PLANS = 3
 """Recordings with floor plans: of more the worst, the median and the best by the RMSE of the first run."""

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.pages.plots.style import BLACK, GREY, LINES, figure_file, literal
-from trackers.core.data.chi_square import chi_square_probability
-from trackers.evaluation.statements import COVERAGE
+from trackwright.experiments.pages.plots.style import BLACK, GREY, LINES, figure_file, literal
+from trackwright.trackers.core.data.chi_square import chi_square_probability
+from trackwright.trackers.evaluation.statements import COVERAGE
 
 NAMED = len(LINES)
 """The most recordings with a colour and a name of their own."""

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from experiments.pages.plots.style import (
+from trackwright.experiments.pages.plots.style import (
     BEFORE,
     BLUE,
     GREY,
@@ -24,9 +24,9 @@ from experiments.pages.plots.style import (
     plain,
     svg_address,
 )
-from experiments.pages.reports.tuning_data import ErrorTrack
-from experiments.text.wording import length_unit
-from trackers.core.data.metrics import percentiles
+from trackwright.experiments.pages.reports.tuning_data import ErrorTrack
+from trackwright.experiments.text.wording import length_unit
+from trackwright.trackers.core.data.metrics import percentiles
 
 MARKED = (50.0, 90.0, 95.0)
 """Percentiles marked on the distribution of errors."""

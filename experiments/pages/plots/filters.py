@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from experiments.pages.plots.style import (
+from trackwright.experiments.pages.plots.style import (
     BEFORE,
     BLUE,
     GREY,
@@ -25,8 +25,15 @@ from experiments.pages.plots.style import (
     plain,
     svg_address,
 )
-from trackers.evaluation.statements import LIMITS
-from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_band, nis_probabilities, nis_quantile
+from trackwright.trackers.evaluation.statements import LIMITS
+from trackwright.tuning.diagnostics import (
+    Innovations,
+    autocorrelation,
+    expected_density,
+    nis_band,
+    nis_probabilities,
+    nis_quantile,
+)
 
 WINDOW = 50
 """Rows of the running mean that replaces the mean over runs where there is a single run."""

@@ -8,19 +8,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.pages.interactive.playback import playback
-from experiments.pages.plots.style import BLACK, GREY, LINES, SKY, broken_at_gaps
-from experiments.text.wording import length_unit
-from trackers.core.data.estimates import Estimates
-from trackers.core.data.recording import Recording
-from trackers.core.data.seconds import time_label, zero_of
-from trackers.core.errors import UnusableInput
-from trackers.evaluation.association import Association
-from trackers.evaluation.evaluate import associate
-from trackers.recordings.columns import float_column
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracks import Tracks
-from trackers.recordings.tracks_table import is_bearing
+from trackwright.experiments.pages.interactive.playback import playback
+from trackwright.experiments.pages.plots.style import BLACK, GREY, LINES, SKY, broken_at_gaps
+from trackwright.experiments.text.wording import length_unit
+from trackwright.trackers.core.data.estimates import Estimates
+from trackwright.trackers.core.data.recording import Recording
+from trackwright.trackers.core.data.seconds import time_label, zero_of
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.association import Association
+from trackwright.trackers.evaluation.evaluate import associate
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracks import Tracks
+from trackwright.trackers.recordings.tracks_table import is_bearing
 
 __all__ = ["error_cdf", "error_over_time", "floor_plan", "playback"]
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from experiments.pages.plots.style import (
+from trackwright.experiments.pages.plots.style import (
     BLACK,
     BLUE,
     INK,
@@ -26,10 +26,10 @@ from experiments.pages.plots.style import (
     plain,
     svg_address,
 )
-from experiments.pages.reports.tuning_data import OptimiserTrace, TuningReportData
-from experiments.text.wording import number
-from tuning.surface import Surface
-from tuning.sweeping import Sweep
+from trackwright.experiments.pages.reports.tuning_data import OptimiserTrace, TuningReportData
+from trackwright.experiments.text.wording import number
+from trackwright.tuning.surface import Surface
+from trackwright.tuning.sweeping import Sweep
 
 PALE = "#c3ccd6"
 

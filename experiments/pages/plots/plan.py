@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 
-from experiments.pages.plan.accuracy import FloorMap
-from experiments.pages.plots.style import BLACK, GREY, VERMILION, figure_file, literal
-from trackers.core.model.rig import Rig
+from trackwright.experiments.pages.plan.accuracy import FloorMap
+from trackwright.experiments.pages.plots.style import BLACK, GREY, VERMILION, figure_file, literal
+from trackwright.trackers.core.model.rig import Rig
 
 LABELLED = 12
 """The most anchors whose ids are written beside them."""

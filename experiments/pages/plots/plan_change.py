@@ -6,11 +6,20 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from experiments.pages.plots.style import BEFORE, BLUE, GREEN, GREY, WIDTH, legend_above, literal, svg_address
-from experiments.pages.plots.tracks import draw_rig
-from experiments.pages.reports.tracks_compared import Side, TrackChange
-from trackers.core.data.chi_square import chi_square_quantile
-from trackers.core.model.rig import Rig
+from trackwright.experiments.pages.plots.style import (
+    BEFORE,
+    BLUE,
+    GREEN,
+    GREY,
+    WIDTH,
+    legend_above,
+    literal,
+    svg_address,
+)
+from trackwright.experiments.pages.plots.tracks import draw_rig
+from trackwright.experiments.pages.reports.tracks_compared import Side, TrackChange
+from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.model.rig import Rig
 
 CORNERS = 25
 """Points of an ellipse."""

@@ -15,12 +15,21 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, PercentFormatter
 
-from experiments.monte_carlo.declaration import WORLD, Condition, short
-from experiments.monte_carlo.results import Results
-from experiments.pages.plots.style import HEIGHT, INK, LINES, WIDTH, figure_file, literal, plain, svg_address
-from experiments.text.expectations import Value
-from experiments.text.wording import Unit, heading, unit_of
-from trackers.evaluation.metrics import KIND_WORDS, METRICS
+from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, short
+from trackwright.experiments.monte_carlo.results import Results
+from trackwright.experiments.pages.plots.style import (
+    HEIGHT,
+    INK,
+    LINES,
+    WIDTH,
+    figure_file,
+    literal,
+    plain,
+    svg_address,
+)
+from trackwright.experiments.text.expectations import Value
+from trackwright.experiments.text.wording import Unit, heading, unit_of
+from trackwright.trackers.evaluation.metrics import KIND_WORDS, METRICS
 
 MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
 """Their counts differ from that of the colours: combinations of the three repeat late, and trackers look different."""

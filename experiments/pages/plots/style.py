@@ -20,9 +20,9 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from experiments.pages.interactive.packing import script_json
-from experiments.pages.plots.plotly_figure import plotly_figure
-from trackers.recordings.atomic import atomic_write
+from trackwright.experiments.pages.interactive.packing import script_json
+from trackwright.experiments.pages.plots.plotly_figure import plotly_figure
+from trackwright.trackers.recordings.atomic import atomic_write
 
 BLACK = "#000000"
 GREY = "#6e6e6e"

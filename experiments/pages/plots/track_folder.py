@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from experiments.pages.plots.bearings import bearings_over_time
-from experiments.pages.plots.coverage import coverage_curve
-from experiments.pages.plots.errors import error_cdf, error_over_time, rmse_over_time
-from experiments.pages.plots.filters import consistency
-from experiments.pages.plots.style import LINES
-from experiments.pages.plots.tracks import floor_plan, natural
-from experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, directions, drawn_of
-from trackers.core.data.seconds import time_label
-from trackers.evaluation.association import true_bearings
-from trackers.recordings.columns import float_column
-from trackers.recordings.tracks_table import track_keys
+from trackwright.experiments.pages.plots.bearings import bearings_over_time
+from trackwright.experiments.pages.plots.coverage import coverage_curve
+from trackwright.experiments.pages.plots.errors import error_cdf, error_over_time, rmse_over_time
+from trackwright.experiments.pages.plots.filters import consistency
+from trackwright.experiments.pages.plots.style import LINES
+from trackwright.experiments.pages.plots.tracks import floor_plan, natural
+from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, directions, drawn_of
+from trackwright.trackers.core.data.seconds import time_label
+from trackwright.trackers.evaluation.association import true_bearings
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.tracks_table import track_keys
 
 
 def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]:

@@ -15,11 +15,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from experiments.pages.plots.style import GREY, LINES, broken_at_gaps, figure_file, literal
-from trackers.core.data.chi_square import chi_square_quantile
-from trackers.core.model.rig import Station
-from trackers.evaluation.scoring import covariances
-from trackers.recordings.columns import float_column
+from trackwright.experiments.pages.plots.style import GREY, LINES, broken_at_gaps, figure_file, literal
+from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.evaluation.scoring import covariances
+from trackwright.trackers.recordings.columns import float_column
 
 ELLIPSES = 24
 """The most ellipses in all, at most half of them along one track; more would hide the tracks."""

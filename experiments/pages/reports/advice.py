@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from experiments.pages.reports.tuning_data import MetricChange, TuningReportData
-from experiments.text.wording import number, percent_change, uncapitalised
-from tuning.diagnostics import violated_assumptions
+from trackwright.experiments.pages.reports.tuning_data import MetricChange, TuningReportData
+from trackwright.experiments.text.wording import number, percent_change, uncapitalised
+from trackwright.tuning.diagnostics import violated_assumptions
 
 WORSE = 0.02
 """Relative increase above which a metric counts as worse."""

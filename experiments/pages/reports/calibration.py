@@ -10,19 +10,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.pages.plots.calibration import (
+from trackwright.experiments.pages.plots.calibration import (
     Panel,
     errors_over_floor,
     floor_image,
     measured_against_true,
     reading_chart,
 )
-from experiments.pages.reports.pages import page, write_page
-from experiments.text.tables import rendered, ruled_table, terminal_width
-from experiments.text.wording import MISSING, fixed
-from trackers.core.errors import UnusableInput
-from trackers.core.wording import counted
-from trackers.recordings.calibration import (
+from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.text.tables import rendered, ruled_table, terminal_width
+from trackwright.experiments.text.wording import MISSING, fixed
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.recordings.calibration import (
     ANGLE_TERMS,
     ANGLES,
     RANGE_TERMS,
@@ -31,11 +31,11 @@ from trackers.recordings.calibration import (
     angle_terms,
     range_terms,
 )
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import KINDS
-from tuning.calibrating import calibrate
-from tuning.calibration_pairs import Pairs, calibration_pairs
-from tuning.calibration_structure import differs_by_distance
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.tuning.calibrating import calibrate
+from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs
+from trackwright.tuning.calibration_structure import differs_by_distance
 
 WIDTH = 150
 SHOWN = 12

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 from rich.console import RenderableType
 
-from experiments.pages.reports.runs import StudyRun, TrackRun
-from experiments.text.evaluation_text import COLUMNS, SCALES, title_of
-from experiments.text.expectations import Value
-from experiments.text.tables import compact_table, rendered, terminal_width
-from experiments.text.wording import (
+from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
+from trackwright.experiments.text.evaluation_text import COLUMNS, SCALES, title_of
+from trackwright.experiments.text.expectations import Value
+from trackwright.experiments.text.tables import compact_table, rendered, terminal_width
+from trackwright.experiments.text.wording import (
     MISSING,
     Unit,
     fixed,
@@ -26,9 +26,9 @@ from experiments.text.wording import (
     with_interval,
     yes_no,
 )  # fmt: skip
-from trackers.core.errors import UnusableInput, listed
-from trackers.evaluation.comparison import METRICS, Difference, holm, paired_differences
-from trackers.evaluation.metrics import Metric
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.evaluation.comparison import METRICS, Difference, holm, paired_differences
+from trackwright.trackers.evaluation.metrics import Metric
 
 SHOWN = (
     "rmse_m", "median_m", "p95_m", "rmse_3d_m", "p95_3d_m", "rmse_direction_rad", "nees_mean", "nees_ratio",

@@ -6,8 +6,8 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.pages.reports.comparison import Table
-from experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.pages.reports.comparison import Table
+from trackwright.experiments.pages.reports.pages import page, write_page
 
 
 def write_comparison(

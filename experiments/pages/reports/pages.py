@@ -10,11 +10,11 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from experiments.pages.interactive.packing import plotting_script
-from experiments.text.wording import duration, number
-from trackers.core.errors import listed
-from trackers.core.wording import counted
-from trackers.recordings.atomic import atomic_write
+from trackwright.experiments.pages.interactive.packing import plotting_script
+from trackwright.experiments.text.wording import duration, number
+from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.recordings.atomic import atomic_write
 
 CHART = '<img src="data:image/svg+xml;base64,'
 """How an image of a chart begins in a page."""
@@ -56,8 +56,8 @@ def _thousands(count: int) -> str:
 
 def _environment() -> Environment:
     made = Environment(
-        loader=PackageLoader("experiments.pages.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
+        loader=PackageLoader("trackwright.experiments.pages.reports"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     made.filters |= {"cell": _cell, "is_wide": _is_wide, "thousands": _thousands, "number": number, "listed": listed,
                      "counted": counted, "duration": duration}  # fmt: skip

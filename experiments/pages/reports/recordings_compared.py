@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from experiments.pages.reports.worse_recordings import worse
-from experiments.text.tables import rendered, ruled_table, terminal_width
-from experiments.text.wording import Unit, fixed, length_unit
-from trackers.evaluation.association import Association, associate_truth
-from trackers.evaluation.evaluate import Evaluation, evaluate_association
-from trackers.evaluation.statements import covariance_statements
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.named_tracker import NamedTracker
+from trackwright.experiments.pages.reports.worse_recordings import worse
+from trackwright.experiments.text.tables import rendered, ruled_table, terminal_width
+from trackwright.experiments.text.wording import Unit, fixed, length_unit
+from trackwright.trackers.evaluation.association import Association, associate_truth
+from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate_association
+from trackwright.trackers.evaluation.statements import covariance_statements
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.named_tracker import NamedTracker
 
 WIDTH = 120
 DEGREES = Unit("°", 57.29577951308232)

@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from experiments.monte_carlo.declaration import short
-from experiments.text.expectations import Value
-from trackers.core.errors import UnusableInput
-from trackers.core.wording import counted
-from trackers.evaluation.association import Association, associate_truth
-from trackers.evaluation.comparison import Key, TrackErrors, errors_by_track
-from trackers.evaluation.scoring import score
-from trackers.recordings.folder import RecordingFolder, read_recording
-from trackers.recordings.input_file import file_bytes
-from trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, source_paths
+from trackwright.experiments.monte_carlo.declaration import short
+from trackwright.experiments.text.expectations import Value
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.evaluation.association import Association, associate_truth
+from trackwright.trackers.evaluation.comparison import Key, TrackErrors, errors_by_track
+from trackwright.trackers.evaluation.scoring import score
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
+from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, source_paths
 
 RESULTS = "results.json"
 

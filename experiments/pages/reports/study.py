@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Study
-from experiments.monte_carlo.results import Results
-from experiments.pages.plots.study import SHOWN_CONDITIONS, Chart, distribution_charts, metric_chart
-from experiments.pages.reports.pages import page, write_page
-from experiments.pages.reports.study_text import headline_of
-from experiments.text.expectations import Conclusion, ExpectedResult
-from experiments.text.wording import Unit, heading, ratio_text, units_of, with_interval, yes_no
+from trackwright.experiments.monte_carlo.declaration import Study
+from trackwright.experiments.monte_carlo.results import Results
+from trackwright.experiments.pages.plots.study import SHOWN_CONDITIONS, Chart, distribution_charts, metric_chart
+from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.pages.reports.study_text import headline_of
+from trackwright.experiments.text.expectations import Conclusion, ExpectedResult
+from trackwright.experiments.text.wording import Unit, heading, ratio_text, units_of, with_interval, yes_no
 
 REPORT = "report.html"
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from experiments.monte_carlo.declaration import Study
-from experiments.monte_carlo.results import NAMES, Results
-from experiments.text.expectations import Conclusion, ExpectedResult, Value
-from experiments.text.tables import aligned, rendered, ruled_table, terminal_width
-from experiments.text.wording import Unit, heading, headline, ratio_text, units_of, with_interval, yes_no
-from trackers.recordings.atomic import json_text
+from trackwright.experiments.monte_carlo.declaration import Study
+from trackwright.experiments.monte_carlo.results import NAMES, Results
+from trackwright.experiments.text.expectations import Conclusion, ExpectedResult, Value
+from trackwright.experiments.text.tables import aligned, rendered, ruled_table, terminal_width
+from trackwright.experiments.text.wording import Unit, heading, headline, ratio_text, units_of, with_interval, yes_no
+from trackwright.trackers.recordings.atomic import json_text
 
 WIDTH = 160
 

@@ -11,16 +11,16 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from experiments.pages.interactive.decimation import drawn_rows
-from experiments.pages.plots.style import broken_at_gaps
-from experiments.text.wording import fixed, length_unit
-from trackers.core.model.rig import Rig
-from trackers.evaluation.association import Association
-from trackers.evaluation.scoring import covariances
-from trackers.recordings.columns import float_column
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracks_table import is_bearing
-from trackers.recordings.truth import TruthStatus
+from trackwright.experiments.pages.interactive.decimation import drawn_rows
+from trackwright.experiments.pages.plots.style import broken_at_gaps
+from trackwright.experiments.text.wording import fixed, length_unit
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.association import Association
+from trackwright.trackers.evaluation.scoring import covariances
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracks_table import is_bearing
+from trackwright.trackers.recordings.truth import TruthStatus
 
 MOST_PLANS = 8
 """The most floor plans of a report."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from experiments.text.tables import compact_table, rendered
-from experiments.text.wording import fixed, length_unit
-from trackers.exchange.compare import TrajectoryErrors
-from trackers.exchange.pose_errors import Statistics
-from trackers.exchange.tracks_compared import ComparedTrack
+from trackwright.experiments.text.tables import compact_table, rendered
+from trackwright.experiments.text.wording import fixed, length_unit
+from trackwright.trackers.exchange.compare import TrajectoryErrors
+from trackwright.trackers.exchange.pose_errors import Statistics
+from trackwright.trackers.exchange.tracks_compared import ComparedTrack
 
 SHOWN_TRACKS = 10
 """The most tracks listed: those with the largest APE."""

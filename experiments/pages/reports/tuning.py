@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.pages.plots.errors import distribution_chart, error_charts, rmse_chart
-from experiments.pages.plots.filters import autocorrelation_chart, nis_chart, probability_chart
-from experiments.pages.plots.objective import objective_chart, parameter_chart, surface_chart
-from experiments.pages.plots.plan_change import plan_chart
-from experiments.pages.reports.advice import advice_on, is_better, is_worse
-from experiments.pages.reports.pages import page, write_page
-from experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TuningReportData
-from experiments.text.wording import MISSING, number, percent_change
-from trackers.core.wording import counted
+from trackwright.experiments.pages.plots.errors import distribution_chart, error_charts, rmse_chart
+from trackwright.experiments.pages.plots.filters import autocorrelation_chart, nis_chart, probability_chart
+from trackwright.experiments.pages.plots.objective import objective_chart, parameter_chart, surface_chart
+from trackwright.experiments.pages.plots.plan_change import plan_chart
+from trackwright.experiments.pages.reports.advice import advice_on, is_better, is_worse
+from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TuningReportData
+from trackwright.experiments.text.wording import MISSING, number, percent_change
+from trackwright.trackers.core.wording import counted
 
 SAME = 0.1
 """The relative difference of values up to which two starts end at one point, as the optimiser has it."""

@@ -9,31 +9,31 @@ from importlib.metadata import version
 
 import numpy as np
 
-from experiments.pages.reports.recordings_compared import Compared
-from experiments.pages.reports.tracks_compared import TrackChanges
-from experiments.pages.reports.tuning_data import (
+from trackwright.experiments.pages.reports.recordings_compared import Compared
+from trackwright.experiments.pages.reports.tracks_compared import TrackChanges
+from trackwright.experiments.pages.reports.tuning_data import (
     ErrorTrack,
     MetricChange,
     OptimiserTrace,
     TunedParameter,
     TuningReportData,
 )
-from experiments.text.wording import number, uncapitalised
-from trackers.core.data.estimates import Estimates
-from trackers.core.data.recording import Batch
-from trackers.core.run.tracker import AbstractTracker
-from trackers.recordings.tracks import batches, for_positions
-from trackers.recordings.trajectories import Trajectory
-from tuning import FitResult
-from tuning.data import FitData
-from tuning.diagnostics import absolute_errors, innovations_of
-from tuning.fitting import Step
-from tuning.identifiability import IdentifiabilityIssue
-from tuning.implied_spread import implied_spread
-from tuning.intervals import Interval
-from tuning.named_objectives import all_metrics
-from tuning.parameters import Parameter, component_names
-from tuning.surface import surface_of
+from trackwright.experiments.text.wording import number, uncapitalised
+from trackwright.trackers.core.data.estimates import Estimates
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.tracks import batches, for_positions
+from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.tuning import FitResult
+from trackwright.tuning.data import FitData
+from trackwright.tuning.diagnostics import absolute_errors, innovations_of
+from trackwright.tuning.fitting import Step
+from trackwright.tuning.identifiability import IdentifiabilityIssue
+from trackwright.tuning.implied_spread import implied_spread
+from trackwright.tuning.intervals import Interval
+from trackwright.tuning.named_objectives import all_metrics
+from trackwright.tuning.parameters import Parameter, component_names
+from trackwright.tuning.surface import surface_of
 
 TITLES = {
     "nll": ("Negative log-likelihood per measured number", "nats"),

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from experiments.pages.reports.recordings_compared import Compared
-    from experiments.pages.reports.tracks_compared import TrackChanges
-    from tuning.diagnostics import Innovations
-    from tuning.surface import Surface
+    from trackwright.experiments.pages.reports.recordings_compared import Compared
+    from trackwright.experiments.pages.reports.tracks_compared import TrackChanges
+    from trackwright.tuning.diagnostics import Innovations
+    from trackwright.tuning.surface import Surface
 
 
 @dataclass(frozen=True)

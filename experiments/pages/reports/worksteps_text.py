@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from rich.table import Table
 
-from experiments.text.tables import compact_table, rendered
-from trackers.worksteps.decisions import LEVEL
-from trackers.worksteps.metrics import Share, UnlockMetrics
-from trackers.worksteps.tracks import WorkstepReport
+from trackwright.experiments.text.tables import compact_table, rendered
+from trackwright.trackers.worksteps.decisions import LEVEL
+from trackwright.trackers.worksteps.metrics import Share, UnlockMetrics
+from trackwright.trackers.worksteps.tracks import WorkstepReport
 
 SHOWN_POINTS = 20
 """Longest list of points; beyond that, those with most wrong unlock decisions are listed."""

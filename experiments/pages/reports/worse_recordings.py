@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from experiments.text.wording import Unit, fixed, length_unit
-from trackers.evaluation.statements import LIMITS, holds
+from trackwright.experiments.text.wording import Unit, fixed, length_unit
+from trackwright.trackers.evaluation.statements import LIMITS, holds
 
 MOST_ERROR = 1.05
 """The ratio of the RMSE after to that before from which on a recording gets worse."""

@@ -9,11 +9,11 @@ from typing import Annotated, Literal, get_args
 import pytest
 from cyclopts import CycloptsError, Parameter
 
-from experiments.cli import import_source, options
-from experiments.cli.arguments import new_app, refusal
-from experiments.cli.options import OPTIONS, File, Folder, Pattern, Recording, Seconds
-from trackers.core.errors import UnusableInput
-from trackers.exchange import alignment, sources
+from trackwright.experiments.cli import import_source, options
+from trackwright.experiments.cli.arguments import new_app, refusal
+from trackwright.experiments.cli.options import OPTIONS, File, Folder, Pattern, Recording, Seconds
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.exchange import alignment, sources
 
 
 @OPTIONS

@@ -10,15 +10,15 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli import tuning_job as tune_command
-from experiments.pages.plots import track_folder
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
-from trackers.core.errors import UnusableInput
-from tuning import NegativeLogLikelihood
-from tuning.checkpoint import save
-from tuning.intervals import require_possible
+from trackwright.experiments.cli import tuning_job as tune_command
+from trackwright.experiments.pages.plots import track_folder
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.tuning import NegativeLogLikelihood
+from trackwright.tuning.checkpoint import save
+from trackwright.tuning.intervals import require_possible
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

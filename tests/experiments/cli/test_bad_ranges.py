@@ -6,11 +6,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.console import errors_of
-from experiments.pages.plots import track_folder
 from tests.faulty import then, with_table
 from tests.in_process import assert_refused, trackwright
-from trackers.recordings.folder import read_recording
+from trackwright.experiments.cli.console import errors_of
+from trackwright.experiments.pages.plots import track_folder
+from trackwright.trackers.recordings.folder import read_recording
 
 TRACKERS = ("uwb", "multilateration")
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from experiments.cli import console
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
-from trackers.recordings import atomic, folder
+from trackwright.experiments.cli import console
+from trackwright.trackers.recordings import atomic, folder
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -205,7 +205,7 @@ def test_an_interrupted_command_prints_one_line(beginnings, monkeypatch):
 
 
 def test_a_closed_pipe_causes_no_traceback():
-    pipe = f"{sys.executable} -m experiments --help | true; echo ${{PIPESTATUS[0]}}"
+    pipe = f"{sys.executable} -m trackwright.experiments --help | true; echo ${{PIPESTATUS[0]}}"
     run = subprocess.run(["bash", "-c", pipe], capture_output=True, text=True, check=True)
     assert (run.stdout, run.stderr) == ("141\n", "")
 

@@ -8,15 +8,15 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.tuning_job import cross_calibrated
-from experiments.pages.reports.calibration import report_on
 from tests.in_process import assert_refused, trackwright
 from tests.tuning.calibration_worlds import RIG, world
-from trackers.core.model.rig import Rig, Tag
-from trackers.recordings.calibration import Calibration
-from trackers.recordings.calibration_file import identity, read_calibration, write_calibration
-from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
-from tuning.calibrating import calibrate
+from trackwright.experiments.cli.tuning_job import cross_calibrated
+from trackwright.experiments.pages.reports.calibration import report_on
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.recordings.calibration import Calibration
+from trackwright.trackers.recordings.calibration_file import identity, read_calibration, write_calibration
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.tuning.calibrating import calibrate
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim.stations import facing
 from tests.in_process import assert_refused, trackwright
-from trackers.catalogue import TRACKERS
-from trackers.core.model.rig import Station
+from trackwright.sim.stations import facing
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.core.model.rig import Station
 
 TAGS, ROWS, SEED = 6, 40, 3
 SIMULATE = ("--n", TAGS, "--rows", ROWS, "--seed", SEED, "--sigma-p", 0.2)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.cli.commands import COMMANDS, application
 from tests.in_process import assert_refused, trackwright
+from trackwright.experiments.cli.commands import COMMANDS, application
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_a_script_names_every_command_and_options_of_each_kind(shell):
 )
 def test_bash_completes(script, line, expected, tmp_path):
     program = tmp_path / "trackwright"
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m experiments "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m trackwright.experiments "$@"\n')
     program.chmod(0o755)
     words = line.split(" ")
     script += (

@@ -13,13 +13,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-import trackers.evaluation as evaluation
-from experiments.cli import evaluating
+import trackwright.trackers.evaluation as evaluation
 from tests.in_process import assert_refused, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
-from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
-from trackers.exchange.trajectory_files import write_trajectory
-from trackers.recordings.tracks_table import write_tracks
+from trackwright.experiments.cli import evaluating
+from trackwright.trackers.exchange.poses import PoseTrajectory, trajectory_of_table
+from trackwright.trackers.exchange.trajectory_files import write_trajectory
+from trackwright.trackers.recordings.tracks_table import write_tracks
 
 
 @pytest.fixture(scope="module")

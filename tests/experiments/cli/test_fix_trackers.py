@@ -6,17 +6,17 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim.agv import ANCHOR_HEIGHT, simulate_agv
-from sim.fixes import correlated_noise, delayed
 from tests.in_process import assert_refused, trackwright
-from trackers.baselines.rows import lacks_coplanar_anchors, mirror_trajectories
-from trackers.core.model.rig import Rig, Tag
-from trackers.mhk.rows import spatial_trajectories
-from trackers.mhk.tracker import STILL
-from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
-from trackers.parts.fixes import FIXES
-from trackers.recordings.folder import RecordingFolder, write_recording
-from trackers.recordings.tracks_table import read_tracks
+from trackwright.sim.agv import ANCHOR_HEIGHT, simulate_agv
+from trackwright.sim.fixes import correlated_noise, delayed
+from trackwright.trackers.baselines.rows import lacks_coplanar_anchors, mirror_trajectories
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.mhk.rows import spatial_trajectories
+from trackwright.trackers.mhk.tracker import STILL
+from trackwright.trackers.parts.fix_rows import fix_trajectories, lacks_fixes
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
+from trackwright.trackers.recordings.tracks_table import read_tracks
 
 LATENCY = 0.4
 

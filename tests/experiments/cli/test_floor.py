@@ -5,14 +5,14 @@ import polars as pl
 import pytest
 
 from tests.in_process import assert_refused, trackwright
-from trackers.core.errors import UnusableInput
-from trackers.core.filters.particle.resampling import LOG_ZERO
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import Placed
-from trackers.core.model.rig import Rig
-from trackers.parts.walls import Walls
-from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
-from tuning.tuned_file import read_tuned
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import Placed
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.parts.walls import Walls
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.tuning.tuned_file import read_tuned
 
 OUTLINE = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 8.0], [10.5, 8.0], [10.5, 1.5], [0.0, 1.5]])
 """A corridor 1.5 m wide that turns left, m."""

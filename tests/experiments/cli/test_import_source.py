@@ -11,10 +11,10 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import assert_refused, trackwright
-from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
-from trackers.exchange.trajectory_files import write_trajectory
-from trackers.exchange.truth_frame import Placement, found_placement
-from trackers.recordings.folder import read_recording, write_recording
+from trackwright.trackers.exchange.poses import PoseTrajectory, trajectory_of_table
+from trackwright.trackers.exchange.trajectory_files import write_trajectory
+from trackwright.trackers.exchange.truth_frame import Placement, found_placement
+from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 RIG = 'format = 1\nname = "hall 3"\n[anchors]\nA1 = [0.0, 0.0, 2.0]\nA2 = [6.0, 0.0, 2.5]\n0x0F = [0.0, 5.0, 2.2]\n'
 CSV = ("--table", "ranges", "--columns", "t_s=stamp*0.001", "range_m=distance in mm", "anchor=id", "--tag", "T1")

@@ -7,9 +7,9 @@ import tomllib
 
 import pytest
 
-from sim import worlds
 from tests.in_process import trackwright
-from trackers.recordings.folder import write_recording
+from trackwright.sim import worlds
+from trackwright.trackers.recordings.folder import write_recording
 
 PLAIN = ("--no-figures", "--no-report")
 

@@ -16,7 +16,7 @@ KILLS = 20
 
 
 def _command(*words) -> list[str]:
-    return [sys.executable, "-m", "experiments", *map(str, words)]
+    return [sys.executable, "-m", "trackwright.experiments", *map(str, words)]
 
 
 def _tune(world: Path, out: Path) -> list[str]:

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from experiments.cli.trackers import _simulated
 from tests.in_process import assert_refused, trackwright
-from trackers.catalogue import TRACKERS, build
-from trackers.core.model.tunable_meaning import meanings
+from trackwright.experiments.cli.trackers import _simulated
+from trackwright.trackers.catalogue import TRACKERS, build
+from trackwright.trackers.core.model.tunable_meaning import meanings
 
 NOT_SIMULATED = ("bearings", "trilateration", "trilateration-compensated", "floor-pf")
 

@@ -10,8 +10,8 @@ from importlib.metadata import version
 
 import pytest
 
-from experiments.cli.commands import COMMANDS, application
 from tests.in_process import assert_refused, trackwright
+from trackwright.experiments.cli.commands import COMMANDS, application
 
 MEMBERS = ("station", "line", "ranges", "tool", "agv")
 EVERY = (*(name for name in COMMANDS if name != "simulate"), *(f"simulate {name}" for name in MEMBERS))
@@ -124,7 +124,7 @@ def test_help_a_check_and_a_refusal_import_no_jax(beginnings, tmp_path, argument
 
 
 def _started(words, **environment):
-    line = [sys.executable, "-m", "experiments", *map(str, words)]
+    line = [sys.executable, "-m", "trackwright.experiments", *map(str, words)]
     return subprocess.run(line, env={**os.environ, **environment}, capture_output=True, timeout=120, check=False)
 
 
@@ -139,7 +139,7 @@ def test_a_code_page_without_our_characters_gets_plain_ones(beginnings, encoding
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 @pytest.mark.parametrize("words", [("--help",), ("check", "GOOD")])
 def test_a_full_output_is_one_line(beginnings, words):
-    line = " ".join([sys.executable, "-m", "experiments", *words]).replace("GOOD", str(beginnings / "good"))
+    line = " ".join([sys.executable, "-m", "trackwright.experiments", *words]).replace("GOOD", str(beginnings / "good"))
     done = subprocess.run(f"{line} > /dev/full", shell=True, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("trackwright: standard output cannot be written (No space left on device)")

@@ -7,14 +7,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.tuning_folder import in_words, refusals
-from experiments.pages.reports.recordings_compared import Compared
-from experiments.pages.reports.worse_recordings import worse
 from tests.in_process import trackwright
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.model.rig import Rig, Tag
-from trackers.recordings.folder import RecordingFolder, write_recording
-from tuning import fit
+from trackwright.experiments.cli.tuning_folder import in_words, refusals
+from trackwright.experiments.pages.reports.recordings_compared import Compared
+from trackwright.experiments.pages.reports.worse_recordings import worse
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
+from trackwright.tuning import fit
 
 FIT = ("--tracker", "fix-kf", "--tune", "sensors.fixes.sigma_horizontal", "--starts", 1, "--no-figures")
 

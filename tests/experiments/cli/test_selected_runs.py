@@ -9,11 +9,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim import worlds
 from tests.in_process import assert_refused, trackwright
-from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import read_recording, write_recording
-from trackers.recordings.selection import Selection
+from trackwright.sim import worlds
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.folder import read_recording, write_recording
+from trackwright.trackers.recordings.selection import Selection
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ import polars as pl
 import pytest
 
 from tests.in_process import assert_refused, trackwright
-from trackers.catalogue import fitting
-from trackers.line.path import path_of
-from trackers.recordings.folder import read_recording
+from trackwright.trackers.catalogue import fitting
+from trackwright.trackers.line.path import path_of
+from trackwright.trackers.recordings.folder import read_recording
 
 WORLDS = {
     "line": (("--rate-hz", 2), {"fixes", "truth"}, "line-grid"),

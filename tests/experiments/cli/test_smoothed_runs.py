@@ -9,9 +9,9 @@ import polars as pl
 import pytest
 
 from tests.in_process import assert_refused, trackwright
-from trackers.catalogue import TRACKERS
-from trackers.evaluation.events import events_of, off_the_path
-from trackers.recordings.folder import read_recording
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.evaluation.events import events_of, off_the_path
+from trackwright.trackers.recordings.folder import read_recording
 
 OPTIONS = {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}
 

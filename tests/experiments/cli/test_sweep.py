@@ -6,9 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli import sweep_job
-from experiments.text.terminal import Stages
 from tests.in_process import assert_refused, trackwright
+from trackwright.experiments.cli import sweep_job
+from trackwright.experiments.text.terminal import Stages
 
 KALMAN = "--tracker", "fix-kf"
 SIGMA_A, SIGMA_P = "motion.sigma_a", "sensors.fixes.sigma_horizontal"

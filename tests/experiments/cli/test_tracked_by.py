@@ -6,13 +6,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.tracking import late_readings, tracked_by
-from sim import worlds
 from tests.faulty import good_tables
-from trackers.catalogue import build
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder
+from trackwright.experiments.cli.tracking import late_readings, tracked_by
+from trackwright.sim import worlds
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 DELAY_S = 0.4
 

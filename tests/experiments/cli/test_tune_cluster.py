@@ -13,12 +13,12 @@ import time
 import numpy as np
 import pytest
 
-from experiments.cli import tuning_job
-from sim import worlds
 from tests.held_here import client_here
 from tests.in_process import assert_refused, trackwright
-from trackers.core.model.rig import Tag
-from trackers.recordings.folder import write_recording
+from trackwright.experiments.cli import tuning_job
+from trackwright.sim import worlds
+from trackwright.trackers.core.model.rig import Tag
+from trackwright.trackers.recordings.folder import write_recording
 
 FIT = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "sensors.*.sigma*", "--objective", "nll")
 FIT = (*FIT, "--no-figures", "--force")
@@ -113,7 +113,7 @@ def test_recordings_that_no_fit_can_use_together_are_refused_and_leave_nothing(p
 
 
 def _run(out, *more):
-    command = [sys.executable, "-m", "experiments", "tune", *more, "--out", out]
+    command = [sys.executable, "-m", "trackwright.experiments", "tune", *more, "--out", out]
     return subprocess.Popen([*map(str, command)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 

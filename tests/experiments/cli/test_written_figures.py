@@ -7,10 +7,10 @@ import re
 
 import pytest
 
-from sim import worlds
 from tests.experiments.monte_carlo.small_study import TOML
 from tests.in_process import assert_refused, trackwright
-from trackers.recordings.folder import write_recording
+from trackwright.sim import worlds
+from trackwright.trackers.recordings.folder import write_recording
 
 MAGIC = {".png": b"\x89PNG\r\n", ".pdf": b"%PDF-"}
 FIT = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "--steps", 1, "--starts", 1)

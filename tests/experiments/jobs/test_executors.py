@@ -13,12 +13,12 @@ from threading import Event
 
 import pytest
 
-from experiments.jobs.environment import environment
-from experiments.jobs.executors import WorkerExecutor, cluster_executor, finished
 from tests.experiments.monte_carlo.small_study import TOML
 from tests.faults.workers import workers
 from tests.in_process import assert_refused, trackwright
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.jobs.environment import environment
+from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor, finished
+from trackwright.trackers.core.errors import UnusableInput
 
 
 def test_parts_come_as_they_finish_and_few_are_submitted_at_once():
@@ -38,7 +38,7 @@ def test_parts_come_as_they_finish_and_few_are_submitted_at_once():
 WAITS = """
 from concurrent.futures import Future
 import polars
-from experiments.jobs.executors import finished
+from trackwright.experiments.jobs.executors import finished
 polars.LazyFrame({"a": [1]}).collect()
 print("waits", flush=True)
 list(finished(lambda item: Future(), [0]))
@@ -91,7 +91,7 @@ def test_a_worker_of_another_environment_computes_nothing():
 )
 def test_a_cluster_that_is_none_is_refused_in_one_line(tmp_path, monkeypatch, cluster, words):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("experiments.jobs.executors.CONNECT_S", 0.2)
+    monkeypatch.setattr("trackwright.experiments.jobs.executors.CONNECT_S", 0.2)
     file = tmp_path / "small.toml"
     file.write_text(TOML)
     result = trackwright("study", file, "--out", tmp_path / "out", "--cluster", cluster)

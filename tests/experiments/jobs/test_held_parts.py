@@ -13,24 +13,24 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from experiments.jobs.environment import environment
-from experiments.jobs.executors import cluster_client
-from experiments.jobs.held_parts import FitWorkers, HeldParts
-from sim import worlds
 from tests.catalogue import CASES
 from tests.held_here import Client
-from trackers.catalogue import build
-from trackers.core.errors import UnusableInput
-from tuning.data import fit_data
-from tuning.parameters import flatten, select_parameters
-from tuning.parts import LocalParts
-from tuning.problem import Problem
-from tuning.unstacked import Pieces
+from trackwright.experiments.jobs.environment import environment
+from trackwright.experiments.jobs.executors import cluster_client
+from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
+from trackwright.sim import worlds
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.tuning.data import fit_data
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.parts import LocalParts
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.unstacked import Pieces
 
 MINE = """
 import dataclasses
-from trackers.catalogue import spec_of
-from trackers.core.model.motion import GroundMotion
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.model.motion import GroundMotion
 
 class Mine(GroundMotion):
     pass

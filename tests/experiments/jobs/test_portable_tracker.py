@@ -9,14 +9,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-import sim.worlds
-from experiments.jobs.environment import environment
-from experiments.jobs.executors import WorkerExecutor
-from experiments.jobs.portable_tracker import run_on
+import trackwright.sim.worlds
 from tests.in_process import trackwright
-from trackers.catalogue import build
-from trackers.evaluation.evaluate import evaluate
-from trackers.recordings.folder import read_recordings
+from trackwright.experiments.jobs.environment import environment
+from trackwright.experiments.jobs.executors import WorkerExecutor
+from trackwright.experiments.jobs.portable_tracker import run_on
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.folder import read_recordings
 
 MINE = "from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
 

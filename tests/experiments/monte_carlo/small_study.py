@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 
-from experiments.monte_carlo import Study, TrackerConfig, World
-from sim.worlds import WORLDS
+from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
+from trackwright.sim.worlds import WORLDS
 
 SMALL = Study(
     name="small",
@@ -45,6 +45,6 @@ def study_command(*words, devices=None):
     if devices:
         environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"
     return subprocess.run(
-        [sys.executable, "-m", "experiments", "study", *map(str, words)],
+        [sys.executable, "-m", "trackwright.experiments", "study", *map(str, words)],
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip

@@ -8,21 +8,21 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from experiments.jobs.environment import environment
-from experiments.jobs.executors import WorkerExecutor, cluster_executor
-from experiments.monte_carlo.chunk_store import plain_identity
-from experiments.monte_carlo.portable import PortableStudy
-from experiments.monte_carlo.runner import StopRule, run_study
-from experiments.monte_carlo.sources import load_study
-from experiments.pages.reports.study_text import to_json
 from tests.experiments.monte_carlo.small_study import SMALL, TOML
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.jobs.environment import environment
+from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor
+from trackwright.experiments.monte_carlo.chunk_store import plain_identity
+from trackwright.experiments.monte_carlo.portable import PortableStudy
+from trackwright.experiments.monte_carlo.runner import StopRule, run_study
+from trackwright.experiments.monte_carlo.sources import load_study
+from trackwright.experiments.pages.reports.study_text import to_json
+from trackwright.trackers.core.errors import UnusableInput
 
 MINE = "from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
 PYTHON = """
 import numpy as np
-from experiments.monte_carlo import Study, TrackerConfig, World
-from sim.worlds import WORLDS
+from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
+from trackwright.sim.worlds import WORLDS
 
 STUDY = Study(
     name="mine", about="", worlds={"line": World(lambda ids, seed, **n: WORLDS["line"](ids, seed, rate_hz=1.0, **n))},

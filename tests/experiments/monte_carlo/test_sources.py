@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.monte_carlo.sources import available_studies, load_study
+from trackwright.experiments.monte_carlo.sources import available_studies, load_study
 
 
 @pytest.mark.parametrize("name", available_studies())

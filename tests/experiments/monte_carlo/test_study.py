@@ -5,21 +5,21 @@ import re
 import numpy as np
 import pytest
 
-from experiments.monte_carlo import chunk as one_chunk
-from experiments.monte_carlo import errors
-from experiments.monte_carlo.chunk_store import ChunkStore, compact, expanded, merge_shards
-from experiments.monte_carlo.errors import Masked, TrackedRuns, scored
-from experiments.monte_carlo.results import ChunkTotals, Results
-from experiments.monte_carlo.runner import StopRule, run_missing, run_study
-from experiments.monte_carlo.sources import load_study
-from experiments.pages.reports.study_text import to_json, to_text
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, no_progress, study_command
 from tests.in_process import trackwright
-from trackers.core.data.chi_square import chi_square_quantile
-from trackers.core.data.estimates import Status
-from trackers.core.errors import UnusableInput
-from trackers.evaluation.metrics import METRICS, position_sizes
-from trackers.evaluation.scores import BIN_WIDTH, BINS, error_sums, quantile
+from trackwright.experiments.monte_carlo import chunk as one_chunk
+from trackwright.experiments.monte_carlo import errors
+from trackwright.experiments.monte_carlo.chunk_store import ChunkStore, compact, expanded, merge_shards
+from trackwright.experiments.monte_carlo.errors import Masked, TrackedRuns, scored
+from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
+from trackwright.experiments.monte_carlo.runner import StopRule, run_missing, run_study
+from trackwright.experiments.monte_carlo.sources import load_study
+from trackwright.experiments.pages.reports.study_text import to_json, to_text
+from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.metrics import METRICS, position_sizes
+from trackwright.trackers.evaluation.scores import BIN_WIDTH, BINS, error_sums, quantile
 
 
 def _sha(results):

@@ -29,7 +29,15 @@ def test_killed_five_times_at_random_moments_it_ends_with_the_same_numbers(study
     assert study_command(study, "--out", tmp_path / "whole").returncode == 0
     seconds, rng, chunks = time.perf_counter() - began, np.random.default_rng(5), []
     for _ in range(5):
-        words = [sys.executable, "-m", "experiments", "study", str(study), "--out", str(tmp_path / "killed")]
+        words = [
+            sys.executable,
+            "-m",
+            "trackwright.experiments",
+            "study",
+            str(study),
+            "--out",
+            str(tmp_path / "killed"),
+        ]
         running = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         time.sleep(rng.uniform(0.2, 0.6) * seconds)
         running.send_signal(signal.SIGKILL)
@@ -61,7 +69,7 @@ def test_a_killed_worker_costs_a_chunk_and_no_bit(study, tmp_path):
     pytest.importorskip("distributed")
     psutil = pytest.importorskip("psutil")
     assert study_command(study, "--out", tmp_path / "threads").returncode == 0
-    words = [sys.executable, "-m", "experiments", "study", str(study), "--out", str(tmp_path / "workers")]
+    words = [sys.executable, "-m", "trackwright.experiments", "study", str(study), "--out", str(tmp_path / "workers")]
     running = subprocess.Popen([*words, "--cluster", "local:2"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     _wait_for_chunks(running, tmp_path / "workers", 4)
     workers = [p for p in psutil.Process(running.pid).children(recursive=True) if "spawn_main" in " ".join(p.cmdline())]
@@ -76,7 +84,7 @@ def test_a_killed_worker_costs_a_chunk_and_no_bit(study, tmp_path):
 def test_ctrl_c_on_a_terminal_ends_workers_and_leaves_a_study_that_continues(study, tmp_path):
     pytest.importorskip("distributed")
     psutil = pytest.importorskip("psutil")
-    words = [sys.executable, "-m", "experiments", "study", str(study), "--out", str(tmp_path / "out")]
+    words = [sys.executable, "-m", "trackwright.experiments", "study", str(study), "--out", str(tmp_path / "out")]
     running = subprocess.Popen(
         [*words, "--cluster", "local:2"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
     )

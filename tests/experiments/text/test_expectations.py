@@ -2,9 +2,9 @@
 
 import pytest
 
-from experiments.monte_carlo import DERIVED, FITTED, PREDICTED, ExpectedResult, Value
-from experiments.pages.reports.study import Picture, _expected, _picture
-from experiments.text.wording import headline
+from trackwright.experiments.monte_carlo import DERIVED, FITTED, PREDICTED, ExpectedResult, Value
+from trackwright.experiments.pages.reports.study import Picture, _expected, _picture
+from trackwright.experiments.text.wording import headline
 
 
 def _result(printed, ours, origin=PREDICTED, **more):

@@ -10,8 +10,8 @@ import time
 import pytest
 from rich.console import Console
 
-from experiments.text import terminal as module
-from experiments.text.terminal import Compilation, stages
+from trackwright.experiments.text import terminal as module
+from trackwright.experiments.text.terminal import Compilation, stages
 
 
 class _Terminal(io.StringIO):

@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.stations import work_station
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import beam_jacobian, beam_transition, cramer_rao, paper_beam_filter
-from trackers.aoa.beam import Beam, BeamMotion
-from trackers.aoa.phases import PlanePhases
-from trackers.core.data.metrics import consistency, nees
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.tunable import Scale
-from trackers.core.run.crlb import posterior_bound
-from trackers.core.run.tracker import Tracker
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.beam import Beam, BeamMotion
+from trackwright.trackers.aoa.phases import PlanePhases
+from trackwright.trackers.core.data.metrics import consistency, nees
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.crlb import posterior_bound
+from trackwright.trackers.core.run.tracker import Tracker
 
 RUNS, ROWS, SIGMA_A, SIGMA_P = 1000, 40, 0.3, 0.2
 # A prior for which no phase difference is off by half a turn; beyond, an ambiguous lobe is equally valid.

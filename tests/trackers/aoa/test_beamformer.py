@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.stations import work_station
-from trackers.aoa.beamformer import Grid, capon, delay_and_sum, direction, music, snapshots, strongest
-from trackers.core.model.rig import Station
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.beamformer import Grid, capon, delay_and_sum, direction, music, snapshots, strongest
+from trackwright.trackers.core.model.rig import Station
 
 STATION = work_station().stations["1"]
 GRID = Grid.of(STATION)

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from tests.catalogue import CALIBRATED
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
-from trackers.aoa.fusion import BearingSensor, bearing_inputs, bearing_tracker
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import ConstantVelocity, Kinematic
-from trackers.core.model.rig import Station
-from trackers.core.model.sensor import Reading
-from trackers.core.run.tracker import Tracker
-from trackers.recordings.calibration import StationCalibration
+from trackwright.trackers.aoa.fusion import BearingSensor, bearing_inputs, bearing_tracker
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import Reading
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.recordings.calibration import StationCalibration
 
 TAGS, ROWS, SIGMA = 256, 36, np.deg2rad(0.05)
 TIMES = np.repeat(np.arange(ROWS / 3) * 0.1, 3)

@@ -3,12 +3,12 @@
 import numpy as np
 import polars as pl
 
-from trackers.aoa.beam import in_plane_beam_tracker
-from trackers.catalogue import spec_of
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.rig import Rig, Station, Tag
-from trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.aoa.beam import in_plane_beam_tracker
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.rig import Rig, Station, Tag
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 ROWS, SIGMA_P, RATE = 150, 0.2, 0.5
 RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.aoa.circular import arctangent, circular_mean
-from trackers.aoa.phases import centred, pairwise
-from trackers.core.model.sensor import Reading
+from trackwright.trackers.aoa.circular import arctangent, circular_mean
+from trackwright.trackers.aoa.phases import centred, pairwise
+from trackwright.trackers.core.model.sensor import Reading
 
 FORMS = {"default": centred, "paper": pairwise}
 TURN = 2 * np.pi

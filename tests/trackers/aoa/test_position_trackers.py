@@ -6,15 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim import corruptions
-from sim.stations import facing, simulate_phases, work_station
-from trackers.aoa.cascade import cascade_tracker
-from trackers.aoa.direct import direct_tracker
-from trackers.aoa.fusion import bearing_inputs
-from trackers.aoa.rays import nearest_to_rays, recent_points, unit_vector
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.rig import Station
+from trackwright.sim import corruptions
+from trackwright.sim.stations import facing, simulate_phases, work_station
+from trackwright.trackers.aoa.cascade import cascade_tracker
+from trackwright.trackers.aoa.direct import direct_tracker
+from trackwright.trackers.aoa.fusion import bearing_inputs
+from trackwright.trackers.aoa.rays import nearest_to_rays, recent_points, unit_vector
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.rig import Station
 
 RIG = work_station()
 TAGS, ROWS, SIGMA_P = 6, 40, 0.2

@@ -7,10 +7,10 @@ import jax
 import numpy as np
 import pytest
 
-from sim.stations import work_station
-from trackers.aoa.beam import beam_tracker
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Readings, Recording, stack
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.beam import beam_tracker
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
 
 ROWS, ANTENNAS, SIGMA_P, JUMP_ROW = 120, 8, 0.15, 50
 STATION = work_station().stations["1"]

@@ -10,14 +10,14 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman, van_loan
-from trackers.baselines.fixes import fix_tracker, singer_tracker
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import GroundMotion, Kinematic
-from trackers.core.run.chunks import as_dtype
-from trackers.core.run.tracker import Tracker
-from trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor
-from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.trackers.baselines.fixes import fix_tracker, singer_tracker
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import GroundMotion, Kinematic
+from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 
 LATENCY, SIGMA_A, SIGMA_Z = 0.35, 0.8, 0.2
 R = np.array([[8.410, 3.510, -1.230], [3.510, 10.345, -0.769], [-1.230, -0.769, 0.584]]) * 1e-4

@@ -6,21 +6,21 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from sim.agv import simulate_agv
-from sim.fixes import correlated_noise, mirrored_heights
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
-from trackers.baselines.rows import mirror_trajectories
-from trackers.baselines.switching import MirrorSensor, mirror_tracker
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.filters.imm import InteractingModels
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import GroundMotion, Kinematic
-from trackers.core.model.tunable import Real
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import Tracker
-from trackers.mhk.tracker import STILL
-from trackers.parts.fixes import FIXES
+from trackwright.sim.agv import simulate_agv
+from trackwright.sim.fixes import correlated_noise, mirrored_heights
+from trackwright.trackers.baselines.rows import mirror_trajectories
+from trackwright.trackers.baselines.switching import MirrorSensor, mirror_tracker
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.filters.imm import InteractingModels
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import GroundMotion, Kinematic
+from trackwright.trackers.core.model.tunable import Real
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.mhk.tracker import STILL
+from trackwright.trackers.parts.fixes import FIXES
 
 PLANE, OFFSET, SHRINK, SIGMA, SIGMA_A, SIGMA_Z = 1.5, 0.3, 0.8, 0.15, 0.5, 0.4
 MEAN, COV = np.array([0.1, 0.2, 1.2, 0.0, 0.0]), np.diag([1.0, 1.0, 0.6, 0.3, 0.3])

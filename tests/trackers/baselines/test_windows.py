@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from trackers.baselines.windows import MovingWindow
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.parts.fixes import FIXES
+from trackwright.trackers.baselines.windows import MovingWindow
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.parts.fixes import FIXES
 
 WINDOW, ROWS = 5, 30
 

@@ -8,11 +8,9 @@ import sys
 
 import pytest
 
-import sim
-import trackers
 import trackwright
-import tuning
-from tuning.fitting import fit
+from trackwright import sim, trackers, tuning
+from trackwright.tuning.fitting import fit
 
 
 def test_importing_the_package_and_reading_a_folder_import_no_jax(tmp_path):

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from tests.oracles import cramer_rao, van_loan
-from trackers.core.data.recording import Readings, Recording
-from trackers.core.model.motion import GroundMotion
-from trackers.core.model.rig import Rig
-from trackers.core.model.tunable import Scale
-from trackers.core.run.tracker import Tracker
-from trackers.evaluation.bounds import bounds_of
-from trackers.parts.fixes import FIXES, FixSensor, FixStart
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.model.motion import GroundMotion
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.evaluation.bounds import bounds_of
+from trackwright.trackers.parts.fixes import FIXES, FixSensor, FixStart
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.trajectories import Trajectory
 
 ROWS, SIGMA_A, SIGMA_Z, HORIZONTAL, VERTICAL = 9, 0.7, 0.1, 0.15, 0.4
 TIMES = np.cumsum(np.random.default_rng(0).uniform(0.1, 0.6, ROWS))

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from trackers.evaluation.comparison import LEAST_PIECES, TrackErrors, holm, paired_differences
+from trackwright.trackers.evaluation.comparison import LEAST_PIECES, TrackErrors, holm, paired_differences
 
 STEP_S = 0.1
 

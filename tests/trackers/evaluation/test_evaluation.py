@@ -11,16 +11,16 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from experiments.cli.evaluating import violation
-from experiments.text.evaluation_text import to_json, to_text
-from sim.worlds import WORLDS
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig, Station
-from trackers.evaluation.association import associate_truth
-from trackers.evaluation.evaluate import _truths, associate, evaluate, evaluate_table
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracks_table import read_tracks
-from trackers.recordings.truth import TruthStatus
+from trackwright.experiments.cli.evaluating import violation
+from trackwright.experiments.text.evaluation_text import to_json, to_text
+from trackwright.sim.worlds import WORLDS
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.evaluate import _truths, associate, evaluate, evaluate_table
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracks_table import read_tracks
+from trackwright.trackers.recordings.truth import TruthStatus
 
 RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[3] / ".." / "shared" / "recordings"))
 

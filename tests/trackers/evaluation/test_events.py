@@ -7,10 +7,10 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackers.catalogue import spec_of
-from trackers.core.model.rig import Rig, Tag
-from trackers.evaluation.events import events_of
-from trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.evaluation.events import events_of
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {
     "1": (0.0, -5.0, 2.5),

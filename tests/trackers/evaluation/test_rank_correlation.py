@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from trackers.evaluation.rank_correlation import LAGS_S, PAIRED, WINDOWED, correlation, inflation, rank_sums
+from trackwright.trackers.evaluation.rank_correlation import LAGS_S, PAIRED, WINDOWED, correlation, inflation, rank_sums
 
 LAGS = list(LAGS_S.values())
 

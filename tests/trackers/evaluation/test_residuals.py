@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackers.evaluation.statements import LASTING, covariance_statements
+from trackwright.trackers.evaluation.statements import LASTING, covariance_statements
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.evaluation.association import associate_truth
-from trackers.evaluation.evaluate import evaluate_association, evaluate_table
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.evaluate import evaluate_association, evaluate_table
 
 N = 4000
 

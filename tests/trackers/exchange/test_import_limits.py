@@ -8,8 +8,8 @@ import pytest
 
 from tests.bags import write_bag
 from tests.in_process import trackwright
-from trackers.exchange import ros_reader
 from trackwright import read
+from trackwright.trackers.exchange import ros_reader
 
 POSES = ("--table", "truth", "--tag", "T")
 BAG = ("--table", "truth", "--topic", "/vicon/cart", "--tag", "T")

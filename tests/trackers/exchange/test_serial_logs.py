@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from trackers.core.errors import UnusableInput
-from trackers.exchange.mapping import parsed
-from trackers.exchange.serial_logs import log_kind, read_log
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.exchange.mapping import parsed
+from trackwright.trackers.exchange.serial_logs import log_kind, read_log
 
 # Output of the DWM1001's shell, commands les, lec and lep, as public code quotes it.
 LES = (

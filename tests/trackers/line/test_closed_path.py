@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.core.data.recording import Readings, Recording
-from trackers.core.filters.particle.filter import ParticleFilter
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.tunable import Scale
-from trackers.core.run.tracker import Tracker
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.grid import GridFilter
-from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
-from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.grid import GridFilter
+from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
+from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 
 CORNERS = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]]
 LOOP, LAPS = Polyline([*CORNERS, CORNERS[0]]), Polyline([*CORNERS, *CORNERS, *CORNERS, CORNERS[0]])

@@ -5,14 +5,14 @@ import pytest
 from scipy.stats import norm
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.core.data.recording import stack
-from trackers.core.filters.particle.filter import ParticleFilter
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.tunable import Scale
-from trackers.core.run.tracker import Tracker
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.grid import GridFilter
-from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.grid import GridFilter
+from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
 
 LINE, CORNER = Polyline([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0]]), 2.0
 DT, SIGMA_A, SIGMA_FIX, HALTING = 1.0, 0.1, 0.2, 0.6

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trackers.line.leaving import cusum, excursions
+from trackwright.trackers.line.leaving import cusum, excursions
 
 TIMES = np.arange(0, 60, 0.5)
 

@@ -6,18 +6,18 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim.line import simulate_line
-from trackers.catalogue import fitting, spec_of
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig, Tag
-from trackers.evaluation.evaluate import evaluate
-from trackers.evaluation.events import left_the_line
-from trackers.line import rows as line
-from trackers.line.motion import HaltingMotion, LineMotion
-from trackers.line.path import path_of
-from trackers.line.rows import TRACKERS
-from trackers.recordings.folder import RecordingFolder, read_recording
-from trackers.recordings.tracks import track
+from trackwright.sim.line import simulate_line
+from trackwright.trackers.catalogue import fitting, spec_of
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.evaluation.events import left_the_line
+from trackwright.trackers.line import rows as line
+from trackwright.trackers.line.motion import HaltingMotion, LineMotion
+from trackwright.trackers.line.path import path_of
+from trackwright.trackers.line.rows import TRACKERS
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
+from trackwright.trackers.recordings.tracks import track
 
 SITUATIONS = ("constant", "halts", "speeds")
 TAGS = 24

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import stack
-from trackers.core.errors import UnusableInput
-from trackers.core.filters.particle.filter import ParticleFilter
-from trackers.core.model.algebra import diagonal
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.polyline import Polyline
-from trackers.core.model.tunable import Scale
-from trackers.core.run.chunks import as_dtype
-from trackers.core.run.tracker import Tracker, filter_batch
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.grid import GridFilter
-from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
-from trackers.line.tracker import line_grid_tracker
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
+from trackwright.trackers.core.model.algebra import diagonal
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.tracker import Tracker, filter_batch
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.grid import GridFilter
+from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
+from trackwright.trackers.line.tracker import line_grid_tracker
 
 KEYS, ROWS, DT = 200, 12, 0.5
 PARTICLES = 4000

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from experiments.lab.verify.gradients import gradients
 from tests.known_start import NEVER_LOST
 from tests.trackers.line.test_line_filters import GRID, REPORT, STARTS, _trajectories
-from trackers.core.data.recording import stack
-from trackers.core.filters.particle.filter import ParticleFilter
-from trackers.core.model.tunable import Scale
-from trackers.core.run.tracker import Tracker
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.tracker import LineStart
+from trackwright.experiments.lab.verify.gradients import gradients
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.tracker import LineStart
 
 KEYS, PARTICLES = 64, 500
 TUNED = ("motion.*", "sensors.*", "start.sigma_start")

@@ -6,12 +6,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.truth import truth
-from sim.corruptions import white_noise
-from sim.line import THESIS_KNOTS, simulate_line
-from trackers.core.errors import UnusableInput
-from trackers.line.truth import knot_times
-from trackers.recordings.folder import read_recording, write_recording
+from trackwright.experiments.cli.truth import truth
+from trackwright.sim.corruptions import white_noise
+from trackwright.sim.line import THESIS_KNOTS, simulate_line
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.line.truth import knot_times
+from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 
 @pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackers.mhk.accelerations import AccelerationSphere, directions, layers
+from trackwright.trackers.mhk.accelerations import AccelerationSphere, directions, layers
 
 SPHERE = AccelerationSphere(a_still=0.2, a_full=1.8, p_still=0.5, p_full=0.2)
 

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.model.algebra import Vector
-from trackers.core.model.tunable import freeze
-from trackers.mhk.accelerations import AccelerationSphere
-from trackers.mhk.azimuths import mean_acceleration
-from trackers.mhk.chain import predicted, updated
-from trackers.mhk.fusion import AccelerationFilter
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.tunable import freeze
+from trackwright.trackers.mhk.accelerations import AccelerationSphere
+from trackwright.trackers.mhk.azimuths import mean_acceleration
+from trackwright.trackers.mhk.chain import predicted, updated
+from trackwright.trackers.mhk.fusion import AccelerationFilter
 
 STATIONARY = np.array([0.5, 0.3, 0.2])
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.known_start import flat
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.mhk.tracker import STILL, mhk_tracker
-from trackers.parts.fixes import FIXES
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
+from trackwright.trackers.parts.fixes import FIXES
 
 SIGMA_A, SIGMA_DISPLACEMENT, WINDOW = 0.8, 0.01, 3
 

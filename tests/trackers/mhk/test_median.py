@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.mhk.median import LimitedMedian, speed_limited
-from trackers.parts.fixes import FIXES
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.mhk.median import LimitedMedian, speed_limited
+from trackwright.trackers.parts.fixes import FIXES
 
 
 def _medians(values, seen=None, dt=0.1, limit=1e6, window=9):

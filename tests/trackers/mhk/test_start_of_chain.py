@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import pytest
 
-from trackers.core.model.algebra import Vector
-from trackers.mhk.tracker import mhk_tracker
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.mhk.tracker import mhk_tracker
 
 
 @pytest.mark.parametrize(("start", "moved_mm"), [("stationary", 0.101), ("uniform", 0.190)])

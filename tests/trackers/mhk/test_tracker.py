@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from tests.known_start import flat
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.model.tunable import tunables
-from trackers.mhk.accelerations import AccelerationSphere
-from trackers.mhk.fusion import AccelerationFilter
-from trackers.mhk.tracker import mhk_tracker
-from trackers.parts.fixes import FIXES
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.model.tunable import tunables
+from trackwright.trackers.mhk.accelerations import AccelerationSphere
+from trackwright.trackers.mhk.fusion import AccelerationFilter
+from trackwright.trackers.mhk.tracker import mhk_tracker
+from trackwright.trackers.parts.fixes import FIXES
 
 
 def _position(t):

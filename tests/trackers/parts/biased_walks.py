@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-import trackers as tw
+from trackwright import trackers as tw
 
 LEVELS = {
     "sigma_a": 0.3,

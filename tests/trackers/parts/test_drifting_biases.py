@@ -8,9 +8,9 @@ import pytest
 
 from tests.oracles import van_loan
 from tests.trackers.parts.biased_walks import inside_shares
-from trackers.core.model.algebra import Vector, triangle
-from trackers.core.model.covariance import Gaussian
-from trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
+from trackwright.trackers.core.model.algebra import Vector, triangle
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
 
 SIGMAS, TIME, LENGTH = np.array([0.1, 0.3]), 9.0, 0.4
 N = 2 + 2 + 4

@@ -3,9 +3,9 @@
 import equinox as eqx
 import numpy as np
 
-from trackers.core.model.sensor import Reading
-from trackers.core.model.tunable import Scale, freeze
-from trackers.parts.fixes import FixSensor
+from trackwright.trackers.core.model.sensor import Reading
+from trackwright.trackers.core.model.tunable import Scale, freeze
+from trackwright.trackers.parts.fixes import FixSensor
 
 
 def test_a_reported_standard_deviation_counts_by_its_scale_beside_the_sensors_own():

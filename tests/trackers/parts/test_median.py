@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackers.parts.median import NETWORK, in_order, nan_median
+from trackwright.trackers.parts.median import NETWORK, in_order, nan_median
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 9, NETWORK, NETWORK + 3])

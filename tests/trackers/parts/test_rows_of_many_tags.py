@@ -7,10 +7,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim.worlds import WORLDS
-from trackers.catalogue import TRACKERS
-from trackers.core.data.recording import stack
-from trackers.recordings.trajectories import Trajectories
+from trackwright.sim.worlds import WORLDS
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.recordings.trajectories import Trajectories
 
 CASES = [
     *(("station", name) for name in ("direct", "beam")),

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tests.oracles import van_loan
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import Accelerated
-from trackers.core.model.tunable import freeze
-from trackers.parts.singer import Singer
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import Accelerated
+from trackwright.trackers.core.model.tunable import freeze
+from trackwright.trackers.parts.singer import Singer
 
 SIGMA, TAU = 1.7, 2.5
 STEPS = TAU * np.geomspace(1e-6, 1e4, 61)

@@ -8,12 +8,12 @@ import sys
 
 import pytest
 
-from trackers.programs.freed_memory import give_back
+from trackwright.trackers.programs.freed_memory import give_back
 
 FAULTS = """
 import resource, sys
 import numpy as np
-from trackers.programs.freed_memory import keep
+from trackwright.trackers.programs.freed_memory import keep
 if sys.argv[1] == "kept":
     keep()
 np.ones(200_000)

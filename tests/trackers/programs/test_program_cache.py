@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from jax._src import compilation_cache as jax_cache
 
-from trackers.core.errors import UnusableInput
-from trackers.programs import program_cache
-from trackers.programs.program_cache import ProgramStore, cache_programs, default_directory, remove_oldest
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.programs import program_cache
+from trackwright.trackers.programs.program_cache import ProgramStore, cache_programs, default_directory, remove_oldest
 
 X = np.linspace(0.0, 1.0, 7)
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
-from sim import worlds
-from trackers.catalogue import TRACKERS, build
-from trackers.core.run.batch_estimates import outputs, outputs_and_state
-from trackers.core.run.chunks import as_dtype, chunks, jitted
-from trackers.programs.program_cache import ProgramStore
-from trackers.programs.traced_programs import PREFIX, USERS_FILE, TracedPrograms
-from trackers.recordings.tracks import batches
+from trackwright.sim import worlds
+from trackwright.trackers.catalogue import TRACKERS, build
+from trackwright.trackers.core.run.batch_estimates import outputs, outputs_and_state
+from trackwright.trackers.core.run.chunks import as_dtype, chunks, jitted
+from trackwright.trackers.programs.program_cache import ProgramStore
+from trackwright.trackers.programs.traced_programs import PREFIX, USERS_FILE, TracedPrograms
+from trackwright.trackers.recordings.tracks import batches
 
 WORLDS = {"phases": worlds.station, "ranges": worlds.ranges, "imu": worlds.tool, "fixes": worlds.agv}
 SLOW = ("direct", "cascade", "das", "uwb-imu", "imm", "mhk", "floor-pf", "line-pf", "line-grid")

@@ -10,9 +10,9 @@ import jax
 import numpy as np
 import pytest
 
-from experiments.cli.manifest import write_manifest
-from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write, config_hash, json_text
+from trackwright.experiments.cli.manifest import write_manifest
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write, config_hash, json_text
 
 
 def _half_then(error):

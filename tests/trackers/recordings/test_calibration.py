@@ -6,22 +6,22 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim import worlds as simulate
 from tests.faulty import write_good
-from trackers.aoa.fusion import BEARINGS
-from trackers.aoa.rows import bearing_trajectories
-from trackers.core.model.rig import Station, Tag
-from trackers.parts.range_rows import range_trajectories
-from trackers.parts.ranges import RANGES
-from trackers.recordings.calibration import (
+from trackwright.sim import worlds as simulate
+from trackwright.trackers.aoa.fusion import BEARINGS
+from trackwright.trackers.aoa.rows import bearing_trajectories
+from trackwright.trackers.core.model.rig import Station, Tag
+from trackwright.trackers.parts.range_rows import range_trajectories
+from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.recordings.calibration import (
     TAG_SIGMA,
     AnchorCalibration,
     Calibration,
     StationCalibration,
     TagCalibration,
 )
-from trackers.recordings.folder import read_recording
-from trackers.uwb_imu.rows import inertial_trajectories
+from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.uwb_imu.rows import inertial_trajectories
 
 SPANS = np.array([[-0.9, 1.0], [-0.6, 0.5]])
 TERMS = np.array([[0.08, 0.7, -0.06, 0.1], [-0.05, 1.1, 0.2, -0.08]])

@@ -5,10 +5,15 @@ import re
 import numpy as np
 import pytest
 
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Station
-from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration, TagCalibration
-from trackers.recordings.calibration_file import read_calibration, write_calibration
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.recordings.calibration import (
+    AnchorCalibration,
+    Calibration,
+    StationCalibration,
+    TagCalibration,
+)
+from trackwright.trackers.recordings.calibration_file import read_calibration, write_calibration
 
 _RNG = np.random.default_rng(0)
 

@@ -13,9 +13,9 @@ import pytest
 
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import RIG, good_tables, write_good
-from trackers.core.errors import UnusableInput
-from trackers.recordings import input_file
-from trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, write_recording
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings import input_file
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, write_recording
 
 KINDS = ("parquet", "csv.gz", "csv")
 

@@ -11,14 +11,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.options import require_output
 from tests.faulty import RIG, write_good
-from trackers.core.errors import LONGEST, UnusableInput
-from trackers.recordings import input_file, table_file
-from trackers.recordings.calibration_file import read_calibration
-from trackers.recordings.folder import read_recording
-from trackers.recordings.table_file import read_table_file
-from tuning.tuned_file import read_tuned
+from trackwright.experiments.cli.options import require_output
+from trackwright.trackers.core.errors import LONGEST, UnusableInput
+from trackwright.trackers.recordings import input_file, table_file
+from trackwright.trackers.recordings.calibration_file import read_calibration
+from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.recordings.table_file import read_table_file
+from trackwright.tuning.tuned_file import read_tuned
 
 
 @pytest.fixture

@@ -7,14 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from trackers.aoa.fusion import BearingSensor, bearing_inputs
-from trackers.aoa.phases import SphericalPhases
-from trackers.core.errors import UnusableInput
-from trackers.core.model.algebra import Vector
-from trackers.core.model.rig import Rig, Station
-from trackers.parts.fixes import FixSensor
-from trackers.parts.ranges import RangeSensor
-from trackers.recordings.kinds import KINDS, TRUTH, Column, Kind, Sensors, add_kind, wrapped
+from trackwright.trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackwright.trackers.aoa.phases import SphericalPhases
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.parts.fixes import FixSensor
+from trackwright.trackers.parts.ranges import RangeSensor
+from trackwright.trackers.recordings.kinds import KINDS, TRUTH, Column, Kind, Sensors, add_kind, wrapped
 
 RNG = np.random.default_rng(32)
 TURNED = np.array([0.5, -0.3, 0.7, 0.4]) / np.sqrt(0.99)

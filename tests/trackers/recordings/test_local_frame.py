@@ -10,10 +10,10 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackers.core.model.rig import Rig
-from trackers.evaluation.events import events_of
-from trackers.recordings.local_frame import near_origin
-from trackers.recordings.tracks import Tracks
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.events import events_of
+from trackwright.trackers.recordings.local_frame import near_origin
+from trackwright.trackers.recordings.tracks import Tracks
 
 MAP = np.array([5e5, 5.4e6])
 

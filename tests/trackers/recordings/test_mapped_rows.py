@@ -7,10 +7,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from sim import worlds
-from trackers.catalogue import build
-from trackers.core.errors import UnusableInput
-from trackers.recordings.mapped_rows import mapped
+from trackwright.sim import worlds
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.mapped_rows import mapped
 
 
 def _arrays(recording):

@@ -10,8 +10,8 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackers.catalogue import spec_of
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.errors import UnusableInput
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.errors import UnusableInput
-from trackers.recordings import table_file
-from trackers.recordings.parquet_footer import LONGEST, MARK, Footer, read_footer
-from trackers.recordings.table_file import read_table_file
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings import table_file
+from trackwright.trackers.recordings.parquet_footer import LONGEST, MARK, Footer, read_footer
+from trackwright.trackers.recordings.table_file import read_table_file
 
 I32, I64, TEXT, LIST, STRUCT = 5, 6, 8, 9, 12
 

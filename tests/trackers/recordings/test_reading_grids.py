@@ -9,9 +9,9 @@ import pytest
 
 import trackwright as tw
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.rig import Station
-from trackers.recordings.reading_grids import reading_grids
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.recordings.reading_grids import reading_grids
 
 SIGMA, STEP = "sensors.fixes.sigma_horizontal", 0.3
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from trackers.core.errors import UnusableInput
-from trackers.recordings.rig_file import read_rig, rig_text
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.rig_file import read_rig, rig_text
 
 ARRAY_IN_BODY = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Columns: the array's x (left), y (up) and z (ahead) in the axes of a body with x ahead, y left and z up."""

@@ -7,17 +7,17 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from experiments.monte_carlo import Study, TrackerConfig, World
-from experiments.monte_carlo.chunk import tracked_runs
-from experiments.monte_carlo.errors import scored
-from experiments.monte_carlo.results import ChunkTotals, Results
-from trackers.catalogue import spec_of
-from trackers.core.data.estimates import STEP_COLUMNS, Estimates, Status
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import Placed
-from trackers.core.model.rig import Rig
-from trackers.evaluation.events import events_of
-from trackers.recordings.folder import RecordingFolder
+from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
+from trackwright.experiments.monte_carlo.chunk import tracked_runs
+from trackwright.experiments.monte_carlo.errors import scored
+from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.data.estimates import STEP_COLUMNS, Estimates, Status
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import Placed
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.events import events_of
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {
     str(k): np.array(p, float)

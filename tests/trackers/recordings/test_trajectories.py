@@ -5,10 +5,10 @@ import polars as pl
 import pytest
 
 from tests.faulty import write_good
-from trackers.aoa.fusion import BEARINGS
-from trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories, phase_trajectories
-from trackers.recordings.folder import RecordingFolder, read_recording
-from trackers.recordings.trajectories import cut, segments
+from trackwright.trackers.aoa.fusion import BEARINGS
+from trackwright.trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories, phase_trajectories
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
+from trackwright.trackers.recordings.trajectories import cut, segments
 
 
 @pytest.fixture

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from trackers.core.data.seconds import HOLE_M, HOLE_S
-from trackers.recordings.truth import TruePaths, TruthStatus
+from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
+from trackwright.trackers.recordings.truth import TruePaths, TruthStatus
 
 
 def _alone(at, times, positions):

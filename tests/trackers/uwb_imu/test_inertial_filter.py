@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.core.data.metrics import consistency, nees
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.state import Rotation, local, retract
-from trackers.core.model.tunable import freeze
-from trackers.core.run.tracker import Tracker
-from trackers.parts.ranges import RangeSensor
-from trackers.uwb_imu.strapdown import ImuNoise, Inertial, Strapdown
+from trackwright.trackers.core.data.metrics import consistency, nees
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.state import Rotation, local, retract
+from trackwright.trackers.core.model.tunable import freeze
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.ranges import RangeSensor
+from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, Strapdown
 
 RUNS, ROWS, ENDS, DT, SIGMA_R = 500, 200, 120, 0.02, 0.05
 MOTION = Strapdown(ImuNoise(0.1, 0.01, 0.02, 0.002, 1.0, 0.05))

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from trackers.core.data.recording import stack
-from trackers.recordings.folder import read_recording
-from trackers.uwb_imu.inertial import inertial_tracker
-from trackers.uwb_imu.rows import inertial_trajectories
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.uwb_imu.inertial import inertial_tracker
+from trackwright.trackers.uwb_imu.rows import inertial_trajectories
 
 
 def _rmse(tracker, recordings):

@@ -7,17 +7,17 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim.imu import ideal_readings, simulate_uwb_imu, swinging
-from sim.keys import trajectory_keys
-from sim.ranging import chamber
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.rig import Rig, Tag
-from trackers.core.model.sensor import Row
-from trackers.core.model.state import Rotation
-from trackers.recordings.folder import RecordingFolder
-from trackers.uwb_imu.inertial import InertialStart, inertial_tracker, level_attitude
-from trackers.uwb_imu.rows import TRACKERS, inertial_trajectories
+from trackwright.sim.imu import ideal_readings, simulate_uwb_imu, swinging
+from trackwright.sim.keys import trajectory_keys
+from trackwright.sim.ranging import chamber
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.state import Rotation
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.uwb_imu.inertial import InertialStart, inertial_tracker, level_attitude
+from trackwright.trackers.uwb_imu.rows import TRACKERS, inertial_trajectories
 
 TAGS, POINTS = 6, 480
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim import worlds as simulate
-from trackers import build
-from trackers.parts.range_rows import range_trajectories
-from trackers.parts.ranges import RANGES
-from trackers.recordings.calibration import UNCALIBRATED, AnchorCalibration, Calibration
-from trackers.uwb_imu.rows import TRACKERS
+from trackwright.sim import worlds as simulate
+from trackwright.trackers import build
+from trackwright.trackers.parts.range_rows import range_trajectories
+from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.recordings.calibration import UNCALIBRATED, AnchorCalibration, Calibration
+from trackwright.trackers.uwb_imu.rows import TRACKERS
 
 ANCHOR = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.array([0.0, 20.0]))
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.oracles import van_loan
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.algebra import Vector
-from trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
-from trackers.parts.ranges import RANGES
-from trackers.parts.recent_positions import recent_positions
-from trackers.uwb_imu.fusion import range_tracker
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
+from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.parts.recent_positions import recent_positions
+from trackwright.trackers.uwb_imu.fusion import range_tracker
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])
 HEIGHT = 1.1

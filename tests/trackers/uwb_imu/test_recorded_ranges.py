@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from trackers.core.data.recording import stack
-from trackers.parts.range_rows import range_trajectories
-from trackers.recordings.folder import read_recording
-from trackers.uwb_imu.fusion import range_tracker
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.parts.range_rows import range_trajectories
+from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.uwb_imu.fusion import range_tracker
 
 # Horizontal RMSE, m, and 3-D where it is judged: of a Kalman filter whose noise was tuned on that very recording, and a
 # centimetre more where biases are smaller than the defaults, whose covariances hold elsewhere, expect.

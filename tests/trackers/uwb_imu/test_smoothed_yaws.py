@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
-from trackers.core.data.recording import stack
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.model.algebra import Vector
-from trackers.core.model.state import Heading
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import Tracker
-from trackers.parts.ranges import RangeSensor
-from trackers.uwb_imu.strapdown import ImuNoise, PlanarInertial, PlanarStrapdown
-from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.state import Heading
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.ranges import RangeSensor
+from trackwright.trackers.uwb_imu.strapdown import ImuNoise, PlanarInertial, PlanarStrapdown
+from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 ROWS, STEP_S, SIGMA_R, RADIUS = 24, 0.05, 0.3, 3.0
 ANCHORS = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [10.0, 10.0, 2.0], [0.0, 10.0, 2.0]])

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.model.algebra import Vector
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.linearise import linearise
-from trackers.core.model.state import Heading, Rotation, coordinates, local
-from trackers.core.model.tunable import freeze
-from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.linearise import linearise
+from trackwright.trackers.core.model.state import Heading, Rotation, coordinates, local
+from trackwright.trackers.core.model.tunable import freeze
+from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 
 ATTITUDE = np.array([0.9, 0.2, -0.3, 0.1]) / np.linalg.norm([0.9, 0.2, -0.3, 0.1])
 PLANAR = PlanarInertial(Vector(1.0, 2.0), Vector(0.7, -0.4), Vector(0.1, -0.2), Heading(0.6), 0.05)

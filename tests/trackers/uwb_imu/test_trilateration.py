@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackers.core.data.recording import Readings, Recording
-from trackers.core.model.algebra import Vector
-from trackers.parts.ranges import RANGES
-from trackers.uwb_imu.trilateration import (
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.uwb_imu.trilateration import (
     compensation,
     horizontal_range,
     intersections,

@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.filters.ekf import Gaussian
-from trackers.core.model.algebra import Vector
-from trackers.core.model.state import Heading, Rotation
-from trackers.uwb_imu.strapdown import Inertial, PlanarInertial
-from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
+from trackwright.trackers.core.filters.ekf import Gaussian
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.state import Heading, Rotation
+from trackwright.trackers.uwb_imu.strapdown import Inertial, PlanarInertial
+from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 
 def _zeros(n):

@@ -4,8 +4,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.errors import UnusableInput
-from trackers.worksteps.points_file import read_points
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.worksteps.points_file import read_points
 
 POINTS = {"name": ["a", "b"], "x_m": [1.5, -2.0], "y_m": [0.0, 3.25]}
 

@@ -6,14 +6,21 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.lab.questions.worksteps import MEASURES
-from experiments.monte_carlo.errors import TrackedRuns
 from tests.faulty import good_tables
 from tests.in_process import assert_refused, trackwright
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder
-from trackers.worksteps.decisions import NO_POINT, FasteningPoints, decide, nearest_point, probabilities, visit_numbers
-from trackers.worksteps.metrics import calibration, score, share, unlock_metrics
+from trackwright.experiments.lab.questions.worksteps import MEASURES
+from trackwright.experiments.monte_carlo.errors import TrackedRuns
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.worksteps.decisions import (
+    NO_POINT,
+    FasteningPoints,
+    decide,
+    nearest_point,
+    probabilities,
+    visit_numbers,
+)
+from trackwright.trackers.worksteps.metrics import calibration, score, share, unlock_metrics
 
 HOLES = FasteningPoints(("a", "b", "c"), np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.12, 1.05]]))
 P = np.array([[4.0, 1.0, -0.5], [1.0, 2.0, 0.3], [-0.5, 0.3, 3.0]]) * 1e-3

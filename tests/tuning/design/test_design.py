@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.lab.questions._designs import LAYOUTS, TAG_POINTS, TOOL_POINTS, designs, hall, stand
-from sim.stations import work_station
-from trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
-from trackers.aoa.phases import PlanePhases
-from tuning.design.bound import SensorAtEpoch, bounds, information, mean_bound
-from tuning.design.layouts import PlanarArray, WallAnchors, range_sensor, spacing_violation
-from tuning.design.search import descend, exchange, exhaust
+from trackwright.experiments.lab.questions._designs import LAYOUTS, TAG_POINTS, TOOL_POINTS, designs, hall, stand
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
+from trackwright.trackers.aoa.phases import PlanePhases
+from trackwright.tuning.design.bound import SensorAtEpoch, bounds, information, mean_bound
+from trackwright.tuning.design.layouts import PlanarArray, WallAnchors, range_sensor, spacing_violation
+from trackwright.tuning.design.search import descend, exchange, exhaust
 
 ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
 BANDS = np.array([[0.2, 1.0], [2.0, 3.0], [0.2, 1.0], [2.0, 3.0]])

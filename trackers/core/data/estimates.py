@@ -12,10 +12,10 @@ import numpy as np
 import polars as pl
 from jaxtyping import Bool, Float, Int, Num
 
-from trackers.core.data.frames import estimates_html, to_pandas
-from trackers.core.errors import UnusableInput
-from trackers.core.model.algebra import dense, triangle
-from trackers.core.model.state import component_names, path_name
+from trackwright.trackers.core.data.frames import estimates_html, to_pandas
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.algebra import dense, triangle
+from trackwright.trackers.core.model.state import component_names, path_name
 
 
 class Status(IntEnum):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput
 
 if TYPE_CHECKING:
     import pandas

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.data.chi_square import chi_square_quantile
 
 Errors = Float[np.ndarray, "N d"]
 Covariances = Float[np.ndarray, "N d d"]

@@ -14,13 +14,13 @@ import jax
 import numpy as np
 from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
 
-from trackers.core.data.frames import recording_html
-from trackers.core.data.row_checks import check_rows, read_only
-from trackers.core.data.seconds import seconds, span
-from trackers.core.errors import UnusableInput
-from trackers.core.model.inputs import AnyArray
-from trackers.core.model.keys import trajectory_key_data
-from trackers.core.model.sensor import Reading
+from trackwright.trackers.core.data.frames import recording_html
+from trackwright.trackers.core.data.row_checks import check_rows, read_only
+from trackwright.trackers.core.data.seconds import seconds, span
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.inputs import AnyArray
+from trackwright.trackers.core.model.keys import trajectory_key_data
+from trackwright.trackers.core.model.sensor import Reading
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput
 
 
 class ReadingArrays(Protocol):

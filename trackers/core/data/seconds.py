@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput
 
 UNIX_S, UNIX_MS = 1e8, 1e11
 """Times, s, from the first on count from 1970, in s below the second: three years are longer than any recording."""

@@ -21,9 +21,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
-from trackers.core.filters.rts import RtsGain, rts_gain, rts_step
-from trackers.core.model.algebra import (
+from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
+from trackwright.trackers.core.filters.rts import RtsGain, rts_gain, rts_step
+from trackwright.trackers.core.model.algebra import (
     Jacobian,
     Scalar,
     SparseRow,
@@ -35,7 +35,7 @@ from trackers.core.model.algebra import (
     inverse_or_zero,
     total,
 )
-from trackers.core.model.covariance import (
+from trackwright.trackers.core.model.covariance import (
     AnyCovariance,
     Gaussian,
     added,
@@ -48,12 +48,12 @@ from trackers.core.model.covariance import (
     zero_of,
     zeros,
 )
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.keys import RawKey
-from trackers.core.model.linearise import jacobian, linearise
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.sensor import AbstractSensor, Reading
-from trackers.core.model.state import State, coordinates, local_after, retract
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.linearise import jacobian, linearise
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.state import State, coordinates, local_after, retract
 
 
 class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):

@@ -13,13 +13,13 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.covariance import AnyCovariance, Gaussian
-from trackers.core.model.inputs import Input, Inputs
-from trackers.core.model.keys import RawKey
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.sensor import AbstractSensor, Reading
-from trackers.core.model.state import State
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian
+from trackwright.trackers.core.model.inputs import Input, Inputs
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.state import State
 
 Belief = TypeVar("Belief")
 

@@ -25,17 +25,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
-from trackers.core.filters.rts import RtsGain
-from trackers.core.model.algebra import Scalar, Vector, compute_once, total
-from trackers.core.model.covariance import AnyCovariance, Gaussian, matched
-from trackers.core.model.inputs import Input, Inputs
-from trackers.core.model.keys import RawKey
-from trackers.core.model.motion import AbstractMotion, Noise
-from trackers.core.model.sensor import AbstractSensor, Reading
-from trackers.core.model.state import State, local, retract
-from trackers.core.model.tunable import Scale
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
+from trackwright.trackers.core.filters.rts import RtsGain
+from trackwright.trackers.core.model.algebra import Scalar, Vector, compute_once, total
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, matched
+from trackwright.trackers.core.model.inputs import Input, Inputs
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.motion import AbstractMotion, Noise
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.state import State, local, retract
+from trackwright.trackers.core.model.tunable import Scale
 
 
 class Mixture(NamedTuple):

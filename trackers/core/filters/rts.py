@@ -21,8 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from trackers.core.model.algebra import Jacobian, Scalar, SparseRow, compute_once, full, total, triangle
-from trackers.core.model.covariance import (
+from trackwright.trackers.core.model.algebra import Jacobian, Scalar, SparseRow, compute_once, full, total, triangle
+from trackwright.trackers.core.model.covariance import (
     AnyCovariance,
     Gaussian,
     OneArray,
@@ -31,8 +31,8 @@ from trackers.core.model.covariance import (
     transposed_product,
     with_covariances,
 )
-from trackers.core.model.elapsed import Elapsed
-from trackers.core.model.state import State, local, retract
+from trackwright.trackers.core.model.elapsed import Elapsed
+from trackwright.trackers.core.model.state import State, local, retract
 
 Matrices = Float[Array, "n n B"]
 

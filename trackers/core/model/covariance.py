@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.model.algebra import (
+from trackwright.trackers.core.model.algebra import (
     ZERO,
     Jacobian,
     Scalar,
@@ -29,10 +29,10 @@ from trackers.core.model.algebra import (
     total,
     triangle,
 )
-from trackers.core.model.state import State
+from trackwright.trackers.core.model.state import State
 
 FEW = 8
-"""Most trajectories whose covariances are matrices; both forms: `python -m experiments.lab.bench lanes`."""
+"""Most trajectories whose covariances are matrices; both forms: `python -m trackwright.experiments.lab.bench lanes`."""
 
 AnyCovariance = tuple[Scalar, ...] | jax.Array
 """A covariance: its upper triangle, entry by entry, or its matrix (n, n)."""

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.algebra import Scalar
 
 
 class Elapsed(NamedTuple):

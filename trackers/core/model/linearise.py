@@ -10,9 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Literal
 
-from trackers.core.model.algebra import ONE, VARIABLE, ZERO, Jacobian, Scalar, SparseRow, full, times, total, triangle
-from trackers.core.model.covariance import AnyCovariance, as_scalars
-from trackers.core.model.state import State, coordinates, steps_of
+from trackwright.trackers.core.model.algebra import (
+    ONE,
+    VARIABLE,
+    ZERO,
+    Jacobian,
+    Scalar,
+    SparseRow,
+    full,
+    times,
+    total,
+    triangle,
+)
+from trackwright.trackers.core.model.covariance import AnyCovariance, as_scalars
+from trackwright.trackers.core.model.state import State, coordinates, steps_of
 
 
 def linearise(

@@ -14,10 +14,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.model.algebra import Scalar, Vector, total
-from trackers.core.model.inputs import Input, Inputs
-from trackers.core.model.state import State
-from trackers.core.model.tunable import AbstractTunable, Axis, Constant, Role, Scale, with_role
+from trackwright.trackers.core.model.algebra import Scalar, Vector, total
+from trackwright.trackers.core.model.inputs import Input, Inputs
+from trackwright.trackers.core.model.state import State
+from trackwright.trackers.core.model.tunable import AbstractTunable, Axis, Constant, Role, Scale, with_role
 
 Noise = AbstractTunable | Constant
 

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
-from trackers.core.model.algebra import Scalar, Vector, total
-from trackers.core.model.rig import checked_knots
-from trackers.core.model.state import wrap
+from trackwright.trackers.core.model.algebra import Scalar, Vector, total
+from trackwright.trackers.core.model.rig import checked_knots
+from trackwright.trackers.core.model.state import wrap
 
 FEW = 16
 """Up to so many segments a position is a sum over the joins; with more, its segment is looked up."""

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 
-from trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.algebra import Scalar
 
 
 def select(condition: Scalar, yes: Any, no: Any) -> Any:

@@ -14,8 +14,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
 
-from trackers.core.model.algebra import Scalar, Vector, total
-from trackers.core.model.inputs import Input, Inputs
+from trackwright.trackers.core.model.algebra import Scalar, Vector, total
+from trackwright.trackers.core.model.inputs import Input, Inputs
 
 LOG_2PI = 1.8378770664093453
 

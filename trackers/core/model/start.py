@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.inputs import Input
-from trackers.core.model.sensor import AbstractSensor, Row
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import Input
+from trackwright.trackers.core.model.sensor import AbstractSensor, Row
 
 
 class AbstractStart(eqx.Module):

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.model.algebra import Scalar, Vector
+from trackwright.trackers.core.model.algebra import Scalar, Vector
 
 State = Any
 """Any pytree: a NamedTuple or an equinox module whose leaves are scalars, vectors of scalars, or curved leaves."""

@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.errors import UnusableInput, near, numbers_of
-from trackers.core.model.state import path_name
+from trackwright.trackers.core.errors import UnusableInput, near, numbers_of
+from trackwright.trackers.core.model.state import path_name
 
 Tree = TypeVar("Tree")
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import jax
 
-from trackers.core.model.state import path_name
-from trackers.core.model.tunable import is_tunable
+from trackwright.trackers.core.model.state import path_name
+from trackwright.trackers.core.model.tunable import is_tunable
 
 
 def meanings(tree: Any) -> dict[str, str]:

@@ -8,12 +8,12 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 
-from trackers.core.data.estimates import Estimates
-from trackers.core.data.recording import Batch
-from trackers.core.model.covariance import few
-from trackers.core.run.chunks import as_dtype, as_numbers, pieces, placed, run_chunks
-from trackers.core.run.initial import trajectories_of
-from trackers.core.run.scan import Output
+from trackwright.trackers.core.data.estimates import Estimates
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.covariance import few
+from trackwright.trackers.core.run.chunks import as_dtype, as_numbers, pieces, placed, run_chunks
+from trackwright.trackers.core.run.initial import trajectories_of
+from trackwright.trackers.core.run.scan import Output
 
 
 class Scans(Protocol):

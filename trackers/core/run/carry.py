@@ -8,13 +8,13 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from trackers.core.filters.filter import AbstractFilter, Innovation
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.covariance import AnyCovariance, Gaussian, as_scalars, matrix, with_covariances
-from trackers.core.model.keys import RawKey
-from trackers.core.model.sensor import AbstractSensor, Row
-from trackers.core.model.start import AbstractStart
-from trackers.core.run.track_loss import AbstractTrackLoss
+from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, as_scalars, matrix, with_covariances
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.sensor import AbstractSensor, Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
 
 
 class StepInfo(NamedTuple):

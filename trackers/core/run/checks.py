@@ -13,17 +13,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.model.algebra import Scalar, Vector, densify
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.density_integral import integral
-from trackers.core.model.inputs import Input, Inputs, Need
-from trackers.core.model.linearise import linearise
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.sensor import AbstractSensor, Reading, Residual
-from trackers.core.model.state import State, component_names, coordinates, local
-from trackers.core.model.tunable import freeze
-from trackers.core.run.requirements import GivenInputs, MissingInputError
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.model.algebra import Scalar, Vector, densify
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.density_integral import integral
+from trackwright.trackers.core.model.inputs import Input, Inputs, Need
+from trackwright.trackers.core.model.linearise import linearise
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Residual
+from trackwright.trackers.core.model.state import State, component_names, coordinates, local
+from trackwright.trackers.core.model.tunable import freeze
+from trackwright.trackers.core.run.requirements import GivenInputs, MissingInputError
 
 Tree = TypeVar("Tree")
 

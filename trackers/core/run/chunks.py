@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import DTypeLike
 
-from trackers.core.data.recording import Batch
-from trackers.core.model.covariance import compiler_options, few
-from trackers.programs.packed import PackedResult
-from trackers.programs.traced_programs import found_program
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.covariance import compiler_options, few
+from trackwright.trackers.programs.packed import PackedResult
+from trackwright.trackers.programs.traced_programs import found_program
 
 Tree = TypeVar("Tree")
 

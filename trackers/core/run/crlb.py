@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trackers.core.data.recording import Batch
-from trackers.core.model.algebra import Scalar, Vector, dense, densify
-from trackers.core.model.linearise import linearise
-from trackers.core.model.sensor import AbstractSensor, Reading, Row
-from trackers.core.model.state import State, coordinates, local
-from trackers.core.model.tunable import freeze
-from trackers.core.run.chunks import as_dtype, called
-from trackers.core.run.tracker import Tracker
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.algebra import Scalar, Vector, dense, densify
+from trackwright.trackers.core.model.linearise import linearise
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Row
+from trackwright.trackers.core.model.state import State, coordinates, local
+from trackwright.trackers.core.model.tunable import freeze
+from trackwright.trackers.core.run.chunks import as_dtype, called
+from trackwright.trackers.core.run.tracker import Tracker
 
 Tree = TypeVar("Tree")
 

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, DTypeLike, Float, Shaped
 
-from trackers.core.data.recording import Batch, Recording
-from trackers.core.data.seconds import moment
-from trackers.core.errors import UnusableInput
-from trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.data.recording import Batch, Recording
+from trackwright.trackers.core.data.seconds import moment
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.covariance import Gaussian
 
 
 class TrackerState(NamedTuple):

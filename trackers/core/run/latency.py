@@ -13,15 +13,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.data.recording import Batch
-from trackers.core.data.seconds import HOLE_M, HOLE_S
-from trackers.core.model.algebra import Scalar, Vector, congruence
-from trackers.core.model.covariance import AnyCovariance, as_scalars
-from trackers.core.model.elapsed import Elapsed
-from trackers.core.model.linearise import linearise
-from trackers.core.model.motion import Noise
-from trackers.core.model.sensor import AbstractSensor
-from trackers.core.model.state import State, coordinates, local_after
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
+from trackwright.trackers.core.model.algebra import Scalar, Vector, congruence
+from trackwright.trackers.core.model.covariance import AnyCovariance, as_scalars
+from trackwright.trackers.core.model.elapsed import Elapsed
+from trackwright.trackers.core.model.linearise import linearise
+from trackwright.trackers.core.model.motion import Noise
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.model.state import State, coordinates, local_after
 
 LONGEST_S = 1e4
 """Gaps count as this at most: the truth across a longer one is known only where it hardly changes."""

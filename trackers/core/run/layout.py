@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.data.recording import Batch, Recording
-from trackers.core.errors import UnusableInput, listed
-from trackers.core.model.inputs import Input, Need
-from trackers.core.model.sensor import Channel
+from trackwright.trackers.core.data.recording import Batch, Recording
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.inputs import Input, Need
+from trackwright.trackers.core.model.sensor import Channel
 
 
 class Layout(NamedTuple):

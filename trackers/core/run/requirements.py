@@ -13,16 +13,16 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import numpy as np
 
-from trackers.core.data.recording import Batch, Recording
-from trackers.core.errors import UnusableInput, listed
-from trackers.core.filters.filter import AbstractFilter
-from trackers.core.model.algebra import Vector
-from trackers.core.model.inputs import Input, Need
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.sensor import AbstractSensor, Reading, Row
-from trackers.core.model.start import AbstractStart
-from trackers.core.run.layout import Layout
-from trackers.core.run.track_loss import AbstractTrackLoss
+from trackwright.trackers.core.data.recording import Batch, Recording
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.filters.filter import AbstractFilter
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.inputs import Input, Need
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
 
 KINDS = {
     "RecordingFolder": "a tracker by name, `tw.tracker_for(folder)`",

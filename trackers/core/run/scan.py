@@ -17,15 +17,15 @@ from jax.experimental.layout import Layout, with_layout_constraint
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, UInt32
 
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Batch
-from trackers.core.filters.filter import Innovation
-from trackers.core.model import covariance
-from trackers.core.model.algebra import Scalar, mark_dependent
-from trackers.core.model.covariance import AnyCovariance, OneArray, by_entry, entries
-from trackers.core.model.select import select
-from trackers.core.model.sensor import Row
-from trackers.core.run.carry import (
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.filters.filter import Innovation
+from trackwright.trackers.core.model import covariance
+from trackwright.trackers.core.model.algebra import Scalar, mark_dependent
+from trackwright.trackers.core.model.covariance import AnyCovariance, OneArray, by_entry, entries
+from trackwright.trackers.core.model.select import select
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.run.carry import (
     Carry,
     RecursiveTracker,
     StepInfo,

@@ -7,19 +7,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import Batch
-from trackers.core.errors import require
-from trackers.core.filters.filter import AbstractSmoothableFilter
-from trackers.core.filters.rts import fixed_interval, fixed_lag, in_scalars
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.covariance import Gaussian, by_entry, few
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.sensor import AbstractSensor
-from trackers.core.model.tunable import freeze
-from trackers.core.run.layout import Layout
-from trackers.core.run.scan import Output, moments_by_entry, scan_rows
-from trackers.core.run.tracker import AbstractEpochwiseTracker, AbstractTracker, Tracker
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.errors import require
+from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter
+from trackwright.trackers.core.filters.rts import fixed_interval, fixed_lag, in_scalars
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.covariance import Gaussian, by_entry, few
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.model.tunable import freeze
+from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.scan import Output, moments_by_entry, scan_rows
+from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker, AbstractTracker, Tracker
 
 
 class Smoothed(AbstractEpochwiseTracker):

@@ -9,12 +9,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.filters.filter import Innovation
-from trackers.core.model.algebra import Scalar
-from trackers.core.model.covariance import AnyCovariance, variance
-from trackers.core.model.inputs import Input, Need
-from trackers.core.model.state import component_names
-from trackers.core.model.tunable import Threshold
+from trackwright.trackers.core.filters.filter import Innovation
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.covariance import AnyCovariance, variance
+from trackwright.trackers.core.model.inputs import Input, Need
+from trackwright.trackers.core.model.state import component_names
+from trackwright.trackers.core.model.tunable import Threshold
 
 ROOM = Input(
     "room",

@@ -17,29 +17,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.data.estimates import Estimates, Status
-from trackers.core.data.recording import Batch, Recording, stack
-from trackers.core.errors import UnusableInput
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.core.filters.filter import AbstractFilter, Innovation
-from trackers.core.model.algebra import Scalar, compute_once, total
-from trackers.core.model.covariance import AnyCovariance, Gaussian, leading
-from trackers.core.model.keys import RawKey
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.select import select, where_mostly
-from trackers.core.model.sensor import AbstractSensor, Row
-from trackers.core.model.start import AbstractStart
-from trackers.core.model.state import component_names
-from trackers.core.model.tunable import freeze, with_values
-from trackers.core.run.batch_estimates import batch_estimates
-from trackers.core.run.carry import Carry, StepInfo, carry_of
-from trackers.core.run.chunks import CHUNK, as_dtype
-from trackers.core.run.initial import TrackerState, continued, stacked_priors
-from trackers.core.run.latency import AbstractDelayedSensor, scored_truth, shifted_back
-from trackers.core.run.layout import Layout
-from trackers.core.run.requirements import Parts, check_input, check_parts
-from trackers.core.run.scan import Output, ScanState, Score, scan_rows
-from trackers.core.run.track_loss import ROOM, AbstractTrackLoss, TrackLossPolicy, outside
+from trackwright.trackers.core.data.estimates import Estimates, Status
+from trackwright.trackers.core.data.recording import Batch, Recording, stack
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
+from trackwright.trackers.core.model.algebra import Scalar, compute_once, total
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, leading
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.select import select, where_mostly
+from trackwright.trackers.core.model.sensor import AbstractSensor, Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.state import component_names
+from trackwright.trackers.core.model.tunable import freeze, with_values
+from trackwright.trackers.core.run.batch_estimates import batch_estimates
+from trackwright.trackers.core.run.carry import Carry, StepInfo, carry_of
+from trackwright.trackers.core.run.chunks import CHUNK, as_dtype
+from trackwright.trackers.core.run.initial import TrackerState, continued, stacked_priors
+from trackwright.trackers.core.run.latency import AbstractDelayedSensor, scored_truth, shifted_back
+from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.requirements import Parts, check_input, check_parts
+from trackwright.trackers.core.run.scan import Output, ScanState, Score, scan_rows
+from trackwright.trackers.core.run.track_loss import ROOM, AbstractTrackLoss, TrackLossPolicy, outside
 
 
 class AbstractTracker(eqx.Module):

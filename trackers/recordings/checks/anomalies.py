@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import polars as pl
 
-from trackers.core.data.seconds import place_in_time, zero_of
-from trackers.core.errors import listed
-from trackers.core.model.rig import Rig
-from trackers.recordings.columns import codes, stable_order
-from trackers.recordings.kinds import QUATERNION, Kind, first_time, table_kinds
+from trackwright.trackers.core.data.seconds import place_in_time, zero_of
+from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.columns import codes, stable_order
+from trackwright.trackers.recordings.kinds import QUATERNION, Kind, first_time, table_kinds
 
 GAP_FACTOR, GAP_LEAST_S = 5.0, 1.0
 OUTLIER_SPREAD, OUTLIER_MEDIAN = 10.0, 100.0

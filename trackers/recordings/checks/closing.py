@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.model.rig import angles_in_array
-from trackers.recordings.checks.readings import MOST_ROWS
-from trackers.recordings.kinds import KINDS, Kind, wrapped
+from trackwright.trackers.core.model.rig import angles_in_array
+from trackwright.trackers.recordings.checks.readings import MOST_ROWS
+from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.recordings.folder import RecordingFolder
 
 SPANS_S = (0.1, 0.25, 0.5, 1.0)
 """Times within which readings are taken for those of one moment, s; the first in which enough of them come."""

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trackers.core.wording import significant
-from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.closing import LEAST_MOMENTS, Moments, least_sensors, moments
-from trackers.recordings.checks.explanations import FACTORS
-from trackers.recordings.checks.sensor_mistakes import FLIGHT, angles_changed
-from trackers.recordings.kinds import KINDS
+from trackwright.trackers.core.wording import significant
+from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks.closing import LEAST_MOMENTS, Moments, least_sensors, moments
+from trackwright.trackers.recordings.checks.explanations import FACTORS
+from trackwright.trackers.recordings.checks.sensor_mistakes import FLIGHT, angles_changed
+from trackwright.trackers.recordings.kinds import KINDS
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.recordings.folder import RecordingFolder
 
 LARGE = {"m": 0.3, "rad": 0.12}
 """Contradiction, m or rad, up to which nothing needs an explanation."""

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trackers.core.model.rig import rotation_matrices
-from trackers.recordings.columns import stable_order
-from trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
-from trackers.recordings.truth import TruePaths
+from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.recordings.columns import stable_order
+from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
+from trackwright.trackers.recordings.truth import TruePaths
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.recordings.folder import RecordingFolder
 
 MOST_OF_GROUP = 500
 """Readings of an anchor, station or tag that are compared, evenly spaced in time."""

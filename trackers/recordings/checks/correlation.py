@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.readings import LINE_S, Readings, robust_std
-from trackers.recordings.kinds import unit_of
+from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks.readings import LINE_S, Readings, robust_std
+from trackwright.trackers.recordings.kinds import unit_of
 
 LEAST_PAIRS = 50
 """Least number of pairs of errors at a lag."""

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 
 import polars as pl
 
-from trackers.core.data.seconds import HOLE_M, HOLE_S, moment, place_in_time, span, zero_of
-from trackers.core.errors import listed
-from trackers.core.model.rig import Rig
-from trackers.recordings.checks.anomalies import streams
-from trackers.recordings.checks.check_result import CheckResult, Level
-from trackers.recordings.kinds import first_time, layout
+from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S, moment, place_in_time, span, zero_of
+from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.checks.anomalies import streams
+from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
+from trackwright.trackers.recordings.kinds import first_time, layout
 
 ENOUGH = 0.5
 """Share of the measurements that truth should cover."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trackers.recordings.checks.compared import Compared
+from trackwright.trackers.recordings.checks.compared import Compared
 
 PENALTY = 0.06
 """Log ratio of errors by which a fitted number must pay."""

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 import polars as pl
 
-from trackers.core.model.rig import Rig
-from trackers.recordings.checks.check_result import CheckResult, Level
-from trackers.recordings.kinds import KINDS, Kind, wrapped
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
+from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 
 THIN = 0.1  # share of the largest extent below which anchors count as coplanar or collinear
 WEAK_RANGES = 5.0  # m per m above which a coordinate counts as weakly determined

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import polars as pl
 
-from trackers.core.model.rig import Rig
-from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.kinds import KINDS, Kind
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.kinds import KINDS, Kind
 
 OFF_M = 0.5
 """Difference of heights, m, from which it counts as a mistake."""

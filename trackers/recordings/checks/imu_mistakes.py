@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.explanations import SignedAxes, signed_axes
-from trackers.recordings.checks.imu_rows import Attitude, ImuRows, bent, imu_rows, spaced, true_attitude
-from trackers.recordings.kinds import QUATERNION
+from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks.explanations import SignedAxes, signed_axes
+from trackwright.trackers.recordings.checks.imu_rows import Attitude, ImuRows, bent, imu_rows, spaced, true_attitude
+from trackwright.trackers.recordings.kinds import QUATERNION
 
 MOST_TAGS = 12
 """Tags whose IMU is checked."""

@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float
 
-from trackers.core.model.rig import rotation_matrices
-from trackers.recordings.kinds import QUATERNION, layout
+from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.recordings.kinds import QUATERNION, layout
 
 MOST_ROWS = 30_000
 """Rows of an IMU that are looked at, the first ones."""

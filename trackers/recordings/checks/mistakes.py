@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.core.errors import listed
-from trackers.core.wording import significant
-from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.compared import Compared
-from trackers.recordings.checks.explanations import PENALTY, Explanation
-from trackers.recordings.checks.readings import known_median
-from trackers.recordings.checks.sensor_mistakes import sensor_explanations
-from trackers.recordings.checks.world_mistakes import world_explanations
+from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.wording import significant
+from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks.compared import Compared
+from trackwright.trackers.recordings.checks.explanations import PENALTY, Explanation
+from trackwright.trackers.recordings.checks.readings import known_median
+from trackwright.trackers.recordings.checks.sensor_mistakes import sensor_explanations
+from trackwright.trackers.recordings.checks.world_mistakes import world_explanations
 
 ALL_GAIN, OWN_GAIN = 0.65, 1.0
 """Mean log ratio of errors that an explanation must reach, and one with numbers fitted to single sensors."""

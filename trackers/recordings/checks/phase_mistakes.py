@@ -7,8 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from trackers.recordings.checks.compared import Compared
-from trackers.recordings.checks.explanations import FACTORS, Explanation, sizes_with
+from trackwright.trackers.recordings.checks.compared import Compared
+from trackwright.trackers.recordings.checks.explanations import FACTORS, Explanation, sizes_with
 
 LEAST_SCALE = 0.05
 """Logarithm of the ratio of two wavelengths that counts as a mistake."""

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.readings import Readings
-from trackers.recordings.kinds import unit_of, wrapped
+from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks.readings import Readings
+from trackwright.trackers.recordings.kinds import unit_of, wrapped
 
 MOST_ROWS = 20_000
 """Readings of a column whose differences are looked at."""

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trackers.recordings.columns import stable_order
-from trackers.recordings.kinds import KINDS, wrapped
+from trackwright.trackers.recordings.columns import stable_order
+from trackwright.trackers.recordings.kinds import KINDS, wrapped
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.recordings.folder import RecordingFolder
 
 MOST_ROWS = 100_000
 """Readings of a table that are looked at."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.recordings.checks.check_result import CheckResult, Level
-from trackers.recordings.checks.readings import Readings
-from trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
+from trackwright.trackers.recordings.checks.readings import Readings
+from trackwright.trackers.recordings.kinds import KINDS
 
 FEW, MANY = 0.01, 0.2
 """Share of repeated readings that is reported, and that is a warning."""

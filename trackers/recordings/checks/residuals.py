@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.compared import Compared, compared
-from trackers.recordings.kinds import KINDS, wrapped
+from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks.compared import Compared, compared
+from trackwright.trackers.recordings.kinds import KINDS, wrapped
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackers.recordings.folder import RecordingFolder
+    from trackwright.trackers.recordings.folder import RecordingFolder
 
 OUTLIER = 5.0
 """Robust standard deviations beyond which a reading is an outlier."""

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 import polars as pl
 
-from trackers.core.data.seconds import moment, place_in_time, span, zero_of
-from trackers.core.wording import counted
-from trackers.recordings.checks.anomalies import long_gaps, streams
-from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.kinds import first_time, layout
+from trackwright.trackers.core.data.seconds import moment, place_in_time, span, zero_of
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.recordings.checks.anomalies import long_gaps, streams
+from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.kinds import first_time, layout
 
 STREAMS_SHOWN = 24
 """Tables of more streams get one summary line."""

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from trackers.recordings.checks.compared import Compared, axes_of
-from trackers.recordings.checks.explanations import FACTORS, Explanation, metres, sizes_with
-from trackers.recordings.checks.phase_mistakes import of_phases
-from trackers.recordings.checks.readings import known_median
-from trackers.recordings.checks.robust_fit import robust_fit
-from trackers.recordings.kinds import wrapped
+from trackwright.trackers.recordings.checks.compared import Compared, axes_of
+from trackwright.trackers.recordings.checks.explanations import FACTORS, Explanation, metres, sizes_with
+from trackwright.trackers.recordings.checks.phase_mistakes import of_phases
+from trackwright.trackers.recordings.checks.readings import known_median
+from trackwright.trackers.recordings.checks.robust_fit import robust_fit
+from trackwright.trackers.recordings.kinds import wrapped
 
 FLIGHT = ((0.5, "round-trip distances"), (2.0, "halved distances"))
 LEAST_OFFSET_M = 1.0

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 import polars as pl
 
-from trackers.core.model.rig import Rig
-from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.kinds import KINDS, QUATERNION, Column, Kind, table_kinds
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.kinds import KINDS, QUATERNION, Column, Kind, table_kinds
 
 GRAVITY = 9.81
 GRAVITY_SLACK = 0.15  # for the bias of a low-cost accelerometer and moderate motion

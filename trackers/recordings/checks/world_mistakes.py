@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from trackers.recordings.checks.compared import Compared
-from trackers.recordings.checks.explanations import (
+from trackwright.trackers.recordings.checks.compared import Compared
+from trackwright.trackers.recordings.checks.explanations import (
     FACTORS,
     Explanation,
     metres,
@@ -15,8 +15,8 @@ from trackers.recordings.checks.explanations import (
     sizes_with,
     transform_text,
 )
-from trackers.recordings.checks.readings import known_median
-from trackers.recordings.checks.robust_fit import robust_fit
+from trackwright.trackers.recordings.checks.readings import known_median
+from trackwright.trackers.recordings.checks.robust_fit import robust_fit
 
 FEW, COARSE = 240, 600
 """Readings for the first search of a frame, and for that of a delay."""

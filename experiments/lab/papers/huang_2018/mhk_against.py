@@ -12,13 +12,13 @@ from functools import partial
 
 import equinox as eqx
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.huang_2018.workshop import MEASURES, OF_WORLD, workshop
-from experiments.lab.papers.trackers import built
-from experiments.text.wording import fixed_interval
-from trackers.core.filters.ekf import ExtendedKalman
-from trackers.mhk.tracker import mhk_tracker
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.fitting import fitted
+from trackwright.experiments.lab.papers.huang_2018.workshop import MEASURES, OF_WORLD, workshop
+from trackwright.experiments.lab.papers.trackers import built
+from trackwright.experiments.text.wording import fixed_interval
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.mhk.tracker import mhk_tracker
 
 NUMBERS = fitted("papers/huang_2018/workshop")
 NOISE = {name: NUMBERS[name] for name in OF_WORLD}

@@ -15,16 +15,16 @@ from itertools import product
 
 import numpy as np
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import Printed
-from experiments.lab.papers.fitting import Fit, Fitted, fitted
-from experiments.lab.papers.trackers import RAW
-from experiments.text.wording import listed
-from sim.agv import Route, simulate_agv
-from sim.corruptions import gauss_markov, outliers
-from sim.fixes import correlated_noise
-from trackers.mhk.tracker import STILL
-from trackers.recordings.folder import RecordingFolder
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import Printed
+from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
+from trackwright.experiments.lab.papers.trackers import RAW
+from trackwright.experiments.text.wording import listed
+from trackwright.sim.agv import Route, simulate_agv
+from trackwright.sim.corruptions import gauss_markov, outliers
+from trackwright.sim.fixes import correlated_noise
+from trackwright.trackers.mhk.tracker import STILL
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 ROUTE = Route()
 LASTING_S = 10.0

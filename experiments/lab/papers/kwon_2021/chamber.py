@@ -14,13 +14,13 @@ from functools import partial
 
 import numpy as np
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import Printed
-from experiments.lab.papers.fitting import Fit, Fitted, fitted
-from experiments.lab.papers.trackers import CONSTANT_BIASES
-from experiments.text.wording import listed
-from sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
-from trackers.recordings.folder import RecordingFolder
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import Printed
+from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
+from trackwright.experiments.lab.papers.trackers import CONSTANT_BIASES
+from trackwright.experiments.text.wording import listed
+from trackwright.sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 PLACES = {f"tag at ({x:g}, {y:g})": (x, y, 1.8) for x in (0.0, 5.0) for y in (0.0, 5.0)}
 SIDE, TURN = 5.0, np.deg2rad(15.0)

@@ -15,13 +15,13 @@ from functools import partial
 
 import numpy as np
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import Printed
-from experiments.lab.papers.fitting import Fit, Fitted, fitted
-from experiments.text.wording import listed
-from sim.corruptions import Corruption, gauss_markov
-from sim.ranging import Protocol, chamber, obstruction, on_anchors, simulate_ranges
-from trackers.recordings.folder import RecordingFolder
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import Printed
+from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
+from trackwright.experiments.text.wording import listed
+from trackwright.sim.corruptions import Corruption, gauss_markov
+from trackwright.sim.ranging import Protocol, chamber, obstruction, on_anchors, simulate_ranges
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 HALL = np.array([[0.0, 0.0, 1.8], [8.0, 0.0, 1.8], [0.0, 8.0, 1.8]])
 HIDDEN = (1,)

@@ -15,18 +15,18 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import Printed, plot
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.kwon_2021.chamber import anchors, deviations, under
-from experiments.lab.papers.trackers import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL
-from experiments.monte_carlo.chunk import tracked_runs
-from experiments.pages.plots.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain
-from experiments.text.wording import fixed_interval, listed
-from sim.imu import level, simulate_uwb_imu
-from sim.keys import Keys, trajectory_keys
-from sim.ranging import Protocol, antenna_biases, chamber
-from trackers.recordings.folder import RecordingFolder
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import Printed, plot
+from trackwright.experiments.lab.papers.fitting import fitted
+from trackwright.experiments.lab.papers.kwon_2021.chamber import anchors, deviations, under
+from trackwright.experiments.lab.papers.trackers import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL
+from trackwright.experiments.monte_carlo.chunk import tracked_runs
+from trackwright.experiments.pages.plots.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain
+from trackwright.experiments.text.wording import fixed_interval, listed
+from trackwright.sim.imu import level, simulate_uwb_imu
+from trackwright.sim.keys import Keys, trajectory_keys
+from trackwright.sim.ranging import Protocol, antenna_biases, chamber
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 LOW, HIGH = np.array([2.80, 2.71, 1.50]), np.array([3.19, 3.09, 1.89])
 STROKES, STROKE_S, RATE_HZ = 5, 4.0, 10.0

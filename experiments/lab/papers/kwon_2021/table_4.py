@@ -18,18 +18,18 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import Printed, plot
-from experiments.lab.papers.fitting import Fit, Fitted, fitted
-from experiments.lab.papers.trackers import RAW, window
-from experiments.monte_carlo.chunk import tracked_runs
-from experiments.pages.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain
-from sim.corruptions import gauss_markov
-from sim.imu import constant_bias, level, simulate_uwb_imu, white_density
-from sim.ranging import Protocol, chamber, on_anchors
-from trackers.catalogue import spec_of
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracks import batches
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import Printed, plot
+from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
+from trackwright.experiments.lab.papers.trackers import RAW, window
+from trackwright.experiments.monte_carlo.chunk import tracked_runs
+from trackwright.experiments.pages.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain
+from trackwright.sim.corruptions import gauss_markov
+from trackwright.sim.imu import constant_bias, level, simulate_uwb_imu, white_density
+from trackwright.sim.ranging import Protocol, chamber, on_anchors
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracks import batches
 
 TAG = np.array([2.7, 2.7, 1.8])
 RATE_HZ, SCORED, SETTLING = 40.0, 380, 300

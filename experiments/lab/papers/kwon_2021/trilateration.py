@@ -12,13 +12,13 @@ from functools import partial
 
 import numpy as np
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.trackers import CONSTANT_BIASES
-from experiments.text.wording import fixed_interval
-from sim.corruptions import Corruption
-from sim.paths import hand_motion
-from sim.ranging import WALK_VOLUME, antenna_biases, chamber, obstruction, simulate_ranges
-from trackers.recordings.folder import RecordingFolder
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.trackers import CONSTANT_BIASES
+from trackwright.experiments.text.wording import fixed_interval
+from trackwright.sim.corruptions import Corruption
+from trackwright.sim.paths import hand_motion
+from trackwright.sim.ranging import WALK_VOLUME, antenna_biases, chamber, obstruction, simulate_ranges
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 FLOOR = WALK_VOLUME * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.2]
 SETTLED_S = 5.0

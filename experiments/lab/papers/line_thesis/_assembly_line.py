@@ -14,21 +14,21 @@ from typing import Any
 
 import numpy as np
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.trackers import RAW as FIXES_ALONE
-from experiments.lab.papers.trackers import built
-from sim.corruptions import gauss_markov, white_noise
-from sim.line import simulate_line
-from trackers.baselines.fixes import fix_tracker
-from trackers.core.model.polyline import Polyline
-from trackers.core.run.tracker import AbstractTracker
-from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.motion import LineMotion
-from trackers.line.rows import path_of
-from trackers.line.tracker import line_grid_tracker, line_tracker
-from trackers.line.truth import knot_times
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectory
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.trackers import RAW as FIXES_ALONE
+from trackwright.experiments.lab.papers.trackers import built
+from trackwright.sim.corruptions import gauss_markov, white_noise
+from trackwright.sim.line import simulate_line
+from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.line.fixes import FIXES, FloorFixes
+from trackwright.trackers.line.motion import LineMotion
+from trackwright.trackers.line.rows import path_of
+from trackwright.trackers.line.tracker import line_grid_tracker, line_tracker
+from trackwright.trackers.line.truth import knot_times
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.trajectories import Trajectory
 
 SITUATIONS = {"situation 1": "constant", "situation 2": "halts", "situation 3": "speeds"}
 

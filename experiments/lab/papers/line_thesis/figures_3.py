@@ -20,12 +20,12 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.line_thesis import _assembly_line as line
-from experiments.monte_carlo.chunk import tracked_runs
-from experiments.pages.plots.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
-from trackers.recordings.folder import RecordingFolder
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.fitting import fitted
+from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
+from trackwright.experiments.monte_carlo.chunk import tracked_runs
+from trackwright.experiments.pages.plots.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 PRINTED = {"situation 1": (31.1, 8.1), "situation 2": (30.3, 9.6), "situation 3": (38.7, 11.3)}
 """Measurement error and improvement, cm: captions of Figures 3.2, 3.4 and 3.6."""

@@ -17,19 +17,19 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import plot
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.line_thesis import _assembly_line as line
-from experiments.pages.plots.style import LINES, plain
-from experiments.text.wording import fixed_interval, listed
-from sim.corruptions import gauss_markov, white_noise
-from sim.line import simulate_line
-from trackers.core.data.recording import stack
-from trackers.core.model.tunable import with_values
-from trackers.evaluation.events import LEFT_LIMIT, LEFT_SLACK
-from trackers.line.leaving import cusum
-from trackers.recordings.folder import RecordingFolder
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.fitting import fitted
+from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
+from trackwright.experiments.pages.plots.style import LINES, plain
+from trackwright.experiments.text.wording import fixed_interval, listed
+from trackwright.sim.corruptions import gauss_markov, white_noise
+from trackwright.sim.line import simulate_line
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.tunable import with_values
+from trackwright.trackers.evaluation.events import LEFT_LIMIT, LEFT_SLACK
+from trackwright.trackers.line.leaving import cusum
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 NUMBERS = fitted("papers/line_thesis/table_3_1")
 LEFT_S, AWAY_S, AFTER_S = 25.0, 10.0, 3.0

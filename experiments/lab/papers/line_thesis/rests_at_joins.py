@@ -15,15 +15,15 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import plot
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.line_thesis import _assembly_line as line
-from experiments.lab.papers.line_thesis._assembly_line import SIGMA, least
-from experiments.monte_carlo.chunk import tracked_runs
-from experiments.pages.plots.style import BLACK, BLUE, VERMILION, plain
-from experiments.text.wording import fixed_interval
-from trackers.core.model.polyline import Polyline
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.fitting import fitted
+from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
+from trackwright.experiments.lab.papers.line_thesis._assembly_line import SIGMA, least
+from trackwright.experiments.monte_carlo.chunk import tracked_runs
+from trackwright.experiments.pages.plots.style import BLACK, BLUE, VERMILION, plain
+from trackwright.experiments.text.wording import fixed_interval
+from trackwright.trackers.core.model.polyline import Polyline
 
 SWEPT = (0.02, 0.04, 0.08, 0.16, 0.3)
 RESTS, TRAVELS = "rests at joins", "no rests"

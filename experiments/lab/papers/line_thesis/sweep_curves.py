@@ -15,11 +15,19 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import plot
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.line_thesis._assembly_line import KALMAN, PARTICLE, SIGMA, STOPPING, error, least, worlds
-from experiments.pages.plots.style import BLUE, GREEN, VERMILION, plain
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.fitting import fitted
+from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
+    KALMAN,
+    PARTICLE,
+    SIGMA,
+    STOPPING,
+    error,
+    least,
+    worlds,
+)
+from trackwright.experiments.pages.plots.style import BLUE, GREEN, VERMILION, plain
 
 SWEPT = (0.01, 0.03, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.6, 1.0)
 WORLDS = ("situation 1, set 2", "situation 2, set 2", "situation 3, set 2")

@@ -32,11 +32,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import plot
-from experiments.lab.papers.fitting import Fitted, fitted, unsaved
-from experiments.lab.papers.line_thesis import _assembly_line as line
-from experiments.lab.papers.line_thesis._assembly_line import (
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.fitting import Fitted, fitted, unsaved
+from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
+from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     COLUMNS,
     PRINTED,
     RECORDINGS,
@@ -45,12 +45,12 @@ from experiments.lab.papers.line_thesis._assembly_line import (
     least,
     noise_of,
 )
-from experiments.pages.plots.style import BLUE, SKY, VERMILION, plain
+from trackwright.experiments.pages.plots.style import BLUE, SKY, VERMILION, plain
 
 LEFT_OPEN = (
     "the path was left open after seeing that an end gives less than 14 cm (`sweep-curves`), and the speed was chosen "
     "with particle averages in view, among those that the Kalman column allows, 16.0 to 18.6 cm here "
-    "(fitted/table_3_1.toml, by `python -m experiments.lab.papers.fitting papers/line_thesis/table_3_1`)"
+    "(fitted/table_3_1.toml, by `python -m trackwright.experiments.lab.papers.fitting papers/line_thesis/table_3_1`)"
 )
 
 

@@ -13,17 +13,17 @@ from typing import Literal
 
 import numpy as np
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.trackers import built
-from experiments.lab.papers.will_2020.fit_array_layout import TABLE_1_DEG
-from sim.corruptions import Corruption, lose_station, outliers
-from sim.keys import Keys
-from sim.stations import simulate_phases, work_station
-from trackers.aoa.beam import beam_tracker
-from trackers.aoa.rows import PHASES
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.fitting import fitted
+from trackwright.experiments.lab.papers.trackers import built
+from trackwright.experiments.lab.papers.will_2020.fit_array_layout import TABLE_1_DEG
+from trackwright.sim.corruptions import Corruption, lose_station, outliers
+from trackwright.sim.keys import Keys
+from trackwright.sim.stations import simulate_phases, work_station
+from trackwright.trackers.aoa.beam import beam_tracker
+from trackwright.trackers.aoa.rows import PHASES
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 ALL = "full array"
 SETS = ("3-7-8", "2-7-8", "1-2-5", "2-3-6", ALL)

@@ -15,20 +15,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.trackers import built
-from experiments.lab.papers.will_2020._work_stand import beam, radius, recorded, stand
-from experiments.text.wording import listed
-from trackers.aoa.beam import Beam, beam_tracker
-from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
-from trackers.aoa.das import DelayAndSum
-from trackers.aoa.rows import PHASES
-from trackers.catalogue import spec_of
-from trackers.core.model.algebra import diagonal
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.rig import Station
-from trackers.core.model.sensor import Reading
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.fitting import fitted
+from trackwright.experiments.lab.papers.trackers import built
+from trackwright.experiments.lab.papers.will_2020._work_stand import beam, radius, recorded, stand
+from trackwright.experiments.text.wording import listed
+from trackwright.trackers.aoa.beam import Beam, beam_tracker
+from trackwright.trackers.aoa.beamformer import Grid, delay_and_sum, strongest
+from trackwright.trackers.aoa.das import DelayAndSum
+from trackwright.trackers.aoa.rows import PHASES
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.model.algebra import diagonal
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import Reading
 
 RESOLUTIONS = {"DAS, 1.2 deg": 1.2, "DAS, 0.6 deg": 0.6, "DAS, 0.3 deg": 0.3}
 

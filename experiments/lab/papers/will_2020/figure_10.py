@@ -13,11 +13,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import plot
-from experiments.lab.papers.will_2020._work_stand import cascade, direct, radius, recorded
-from experiments.pages.plots.style import BLACK, LINES, plain
-from experiments.text.wording import listed
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.will_2020._work_stand import cascade, direct, radius, recorded
+from trackwright.experiments.pages.plots.style import BLACK, LINES, plain
+from trackwright.experiments.text.wording import listed
 
 NONE = "all stations"
 LOST = {k: f"station {k} lost" for k in (1, 2, 3)}

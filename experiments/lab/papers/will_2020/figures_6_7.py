@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import Printed, plot
-from experiments.lab.papers.will_2020._work_stand import ALL, PRINTED_DEG, beam, radius, recorded
-from experiments.monte_carlo.chunk import tracked_runs
-from experiments.pages.plots.style import BLUE, GREY, ORANGE, plain
-from experiments.text.wording import fixed_interval
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import Printed, plot
+from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, PRINTED_DEG, beam, radius, recorded
+from trackwright.experiments.monte_carlo.chunk import tracked_runs
+from trackwright.experiments.pages.plots.style import BLUE, GREY, ORANGE, plain
+from trackwright.experiments.text.wording import fixed_interval
 
 AXES = ("azimuth", "elevation")
 HELIX, OUTLYING = "helix", "helix with outlying phases"

@@ -1,17 +1,17 @@
 """Fit of the default array: positions of eight antennas whose Cramér–Rao bounds have the ratios of Table 1's errors.
 
-`python -m experiments.lab.papers.will_2020.fit_array_layout` prints `DEFAULT_ANTENNAS` of trackers/aoa/layout.py. Ten
-printed errors leave many layouts of sixteen coordinates. Gauss-Newton iterations, batched over seeded random starts,
-find some hundred exact ones; each is scaled to fill the box, and the one whose array factor has the lowest side lobes
-is chosen, so that a beamformer rarely starts a track on a wrong lobe. The printed errors are a filter's, not bounds:
-this is a fit, not a reconstruction of the array.
+`python -m trackwright.experiments.lab.papers.will_2020.fit_array_layout` prints `DEFAULT_ANTENNAS` of
+trackers/aoa/layout.py. Ten printed errors leave many layouts of sixteen coordinates. Gauss-Newton iterations, batched
+over seeded random starts, find some hundred exact ones; each is scaled to fill the box, and the one whose array
+factor has the lowest side lobes is chosen, so that a beamformer rarely starts a track on a wrong lobe. The printed
+errors are a filter's, not bounds: this is a fit, not a reconstruction of the array.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH, boresight_bounds
+from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH, boresight_bounds
 
 TABLE_1_DEG = {
     (1, 2, 3, 4, 5, 6, 7, 8): (0.583, 0.893),

@@ -16,10 +16,10 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import plot
-from experiments.lab.papers.will_2020._work_stand import ALL, beam, radius, recorded
-from experiments.pages.plots.style import LINES, plain
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, beam, radius, recorded
+from trackwright.experiments.pages.plots.style import LINES, plain
 
 RATES, APERTURES = (2.5, 5.0, 10.0, 20.0), (0.5, 1.0, 2.0, 4.0)
 THREE = "2-3-6"

@@ -22,16 +22,29 @@ from functools import partial
 
 import numpy as np
 
-import experiments.monte_carlo as mc
-from experiments.lab.papers.declared import Printed
-from experiments.lab.papers.fitting import Fitted
-from experiments.lab.papers.will_2020 import _work_stand as work
-from experiments.lab.papers.will_2020._work_stand import ALL, POINTS, PRINTED_DEG, RATE_HZ, SETS, beam, radius
-from experiments.lab.papers.will_2020.fit_array_layout import HALF_BOX, SMALLEST_SPACING, exact_layouts, side_lobe
-from sim.stations import simulate_phases
-from trackers.aoa.beam import beam_tracker
-from trackers.core.data.recording import Batch
-from trackers.core.model.sensor import Reading
+import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import Printed
+from trackwright.experiments.lab.papers.fitting import Fitted
+from trackwright.experiments.lab.papers.will_2020 import _work_stand as work
+from trackwright.experiments.lab.papers.will_2020._work_stand import (
+    ALL,
+    POINTS,
+    PRINTED_DEG,
+    RATE_HZ,
+    SETS,
+    beam,
+    radius,
+)
+from trackwright.experiments.lab.papers.will_2020.fit_array_layout import (
+    HALF_BOX,
+    SMALLEST_SPACING,
+    exact_layouts,
+    side_lobe,
+)
+from trackwright.sim.stations import simulate_phases
+from trackwright.trackers.aoa.beam import beam_tracker
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.sensor import Reading
 
 AXES = ("azimuth", "elevation")
 _of = partial(Printed, origin=mc.FITTED, unit="deg", tracker="EKF")

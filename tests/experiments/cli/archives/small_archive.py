@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder, write_recording
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
 
 
 def recording(name: str, seed: int, rows: int = 40) -> RecordingFolder:

@@ -13,17 +13,17 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.archives import part, runner
-from experiments.cli.archives.store import RecordingStore
-from experiments.jobs.environment import environment
-from experiments.jobs.executors import WorkerExecutor
-from experiments.pages.plots import track_folder
 from tests.experiments.cli.archives.small_archive import recording, write_archive
 from tests.in_process import assert_refused, trackwright
-from trackers.catalogue import build
-from trackers.evaluation.evaluate import evaluate
-from trackers.recordings.beside import held
-from trackers.recordings.folder import read_recording, write_recording
+from trackwright.experiments.cli.archives import part, runner
+from trackwright.experiments.cli.archives.store import RecordingStore
+from trackwright.experiments.jobs.environment import environment
+from trackwright.experiments.jobs.executors import WorkerExecutor
+from trackwright.experiments.pages.plots import track_folder
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.beside import held
+from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 COUNT = 30
 BROKEN, FAILING = (3, 11, 12), 20

@@ -12,18 +12,18 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.archives.folders import MANY, archive_of, recordings_under
-from experiments.cli.archives.rows import BLOCK, Rows
-from experiments.text.evaluation_text import content, json_pieces, to_json
-from sim import worlds
 from tests.experiments.cli.archives.small_archive import recording
-from trackers.catalogue import build
-from trackers.core.errors import UnusableInput
-from trackers.evaluation.association import associate_truth
-from trackers.evaluation.evaluate import Evaluation, TrackScores, evaluate
-from trackers.evaluation.metrics import metric_rows
-from trackers.evaluation.scores import Scores
-from trackers.recordings.atomic import json_text
+from trackwright.experiments.cli.archives.folders import MANY, archive_of, recordings_under
+from trackwright.experiments.cli.archives.rows import BLOCK, Rows
+from trackwright.experiments.text.evaluation_text import content, json_pieces, to_json
+from trackwright.sim import worlds
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.evaluate import Evaluation, TrackScores, evaluate
+from trackwright.trackers.evaluation.metrics import metric_rows
+from trackwright.trackers.evaluation.scores import Scores
+from trackwright.trackers.recordings.atomic import json_text
 
 PERCENTILES = ("median", "p90", "p95", "p99", "sigma_factor")
 

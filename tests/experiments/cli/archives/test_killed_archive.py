@@ -19,7 +19,15 @@ TABLES = ("tracks.parquet", "events.parquet", "evaluation.json", "results.csv")
 @pytest.mark.slow
 def test_three_hundred_recordings_killed_and_resumed_have_the_same_bits(tmp_path):
     write_archive(tmp_path / "archive", COUNT)
-    words = [sys.executable, "-m", "experiments", "track", str(tmp_path / "archive"), "--no-figures", "--out"]
+    words = [
+        sys.executable,
+        "-m",
+        "trackwright.experiments",
+        "track",
+        str(tmp_path / "archive"),
+        "--no-figures",
+        "--out",
+    ]
     subprocess.run([*words, str(tmp_path / "whole")], check=True, capture_output=True)
     out, rng, kept = tmp_path / "out", np.random.default_rng(5), [0]
 

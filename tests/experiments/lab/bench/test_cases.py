@@ -10,11 +10,11 @@ import sys
 
 import pytest
 
-from experiments.cli.arguments import new_app
-from experiments.lab.bench import growth, growth_cases, waiting_split
-from experiments.lab.bench.__main__ import CASES
-from experiments.lab.bench.timing import function_of
-from experiments.lab.subprocesses import REPOSITORY
+from trackwright.experiments.cli.arguments import new_app
+from trackwright.experiments.lab.bench import growth, growth_cases, waiting_split
+from trackwright.experiments.lab.bench.__main__ import CASES
+from trackwright.experiments.lab.bench.timing import function_of
+from trackwright.experiments.lab.subprocesses import REPOSITORY
 
 QUICK = ("waiting", "cluster-plan")
 """Those that compile nothing."""
@@ -29,8 +29,8 @@ PARTS = {
 
 
 def _bench(*words):
-    """A finished `python -m experiments.lab.bench …`."""
-    command = [sys.executable, "-m", "experiments.lab.bench", *map(str, words)]
+    """A finished `python -m trackwright.experiments.lab.bench …`."""
+    command = [sys.executable, "-m", "trackwright.experiments.lab.bench", *map(str, words)]
     return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False, env=os.environ)
 
 
@@ -65,7 +65,7 @@ def test_a_benchmark_runs_in_its_smallest_size(name, recordings, tmp_path):
     done = _bench(name, *PARTS.get(name, ()), "--small", "--out", out)
     assert done.returncode in (0, 1), done.stderr
     found = json.loads(out.read_text("utf-8"))
-    assert found["command"][:4] == ["python", "-m", "experiments.lab.bench", name]
+    assert found["command"][:4] == ["python", "-m", "trackwright.experiments.lab.bench", name]
     assert {"date", "commit", "machine", "packages"} <= found.keys()
     tables = found["tables"].values() if "tables" in found else [found["rows"]]
     assert all(rows for rows in tables)

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from experiments.lab.bench.cluster_scale import MEASURED, cluster_plan, plan, rates_of
-from experiments.lab.bench.timing import Bench, cell
+from trackwright.experiments.lab.bench.cluster_scale import MEASURED, cluster_plan, plan, rates_of
+from trackwright.experiments.lab.bench.timing import Bench, cell
 
 RATES = {
     "trajectories": 1000, "compute_s": 3.6, "caller_ms": 6.0, "store_ms": 30.0, "scheduler_ms": 3.6, "add_ms": 7.2,
@@ -49,7 +49,7 @@ def test_a_plan_takes_the_scheduler_of_the_nearest_number_of_workers():
 def test_the_command_writes_the_plan_from_the_committed_rates_to_a_page(tmp_path, capsys):
     page = tmp_path / "page.md"
     page.write_text(
-        "before\n<!-- tables of experiments.lab.bench cluster-plan -->\n<!-- end of the tables -->\nafter\n"
+        "before\n<!-- tables of trackwright.experiments.lab.bench cluster-plan -->\n<!-- end of the tables -->\nafter\n"
     )
     bench = Bench(page=page, out=tmp_path / "plan.json")
     assert cluster_plan(runs=1e9, workers=(64, 1000), price=0.5, bench=bench) == 0

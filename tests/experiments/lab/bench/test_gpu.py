@@ -5,9 +5,9 @@ from __future__ import annotations
 import jax
 import pytest
 
-from experiments.lab.bench import gpu
-from experiments.lab.bench.timing import Bench
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.lab.bench import gpu
+from trackwright.experiments.lab.bench.timing import Bench
+from trackwright.trackers.core.errors import UnusableInput
 
 
 def test_without_a_gpu_it_writes_nothing_and_names_the_extra(tmp_path):

@@ -8,11 +8,11 @@ import jax
 import numpy as np
 import pytest
 
-from experiments.lab.bench.loops import filtered, model_of, vector
-from experiments.lab.bench.recordings import AGREEMENT_M, RECORDINGS, difference, loops
-from sim.worlds import WORLDS
-from trackers.catalogue import TRACKERS
-from trackers.recordings.folder import read_recording
+from trackwright.experiments.lab.bench.loops import filtered, model_of, vector
+from trackwright.experiments.lab.bench.recordings import AGREEMENT_M, RECORDINGS, difference, loops
+from trackwright.sim.worlds import WORLDS
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.recordings.folder import read_recording
 
 
 @pytest.mark.parametrize(

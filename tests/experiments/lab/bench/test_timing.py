@@ -8,8 +8,17 @@ import time
 import numpy as np
 import pytest
 
-from experiments.lab.bench import timing
-from experiments.lab.bench.timing import Bench, Table, Version, apart, cold_and_warm, compared, last_line, timed_command
+from trackwright.experiments.lab.bench import timing
+from trackwright.experiments.lab.bench.timing import (
+    Bench,
+    Table,
+    Version,
+    apart,
+    cold_and_warm,
+    compared,
+    last_line,
+    timed_command,
+)
 
 
 def test_a_ratio_is_that_of_the_rates_of_rows():
@@ -59,12 +68,14 @@ def test_a_command_is_measured_with_what_it_did(tmp_path):
 def test_results_are_written_a_row_a_line_and_replace_the_tables_of_the_page(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(timing.sys, "argv", ["bench", "--page", "page.md"])
     page, out = tmp_path / "page.md", tmp_path / "out" / "results.json"
-    page.write_text("before\n<!-- tables of experiments.lab.bench lanes -->\nold\n<!-- end of the tables -->\nafter\n")
+    page.write_text(
+        "before\n<!-- tables of trackwright.experiments.lab.bench lanes -->\nold\n<!-- end of the tables -->\nafter\n"
+    )
     rows = [{"name": "a|b", "s": 0.12345678, "n": 12345, "none": None}, {"name": "c", "s": 4321.0}]
     Bench(out=out, page=page).publish("lanes", Table(rows, "one", "note"), Table(rows, "two"), device="card")
     found = json.loads(out.read_text("utf-8"))
     assert found["tables"] == {"one": rows, "two": rows}
-    assert found["command"] == ["python", "-m", "experiments.lab.bench", "lanes", "--page", "page.md"]
+    assert found["command"] == ["python", "-m", "trackwright.experiments.lab.bench", "lanes", "--page", "page.md"]
     assert found["device"] == "card"
     assert sum('"c"' in line for line in out.read_text("utf-8").splitlines()) == 2
     text = page.read_text()

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.lab.papers import fitting
-from experiments.lab.papers.fitting import Fitted, fitted, solved, unsaved, write_fitted
-from experiments.lab.papers.huang_2018 import mhk_against, workshop
-from experiments.lab.papers.kwon_2021 import chamber, line_of_sight, robot, table_4, trilateration
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.runner import run_study
-from experiments.monte_carlo.sources import available_studies, load_study
-from experiments.text.expectations import PREDICTED, Conclusion, ExpectedResult
 from tests.oracles import distances_to_path
-from trackers.core.errors import UnusableInput
-from trackers.mhk.tracker import STILL
+from trackwright.experiments.lab.papers import fitting
+from trackwright.experiments.lab.papers.fitting import Fitted, fitted, solved, unsaved, write_fitted
+from trackwright.experiments.lab.papers.huang_2018 import mhk_against, workshop
+from trackwright.experiments.lab.papers.kwon_2021 import chamber, line_of_sight, robot, table_4, trilateration
+from trackwright.experiments.monte_carlo.errors import TrackedRuns
+from trackwright.experiments.monte_carlo.runner import run_study
+from trackwright.experiments.monte_carlo.sources import available_studies, load_study
+from trackwright.experiments.text.expectations import PREDICTED, Conclusion, ExpectedResult
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.mhk.tracker import STILL
 
 MINE = (
     "chamber",

@@ -6,9 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.lab.papers.fitting import fitted
-from experiments.lab.papers.line_thesis import figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1
-from experiments.lab.papers.line_thesis._assembly_line import (
+from trackwright.experiments.lab.papers.fitting import fitted
+from trackwright.experiments.lab.papers.line_thesis import (
+    figures_3,
+    leaving_line,
+    rests_at_joins,
+    sweep_curves,
+    table_3_1,
+)
+from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     AVERAGES,
     PRINTED,
     RECORDINGS,
@@ -21,9 +27,9 @@ from experiments.lab.papers.line_thesis._assembly_line import (
     root_mean_square,
     worlds,
 )
-from experiments.monte_carlo import FITTED, Conclusion, ExpectedResult, TrackedRuns
-from experiments.monte_carlo.runner import run_study
-from sim.line import THESIS_KNOTS
+from trackwright.experiments.monte_carlo import FITTED, Conclusion, ExpectedResult, TrackedRuns
+from trackwright.experiments.monte_carlo.runner import run_study
+from trackwright.sim.line import THESIS_KNOTS
 
 STUDIES = [figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1]
 NUMBERS = {"number": 2, "situation": "halts", "white": 0.2, "slow": 0.2, "tau": 1.5, "speed": 0.6, "rate_hz": 5.0}

@@ -5,10 +5,10 @@ import tomllib
 import numpy as np
 import pytest
 
-from experiments.lab.papers.fitting import fitted, fitted_file
-from experiments.lab.papers.will_2020 import computing_cost, figure_8
-from experiments.lab.papers.will_2020 import table_1 as of_table_1
-from experiments.lab.papers.will_2020._work_stand import (
+from trackwright.experiments.lab.papers.fitting import fitted, fitted_file
+from trackwright.experiments.lab.papers.will_2020 import computing_cost, figure_8
+from trackwright.experiments.lab.papers.will_2020 import table_1 as of_table_1
+from trackwright.experiments.lab.papers.will_2020._work_stand import (
     ALL,
     PRINTED_DEG,
     SETS,
@@ -18,14 +18,14 @@ from experiments.lab.papers.will_2020._work_stand import (
     recorded,
     stand,
 )
-from experiments.lab.papers.will_2020._work_stand import (
+from trackwright.experiments.lab.papers.will_2020._work_stand import (
     radius as fitted_radius,
 )
-from experiments.monte_carlo import Conclusion, ExpectedResult
-from experiments.monte_carlo.runner import run_study
-from experiments.monte_carlo.sources import available_studies, load_study
-from sim.stations import work_station
-from trackers.aoa.layout import DEFAULT_WAVELENGTH
+from trackwright.experiments.monte_carlo import Conclusion, ExpectedResult
+from trackwright.experiments.monte_carlo.runner import run_study
+from trackwright.experiments.monte_carlo.sources import available_studies, load_study
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.layout import DEFAULT_WAVELENGTH
 
 NAMES = ("table-1", "figures-6-7", "figure-8", "figure-10", "computing-cost", "rate-aperture")
 
@@ -57,7 +57,9 @@ def test_the_fitted_array_keeps_to_its_box_and_half_a_wavelength_apart():
 def test_a_fitted_file_says_what_it_was_fitted_to_and_which_command_wrote_it():
     for name in ("table_1", "figure_8"):
         text = fitted_file(f"papers/will_2020/{name}").read_text("utf-8")
-        assert text.startswith(f"# Written by `python -m experiments.lab.papers.fitting papers/will_2020/{name}`.")
+        assert text.startswith(
+            f"# Written by `python -m trackwright.experiments.lab.papers.fitting papers/will_2020/{name}`."
+        )
         content = tomllib.loads(text)
         assert content["degrees_of_freedom_left"].startswith("none")
         assert all(number["unit"] and number["fitted_to"] for number in content["numbers"].values())

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from experiments.lab.validation import bag_tour
 from tests.in_process import trackwright
-from trackers.recordings.folder import read_recording
+from trackwright.experiments.lab.validation import bag_tour
+from trackwright.trackers.recordings.folder import read_recording
 
 
 @pytest.fixture

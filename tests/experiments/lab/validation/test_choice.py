@@ -5,12 +5,21 @@ import importlib
 import numpy as np
 import pytest
 
-from experiments.lab.subprocesses import REPOSITORY
-from experiments.lab.validation.choice import PAGE, SIMPLEST_FIRST, Figure, beside, figures_of, main, order_of, written
-from experiments.lab.validation.folds import SEEN_BY_DEFAULTS
-from sim import worlds
-from trackers.catalogue import PREFERENCE, SYSTEMS, TRACKERS
-from trackers.recordings.folder import read_recordings
+from trackwright.experiments.lab.subprocesses import REPOSITORY
+from trackwright.experiments.lab.validation.choice import (
+    PAGE,
+    SIMPLEST_FIRST,
+    Figure,
+    beside,
+    figures_of,
+    main,
+    order_of,
+    written,
+)
+from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS
+from trackwright.sim import worlds
+from trackwright.trackers.catalogue import PREFERENCE, SYSTEMS, TRACKERS
+from trackwright.trackers.recordings.folder import read_recordings
 
 RANGES = ("multilateration", "uwb", "uwb-imu")
 
@@ -77,7 +86,9 @@ def test_the_page_has_the_order_of_the_catalogue():
 
 
 def test_every_tracker_of_the_catalogue_has_one_place_in_the_order():
-    entries = [name for system in SYSTEMS for name in importlib.import_module(f"trackers.{system}.rows").TRACKERS]
+    entries = [
+        name for system in SYSTEMS for name in importlib.import_module(f"trackwright.trackers.{system}.rows").TRACKERS
+    ]
     assert sorted(TRACKERS) == sorted(entries) == sorted(SIMPLEST_FIRST)
     assert set(SEEN_BY_DEFAULTS) <= set(TRACKERS)
 
@@ -95,6 +106,8 @@ def test_the_order_of_the_catalogue_is_that_of_the_recordings(recordings, tmp_pa
     monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(recordings))
     assert read_recordings([path.parent for path in sorted(recordings.glob("*/rig.toml"))])
     page = tmp_path / "page.md"
-    page.write_text("<!-- tables of experiments.lab.validation.choice -->\n<!-- end of the tables -->\n", "utf-8")
+    page.write_text(
+        "<!-- tables of trackwright.experiments.lab.validation.choice -->\n<!-- end of the tables -->\n", "utf-8"
+    )
     assert main(page=page) == 0
     assert page.read_text("utf-8").count("Order: ") == 5

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from experiments.lab.validation.default_levels import KINDS, Objective
-from trackers.catalogue import build
-from trackers.evaluation.evaluate import associate
-from trackers.evaluation.scoring import covariances
-from trackers.recordings.folder import read_recordings
+from trackwright.experiments.lab.validation.default_levels import KINDS, Objective
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.evaluation.evaluate import associate
+from trackwright.trackers.evaluation.scoring import covariances
+from trackwright.trackers.recordings.folder import read_recordings
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,9 +7,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from experiments.lab.validation.envelope import NONSENSE, SUBJECTS, Run, envelope, judged, table
-from experiments.lab.validation.envelope_worlds import Cell, recorded
-from trackers.core.data.estimates import Status
+from trackwright.experiments.lab.validation.envelope import NONSENSE, SUBJECTS, Run, envelope, judged, table
+from trackwright.experiments.lab.validation.envelope_worlds import Cell, recorded
+from trackwright.trackers.core.data.estimates import Status
 
 CORNERS = [Cell(*one) for one in product((1e-6, 1.0), (0.0, 1.0, 1e6), (10.0, 1e5))]
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from experiments.lab.validation import nis_expectation
-from experiments.lab.validation.nis_expectation import estimates, means
+from trackwright.experiments.lab.validation import nis_expectation
+from trackwright.experiments.lab.validation.nis_expectation import estimates, means
 
 
 def test_nis_per_degree_of_freedom_is_one_in_a_world_of_the_own_model(monkeypatch):

@@ -6,13 +6,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.lab.validation.fold_runs import Figures, Outside, farthest_outside, room
-from experiments.lab.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, Fold
-from experiments.lab.validation.real_recordings import all_checks, main, quoted, written
-from trackers.catalogue import tracker_for
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder, read_recording
-from tuning.cross_calibration import halves
+from trackwright.experiments.lab.validation.fold_runs import Figures, Outside, farthest_outside, room
+from trackwright.experiments.lab.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, Fold
+from trackwright.experiments.lab.validation.real_recordings import all_checks, main, quoted, written
+from trackwright.trackers.catalogue import tracker_for
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
+from trackwright.tuning.cross_calibration import halves
 
 INSIDE = Outside(0.0, 0.1, 1.0, 0)
 HONEST = {"rmse_m": 0.2, "rmse_3d_m": 0.3, "coverage_95": 0.95, "coverage_95_3d": 0.95, "nees_ratio": 1.0}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.lab.validation.recovery import main
+from trackwright.experiments.lab.validation.recovery import main
 
 
 @pytest.mark.slow

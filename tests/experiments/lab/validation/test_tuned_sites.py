@@ -4,10 +4,10 @@ import dataclasses
 
 import pytest
 
-from experiments.lab.validation import tuned_sites
-from experiments.lab.validation.folds import SITES, Site
-from sim import worlds
-from trackers.recordings.folder import read_recording, write_recording
+from trackwright.experiments.lab.validation import tuned_sites
+from trackwright.experiments.lab.validation.folds import SITES, Site
+from trackwright.sim import worlds
+from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,16 @@
 import numpy as np
 import pytest
 
-from experiments.lab.validation.tuning_against_sweep import GOALS, SIGMA, Found, Score, failed, recordings, table
-from trackers.core.model.tunable import tunables
+from trackwright.experiments.lab.validation.tuning_against_sweep import (
+    GOALS,
+    SIGMA,
+    Found,
+    Score,
+    failed,
+    recordings,
+    table,
+)
+from trackwright.trackers.core.model.tunable import tunables
 
 SWEPT = [Found("sweep", "particles", goal, 0.1, 9090, 400.0) for goal in GOALS]
 BEST = [Score(0.2, 0.24), Score(0.21, 0.23)]

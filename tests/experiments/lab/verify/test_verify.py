@@ -7,20 +7,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.lab.verify import command as verify
-from experiments.lab.verify.check_result import CheckResult, random_check, table
-from experiments.lab.verify.corridor import CORRIDOR, corridor_fixes, rectangle
-from experiments.lab.verify.deterministic_checks import PARAMETERS, chain_checks, kalman_checks
-from experiments.lab.verify.gradients import gradients, marginal_gradients
-from experiments.lab.verify.oracles import (
+from tests.in_process import trackwright
+from trackwright.experiments.lab.verify import command as verify
+from trackwright.experiments.lab.verify.check_result import CheckResult, random_check, table
+from trackwright.experiments.lab.verify.corridor import CORRIDOR, corridor_fixes, rectangle
+from trackwright.experiments.lab.verify.deterministic_checks import PARAMETERS, chain_checks, kalman_checks
+from trackwright.experiments.lab.verify.gradients import gradients, marginal_gradients
+from trackwright.experiments.lab.verify.oracles import (
     corridor_gradient,
     corridor_log_likelihood,
     halt_gradient,
     halt_log_likelihood,
     kalman_fixes,
 )
-from experiments.lab.verify.particle_checks import corridor_order_checks, halt_checks, halt_order_checks
-from experiments.lab.verify.worlds import (
+from trackwright.experiments.lab.verify.particle_checks import corridor_order_checks, halt_checks, halt_order_checks
+from trackwright.experiments.lab.verify.worlds import (
     CORRIDOR_TUNABLES,
     HALT_TUNABLES,
     CorridorStart,
@@ -30,16 +31,15 @@ from experiments.lab.verify.worlds import (
     halt_tracker,
     score_form,
 )
-from experiments.lab.verify.wrong_estimators import Naive, Reparameterised
-from tests.in_process import trackwright
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.filters.particle.filter import ParticleFilter, Particles
-from trackers.core.filters.particle.resampling import LOG_ZERO
-from trackers.core.model.algebra import Vector
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.motion import ConstantPosition, Placed
-from trackers.line.fixes import FIXES
-from trackers.parts.walls import Walls
+from trackwright.experiments.lab.verify.wrong_estimators import Naive, Reparameterised
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
+from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.motion import ConstantPosition, Placed
+from trackwright.trackers.line.fixes import FIXES
+from trackwright.trackers.parts.walls import Walls
 
 KEYS, PARTICLES = 64, 400
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 
-from experiments.pages.scored_tracks import ScoredTracks
-from trackers.core.model.rig import Rig, Station
-from trackers.evaluation.association import associate_truth
-from trackers.recordings.folder import RecordingFolder
+from trackwright.experiments.pages.scored_tracks import ScoredTracks
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 NASTY = "<script>document.title = 'stolen'</script>"
 TAGS = ("A", "B", NASTY)

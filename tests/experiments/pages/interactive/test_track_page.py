@@ -11,17 +11,17 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from experiments.pages.interactive.decimation import drawn_rows, drawn_tracks
-from experiments.pages.interactive.packing import packed, script_json
-from experiments.pages.interactive.summaries import error_map
-from experiments.pages.interactive.track_page import run_data, track_page
-from experiments.pages.plots import style
-from experiments.pages.plots.track_folder import plot_tracks
-from experiments.pages.scored_tracks import IN_PLANE, ScoredTracks, drawn_of
 from tests.experiments.pages.interactive.small_tracks import BIAS, NASTY, TAGS, small_bearings, small_tracks
-from trackers.evaluation.association import associate_truth
-from trackers.evaluation.evaluate import evaluate
-from trackers.recordings.columns import float_column
+from trackwright.experiments.pages.interactive.decimation import drawn_rows, drawn_tracks
+from trackwright.experiments.pages.interactive.packing import packed, script_json
+from trackwright.experiments.pages.interactive.summaries import error_map
+from trackwright.experiments.pages.interactive.track_page import run_data, track_page
+from trackwright.experiments.pages.plots import style
+from trackwright.experiments.pages.plots.track_folder import plot_tracks
+from trackwright.experiments.pages.scored_tracks import IN_PLANE, ScoredTracks, drawn_of
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.columns import float_column
 
 NO_EVENTS = pl.DataFrame(
     schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String, "detail": pl.String}

@@ -4,12 +4,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.pages.interactive.playback import Playback
-from experiments.pages.interactive.track_page import run_data, track_page, write_track_page
 from tests.browser import chromium, watched
 from tests.experiments.pages.interactive.small_tracks import NASTY, TAGS, small_bearings, small_tracks
-from trackers.evaluation.evaluate import evaluate
-from trackers.recordings.columns import float_column
+from trackwright.experiments.pages.interactive.playback import Playback
+from trackwright.experiments.pages.interactive.track_page import run_data, track_page, write_track_page
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.columns import float_column
 
 PLACE = """([kind, tag]) => {
   const circle = [...document.querySelectorAll("circle.tag")].find((one) => one.dataset.tag === tag);

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.cli.plan import plan
-from experiments.pages.plan import placement
-from experiments.pages.plan.accuracy import FloorMap, Sigmas, floor_map, floor_of
-from experiments.pages.plan.placement import HIGHEST, LOWEST, SPACING, place_anchors
-from experiments.pages.plan.report import plan_data, summary_text, write_plan
-from sim.stations import work_station
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Rig
-from trackers.recordings.rig_file import rig_text
-from tuning.design.layouts import WallAnchors
+from trackwright.experiments.cli.plan import plan
+from trackwright.experiments.pages.plan import placement
+from trackwright.experiments.pages.plan.accuracy import FloorMap, Sigmas, floor_map, floor_of
+from trackwright.experiments.pages.plan.placement import HIGHEST, LOWEST, SPACING, place_anchors
+from trackwright.experiments.pages.plan.report import plan_data, summary_text, write_plan
+from trackwright.sim.stations import work_station
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.rig_file import rig_text
+from trackwright.tuning.design.layouts import WallAnchors
 
 SIGMAS = Sigmas(0.1, 0.05, 0.3)
 ROOM = Rig(

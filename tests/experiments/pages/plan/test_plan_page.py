@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.cli.plan import plan
-from experiments.pages.plan.accuracy import Sigmas, floor_map
-from experiments.pages.plan.report import write_plan
-from sim.stations import work_station
 from tests.browser import chromium, watched
-from trackers.core.model.rig import Rig
-from trackers.recordings.rig_file import rig_text
+from trackwright.experiments.cli.plan import plan
+from trackwright.experiments.pages.plan.accuracy import Sigmas, floor_map
+from trackwright.experiments.pages.plan.report import write_plan
+from trackwright.sim.stations import work_station
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.rig_file import rig_text
 
 SIGMAS, HEIGHT = Sigmas(0.1, 0.05, 0.3), 1.2
 ROOM = Rig(

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from experiments.pages.reports.runs import TrackRun
-from trackers.core.model.rig import Rig
-from trackers.evaluation.association import associate_truth
-from trackers.evaluation.comparison import errors_by_track
-from trackers.evaluation.scoring import score
-from trackers.recordings.folder import RecordingFolder
+from trackwright.experiments.pages.reports.runs import TrackRun
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.comparison import errors_by_track
+from trackwright.trackers.evaluation.scoring import score
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 T = 0.1 * np.arange(30)
 

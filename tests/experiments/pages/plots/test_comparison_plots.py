@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 
-from experiments.pages.plots import comparison
 from tests.experiments.pages.plots.small_runs import ANCHORS, small_run
+from trackwright.experiments.pages.plots import comparison
 
 
 def test_floor_plans_are_of_the_worst_the_median_and_the_best_by_the_first_run(monkeypatch, tmp_path):

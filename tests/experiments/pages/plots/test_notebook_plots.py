@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import trackwright as tw
-from trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput
 
 mpl.use("Agg")
 

@@ -9,8 +9,8 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from experiments.pages.plots.plotly_figure import plotly_figure
-from experiments.pages.plots.style import svg, svg_address
+from trackwright.experiments.pages.plots.plotly_figure import plotly_figure
+from trackwright.experiments.pages.plots.style import svg, svg_address
 
 X = np.array([0.5, 1.0, 2.0])
 

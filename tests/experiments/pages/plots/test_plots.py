@@ -12,22 +12,22 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.image import imread
 
-from experiments.pages.plots import style
-from experiments.pages.plots.bearings import bearings_over_time
-from experiments.pages.plots.coverage import coverage_curve, levels_of, observed_shares
-from experiments.pages.plots.errors import error_cdf, error_charts, error_over_time, rmse_chart
-from experiments.pages.plots.filters import autocorrelation_chart, consistency, inflation, nis_chart
-from experiments.pages.plots.objective import sweep_plot, tuning_trace
-from experiments.pages.plots.style import BLACK, BLUE, GREY, LINES, SKY, VERMILION, broken_at_gaps
-from experiments.pages.plots.tracks import TRUTH, floor_plan
-from experiments.pages.reports.tuning_data import ErrorTrack
-from experiments.text.wording import length_unit
-from trackers.core.errors import UnusableInput
-from trackers.core.model.rig import Station
-from trackers.core.model.tunable import Scale
-from tuning.diagnostics import Innovations
-from tuning.parameters import Parameter
-from tuning.sweeping import Sweep
+from trackwright.experiments.pages.plots import style
+from trackwright.experiments.pages.plots.bearings import bearings_over_time
+from trackwright.experiments.pages.plots.coverage import coverage_curve, levels_of, observed_shares
+from trackwright.experiments.pages.plots.errors import error_cdf, error_charts, error_over_time, rmse_chart
+from trackwright.experiments.pages.plots.filters import autocorrelation_chart, consistency, inflation, nis_chart
+from trackwright.experiments.pages.plots.objective import sweep_plot, tuning_trace
+from trackwright.experiments.pages.plots.style import BLACK, BLUE, GREY, LINES, SKY, VERMILION, broken_at_gaps
+from trackwright.experiments.pages.plots.tracks import TRUTH, floor_plan
+from trackwright.experiments.pages.reports.tuning_data import ErrorTrack
+from trackwright.experiments.text.wording import length_unit
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.tuning.diagnostics import Innovations
+from trackwright.tuning.parameters import Parameter
+from trackwright.tuning.sweeping import Sweep
 
 T = np.arange(60) * 0.1
 

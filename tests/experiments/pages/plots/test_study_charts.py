@@ -6,12 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.monte_carlo import Study, TrackerConfig, World
-from experiments.pages.plots.study import metric_chart
-from experiments.text.expectations import Value
-from experiments.text.wording import Unit
-from sim.worlds import WORLDS
-from trackers.evaluation.metrics import METRICS
+from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
+from trackwright.experiments.pages.plots.study import metric_chart
+from trackwright.experiments.text.expectations import Value
+from trackwright.experiments.text.wording import Unit
+from trackwright.sim.worlds import WORLDS
+from trackwright.trackers.evaluation.metrics import METRICS
 
 USUAL = Value(0.01, 0.009, 0.06)
 

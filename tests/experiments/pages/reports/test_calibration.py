@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from experiments.pages.reports.calibration import Source
-from tuning.calibration_pairs import Pairs
+from trackwright.experiments.pages.reports.calibration import Source
+from trackwright.tuning.calibration_pairs import Pairs
 
 
 def test_a_short_recording_counts_as_much_as_a_long_one_in_the_spread_of_errors():

@@ -4,12 +4,12 @@ import re
 import numpy as np
 import pytest
 
-from experiments.cli.report import report
-from experiments.lab.papers.reproduce import page, part
-from experiments.pages.reports.comparison import comparison, study_contrasts
-from experiments.pages.reports.runs import StudyRun, read_runs
-from experiments.text.expectations import Value
-from trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.report import report
+from trackwright.experiments.lab.papers.reproduce import page, part
+from trackwright.experiments.pages.reports.comparison import comparison, study_contrasts
+from trackwright.experiments.pages.reports.runs import StudyRun, read_runs
+from trackwright.experiments.text.expectations import Value
+from trackwright.trackers.core.errors import UnusableInput
 
 
 def _value(value, width):

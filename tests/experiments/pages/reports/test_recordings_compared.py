@@ -5,11 +5,11 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from experiments.pages.reports.recordings_compared import compare, tracked
-from experiments.pages.reports.tuning import tuning_page
 from tests.experiments.pages.reports.tuning_report_data import report_data
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder
+from trackwright.experiments.pages.reports.recordings_compared import compare, tracked
+from trackwright.experiments.pages.reports.tuning import tuning_page
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 SIGMAS = "sensors.fixes.sigma_*"
 

@@ -4,11 +4,11 @@ import subprocess
 
 import pytest
 
-from experiments.monte_carlo import PREDICTED, Conclusion, ExpectedResult
-from experiments.monte_carlo.runner import run_study
-from experiments.pages.reports.study import study_page
-from experiments.text.expectations import Value
 from tests.experiments.monte_carlo.small_study import SMALL
+from trackwright.experiments.monte_carlo import PREDICTED, Conclusion, ExpectedResult
+from trackwright.experiments.monte_carlo.runner import run_study
+from trackwright.experiments.pages.reports.study import study_page
+from trackwright.experiments.text.expectations import Value
 
 pytestmark = pytest.mark.slow
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from experiments.text.evaluation_text import _cell
-from experiments.text.expectations import Value
-from experiments.text.tables import aligned, compact_table, markdown, rendered, ruled_table
-from experiments.text.wording import duration, fixed, heading, rounded, unit_of, units_of, with_interval
-from trackers.core.wording import counted, significant
+from trackwright.experiments.text.evaluation_text import _cell
+from trackwright.experiments.text.expectations import Value
+from trackwright.experiments.text.tables import aligned, compact_table, markdown, rendered, ruled_table
+from trackwright.experiments.text.wording import duration, fixed, heading, rounded, unit_of, units_of, with_interval
+from trackwright.trackers.core.wording import counted, significant
 
 
 def test_aligned_columns_have_two_spaces_between_them_and_none_at_the_end():

@@ -11,15 +11,15 @@ import pytest
 from scipy import stats
 
 import trackwright as tw
-from experiments.pages.plots.plan_change import plan_chart
-from experiments.pages.reports.recordings_compared import tracked
-from experiments.pages.reports.tracks_compared import MOST_PLANS, MOST_POINTS, track_changes
-from experiments.pages.reports.tuning import tuning_page, write_tuning_report
-from sim import worlds
 from tests.browser import chromium, watched
 from tests.experiments.pages.reports.tuning_report_data import report_data
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder
+from trackwright.experiments.pages.plots.plan_change import plan_chart
+from trackwright.experiments.pages.reports.recordings_compared import tracked
+from trackwright.experiments.pages.reports.tracks_compared import MOST_PLANS, MOST_POINTS, track_changes
+from trackwright.experiments.pages.reports.tuning import tuning_page, write_tuning_report
+from trackwright.sim import worlds
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 SIGMAS = "sensors.fixes.sigma_*"
 

@@ -5,17 +5,17 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from experiments.pages.reports.tuning import tuning_page
-from experiments.pages.reports.tuning_collect import Request, _parameters, collect
-from trackers.catalogue import spec_of
-from trackers.core.model.rig import Rig
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracks import batches
-from tuning import fit
-from tuning.data import FitData, fit_data
-from tuning.identifiability import IdentifiabilityIssue
-from tuning.intervals import intervals_of
-from tuning.named_objectives import parse_objective
+from trackwright.experiments.pages.reports.tuning import tuning_page
+from trackwright.experiments.pages.reports.tuning_collect import Request, _parameters, collect
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracks import batches
+from trackwright.tuning import fit
+from trackwright.tuning.data import FitData, fit_data
+from trackwright.tuning.identifiability import IdentifiabilityIssue
+from trackwright.tuning.intervals import intervals_of
+from trackwright.tuning.named_objectives import parse_objective
 
 PATTERNS = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
 NLL = "nll"

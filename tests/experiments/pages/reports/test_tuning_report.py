@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.pages.plots import objective
-from experiments.pages.reports.advice import advice_on
-from experiments.pages.reports.tuning import agreement, tuning_page, write_tuning_report
-from experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
-from experiments.text.wording import number, percent_change
 from tests.experiments.pages.reports.tuning_report_data import innovations, report_data
-from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_probabilities, normal_scores
+from trackwright.experiments.pages.plots import objective
+from trackwright.experiments.pages.reports.advice import advice_on
+from trackwright.experiments.pages.reports.tuning import agreement, tuning_page, write_tuning_report
+from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
+from trackwright.experiments.text.wording import number, percent_change
+from trackwright.tuning.diagnostics import (
+    Innovations,
+    autocorrelation,
+    expected_density,
+    nis_probabilities,
+    normal_scores,
+)
 
 EMPTY = {"meta", "img", "br", "link"}
 

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from experiments.pages.reports.tuning_data import (
+from trackwright.experiments.pages.reports.tuning_data import (
     ErrorTrack,
     MetricChange,
     OptimiserTrace,
     TunedParameter,
     TuningReportData,
 )
-from tuning.diagnostics import Innovations
-from tuning.surface import Surface
+from trackwright.tuning.diagnostics import Innovations
+from trackwright.tuning.surface import Surface
 
 
 def innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 300) -> Innovations:

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.core.data.estimates import Estimates, Status
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import AbstractMotion, ConstantPosition, Placed
-from trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackers.core.run.tracker import Tracker
+from trackwright.trackers.core.data.estimates import Estimates, Status
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, Placed
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackwright.trackers.core.run.tracker import Tracker
 
 
 class Place(NamedTuple):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackers.core.data import metrics
+from trackwright.trackers.core.data import metrics
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
 
 
 def _recording(times=(0.0, 0.1, 0.3), values=None, seen=None, name="run 3", sensor="north", reported=None):

@@ -8,14 +8,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.data.recording import Readings, Recording
-from trackers.core.data.seconds import moment, place_in_time, seconds, span, time_label, zero_of
-from trackers.core.model.rig import Rig
-from trackers.from_arrays import fix_recording, range_recording
-from trackers.recordings.checks import check
-from trackers.recordings.checks.anomalies import anomalies
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.kinds import first_time
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.data.seconds import moment, place_in_time, seconds, span, time_label, zero_of
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.from_arrays import fix_recording, range_recording
+from trackwright.trackers.recordings.checks import check
+from trackwright.trackers.recordings.checks.anomalies import anomalies
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import first_time
 
 START = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
 STAMPS = [START + timedelta(milliseconds=250 * k) for k in range(5)]

@@ -8,17 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.stations import work_station
 from tests.oracles import normal_log_density
-from trackers.aoa.beam import Beam, BeamMotion
-from trackers.aoa.fusion import BearingSensor, bearing_inputs
-from trackers.aoa.phases import PlanePhases, SphericalPhases
-from trackers.core.filters.ekf import ExtendedKalman, compressed, sequential_updates
-from trackers.core.model.algebra import Vector
-from trackers.core.model.covariance import Gaussian, matrix
-from trackers.core.model.motion import ConstantVelocity, Kinematic
-from trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
-from trackers.core.model.tunable import Scale
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.beam import Beam, BeamMotion
+from trackwright.trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackwright.trackers.aoa.phases import PlanePhases, SphericalPhases
+from trackwright.trackers.core.filters.ekf import ExtendedKalman, compressed, sequential_updates
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.covariance import Gaussian, matrix
+from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
+from trackwright.trackers.core.model.tunable import Scale
 
 STATES = 4
 # Four antennas for two angles: enough to compress.

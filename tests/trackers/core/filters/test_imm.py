@@ -6,15 +6,15 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import normal_log_density, van_loan
-from trackers.core.data.recording import stack
-from trackers.core.filters.imm import InteractingModels, SwitchingMotion
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import ConstantVelocity, Kinematic
-from trackers.core.model.tunable import matching
-from trackers.core.run.tracker import Tracker
-from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.filters.imm import InteractingModels, SwitchingMotion
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
+from trackwright.trackers.core.model.tunable import matching
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.tuning.objectives import NegativeLogLikelihood
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
 SIGMAS, RATE, ODDS = (0.1, 1.0, 5.0), 0.8, (2.0, 1.0, 1.0)
 H, R = np.array([[1.0, 0.0], [0.3, 1.0]]), np.array([0.2, 0.4])

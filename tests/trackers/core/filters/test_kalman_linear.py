@@ -8,11 +8,11 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import joint_conditioning, kalman, van_loan
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import Accelerated, ConstantVelocity, Kinematic
-from trackers.core.run.tracker import Tracker
-from trackers.parts.singer import Singer
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import Accelerated, ConstantVelocity, Kinematic
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.singer import Singer
 
 LANES, ROWS = 6, 10
 

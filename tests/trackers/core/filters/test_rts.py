@@ -8,14 +8,14 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import joint_conditioning, van_loan
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
-from trackers.core.model.tunable import Scale
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.track_loss import TrackLossPolicy
-from trackers.core.run.tracker import Tracker
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.tracker import Tracker
 
 LANES, ROWS, LAG, SIGMA_A = 4, 12, 0.9, 0.7
 

@@ -7,12 +7,12 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import joint_conditioning, van_loan
-from trackers.core.data.recording import stack
-from trackers.core.filters.imm import InteractingModels, SwitchingMotion
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import ConstantVelocity, Kinematic
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import Tracker
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.filters.imm import InteractingModels, SwitchingMotion
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import Tracker
 
 ROWS, SIGMAS, LAG = 8, (0.3, 3.0), 0.9
 H, R = np.array([[1.0, 0.0]]), np.array([0.2])

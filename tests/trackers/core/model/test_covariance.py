@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.model import covariance
-from trackers.core.model.algebra import ONE, VARIABLE, ZERO, Jacobian, congruence, triangle
+from trackwright.trackers.core.model import covariance
+from trackwright.trackers.core.model.algebra import ONE, VARIABLE, ZERO, Jacobian, congruence, triangle
 
 N = 5
 

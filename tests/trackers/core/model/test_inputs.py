@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from tests.catalogue import CASES, SENSORS
-from trackers.aoa.cascade import Cascade
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.inputs import Input, Need
-from trackers.core.model.sensor import Row
-from trackers.core.run.layout import Layout
-from trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.aoa.cascade import Cascade
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.inputs import Input, Need
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 
 PAGE = Path(__file__).parents[4] / "docs/inputs.md"
 FORWARD = {name: case for name, case in CASES.items() if "smoothed" not in name}

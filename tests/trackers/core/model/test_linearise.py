@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.model.algebra import Vector
-from trackers.core.model.linearise import jacobian, linearise
-from trackers.core.model.motion import ConstantVelocity, Kinematic
-from trackers.core.model.state import Rotation, coordinates, local, wrap
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.linearise import jacobian, linearise
+from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
+from trackwright.trackers.core.model.state import Rotation, coordinates, local, wrap
 
 POINT = [0.7, -1.3, 2.1]
 

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.model.algebra import Vector
-from trackers.core.model.polyline import Polyline
-from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
-from trackers.line.tracker import line_motion
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
+from trackwright.trackers.line.tracker import line_motion
 
 KNOTS = [[2.615, 8.26], [6.665, 8.26], [6.665, 6.151], [2.615, 6.151], [2.615, 4.065], [6.665, 4.065]]
 

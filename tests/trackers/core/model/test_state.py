@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.oracles import exponential
-from trackers.core.model.algebra import Vector
-from trackers.core.model.state import (
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.state import (
     Heading,
     Rotation,
     component_names,

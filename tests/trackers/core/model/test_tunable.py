@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackers.core.model.motion import ConstantVelocity, as_scale
-from trackers.core.model.sensor import AbstractSensor
-from trackers.core.model.tunable import (
+from trackwright.trackers.core.model.motion import ConstantVelocity, as_scale
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.model.tunable import (
     Constant,
     Covariance,
     Fraction,
@@ -23,7 +23,7 @@ from trackers.core.model.tunable import (
     tunables,
     with_values,
 )
-from trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 
 
 class Gauge(AbstractSensor):

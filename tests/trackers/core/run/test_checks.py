@@ -5,16 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.stations import work_station
-from trackers.aoa.beam import Beam
-from trackers.aoa.phases import PlanePhases
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import (
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.beam import Beam
+from trackwright.trackers.aoa.phases import PlanePhases
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import (
     AbstractMotion,
     Placed,
 )
-from trackers.core.model.sensor import AbstractSensor, Channel, Residual, independent
-from trackers.core.run.checks import BrokenContract, check_motion, check_sensor
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual, independent
+from trackwright.trackers.core.run.checks import BrokenContract, check_motion, check_sensor
 
 
 def test_the_papers_form_is_no_density_over_all_phases_of_three_antennas():

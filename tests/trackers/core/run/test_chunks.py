@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.run.chunks import as_numbers, chunks, n_workers, run_chunks
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.run.chunks import as_numbers, chunks, n_workers, run_chunks
 
 HASHED = """
 import hashlib, jax, numpy as np
 from tests.trackers.core.test_chunks import _many
-from trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.baselines.fixes import fix_tracker
 found = fix_tracker().run(_many(1100))
 print(jax.device_count(), hashlib.sha256(b"".join(np.ascontiguousarray(x).tobytes() for x in
       [*found.mean.position, found.cov_upper, found.log_likelihood])).hexdigest())

@@ -9,18 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.stations import work_station
 from tests.known_start import KnownStart, recording
 from tests.oracles import beam_jacobian, beam_transition, cramer_rao, van_loan
-from trackers.aoa.beam import Beam, BeamMotion
-from trackers.aoa.phases import PlanePhases
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import AbstractMotion, ConstantPosition, ConstantVelocity, Kinematic, Placed
-from trackers.core.model.sensor import AbstractSensor, Channel, Residual
-from trackers.core.model.tunable import Scale
-from trackers.core.run.crlb import NoBoundError, posterior_bound
-from trackers.core.run.tracker import Tracker
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.beam import Beam, BeamMotion
+from trackwright.trackers.aoa.phases import PlanePhases
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, ConstantVelocity, Kinematic, Placed
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.crlb import NoBoundError, posterior_bound
+from trackwright.trackers.core.run.tracker import Tracker
 
 ROWS, SIGMA_A, SIGMA = 12, 0.4, 0.3
 

@@ -10,10 +10,10 @@ import pytest
 import trackwright as tw
 from tests.known_start import NEVER_LOST, flat
 from tests.oracles import kalman, van_loan
-from trackers.core.model.keys import trajectory_key_data
-from trackers.core.model.tunable import Constant
-from trackers.core.run.chunks import as_dtype
-from trackers.parts.fixes import FIXES
+from trackwright.trackers.core.model.keys import trajectory_key_data
+from trackwright.trackers.core.model.tunable import Constant
+from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.parts.fixes import FIXES
 
 SIGMA_A, SIGMA = 0.7, 0.2
 

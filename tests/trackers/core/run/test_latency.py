@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from trackers.baselines.fixes import fix_tracker
-from trackers.core.data.recording import Readings, Recording, stack
-from trackers.core.model.algebra import Vector, dense
-from trackers.core.run.chunks import as_dtype
-from trackers.core.run.latency import scored_truth, shifted_back
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import Tracker
-from trackers.evaluation.evaluate import associate
-from trackers.parts.fixes import FIXES
-from tuning.objectives import RootMeanSquareError
+from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model.algebra import Vector, dense
+from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.latency import scored_truth, shifted_back
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.evaluation.evaluate import associate
+from trackwright.trackers.parts.fixes import FIXES
+from trackwright.tuning.objectives import RootMeanSquareError
 
 
 def _recording(rows=40, unknown=()):

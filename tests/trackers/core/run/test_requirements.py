@@ -11,13 +11,13 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackers.aoa.cascade import cascade_tracker
-from trackers.core.data.recording import stack
-from trackers.core.model.algebra import Vector
-from trackers.core.model.inputs import HEIGHT, Input
-from trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackers.core.run.checks import BrokenContract, check_sensor
-from trackers.core.run.requirements import check_input
+from trackwright.trackers.aoa.cascade import cascade_tracker
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.inputs import HEIGHT, Input
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackwright.trackers.core.run.checks import BrokenContract, check_sensor
+from trackwright.trackers.core.run.requirements import check_input
 
 ROWS = 30
 TIMES = np.arange(ROWS) * 0.1

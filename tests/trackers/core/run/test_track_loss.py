@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import trackwright as tw
-from experiments.lab.validation.track_loss import detection
-from trackers.core.model.rig import MARGIN, room_rows
-from trackers.core.model.tunable import with_values
-from trackers.core.run.track_loss import ROOM, SIGMAS
-from trackers.parts.start_nearby import NEARBY
+from trackwright.experiments.lab.validation.track_loss import detection
+from trackwright.trackers.core.model.rig import MARGIN, room_rows
+from trackwright.trackers.core.model.tunable import with_values
+from trackwright.trackers.core.run.track_loss import ROOM, SIGMAS
+from trackwright.trackers.parts.start_nearby import NEARBY
 
 ANCHORS = np.array([[0.0, 0.0, 2.0], [8.0, 0.0, 1.0], [8.0, 6.0, 2.5], [0.0, 6.0, 1.0]])
 TIMES = np.arange(0.0, 30.0, 0.1)

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.baselines.fixes import fix_tracker
-from trackers.core.data.recording import Recording, stack
-from trackers.core.errors import UnusableInput
-from trackers.core.model.algebra import Vector
-from trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
-from trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackers.core.model.tunable import Scale
-from trackers.core.run.smoother import Smoothed
-from trackers.core.run.tracker import Tracker, filter_batch
-from trackers.from_arrays import fix_recording
+from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.core.data.recording import Recording, stack
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.tracker import Tracker, filter_batch
+from trackwright.trackers.from_arrays import fix_recording
 
 
 class Ruler(AbstractSensor):

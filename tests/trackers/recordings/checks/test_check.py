@@ -13,9 +13,9 @@ import pytest
 
 from tests.broken import ANOMALOUS
 from tests.faulty import write_good
-from trackers.core.model.rig import Rig
-from trackers.recordings.checks import CheckResult, check, format_results
-from trackers.recordings.folder import RecordingFolder, read_recording
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.checks import CheckResult, check, format_results
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 
 RECORDINGS = Path(
     os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).resolve().parents[5] / "shared" / "recordings")

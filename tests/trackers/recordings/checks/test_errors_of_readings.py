@@ -6,13 +6,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.model.rig import Rig, Station
-from trackers.recordings.checks import check
-from trackers.recordings.checks.correlation import autocorrelation
-from trackers.recordings.checks.quantisation import quantisation_step
-from trackers.recordings.checks.readings import Readings, about_local_line, readings
-from trackers.recordings.checks.repeats import repeated_share
-from trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.recordings.checks import check
+from trackwright.trackers.recordings.checks.correlation import autocorrelation
+from trackwright.trackers.recordings.checks.quantisation import quantisation_step
+from trackwright.trackers.recordings.checks.readings import Readings, about_local_line, readings
+from trackwright.trackers.recordings.checks.repeats import repeated_share
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 STEP_S = 0.1
 ANCHORS = {"A1": np.array([0.0, 0.0, 3.0]), "A2": np.array([8.0, 1.0, 2.0])}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.core.model.rig import Rig, Station
-from trackers.recordings.checks.geometry import Dilution, dilution, shape
-from trackers.recordings.kinds import KINDS
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.recordings.checks.geometry import Dilution, dilution, shape
+from trackwright.trackers.recordings.kinds import KINDS
 
 ONE_DEGREE = np.radians(1.0)
 

@@ -10,10 +10,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.model.rig import Rig, Station, Tag
-from trackers.recordings.checks import check, closing_mistakes, quick_check
-from trackers.recordings.checks.closing import moments
-from trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.core.model.rig import Rig, Station, Tag
+from trackwright.trackers.recordings.checks import check, closing_mistakes, quick_check
+from trackwright.trackers.recordings.checks.closing import moments
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {
     "A1": (0.0, 0.0, 2.7), "A2": (6.0, 0.0, 2.4), "A3": (12.0, 0.0, 2.7),

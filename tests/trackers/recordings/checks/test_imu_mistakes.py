@@ -9,11 +9,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim import worlds
-from trackers.recordings.checks import check, quick_check
-from trackers.recordings.checks.imu_mistakes import check_imu
-from trackers.recordings.checks.imu_rows import imu_rows, true_attitude
-from trackers.recordings.folder import RecordingFolder
+from trackwright.sim import worlds
+from trackwright.trackers.recordings.checks import check, quick_check
+from trackwright.trackers.recordings.checks.imu_mistakes import check_imu
+from trackwright.trackers.recordings.checks.imu_rows import imu_rows, true_attitude
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 ACCEL, GYRO = ([f"{name}_{axis}_{unit}" for axis in "xyz"] for name, unit in (("accel", "mps2"), ("gyro", "radps")))
 QUATERNION = ["qw", "qx", "qy", "qz"]

@@ -11,9 +11,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.model.rig import Rig, Station
-from trackers.recordings.checks import check, quick_check
-from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.recordings.checks import check, quick_check
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 
 
 class Mistake(NamedTuple):

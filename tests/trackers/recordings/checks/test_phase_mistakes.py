@@ -9,10 +9,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim import worlds
-from trackers.core.model.rig import Station
-from trackers.recordings.checks import check, quick_check
-from trackers.recordings.folder import RecordingFolder, read_recording
+from trackwright.sim import worlds
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.recordings.checks import check, quick_check
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 
 SIGMA_P = 0.3
 PHASES = [f"phase_{k}_rad" for k in range(1, 9)]

@@ -8,12 +8,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackers.core.model.rig import Rig
-from trackers.recordings.checks import check
-from trackers.recordings.checks.compared import compared, median_of
-from trackers.recordings.checks.residuals import residuals
-from trackers.recordings.checks.robust_fit import robust_fit
-from trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.checks import check
+from trackwright.trackers.recordings.checks.compared import compared, median_of
+from trackwright.trackers.recordings.checks.residuals import residuals
+from trackwright.trackers.recordings.checks.robust_fit import robust_fit
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {
     "A": np.array([0.0, 0.0, 3.0]),

@@ -15,17 +15,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from trackers.core.filters.filter import AbstractFilter, Innovation
-from trackers.core.filters.particle.random import draws
-from trackers.core.filters.particle.resampling import LOG_ZERO, Weights, cached_exp, effective_sample_size
-from trackers.core.filters.particle.score import normal_log_density, resample_with_score, with_score
-from trackers.core.model.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.keys import RawKey
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.sensor import AbstractSensor, Reading, Residual
-from trackers.core.model.state import State, dimension, local, retract
+from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
+from trackwright.trackers.core.filters.particle.random import draws
+from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO, Weights, cached_exp, effective_sample_size
+from trackwright.trackers.core.filters.particle.score import normal_log_density, resample_with_score, with_score
+from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Residual
+from trackwright.trackers.core.model.state import State, dimension, local, retract
 
 
 class Particles(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, DTypeLike, Float, UInt32
 
-from trackers.core.model.keys import RawKey, threefry
+from trackwright.trackers.core.model.keys import RawKey, threefry
 
 
 @cache

@@ -15,7 +15,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from trackers.core.model.state import State
+from trackwright.trackers.core.model.state import State
 
 Tree = TypeVar("Tree")
 

@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from trackers.core.filters.particle.resampling import Weights, resample
-from trackers.core.model.algebra import cholesky, solve_lower, total, triangle
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.state import State, dimension, local
+from trackwright.trackers.core.filters.particle.resampling import Weights, resample
+from trackwright.trackers.core.model.algebra import cholesky, solve_lower, total, triangle
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.state import State, dimension, local
 
 
 @eqx.filter_custom_jvp

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 from jax.interpreters import partial_eval
 
-from trackers.core.model.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
-from trackers.core.model.inputs import Inputs
-from trackers.core.model.linearise import linearise
-from trackers.core.model.motion import AbstractMotion
-from trackers.core.model.sensor import LOG_2PI
-from trackers.core.model.state import State, component_names, dimension, local
+from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.linearise import linearise
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import LOG_2PI
+from trackwright.trackers.core.model.state import State, component_names, dimension, local
 
 
 def check_transition_density(motion: AbstractMotion, state: State, inputs: Inputs) -> None:

@@ -7,16 +7,16 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman
-from trackers.core.data.estimates import Status
-from trackers.core.data.recording import stack
-from trackers.core.filters.particle.filter import ParticleFilter, Particles
-from trackers.core.filters.particle.resampling import effective_sample_size, running_sum, systematic
-from trackers.core.model.algebra import Vector
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.motion import ConstantPosition, Placed
-from trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
-from trackers.core.model.tunable import Constant, Scale
-from trackers.core.run.tracker import Tracker
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
+from trackwright.trackers.core.filters.particle.resampling import effective_sample_size, running_sum, systematic
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.motion import ConstantPosition, Placed
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
+from trackwright.trackers.core.model.tunable import Constant, Scale
+from trackwright.trackers.core.run.tracker import Tracker
 
 KEYS, ROWS = 200, 12
 

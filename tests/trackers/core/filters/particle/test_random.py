@@ -5,8 +5,8 @@ import jax.extend
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.filters.particle.random import draws
-from trackers.core.model.keys import threefry
+from trackwright.trackers.core.filters.particle.random import draws
+from trackwright.trackers.core.model.keys import threefry
 
 
 def test_the_generator_is_the_one_of_jax():

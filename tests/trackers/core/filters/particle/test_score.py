@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.filters.particle.filter import ParticleFilter, Particles
-from trackers.core.filters.particle.resampling import resample
-from trackers.core.filters.particle.score import normal_log_density, resample_with_score, with_score
-from trackers.core.model.algebra import Vector
-from trackers.core.model.covariance import Gaussian
-from trackers.core.model.motion import ConstantPosition, ConstantVelocity, GroundMotion, Kinematic, Placed
-from trackers.core.model.tunable import Constant, freeze
-from trackers.parts.singer import Singer
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
+from trackwright.trackers.core.filters.particle.resampling import resample
+from trackwright.trackers.core.filters.particle.score import normal_log_density, resample_with_score, with_score
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.motion import ConstantPosition, ConstantVelocity, GroundMotion, Kinematic, Placed
+from trackwright.trackers.core.model.tunable import Constant, freeze
+from trackwright.trackers.parts.singer import Singer
 
 N = 64
 

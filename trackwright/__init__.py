@@ -10,7 +10,7 @@ recording into estimates. Tuning returns the same tracker with better noise leve
     estimates = tracker.run(recording)
     print(tw.evaluate(estimates, recording))
 
-All public names of the packages `trackers`, `sim` and `tuning` are here, each imported when it is first used, and
+All public names of `trackwright.trackers`, `.sim` and `.tuning` are here, each imported when it is first used, and
 `trackwright.plot` draws them; docs/concepts.md shows how they fit.
 """
 
@@ -18,24 +18,22 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-import sim
-import trackers
-import tuning
-from trackers.core.errors import near
+from trackwright import sim, trackers, tuning
+from trackwright.trackers.core.errors import near
 
 if TYPE_CHECKING:
-    from experiments.pages.plots import notebook as plot
-    from sim import *  # noqa: F403
-    from sim import worlds as simulate
-    from trackers import *  # noqa: F403
-    from tuning import *  # noqa: F403
+    from trackwright.experiments.pages.plots import notebook as plot
+    from trackwright.sim import *  # noqa: F403
+    from trackwright.sim import worlds as simulate
+    from trackwright.trackers import *  # noqa: F403
+    from trackwright.tuning import *  # noqa: F403
 
 try:
     __version__ = version("trackwright")
 except PackageNotFoundError:
     __version__ = "unknown: not installed"
 
-MODULES = {"simulate": "sim.worlds", "plot": "experiments.pages.plots.notebook"}
+MODULES = {"simulate": "trackwright.sim.worlds", "plot": "trackwright.experiments.pages.plots.notebook"}
 """Names that stand for modules: worlds, and plots that return matplotlib axes."""
 
 __all__ = ["plot", "simulate", *trackers.__all__, *sim.__all__, *tuning.__all__]
