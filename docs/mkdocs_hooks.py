@@ -15,7 +15,12 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("trackers", "sim", "tuning")
+PACKAGES = {
+    "tw": "trackwright",
+    **{f"tw.{name}": name for name in ("sim", "tuning")},
+    **{f"tw.{name}": f"trackers/{name}" for name in ("aoa", "evaluation", "exchange", "line", "parts", "uwb_imu")},
+}
+"""The folders of the stubs by the names under which `import trackwright as tw` has them."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -23,7 +28,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     files.append(File.generated(config, "index.md", content=re.sub(r"\]\(docs/", "](", readme)))
     files.append(File.generated(config, "notebook.md", content=_markdown(ROOT / "docs/notebook.ipynb")))
-    pages = {f"api/{page}.md": content for package in PACKAGES for page, content in _api_pages(package)}
+    pages = {f"api/{page}.md": content for name in PACKAGES for page, content in _api_pages(name)}
     for path, content in pages.items():
         files.append(File.generated(config, path, content=content))
     config.nav = [*(config.nav or []), {"API": ["api.md", *sorted(pages)]}]
@@ -31,8 +36,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def _api_pages(package: str) -> Iterator[tuple[str, str]]:
-    """Name and text of a page for each group of the public names of a package."""
-    text = (ROOT / package / "__init__.pyi").read_text(encoding="utf-8")
+    """Name and text of a page for each group of public names."""
+    text = (ROOT / PACKAGES[package] / "__init__.pyi").read_text(encoding="utf-8")
     homes = {
         alias.asname or alias.name: f"{node.module}.{alias.name}"
         for node in ast.parse(text).body
@@ -46,6 +51,7 @@ def _api_pages(package: str) -> Iterator[tuple[str, str]]:
             title = comment[1]
         elif name:
             groups.setdefault(title, []).append(name[1])
+    groups.pop("modules", None)  # those of the other folders
     for title, names in groups.items():
         short = re.sub(r"\W+", "-", title.partition(":")[0].partition(",")[0]).strip("-")
         parts = [f"::: {homes[name]}" for name in names]

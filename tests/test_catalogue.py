@@ -26,7 +26,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 def _modules():
     """The `eqx.Module`s of the library by their full names."""
     found = {}
-    for module in pkgutil.walk_packages(trackers.__path__, "trackers."):
+    for module in pkgutil.walk_packages(trackers.__path__, "trackwright.trackers."):
         for name, value in vars(importlib.import_module(module.name)).items():
             if isinstance(value, type) and issubclass(value, eqx.Module) and value.__module__ == module.name:
                 found[f"{module.name}.{name}"] = value

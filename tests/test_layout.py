@@ -10,7 +10,7 @@ from types import FunctionType
 
 import pytest
 
-from trackwright import sim, trackers, tuning
+import trackwright as tw
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("trackers", "sim", "tuning", "experiments")
@@ -18,6 +18,8 @@ SYSTEMS = ("baselines", "aoa", "line", "uwb_imu", "mhk")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 LONGEST = 500
+MODULES = ("sim", "tuning", "aoa", "evaluation", "exchange", "line", "parts", "uwb_imu")
+PUBLIC = {"tw": tw, **{f"tw.{name}": getattr(tw, name) for name in MODULES}}
 
 
 def _part(module):
@@ -32,7 +34,7 @@ def _part(module):
     if module.startswith("tuning.design"):
         return "design"
     if package == "experiments":
-        return f"trackwright.experiments.{rest.partition('.')[0]}"
+        return f"experiments.{rest.partition('.')[0]}"
     return package if package in PACKAGES else None
 
 
@@ -62,11 +64,11 @@ LAYERS = ("text", "jobs", "monte_carlo", "pages", "cli", "lab")
 
 OUTSIDE = {*LIBRARY, "sim", "tuning", "design"}
 for count, layer in enumerate(LAYERS, 1):
-    MAY_IMPORT[f"trackwright.experiments.{layer}"] = {
+    MAY_IMPORT[f"experiments.{layer}"] = {
         *OUTSIDE,
-        *(f"trackwright.experiments.{below}" for below in LAYERS[:count]),
+        *(f"experiments.{below}" for below in LAYERS[:count]),
     }
-MAY_IMPORT["experiments."], MAY_IMPORT["trackwright.experiments.__main__"] = set(), {"trackwright.experiments.cli"}
+MAY_IMPORT["experiments."], MAY_IMPORT["experiments.__main__"] = set(), {"experiments.cli"}
 
 
 def _imported(path):
@@ -191,23 +193,16 @@ def test_every_test_file_is_found_by_pytest():
     assert sorted(holders) == TESTS
 
 
-@pytest.mark.parametrize("package", [trackers, sim, tuning], ids=lambda p: p.__name__)
+@pytest.mark.parametrize("package", PUBLIC)
 def test_the_page_of_names_lists_exactly_the_public_names(package):
-    rows = re.findall(
-        rf"^\| `{package.__name__.removeprefix('trackwright.')}` \|[^|]*\|(.*)\|$",
-        (ROOT / "docs/api.md").read_text("utf-8"),
-        re.M,
-    )
+    page = (ROOT / "docs/api.md").read_text("utf-8")
+    rows = re.findall(rf"^\| `{re.escape(package)}` \|[^|]*\|(.*)\|$", page, re.M)
     listed = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
-    assert sorted(listed) == sorted(package.__all__)
+    assert sorted(listed) == sorted(PUBLIC[package].__all__)
     assert len(listed) == len(set(listed))
 
 
 def test_every_public_name_exists_and_has_a_docstring():
-    bare = [
-        f"{package.__name__}.{name}"
-        for package in (trackers, sim, tuning)
-        for name in package.__all__
-        if isinstance(getattr(package, name), (type, FunctionType)) and not getattr(package, name).__doc__
-    ]
+    found = {(package, name): getattr(PUBLIC[package], name) for package in PUBLIC for name in PUBLIC[package].__all__}
+    bare = [key for key, value in found.items() if isinstance(value, (type, FunctionType)) and not value.__doc__]
     assert not bare

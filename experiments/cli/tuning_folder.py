@@ -31,8 +31,8 @@ from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.calibration_file import identity
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.tuning import FitResult
 from trackwright.tuning.data import FitData
+from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue, identifiability_issues
 from trackwright.tuning.intervals import Interval, intervals_of
 from trackwright.tuning.left_out import left_out_values

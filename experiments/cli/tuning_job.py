@@ -26,9 +26,10 @@ from trackwright.trackers.recordings.mapped_rows import mapped
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.trajectories import Trajectory
-from trackwright.tuning import FitResult, checkpoint, fit
+from trackwright.tuning import checkpoint
 from trackwright.tuning.cross_calibration import by_halves, by_others
 from trackwright.tuning.data import FitData, fit_data, fit_segments, judged_dimensions, segments_data
+from trackwright.tuning.fitting import FitResult, fit
 from trackwright.tuning.guessing import first_guess
 from trackwright.tuning.identifiability import cautions
 from trackwright.tuning.intervals import require_possible

@@ -8,7 +8,7 @@ import pytest
 import trackwright as tw
 from trackwright.trackers.core.run.tracker import AbstractTracker
 
-RIG = tw.work_station()
+RIG = tw.sim.work_station()
 STATION = RIG.stations["1"]
 BARE = tw.Station(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 WRONG = {

@@ -12,9 +12,9 @@ from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.core.run.chunks import jitted
-from trackwright.tuning import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.checkpoint import to_arrays
 from trackwright.tuning.fitting import fit
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.optimisation import PATIENCE
 from trackwright.tuning.optimisers import LBFGS, Adam
 from trackwright.tuning.parameters import flatten, select_parameters, with_parameters

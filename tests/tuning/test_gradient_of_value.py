@@ -13,7 +13,7 @@ from trackwright.trackers.core.model.motion import ConstantPosition
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
 from trackwright.trackers.core.model.tunable import Real, Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.tuning import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.optimisation import MultiStart
 from trackwright.tuning.optimisers import AbstractOptimiser
 from trackwright.tuning.parameters import flatten, select_parameters

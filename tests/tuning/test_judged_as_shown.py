@@ -10,7 +10,7 @@ from scipy import stats
 from trackwright.sim.agv import simulate_agv
 from trackwright.sim.stations import simulate_phases, work_station
 from trackwright.sim.worlds import ranges as ranges_world
-from trackwright.trackers import build
+from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.evaluation.evaluate import associate
 from trackwright.trackers.evaluation.scoring import covariances, score

@@ -10,7 +10,7 @@ import trackwright as tw
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackwright.trackers.core.data.recording import Recording, stack
-from trackwright.tuning import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.core.data.recording import stack
-from trackwright.tuning import NegativeLogLikelihood
+from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.optimisation import MultiStart
 from trackwright.tuning.optimisers import LBFGS
 from trackwright.tuning.parameters import flatten, select_parameters

@@ -11,7 +11,7 @@ from trackwright.trackers.core.model.tunable import Real, Scale
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.tracker import line_motion
 from trackwright.trackers.line.tracker import line_tracker as particle_tracker
-from trackwright.tuning import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.parameters import Parameter, select_parameters
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.sweeping import Sweep, grid_vectors, sweep

@@ -14,11 +14,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from trackwright.trackers.core.errors import near
+
 
 def names_on_demand(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of the package whose `__init__.py` is `file`.
+    """`__getattr__`, `__dir__` and `__all__` of the package whose `__init__.py` is `file`; names may stand for modules.
 
-    No public name may be that of a module of the package, which an import would set in its place.
+    No function or class may have the name of a module of the package, which an import would set in its place.
     """
     tree = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
     homes = {
@@ -32,11 +34,12 @@ def names_on_demand(package: str, file: str) -> tuple[Callable[[str], Any], Call
     def get(name: str) -> Any:
         if name in homes:
             module, original = homes[name]
-            found = getattr(importlib.import_module(module), original)
+            inside = find_spec(f"{module}.{original}") if hasattr(importlib.import_module(module), "__path__") else None
+            found = importlib.import_module(inside.name) if inside else getattr(sys.modules[module], original)
         elif find_spec(f"{package}.{name}") is not None:
             found = importlib.import_module(f"{package}.{name}")
         else:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+            raise AttributeError(f"module {package!r} has no attribute {name!r}{near(name, public)}")
         setattr(sys.modules[package], name, found)
         return found
 

@@ -1,1 +1,5 @@
 """Estimates against truth: association, scores, metrics, and what they say."""
+
+from trackwright.trackers.core.on_demand import names_on_demand
+
+__getattr__, __dir__, __all__ = names_on_demand(__name__, __file__)

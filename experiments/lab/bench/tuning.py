@@ -24,7 +24,8 @@ from trackwright.experiments.lab.bench.beam import (
     with_dynamax,
 )
 from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown, turns
-from trackwright.tuning import NegativeLogLikelihood, fit
+from trackwright.tuning.fitting import fit
+from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
 from trackwright.tuning.problem import Problem
 

@@ -10,14 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers import Gaussian, Readings, Recording, Tracker, Vector, stack
 from trackwright.trackers.aoa.fusion import BearingSensor
 from trackwright.trackers.aoa.phases import AbstractPhaseSensor
-from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.filters.imm import AbstractInteractingModels, AbstractSwitching
-from trackwright.trackers.core.model.algebra import triangle
+from trackwright.trackers.core.model.algebra import Vector, triangle
+from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
 from trackwright.trackers.core.model.state import retract
+from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.fixes import FloorFixes
 from trackwright.trackers.parts.fixes import AbstractFixSensor
 from trackwright.trackers.parts.ranges import RangeSensor

@@ -30,7 +30,8 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.motion import PathState
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
-from trackwright.tuning import NegativeLogLikelihood, fit
+from trackwright.tuning.fitting import fit
+from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import Parameter, component_names, flatten, select_parameters, with_parameters
 from trackwright.tuning.uncertainty import By, unused
 
@@ -128,7 +129,7 @@ def _positions(view: Any) -> np.ndarray:
 def carts() -> System:
     """B: a cart on a bent line, by the grid filter; a coarser grid would bias the noise of the fixes low."""
     line, sigma_p = tw.Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]]), 0.3
-    tracker = tw.line_grid_tracker(tw.LineMotion(line, 0.04), {FIXES: FloorFixes(sigma_p)}, 0.03, 0.6, 32)
+    tracker = tw.line_grid_tracker(tw.line.LineMotion(line, 0.04), {FIXES: FloorFixes(sigma_p)}, 0.03, 0.6, 32)
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
         position = _positions(view)[:, :2]

@@ -21,9 +21,8 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
 from trackwright.trackers.recordings.selection import Selection
-from trackwright.tuning import FitResult
 from trackwright.tuning.cross_calibration import halves
-from trackwright.tuning.fitting import fit
+from trackwright.tuning.fitting import FitResult, fit
 from trackwright.tuning.left_out import left_out_values
 
 

@@ -30,7 +30,7 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Scale, replaced, tunables
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.tracks import batches
-from trackwright.tuning import fit
+from trackwright.tuning.fitting import fit
 from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.objectives import Weighted
 from trackwright.tuning.optimisers import LBFGS, Adam

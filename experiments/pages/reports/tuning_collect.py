@@ -24,10 +24,9 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.tracks import batches, for_positions
 from trackwright.trackers.recordings.trajectories import Trajectory
-from trackwright.tuning import FitResult
 from trackwright.tuning.data import FitData
 from trackwright.tuning.diagnostics import absolute_errors, innovations_of
-from trackwright.tuning.fitting import Step
+from trackwright.tuning.fitting import FitResult, Step
 from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.implied_spread import implied_spread
 from trackwright.tuning.intervals import Interval

@@ -16,9 +16,9 @@ from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli import tuning_job as tune_command
 from trackwright.experiments.pages.plots import track_folder
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.tuning import NegativeLogLikelihood
 from trackwright.tuning.checkpoint import save
 from trackwright.tuning.intervals import require_possible
+from trackwright.tuning.objectives import NegativeLogLikelihood
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

@@ -14,7 +14,7 @@ from trackwright.experiments.pages.reports.recordings_compared import Compared
 from trackwright.experiments.pages.reports.worse_recordings import worse
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
-from trackwright.tuning import fit
+from trackwright.tuning.fitting import fit
 
 FIT = ("--tracker", "fix-kf", "--tune", "sensors.fixes.sigma_horizontal", "--starts", 1, "--no-figures")
 

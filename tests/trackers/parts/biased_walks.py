@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackwright import trackers as tw
+import trackwright as tw
 
 LEVELS = {
     "sigma_a": 0.3,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trackwright.sim import worlds as simulate
-from trackwright.trackers import build
+from trackwright.trackers.catalogue import build
 from trackwright.trackers.parts.range_rows import range_trajectories
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.calibration import UNCALIBRATED, AnchorCalibration, Calibration

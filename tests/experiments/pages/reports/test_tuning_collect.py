@@ -11,8 +11,8 @@ from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import batches
-from trackwright.tuning import fit
 from trackwright.tuning.data import FitData, fit_data
+from trackwright.tuning.fitting import fit
 from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.intervals import intervals_of
 from trackwright.tuning.named_objectives import parse_objective

@@ -24,7 +24,7 @@ TIMES = np.arange(ROWS) * 0.1
 PATH = np.stack([4 + 2 * np.cos(TIMES), 3 + 1.5 * np.sin(TIMES), 1.0 + 0.0 * TIMES], axis=1)
 ANCHORS = np.array([[0.0, 0.0, 2.5], [8.0, 0.0, 1.0], [8.0, 6.0, 2.5], [0.0, 6.0, 1.0]])
 DISTANCES = np.linalg.norm(PATH[:, None] - ANCHORS, axis=-1)
-STATIONS = tw.work_station().stations
+STATIONS = tw.sim.work_station().stations
 PHASES = np.zeros((ROWS, 8))
 
 
