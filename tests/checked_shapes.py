@@ -6,7 +6,7 @@ from typing import Any, get_args, get_origin
 from beartype import BeartypeConf, beartype
 from jaxtyping import AbstractArray, install_import_hook
 
-PACKAGES = ["trackwright.trackers.core", "tuning", "sim"]
+PACKAGES = ["trackwright.trackers.core", "trackwright.tuning", "trackwright.sim"]
 
 _beartype = beartype(conf=BeartypeConf(is_pep484_tower=True))
 

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import os
 import re
-import shutil
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
-from venv import EnvBuilder
 
 import numpy as np
 import polars as pl
@@ -269,68 +265,6 @@ def test_the_site_is_built_without_a_broken_link(tmp_path):
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Smoothed" in "".join(page.read_text("utf-8") for page in (tmp_path / "api").glob("*.html"))
-
-
-@pytest.mark.slow
-def test_a_wheel_has_all_files_of_the_packages_and_the_command(tmp_path):
-    for name in ("trackers", "sim", "tuning", "experiments", "trackwright"):
-        shutil.copytree(ROOT / name, tmp_path / name, symlinks=True)
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, tmp_path / name)
-    line = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", str(tmp_path), "-w", str(tmp_path)]
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
-    if "No matching distribution found for setuptools" in done.stderr:
-        pytest.skip("no package index that pip can reach, for setuptools")
-    assert done.returncode == 0, done.stderr
-    (wheel,) = tmp_path.glob("trackwright-*.whl")
-    held = set(zipfile.ZipFile(wheel).namelist())
-    assert {name.partition("/")[0].partition("-")[0] for name in held} == {"trackwright"}
-    left_out = ("experiments/lab/bench", "experiments/lab/validation")
-    ours = [
-        f"trackwright/{path.relative_to(ROOT).as_posix()}"
-        for package in ("trackers", "sim", "tuning", "experiments")
-        for path in (ROOT / package).rglob("*")
-        if path.is_file() and not path.relative_to(ROOT).as_posix().startswith(left_out)
-    ]
-    missing = [name for name in ours if not name.endswith((".md", ".json", ".pyc")) and name not in held]
-    assert not missing
-    assert not [name for name in held if name.startswith(tuple(f"trackwright/{folder}" for folder in left_out))]
-    assert "trackwright/py.typed" in held
-    (entry,) = (name for name in held if name.endswith("entry_points.txt"))
-    assert b"trackwright = trackwright.experiments.cli.main:main" in zipfile.ZipFile(wheel).read(entry)
-
-
-@pytest.fixture
-def installed(tmp_path):
-    """The interpreter of an environment in which the packages are installed, as a wheel would install them."""
-    EnvBuilder(with_pip=False, symlinks=True).create(tmp_path / "env")
-    (packages,) = (tmp_path / "env" / "lib").glob("python3*/site-packages")
-    (packages / "trackwright").symlink_to(ROOT / "trackwright")
-    (tmp_path / "project").mkdir()
-    return tmp_path / "env" / "bin" / "python"
-
-
-def test_an_editor_in_a_users_project_finds_every_public_name(installed, tmp_path):
-    jedi = pytest.importorskip("jedi", reason="comes with ipykernel")
-    script = jedi.Script(
-        "import trackwright as tw\ntw.",
-        environment=jedi.create_environment(tmp_path / "env", safe=False),
-        project=jedi.Project(tmp_path / "project"),
-    )
-    found = {completion.name for completion in script.complete(2, 3)}
-    assert {*tw.__all__} <= found
-
-
-@pytest.mark.slow
-def test_mypy_in_a_users_project_checks_calls(installed, tmp_path):
-    (tmp_path / "project" / "mine.py").write_text(
-        "import trackwright as tw\n\ntw.build(3, [])\nreveal_type(tw.evaluate)\n"
-    )
-    line = [sys.executable, "-m", "mypy", "--python-executable", str(installed), "--ignore-missing-imports", "mine.py"]
-    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")}
-    done = subprocess.run(line, cwd=tmp_path / "project", env=environment, capture_output=True, text=True, check=False)
-    assert 'Argument 1 to "build" has incompatible type "int"' in done.stdout, done.stdout
-    assert "trackwright.trackers.evaluation.evaluate.Evaluation" in done.stdout
 
 
 @pytest.mark.parametrize("folder", ["trackers/core", "trackers/recordings"])

@@ -31,7 +31,7 @@ from trackwright.trackers.programs.freed_memory import give_back
 from trackwright.trackers.programs.program_cache import ProgramStore, compiling_anew, processor
 
 OURS = ("trackers", "tuning")
-KNOWN = {*OURS, "builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy"}
+KNOWN = {"builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy"}
 """The packages whose classes and functions may occur in a key: their text or version is part of it."""
 
 USERS_FILE = "trackwright_"
@@ -153,7 +153,8 @@ class _KeyPickler(pickle.Pickler):
 
     def reducer_override(self, obj: Any) -> Any:
         module = getattr(obj if isinstance(obj, type) or callable(obj) else type(obj), "__module__", None) or ""
-        if module.partition(".")[0] not in KNOWN:
+        ours = tuple(f"trackwright.{package}." for package in OURS)
+        if module.partition(".")[0] not in KNOWN and not module.startswith(ours):
             raise pickle.PicklingError(f"{obj!r}: of {module}")
         return NotImplemented
 
