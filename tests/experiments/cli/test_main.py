@@ -113,7 +113,7 @@ def test_help_a_check_and_a_refusal_import_no_jax(beginnings, tmp_path, argument
         *(["numpy", "polars"] if "--help" in words or words == ["track", words[1]] else []),
     ]
     program = (
-        "import sys\nfrom experiments.cli.main import main\n"
+        "import sys\nfrom trackwright.experiments.cli.main import main\n"
         f"sys.argv = ['trackwright', *{words!r}]\n"
         "try: main()\n"
         "except SystemExit as end: assert end.code == int(sys.stdin.read()), end.code\n"

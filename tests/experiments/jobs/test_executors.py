@@ -113,7 +113,9 @@ def test_processes_that_end_while_they_start_are_refused_in_one_line(monkeypatch
 
 def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
     distributed = pytest.importorskip("distributed")
-    other = "import experiments.jobs.environment\nexperiments.jobs.environment._version = lambda name: '0.0.1'\n"
+    other = (
+        "import trackwright.experiments.jobs.environment as environment\nenvironment._version = lambda name: '0.0.1'\n"
+    )
     file = tmp_path / "small.toml"
     file.write_text(TOML)
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, preload=other, dashboard_address=":0") as started:

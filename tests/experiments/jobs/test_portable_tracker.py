@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-import trackwright.sim.worlds
+from trackwright import sim
 from tests.in_process import trackwright
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor
@@ -18,7 +18,7 @@ from trackwright.trackers.catalogue import build
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.folder import read_recordings
 
-MINE = "from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
+MINE = "from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
 
 
 @pytest.fixture(scope="module")

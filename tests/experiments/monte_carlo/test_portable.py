@@ -18,7 +18,7 @@ from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.experiments.pages.reports.study_text import to_json
 from trackwright.trackers.core.errors import UnusableInput
 
-MINE = "from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
+MINE = "from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
 PYTHON = """
 import numpy as np
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World

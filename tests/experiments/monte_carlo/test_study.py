@@ -294,7 +294,7 @@ def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, mes
 
 def test_a_tracker_of_a_users_own_file_takes_part(tmp_path):
     mine, file = tmp_path / "mine.py", tmp_path / "study.toml"
-    mine.write_text("from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n")
+    mine.write_text("from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n")
     file.write_text(TOML.replace("[trackers.moving-average]", f"[trackers.mine]\ntracker = '{mine}:MINE'"))
     study = load_study(str(file))
     results = run_study(study, tmp_path / "out")

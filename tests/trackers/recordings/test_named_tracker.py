@@ -144,7 +144,9 @@ def test_estimates_of_several_recordings_become_one_table_with_their_times():
 
 
 def test_a_trackers_file_may_import_the_one_beside_it(tmp_path, monkeypatch):
-    (tmp_path / "beside_for_test.py").write_text("from trackers.catalogue import spec_of\n\nBASE = spec_of('fix-kf')\n")
+    (tmp_path / "beside_for_test.py").write_text(
+        "from trackwright.trackers.catalogue import spec_of\n\nBASE = spec_of('fix-kf')\n"
+    )
     (tmp_path / "mine.py").write_text("from beside_for_test import BASE\n\nMINE = BASE\n")
     monkeypatch.setattr(sys, "path", list(sys.path))
     assert spec_of(f"{tmp_path / 'mine.py'}:MINE").table == "fixes"
