@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from trackwright import sim
 from trackwright.sim.corruptions import constant_offsets, drop_outs, gauss_markov, lose_station, outliers
 from trackwright.sim.paths import WORK_VOLUME, hand_motion
 from trackwright.sim.phases import plane_phases, spherical_phases, wrapped

@@ -9,8 +9,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackwright import sim
 from tests.in_process import trackwright
+from trackwright import sim
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor
 from trackwright.experiments.jobs.portable_tracker import run_on
