@@ -61,11 +61,11 @@ from trackwright.trackers.core.model.tunable import tunables as tunables
 from trackwright.trackers.core.run.checks import BrokenContract as BrokenContract
 from trackwright.trackers.core.run.checks import check_motion as check_motion
 from trackwright.trackers.core.run.checks import check_sensor as check_sensor
-from trackwright.trackers.core.run.initial import TrackerState as TrackerState
 from trackwright.trackers.core.run.smoother import Smoothed as Smoothed
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy as TrackLossPolicy
 from trackwright.trackers.core.run.tracker import AbstractTracker as AbstractTracker
 from trackwright.trackers.core.run.tracker import Tracker as Tracker
+from trackwright.trackers.core.run.tracker import TrackerState as TrackerState
 from trackwright.trackers.core.run.tracker import filter_batch as filter_batch
 from trackwright.trackers.evaluation.evaluate import Evaluation as Evaluation
 from trackwright.trackers.evaluation.evaluate import evaluate as evaluate

@@ -25,8 +25,8 @@ from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.sensor import Reading, Row
 from trackwright.trackers.core.model.state import State
 from trackwright.trackers.core.model.tunable import freeze
-from trackwright.trackers.core.run.carry import initial_carry
 from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.scan import initial_carry
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
 

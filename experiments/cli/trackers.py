@@ -118,7 +118,7 @@ def _simulated_folders() -> Iterator[RecordingFolder]:
 def _rows(named: NamedTracker) -> list[dict[str, Any]]:
     import numpy as np
 
-    from trackwright.trackers.core.model.tunable_meaning import meanings
+    from trackwright.trackers.core.model.tunable import meanings
     from trackwright.tuning.parameters import noise_levels
 
     sentences = meanings(named.tracker)

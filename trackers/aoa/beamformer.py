@@ -7,7 +7,6 @@ its start (Will et al. 2020, section 4).
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.aoa.peak import Blocks, power, strongest_index
+from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.rig import Station
 
 
@@ -24,9 +24,9 @@ class Grid(eqx.Module):
     `blocks`: of neighbouring directions, None for a grid that is searched in full.
     """
 
-    angles: Any
-    cosine: Any
-    sine: Any
+    angles: AnyArray
+    cosine: AnyArray
+    sine: AnyArray
     blocks: Blocks | None
 
     @classmethod
@@ -36,7 +36,7 @@ class Grid(eqx.Module):
 
     @classmethod
     def in_plane(cls, station: Station, resolution: float = np.deg2rad(1.0)) -> Grid:
-        """All directions in the array's own plane; `angles` (G, 1): about its z axis from its x axis, rad."""
+        """All directions in the plane of the array; `angles` (G, 1): about its z axis from its x axis, rad."""
         heading = np.arange(-np.pi, np.pi - 1e-9, resolution)
         return _responses(*_array(station), heading[:, None], np.cos(heading), np.sin(heading))
 
@@ -48,7 +48,7 @@ def _square(array: tuple[tuple[float, float], ...], wavelength: float, span: flo
     azimuth, elevation = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
     x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
     grid = _responses(array, wavelength, np.stack([azimuth, elevation], axis=1), x, y)
-    return Grid(grid.angles, grid.cosine, grid.sine, Blocks.of(grid.cosine, grid.sine))
+    return Grid(grid.angles, grid.cosine, grid.sine, Blocks.of(np.asarray(grid.cosine), np.asarray(grid.sine)))
 
 
 def _array(station: Station) -> tuple[tuple[tuple[float, float], ...], float]:
@@ -67,13 +67,13 @@ def _responses(
     return Grid(angles, np.cos(phase), np.sin(phase), None)
 
 
-def delay_and_sum(grid: Grid, phases: Any, seen: Any) -> jax.Array:
+def delay_and_sum(grid: Grid, phases: AnyArray, seen: AnyArray) -> jax.Array:
     """The power |Σ exp(i(φ − steering))|² of each direction, (…, G), for phases and masks (…, n)."""
     weight = jnp.where(seen, 1.0, 0.0).astype(phases.dtype)
     return power(weight * jnp.cos(phases), weight * jnp.sin(phases), grid.cosine, grid.sine)
 
 
-def direction(grid: Grid, phases: Any, seen: Any) -> Any:
+def direction(grid: Grid, phases: AnyArray, seen: AnyArray) -> jax.Array:
     """The angles (2,) or (1,), rad, at which the delay-and-sum spectrum of one row, phases and masks (n,), is largest.
 
     The same as `strongest` of `delay_and_sum` up to rounding, for a tenth of the computing time.
@@ -83,7 +83,7 @@ def direction(grid: Grid, phases: Any, seen: Any) -> Any:
     return jnp.asarray(grid.angles)[strongest_index(grid.cosine, grid.sine, grid.blocks, phases, seen)]
 
 
-def snapshots(phases: Any, seen: Any) -> jax.Array:
+def snapshots(phases: AnyArray, seen: AnyArray) -> jax.Array:
     """The sample covariance (…, n, n), complex, of the unit phasors of several rows (…, rows, n)."""
     phasor = jax.lax.complex(jnp.cos(phases), jnp.sin(phases))
     x = jnp.where(seen, phasor, jnp.zeros_like(phasor))

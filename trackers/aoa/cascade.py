@@ -21,7 +21,7 @@ from trackwright.trackers.core.model.motion import ConstantVelocity
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.scan import Output, ScanState
 from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker, Tracker
 from trackwright.trackers.parts.start_nearby import NEARBY, NearbyStart
@@ -37,7 +37,7 @@ class CascadeState(NamedTuple):
 class Cascade(AbstractEpochwiseTracker):
     """A beam tracker per station, `beams` by the stations' names in a recording, and the `fusion` of their angles.
 
-    As in the paper, the estimates of a beam tracker are fused as readings with independent errors;
+    As in the paper, estimates of a beam tracker are fused as readings with independent errors;
     `fusion.sensors.bearings.reported_std_scale` scales their standard deviations where that makes them too small.
     `geometry`: origin and axes (12,) of each station; `centre` (3,) m: see `region_centre`.
     """
@@ -48,7 +48,7 @@ class Cascade(AbstractEpochwiseTracker):
     centre: Any
 
     def check_layout(self, layout: Layout) -> None:
-        """Each beam tracker reads its station's readings; `bearings` and their inputs are made of these."""
+        """Checks the readings of each station; `bearings` and their inputs are made of the beams' estimates."""
         for beam in self.beams.values():
             beam.check_layout(layout)
         made = {one.name: one.row_shape(2) for one in (ORIGIN, AXES, NEARBY)}
@@ -69,7 +69,7 @@ class Cascade(AbstractEpochwiseTracker):
         return self._per_row(output), CascadeState(states, fusion)
 
     def begin(self, prior: Gaussian, batch: Batch) -> CascadeState:
-        """The fusion begins with `prior`; the beam trackers start by their own measurements."""
+        """The fusion begins with `prior`; each beam tracker starts by its measurements."""
         return CascadeState(None, self.fusion.begin(prior, batch))
 
     def _bearings(self, batch: Batch, readings: list[Reading]) -> Batch:

@@ -1,4 +1,4 @@
-"""Delay-and-sum on every row by itself, the baseline of the beam tracker (Will et al. 2020, section 4.1)."""
+"""Delay-and-sum on each row separately, the baseline of the beam tracker (Will et al. 2020, section 4.1)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trackwright.trackers.core.model.algebra import triangle
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.model.sensor import Channel
 from trackwright.trackers.core.model.state import Heading
-from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker
 

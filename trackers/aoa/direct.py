@@ -28,7 +28,7 @@ from trackwright.trackers.core.run.tracker import Tracker
 class PhaseStart(AbstractStart):
     """A start at the point nearest to the delay-and-sum beams of one row, at rest.
 
-    It needs `stations` stations with three phases or more. `sigma_position` m, `sigma_velocity` m/s: standard
+    A start takes `stations` stations with three phases or more. `sigma_position` m, `sigma_velocity` m/s: standard
     deviations.
     """
 

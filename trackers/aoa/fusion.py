@@ -13,10 +13,9 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.aoa.calibrated import CALIBRATION, measured_angles
 from trackwright.trackers.core.errors import is_count, require
 from trackwright.trackers.core.model.algebra import Scalar, Vector, total
-from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs, Need
+from trackwright.trackers.core.model.inputs import HEIGHT, AnyArray, Input, Inputs, Need
 from trackwright.trackers.core.model.motion import Noise
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.model.sensor import (
@@ -61,6 +60,32 @@ STATION = Input(
     Need.IF_GIVEN,
 )
 """The input with the number of a row's station."""
+
+
+CALIBRATION = Input(
+    "calibration",
+    (12,),
+    "",
+    "offset, gain, cubic and cross term of azimuth and of elevation, and lowest and highest value of each in the fit",
+    "`folder.calibrated(calibration)`",
+    Need.IF_GIVEN,
+)
+"""The input with the systematic errors of a row's station."""
+
+
+def measured_angles(true: Sequence[Scalar], calibration: AnyArray) -> tuple[Scalar, Scalar]:
+    """The measured azimuth and elevation, rad, given the true ones; linear beyond the span of the fit.
+
+    The model of `recordings/calibration.py`, for JAX.
+    """
+    azimuth, elevation = true
+    inside = [jnp.clip(a, calibration[8 + 2 * k], calibration[9 + 2 * k]) for k, a in enumerate(true)]
+
+    def measured(k: int, a: Scalar, clipped: Scalar, other: Scalar) -> Scalar:
+        offset, gain, cubic, cross = (calibration[4 * k + i] for i in range(4))
+        return offset + a * (gain + cross * other) + cubic * clipped * clipped * (3.0 * a - 2.0 * clipped)
+
+    return measured(0, azimuth, inside[0], inside[1]), measured(1, elevation, inside[1], inside[0])
 
 
 class BearingSensor(AbstractSensor):
@@ -170,9 +195,9 @@ def bearing_tracker(
     """Position and velocity from the bearings of numbered stations, with a drifting bias of each one's two angles.
 
     The bearings-only EKF of Will et al. 2020, section 4.2, with Student's t instead of a gate, and with biases: errors
-    of real bearings last. Motion numbers as in `DriftingBiases`, with the biases of azimuth and elevation, rad; sensor
-    numbers as in `BearingSensor`. The defaults are for uncalibrated stations whose bearings are averages over 0.5 s;
-    those of calibrated ones are `CALIBRATED`. `planar`: at a known height.
+    of real bearings are correlated in time. Motion numbers as in `DriftingBiases`, with the biases of azimuth and
+    elevation, rad; sensor numbers as in `BearingSensor`. The defaults are for uncalibrated stations whose bearings are
+    averages over 0.5 s; `CALIBRATED` has the values for calibrated ones. `planar`: at a known height.
     """
     expected = "the number of stations, as bearing_tracker(len(rig.stations))"
     require(is_count(stations), "bearing_tracker", stations, expected)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+
+from trackwright.trackers.core.model.inputs import AnyArray
 
 SPEED_OF_LIGHT = 299_792_458.0
 """In vacuum, m/s."""
@@ -28,11 +28,11 @@ DEFAULT_ANTENNAS = np.array(
 
 The figure with the true positions is lost. These are fitted: the bounds of the five antenna sets of Table 1 have the
 ratios of the printed errors; among the many such layouts this one has low ambiguity. `python -m
-experiments.lab.papers.will_2020.fit_array_layout` prints them.
+trackwright.experiments.lab.papers.will_2020.fit_array_layout` prints them.
 """
 
 
-def boresight_bounds(antennas: Any, wavelength: float = DEFAULT_WAVELENGTH, sigma_p: float = 1.0) -> Any:
+def boresight_bounds(antennas: AnyArray, wavelength: float = DEFAULT_WAVELENGTH, sigma_p: float = 1.0) -> np.ndarray:
     """Cramér–Rao bounds (…, 2), rad, of azimuth and elevation at boresight from one row of phases of one array.
 
     `antennas` (..., n, 2) in m, `sigma_p` the phase noise in rad. One unknown common offset leaves the information

@@ -1,13 +1,13 @@
-"""The largest value of a delay-and-sum spectrum without the whole spectrum: a coarse grid, then the best blocks.
+"""The maximum of a delay-and-sum spectrum without computing all of it: a coarse grid, then the best blocks.
 
-The magnitude f of the spectrum is that of a sum of unit phasors, so that from its largest value on the grid it falls by
-at most
+The magnitude f of the spectrum is the modulus of a sum of unit phasors, so that from its maximum on the grid it falls
+by at most
 
     f(u*) − f(u) ≤ ½ Σ_m (2 (a_m² + b_m²) + (2 a_m + 2 b_m)²)
 
 up to two grid steps away along each axis, where a_m and b_m are the phase changes of antenna m, about their mean over
-the antennas, in one step of either axis. A block whose centre is lower than that below the largest value found cannot
-contain a larger one. Rows in which more than `BLOCKS` blocks remain are searched in full.
+the antennas, in one step of either axis. A block whose centre is lower than the maximum so far by more than this bound
+cannot contain a larger value. Rows in which more than `BLOCKS` blocks remain are searched in full.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
+from trackwright.trackers.core.model.inputs import AnyArray
+
 REACH = 2
 """Grid steps from the centre of a block to its edge."""
 
@@ -30,20 +32,20 @@ IN_FULL_AT_ONCE = 4
 """Rows searched in full together."""
 
 MARGIN = 1.1
-"""Factor of the bound, for changes of phase that are not quite linear in the angles."""
+"""Factor of the bound, since phases are not quite linear in the angles."""
 
 
 class Blocks(eqx.Module):
     """Blocks of a square grid of directions: the responses at their centres, `cosine`, `sine` (n, blocks).
 
-    `index` (blocks, size): the numbers in the grid of all directions of each. `fall` (n,): the share of each antenna in
-    the bound.
+    `index` (blocks, size): the indices of each block's directions in the grid. `fall` (n,): the share of each antenna
+    in the bound.
     """
 
-    cosine: Any
-    sine: Any
-    index: Any
-    fall: Any
+    cosine: AnyArray
+    sine: AnyArray
+    index: AnyArray
+    fall: AnyArray
 
     @classmethod
     def of(cls, cosine: np.ndarray, sine: np.ndarray) -> Blocks | None:
@@ -63,25 +65,23 @@ class Blocks(eqx.Module):
         return cls(cosine[:, middle], sine[:, middle], index.reshape(-1, width * width).astype(np.int32), fall)
 
 
-def power(c: jax.Array, s: jax.Array, cosine: Any, sine: Any) -> jax.Array:
+def power(c: jax.Array, s: jax.Array, cosine: AnyArray, sine: AnyArray) -> jax.Array:
     """|Σ (c + i s)(cosine − i sine)|², (…, G), of weighted phasors (…, n) and responses (n, G)."""
     real = c @ cosine + s @ sine
     imaginary = s @ cosine - c @ sine
     return real * real + imaginary * imaginary
 
 
-def strongest_index(cosine: Any, sine: Any, blocks: Blocks, phases: Any, seen: Any) -> Any:
-    """The number of the direction of largest power, the first of equal ones, for one row of phases and masks (n,)."""
-    return _strongest(cosine, sine, blocks, phases, seen)
-
-
 @custom_vmap
-def _strongest(cosine: Any, sine: Any, blocks: Blocks, phases: Any, seen: Any) -> Any:
+def strongest_index(cosine: AnyArray, sine: AnyArray, blocks: Blocks, phases: AnyArray, seen: AnyArray) -> jax.Array:
+    """The index of the direction of largest power, the first of equal ones, for one row of phases and masks (n,)."""
     return _rows(cosine, sine, blocks, phases[None], seen[None])[0]
 
 
-@_strongest.def_vmap
-def _in_rows(size: int, batched: Any, cosine: Any, sine: Any, blocks: Any, phases: Any, seen: Any) -> tuple[Any, Any]:
+@strongest_index.def_vmap
+def _in_rows(
+    size: int, batched: Any, cosine: AnyArray, sine: AnyArray, blocks: Any, phases: AnyArray, seen: AnyArray
+) -> tuple[Any, Any]:
     if any(jax.tree_util.tree_leaves(batched[:3])):
         raise ValueError("the grid of a beamformer is mapped over; expected one grid for all trajectories")
     rows = (
@@ -90,8 +90,8 @@ def _in_rows(size: int, batched: Any, cosine: Any, sine: Any, blocks: Any, phase
     return _rows(cosine, sine, blocks, *rows), True
 
 
-def _rows(cosine: Any, sine: Any, blocks: Blocks, phases: Any, seen: Any) -> Any:
-    """The numbers (B,) of the strongest directions for rows of phases and masks (B, n)."""
+def _rows(cosine: AnyArray, sine: AnyArray, blocks: Blocks, phases: AnyArray, seen: AnyArray) -> jax.Array:
+    """The indices (B,) of the strongest directions for rows of phases and masks (B, n)."""
     weight = jnp.where(seen, 1.0, 0.0).astype(phases.dtype)
     c, s = weight * jnp.cos(phases), weight * jnp.sin(phases)
     centres, chosen = jax.lax.top_k(power(c, s, blocks.cosine, blocks.sine), BLOCKS)
@@ -100,23 +100,24 @@ def _rows(cosine: Any, sine: Any, blocks: Blocks, phases: Any, seen: Any) -> Any
     for m in range(phases.shape[-1]):
         # One antenna at a time: gathers and sums of products in one pass over memory.
         cos, sin = (jnp.asarray(x)[m].at[numbers].get(mode="promise_in_bounds") for x in (cosine, sine))
-        own_c, own_s = c[:, m, None, None], s[:, m, None, None]
-        real, imaginary = real + own_c * cos + own_s * sin, imaginary + own_s * cos - own_c * sin
+        c_m, s_m = c[:, m, None, None], s[:, m, None, None]
+        real, imaginary = real + c_m * cos + s_m * sin, imaginary + s_m * cos - c_m * sin
     inside = real * real + imaginary * imaginary
     best = jnp.max(inside, axis=(1, 2))
-    found = jnp.min(jnp.where(inside == best[:, None, None], numbers, cosine.shape[1]), axis=(1, 2))
-    # Not the last of `centres`: for a slice XLA (jaxlib 0.10) sorts all blocks, at ten times the cost of the rest.
+    strongest = jnp.min(jnp.where(inside == best[:, None, None], numbers, cosine.shape[1]), axis=(1, 2))
+    # A minimum, not the last of `centres`: for a slice XLA (jaxlib 0.10) sorts all blocks, at ten times the other
+    # costs.
     unsure = jnp.sqrt(jnp.min(centres, axis=1)) >= jnp.sqrt(best) - weight @ jnp.asarray(blocks.fall, weight.dtype)
-    # Rows without a phase, as in padding, have the first direction whatever the search.
+    # Rows without a phase, as in padding, have the first direction anyway.
     unsure = unsure & jnp.any(seen, axis=1)
     size = len(phases)
     n_at_once = min(IN_FULL_AT_ONCE, size)
 
     def some(state: tuple[Any, Any]) -> tuple[Any, Any]:
-        unsure, found = state
+        unsure, strongest = state
         rows = jnp.nonzero(unsure, size=n_at_once, fill_value=size)[0]
-        own_c, own_s = (jnp.take(x, rows, axis=0, mode="clip") for x in (c, s))
-        full = jnp.argmax(power(own_c, own_s, cosine, sine), axis=-1).astype(found.dtype)
-        return unsure.at[rows].set(False, mode="drop"), found.at[rows].set(full, mode="drop")
+        c_rows, s_rows = (jnp.take(x, rows, axis=0, mode="clip") for x in (c, s))
+        full = jnp.argmax(power(c_rows, s_rows, cosine, sine), axis=-1).astype(strongest.dtype)
+        return unsure.at[rows].set(False, mode="drop"), strongest.at[rows].set(full, mode="drop")
 
-    return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (unsure, found))[1]
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (unsure, strongest))[1]

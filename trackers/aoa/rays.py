@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.core.data.sorted_parts import first_not_before
+from trackwright.trackers.core.data.seconds import first_not_before
 from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.inputs import AnyArray
 
 MIN_INFORMATION = 0.02
-"""Smallest eigenvalue of the information matrix, per ray (0 … ⅔), with which a point is determined."""
+"""Smallest eigenvalue of the information matrix, per ray (0 … ⅔), at which a point is determined."""
 
 
-def unit_vector(azimuth: Scalar, elevation: Scalar) -> Any:
+def unit_vector(azimuth: Scalar, elevation: Scalar) -> jax.Array:
     """The unit vector of two angles in the array frame, (3,)."""
     cosine = jnp.cos(elevation)
     return jnp.stack([jnp.sin(azimuth) * cosine, jnp.sin(elevation), jnp.cos(azimuth) * cosine])
 
 
-def nearest_to_rays(rays: Sequence[tuple[Any, Any, Any]], centre: Any, height: Any = None) -> Any:
+def nearest_to_rays(
+    rays: Sequence[tuple[AnyArray, jax.Array, Scalar]], centre: jax.Array, height: Scalar | None = None
+) -> jax.Array:
     """The point (3,), m, nearest to the rays (origin, unit direction, mask), with a weak prior at `centre`."""
     eye = jnp.eye(3, dtype=centre.dtype)
     information = eye * 1e-2
@@ -81,13 +84,13 @@ def recent_points_of_each(
         _windowed(x, starts, first)
         for x in (projection, np.einsum("tij,tj->ti", projection, origins), seen.astype(float))
     )
-    found, own_heights = np.zeros((len(times), 4)), np.repeat(heights, lengths)
+    points, row_heights = np.zeros((len(times), 4)), np.repeat(heights, lengths)
     for known in (True, False):
-        rows = np.flatnonzero(np.isfinite(own_heights) == known)
+        rows = np.flatnonzero(np.isfinite(row_heights) == known)
         if len(rows):
             parts = (information[rows], sums[rows], counts[rows])
-            found[rows] = _nearest_points(*parts, own_heights[rows] if known else None)
-    return found
+            points[rows] = _nearest_points(*parts, row_heights[rows] if known else None)
+    return points
 
 
 def _nearest_points(

@@ -54,7 +54,7 @@ def floor_tracker(
     dof: float | None = 4.0,
     n_particles: int = 1000,
 ) -> Tracker:
-    """Planar constant velocity from fixes by particles; those that cross a wall have weight zero.
+    """Planar constant velocity from fixes by particles, with weight zero for a particle that crosses a wall.
 
     The model of a planar `fix_tracker` with a floor plan (reference [25] of the thesis). `sigma_a` m/s² per √Hz,
     `sigma_horizontal` m; `dof`: degrees of freedom of Student's t, None for normal noise. Once no particle is left the

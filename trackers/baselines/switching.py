@@ -118,7 +118,7 @@ class MirrorModels(AbstractInteractingModels):
     """IMM filter whose modes switch near the anchors' plane only, at `switching_rate`, 1/s, in the plane.
 
     Away from it the rate is scaled by exp(−(z − h)²/2(P + reach²)) with the height's variance P and `reach` m; mixing
-    branches that are metres apart would bias both. Input: `plane`, h, m.
+    branches at metres from each other would bias both. Input: `plane`, h, m.
     """
 
     switching_rate: Noise

@@ -13,7 +13,7 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import is_count, require
 from trackwright.trackers.core.model.algebra import Vector, triangle
 from trackwright.trackers.core.model.motion import Placed
-from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker
 from trackwright.trackers.parts.fixes import FIXES

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LONGEST = 3000
-"""Characters of a message; the middle of a longer one, which quotes an input of any length, is left out."""
+"""Longest message, characters; the middle of a longer one, which quotes an input, is left out."""
 
 
 class UnusableInput(ValueError):  # noqa: N818 - a fault of the input, not of the program
@@ -26,7 +26,7 @@ class UnusableInput(ValueError):  # noqa: N818 - a fault of the input, not of th
 
 
 def printable(text: object) -> str:
-    """The text with a mark in place of each control character, which may move a terminal's cursor."""
+    """The text with control characters, which may move a terminal's cursor, replaced by a mark."""
     return "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in str(text))
 
 
@@ -41,7 +41,7 @@ def has_control(text: str) -> bool:
 
 
 def listed(names: Iterable[object], most: int = 5) -> str:
-    """Names separated by commas, at most so many of them."""
+    """Names separated by commas, at most `most` of them."""
     shown = [str(name) for name in names]
     return ", ".join(shown[:most]) + (f" and {len(shown) - most} more" if len(shown) > most else "")
 
@@ -49,38 +49,38 @@ def listed(names: Iterable[object], most: int = 5) -> str:
 def near(word: str, names: Iterable[str]) -> str:
     """` (did you mean …?)` with the nearest of the names, or nothing where none is near."""
     known = list(names)
-    found = [name for name in known if name.endswith(f".{word}")] or difflib.get_close_matches(word, known, 1, 0.6)
-    return f" (did you mean {found[0]}?)" if found else ""
+    matches = [name for name in known if name.endswith(f".{word}")] or difflib.get_close_matches(word, known, 1, 0.6)
+    return f" (did you mean {matches[0]}?)" if matches else ""
 
 
-def require(fits: bool, function: str, found: Any, expected: str) -> None:
-    """Refuse an argument of a function unless it `fits`, with its value or its type, and the `expected` one."""
+def require(fits: bool, function: str, value: Any, expected: str) -> None:
+    """Raises UnusableInput unless an argument `fits`, with its value or type and the `expected` one."""
     if not fits:
-        plain = found is None or isinstance(found, (bool, int, float, str))
-        raise UnusableInput(f"{function}: found {repr(found) if plain else type(found).__name__}; expected {expected}")
+        plain = value is None or isinstance(value, (bool, int, float, str))
+        raise UnusableInput(f"{function}: found {repr(value) if plain else type(value).__name__}; expected {expected}")
 
 
-def is_count(found: Any) -> bool:
-    """Whether an argument is a whole number from 0."""
-    return isinstance(found, Integral) and not isinstance(found, bool) and int(found) >= 0
+def is_count(value: Any) -> bool:
+    """Whether the value is a whole number from 0."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 0
 
 
 def numbers_of(kind: str, value: Any) -> np.ndarray:
     """The value of a tunable of this kind as an array of floats; raises UnusableInput for anything but numbers."""
-    # numpy takes a tenth of a second to import, which a help or a refused argument need not wait for.
+    # Importing numpy takes a tenth of a second, which help and refused arguments need not wait for.
     import numpy as np
 
-    found = np.asarray(value)
-    require(found.dtype.kind in "biuf", f"a {kind}", value, "a number or an array of numbers")
-    return found.astype(float)
+    numbers = np.asarray(value)
+    require(numbers.dtype.kind in "biuf", f"a {kind}", value, "a number or an array of numbers")
+    return numbers.astype(float)
 
 
-def one_or_more(found: Any, kinds: tuple[type[T], ...], expected: str) -> list[T]:
+def one_or_more(given: Any, kinds: tuple[type[T], ...], expected: str) -> list[T]:
     """One object of these kinds, or an iterable of some, as a list; raises UnusableInput for anything else."""
-    items = list(found) if isinstance(found, Iterable) and not isinstance(found, kinds) else [found]
+    items = list(given) if isinstance(given, Iterable) and not isinstance(given, kinds) else [given]
     wrong = next((x for x in items if not isinstance(x, kinds)), None)
     if not items or wrong is not None:
         # A table iterates over its columns and a text over its letters.
-        kind = type(wrong if isinstance(found, (list, tuple)) else found).__name__ if items else "nothing"
+        kind = type(wrong if isinstance(given, (list, tuple)) else given).__name__ if items else "nothing"
         raise UnusableInput(f"found {kind}; expected {expected}")
     return items

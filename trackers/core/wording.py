@@ -12,5 +12,5 @@ def counted(count: int, noun: str) -> str:
 
 
 def significant(value: float, digits: int) -> str:
-    """So many significant digits, without powers of ten: 1234.5 of two is `1,200`."""
+    """A number with `digits` significant digits, without powers of ten: 1234.5 with two is `1,200`."""
     return f"{Decimal(f'{value:.{digits}g}'):,f}" if math.isfinite(value) else f"{value}"

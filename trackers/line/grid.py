@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
@@ -17,7 +18,7 @@ from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
 from trackwright.trackers.core.filters.particle.filter import particle_residuals, weighted_moments, weighted_nis
 from trackwright.trackers.core.model.algebra import Scalar, compute_once, total
 from trackwright.trackers.core.model.covariance import Gaussian
-from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.inputs import AnyArray, Inputs
 from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.motion import AbstractMotion
@@ -33,8 +34,8 @@ LAPS = 2
 class GridBelief(NamedTuple):
     """Probabilities of travelling (cells, speeds) and of resting (cells,), which sum to 1."""
 
-    travelling: Any
-    resting: Any
+    travelling: jax.Array
+    resting: jax.Array
 
 
 class GridFilter(AbstractFilter[GridBelief]):
@@ -117,7 +118,7 @@ class GridFilter(AbstractFilter[GridBelief]):
         weights = jnp.concatenate([belief.travelling.reshape(-1), belief.resting])
         return weighted_moments(states, weights, self.output_map)
 
-    def _wrapped_masses(self, cells: Any, mean: Scalar, sigma: Scalar) -> Any:
+    def _wrapped_masses(self, cells: AnyArray, mean: Scalar, sigma: Scalar) -> jax.Array:
         """The probabilities of a wrapped normal distribution in the cells of a closed path."""
         lower = cells - 0.5 * cells[1]
         edges = jnp.append(lower, lower[0] + self.line.length)
@@ -125,14 +126,14 @@ class GridFilter(AbstractFilter[GridBelief]):
         masses = total(jnp.diff(edges) for edges in laps)
         return masses / jnp.sum(masses)
 
-    def _axes(self, dtype: Any) -> tuple[Any, Any]:
+    def _axes(self, dtype: Any) -> tuple[jax.Array, jax.Array]:
         """The arclengths (cells,), m, and the speeds (speeds,), m/s."""
         spacing = jnp.asarray(self.line.length, dtype) / (self.cells if self.line.closed else self.cells - 1)
         steps = jnp.arange(self.speeds, dtype=dtype) * (self.fastest / (self.speeds - 1))
         return jnp.arange(self.cells, dtype=dtype) * spacing, steps
 
-    def _advanced(self, travelling: Any, shift: Any) -> Any:
-        """Every column advanced by its own number of cells, `shift` (speeds,); it stops at the end of an open path."""
+    def _advanced(self, travelling: AnyArray, shift: AnyArray) -> jax.Array:
+        """Each column shifted by `shift` (speeds,) cells; probability stops at the end of an open path."""
         whole = jnp.minimum(jnp.floor(shift), self.cells)
         fraction = jnp.clip(shift - whole, 0.0, 1.0)[None, :]
         source = jnp.arange(self.cells, dtype=jnp.int32)[:, None] - whole.astype(jnp.int32)[None, :]
@@ -147,7 +148,7 @@ class GridFilter(AbstractFilter[GridBelief]):
         rest = jnp.sum(travelling, axis=0) - jnp.sum(advanced[:-1], axis=0)
         return advanced.at[-1].set(jnp.maximum(rest, 0.0))
 
-    def _speed_transition(self, sigma: Scalar) -> Any:
+    def _speed_transition(self, sigma: Scalar) -> jax.Array:
         """The transition matrix (speeds, speeds) of max(0, speed + a), with `sigma` of a in grid steps.
 
         The discrete heat kernel e^(σ²Δ/2), with the mass beyond either end added to the last speed there.
@@ -165,8 +166,10 @@ class GridFilter(AbstractFilter[GridBelief]):
         transition = transition.at[:, 0].set(beyond[np.arange(n)]).at[:, n - 1].set(beyond[n - 1 - np.arange(n)])
         return transition / jnp.sum(transition, axis=1, keepdims=True)
 
-    def _split_at_joins(self, travelling: Any, motion: HaltingMotion, along: Any, steps: Any) -> tuple[Any, Any]:
-        """The mass travelling on (cells, speeds), and by cell the mass halted at a join within `steps` (speeds,) m."""
+    def _split_at_joins(
+        self, travelling: jax.Array, motion: HaltingMotion, along: jax.Array, steps: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """The mass that travels on (cells, speeds), and by cell the mass halted at joins within `steps` (speeds,) m."""
         tolerance = 1e-3 * along[1]
         ahead = self.line.next_join(along + tolerance) - tolerance
         halting = jnp.where(ahead[:, None] <= along[:, None] + steps[None, :], travelling * motion.halting.value, 0.0)
@@ -174,7 +177,7 @@ class GridFilter(AbstractFilter[GridBelief]):
         return travelling - halting, jnp.zeros_like(along).at[there].add(jnp.sum(halting, axis=1))
 
 
-def _bin_masses(grid: Any, mean: Scalar, sigma: Scalar) -> Any:
+def _bin_masses(grid: AnyArray, mean: Scalar, sigma: Scalar) -> jax.Array:
     """The probabilities of a normal distribution in the cells of a uniform grid; the tails go to the end cells."""
     edges = ndtr((0.5 * (grid[1:] + grid[:-1]) - mean) / sigma)
     return jnp.diff(edges, prepend=jnp.zeros_like(edges[:1]), append=jnp.ones_like(edges[:1]))

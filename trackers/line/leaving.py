@@ -34,7 +34,7 @@ def excursions(times: np.ndarray, distance: np.ndarray, slack: np.ndarray | floa
     last zero and ends where the sum is zero again; `end` is T if it lasts. Chapter 4 of the thesis proposes this
     detection, the growing difference of both filters.
     """
-    found: list[Excursion] = []
+    detections: list[Excursion] = []
     total, start, detected = 0.0, 0, False
     for row, after in enumerate(cusum(times, distance, slack, 2.0 * limit)):
         if total == 0.0:
@@ -43,8 +43,8 @@ def excursions(times: np.ndarray, distance: np.ndarray, slack: np.ndarray | floa
         if total >= limit:
             detected = True
         if detected and total == 0.0:
-            found.append(Excursion(start, row, float(np.nanmax(distance[start : row + 1]))))
+            detections.append(Excursion(start, row, float(np.nanmax(distance[start : row + 1]))))
             detected = False
     if detected:
-        found.append(Excursion(start, len(times), float(np.nanmax(distance[start:]))))
-    return found
+        detections.append(Excursion(start, len(times), float(np.nanmax(distance[start:]))))
+    return detections

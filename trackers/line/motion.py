@@ -1,4 +1,4 @@
-"""Motions along a known path: that of the thesis (2.1), (2.2), and one with halts at the joins of its segments."""
+"""Motions along a known path: the thesis's (2.1), (2.2), and one with halts at the joins of segments."""
 
 from __future__ import annotations
 

@@ -32,13 +32,13 @@ from trackwright.trackers.line.motion import (
 )
 
 SIGMA_A = 0.05
-"""Change of speed, m/s per √s: a cart at walking pace that may take another speed on every segment."""
+"""Change of speed, m/s per √s: a cart at walking pace whose speed may differ between segments."""
 
 SIGMA_LINE = 0.02
 """Standard deviation of a marked path, m."""
 
 CURVE_SPACING = 0.5
-"""Mean distance between knots, m, below which they are taken as points on a curve."""
+"""Mean distance between knots, m, below which they are treated as points on a curve."""
 
 PATIENT = TrackLossPolicy(nis_limit=30.0, max_gap=np.inf)
 """On a known path a gap is no track loss, and errors of fixes are correlated over seconds; see also `leaving.py`."""

@@ -1,7 +1,7 @@
 """Ground truth by a least-squares fit along a known path, for recordings without a reference (thesis, section 2.6).
 
-Model: the tag rests at the first knot, travels each segment at a constant speed of its own, may rest at the knots in
-between, and rests at the last knot. The times at which it leaves and reaches the knots are fitted to its fixes. NumPy,
+Model: the tag rests at the first knot, travels each segment at a constant speed, may rest at the knots in between, and
+rests at the last knot. The times at which it leaves and reaches the knots are fitted to its fixes. NumPy,
 on the host.
 """
 
@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 CANDIDATES = 400
-"""Candidate times of the global search, which is exact among them; it starts the continuous fit."""
+"""Candidate times of the global search, which is exact among them and initialises the continuous fit."""
 
 SWEEPS, SHRINK = 60, 0.7
 """Of the continuous fit: sweeps over all knot times, and the factor of a step that did not lower the cost."""

@@ -9,9 +9,10 @@ and 36 azimuths each.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -24,21 +25,21 @@ ELEVATIONS, AZIMUTHS, LAYERS = 18, 36, 10
 class Blocks(NamedTuple):
     """The states: accelerations (N, 3), m/s², and their stationary probabilities (N,)."""
 
-    accelerations: Any
-    probabilities: Any
+    accelerations: jax.Array
+    probabilities: jax.Array
 
 
 class Rings(NamedTuple):
     """The states in rings of one layer and elevation above the horizon, each with its mirror image below.
 
     `level`, `up` (R,), m/s²: the accelerations' horizontal and vertical magnitude. `probabilities` (R,): of one state.
-    `still`: that of no acceleration.
+    `still`: the probability of no acceleration.
     """
 
-    level: Any
-    up: Any
-    probabilities: Any
-    still: Any
+    level: jax.Array
+    up: jax.Array
+    probabilities: jax.Array
+    still: jax.Array
 
 
 class AccelerationSphere(eqx.Module):
@@ -76,12 +77,12 @@ class AccelerationSphere(eqx.Module):
         first = slice(ELEVATIONS // 2 * AZIMUTHS, None, AZIMUTHS)
         level, up, angle = np.hypot(*means[first, :2].T), means[first, 2], solid[first] / (4 * np.pi)
 
-        def each(values: Any, by: Any) -> Any:
+        def each(values: jax.Array, by: np.ndarray) -> jax.Array:
             return (values[:, None] * jnp.asarray(by, values.dtype)[None]).reshape(-1)
 
         return Rings(each(magnitudes, level), each(magnitudes, up), each(shares, angle), self.p_still.value)
 
-    def _magnitudes(self) -> tuple[Any, Any]:
+    def _magnitudes(self) -> tuple[jax.Array, jax.Array]:
         """The magnitudes of the layers and of the shell (LAYERS + 1,), m/s², and their probabilities."""
         inner, outer = self.a_still.value, self.a_still.value + self.a_full.value
         k = layers(inner, outer)
@@ -94,7 +95,7 @@ class AccelerationSphere(eqx.Module):
         return jnp.concatenate([magnitudes, outer.reshape(1)]), jnp.concatenate(shares)
 
 
-def layers(inner: Any, outer: Any) -> Any:
+def layers(inner: jax.Array, outer: jax.Array) -> jax.Array:
     """The radii (LAYERS + 1,), m/s², that divide the space between two spheres into layers of equal volume."""
     fraction = jnp.arange(LAYERS + 1) / LAYERS
     return jnp.cbrt(inner**3 + fraction.astype(inner.dtype) * (outer**3 - inner**3))

@@ -17,6 +17,7 @@ from jax.custom_batching import custom_vmap
 from jax.scipy.special import i0e, i1e
 
 from trackwright.trackers.core.model.algebra import Scalar, Vector, compute_once, inverse_or_zero
+from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.mhk.accelerations import AZIMUTHS, Rings
 
 LIMITS = {4: 36.0, 8: 12.0}
@@ -29,7 +30,7 @@ def mean_acceleration(rings: Rings, displacement: Vector, half_square: Scalar, p
     `half_square`: ½ Δt², s². `precision`: the inverse variance of the noise, m⁻².
     """
     gx, gy, gz = displacement * (precision * half_square)
-    # A factor that cancels; the derivative of the root at zero is left out with it.
+    # A factor that cancels; without its derivative, which the root lacks at zero.
     scale = jax.lax.stop_gradient(jnp.sqrt(gx * gx + gy * gy))
     level, up = rings.level, rings.up
     whole, along_x, along_y = ring_sums(level, gx, gy, scale)
@@ -44,7 +45,7 @@ def mean_acceleration(rings: Rings, displacement: Vector, half_square: Scalar, p
 
 
 @jax.custom_jvp
-def ring_sums(level: Any, gx: Scalar, gy: Scalar, scale: Scalar) -> tuple[Any, Any, Any]:
+def ring_sums(level: AnyArray, gx: Scalar, gy: Scalar, scale: Scalar) -> tuple[Any, Any, Any]:
     """The sums over azimuths φ of e, cos φ·e and sin φ·e, (R,) each, with e = exp(level (gx cos φ + gy sin φ − scale)).
 
     `level`: (R,). `scale`: the root of gx² + gy².
@@ -63,7 +64,7 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     return ring_sums(*primals), jax.jvp(summed, primals, tangents)[1]
 
 
-def summed(level: Any, gx: Scalar, gy: Scalar, scale: Scalar) -> tuple[Any, Any, Any]:
+def summed(level: AnyArray, gx: Scalar, gy: Scalar, scale: Scalar) -> tuple[Any, Any, Any]:
     """`ring_sums` term by term; opposite azimuths together."""
     whole = along_x = along_y = jnp.zeros_like(level * scale)
     for angle in (np.arange(AZIMUTHS // 2) + 0.5) * (2 * np.pi / AZIMUTHS):
@@ -75,15 +76,15 @@ def summed(level: Any, gx: Scalar, gy: Scalar, scale: Scalar) -> tuple[Any, Any,
 
 
 @custom_vmap
-def summed_where_needed(needed: Scalar, level: Any, gx: Scalar, gy: Scalar, scale: Scalar) -> tuple[Any, Any, Any]:
-    """`summed` where needed; zeros, or numbers of no meaning, elsewhere."""
+def summed_where_needed(needed: Scalar, level: AnyArray, gx: Scalar, gy: Scalar, scale: Scalar) -> tuple[Any, Any, Any]:
+    """`summed` where needed; elsewhere unspecified."""
     zero = jnp.zeros_like(level * scale)
     return jax.lax.cond(needed, lambda: summed(level, gx, gy, scale), lambda: (zero,) * 3)
 
 
 @summed_where_needed.def_vmap
 def _in_trajectories(size: int, batched: Any, needed: Any, *numbers: Any) -> tuple[Any, Any]:
-    """Summed for all trajectories if one of them needs it: `vmap` of the condition would sum for all of them always."""
+    """Sums for all trajectories if any of them needs it; `vmap` of the condition would always sum."""
     axes = tuple(0 if has else None for has in batched[1:])
     every = jax.vmap(summed, in_axes=axes, axis_size=size)
     shapes = jax.eval_shape(every, *numbers)

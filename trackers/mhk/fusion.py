@@ -2,15 +2,22 @@
 
     o  displacement between two fixes less that of the previous velocity        o = ½ a Δt² + noise
     a  posterior mean of the acceleration given o, applied during the next interval of the same length
+    π  stationary distribution of the chain's N states           κ = exp(−rate·dt)  probability of keeping the state
 
 The paper does not define the acceleration in the prediction (9). The chain as printed has no memory and predicts a mean
-of zero; here the acceleration of the last displacement is taken to last one more interval.
+of zero; here the acceleration of the last displacement applies for one more interval.
+
+The chain keeps its state or draws a new one, A = κ I + (1 − κ) 1πᵀ, so that a step takes O(N). In the paper κ = 0: all
+rows of A are the distribution of accelerations, the filtered distribution depends on the last observation alone, and
+its prediction is π, with mean zero. With κ > 0 an acceleration lasts 1/rate seconds on average, whatever the sampling
+interval.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
@@ -24,18 +31,17 @@ from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.mhk.accelerations import AccelerationSphere
 from trackwright.trackers.mhk.azimuths import mean_acceleration
-from trackwright.trackers.mhk.chain import predicted, updated
 
 
 class MhkBelief(NamedTuple):
-    """The belief of `AccelerationFilter`: that of the Kalman filter, that of the chain, and the acceleration in force.
+    """The belief of `AccelerationFilter`: of the Kalman filter and of the chain, and the current acceleration.
 
     `weights`: (N,), empty for a chain without memory. `last_fix` m and `last_velocity` m/s: at the last fix, `elapsed`
-    s ago. `acceleration` m/s²: in force for another `remaining` s.
+    s ago. `acceleration` m/s²: applied for another `remaining` s.
     """
 
     kalman: Gaussian
-    weights: Any
+    weights: jax.Array
     last_fix: Vector
     last_velocity: Vector
     elapsed: Scalar
@@ -46,7 +52,7 @@ class MhkBelief(NamedTuple):
 class AccelerationFilter(AbstractFilter[MhkBelief]):
     """The Kalman filter (9)–(20), its prediction driven by the acceleration estimate of the hidden Markov model.
 
-    `sigma_displacement`: noise of a displacement, m. `rate`: draws of a new acceleration, 1/s; None for one at every
+    `sigma_displacement`: noise of a displacement, m. `rate`: draws of a new acceleration, 1/s; None for a draw at every
     fix, as printed. The state is `Kinematic` in three dimensions; the sensor measures the position.
     """
 
@@ -73,7 +79,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         return self.filter.moments(belief.kalman)
 
     def predict(self, belief: MhkBelief, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> MhkBelief:
-        """Equations (8)–(13): constant velocity, plus the acceleration for as long as it is in force."""
+        """Equations (8)–(13): constant velocity, plus the acceleration while it applies."""
         after = self.filter.predict(belief.kalman, motion, inputs, dt)
         accelerated = jnp.minimum(dt, belief.remaining)
         a = belief.acceleration
@@ -81,7 +87,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         mean = after.mean._replace(position=position, velocity=after.mean.velocity + a * accelerated)
         weights = belief.weights
         if self.rate is not None:
-            weights = predicted(weights, self.sphere.blocks().probabilities, jnp.exp(-self.rate.value * dt))
+            weights = chain_predicted(weights, self.sphere.blocks().probabilities, jnp.exp(-self.rate.value * dt))
         return belief._replace(
             kalman=Gaussian(mean, after.cov),
             weights=weights,
@@ -116,7 +122,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         )
         return after, innovation
 
-    def posterior(self, weights: Any, displacement: Vector, elapsed: Scalar) -> tuple[Any, Vector]:
+    def posterior(self, weights: jax.Array, displacement: Vector, elapsed: Scalar) -> tuple[jax.Array, Vector]:
         """The chain's filtered probabilities (N,) and mean acceleration, m/s², given a displacement, m, in `elapsed` s.
 
         `displacement`: less that of constant velocity.
@@ -126,11 +132,26 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         if self.rate is None:
             return weights, mean_acceleration(self.sphere.rings(), displacement, half_square, precision)
         blocks = self.sphere.blocks()
-        # −½ |o − ½Δt²·a|² / σ² without the term that is common to all states.
+        # −½ |o − ½Δt²·a|² / σ² without the term common to all states.
         accelerations = blocks.accelerations
         along = accelerations @ displacement.array()
         squares = jnp.sum(accelerations * accelerations, axis=1)
         log_likelihoods = precision * half_square * (along - 0.5 * half_square * squares)
-        after, _ = updated(weights, log_likelihoods)
+        after, _ = chain_updated(weights, log_likelihoods)
         mean = after @ accelerations
         return after, Vector(mean[0], mean[1], mean[2])
+
+
+def chain_predicted(weights: jax.Array, stationary: jax.Array, kappa: Scalar) -> jax.Array:
+    """The predicted state probabilities wᵀA, (N,), from the filtered ones and the stationary distribution."""
+    return kappa * weights + (1.0 - kappa) * (jnp.sum(weights) * stationary)
+
+
+def chain_updated(weights: jax.Array, log_likelihoods: jax.Array) -> tuple[jax.Array, Scalar]:
+    """The filtered state probabilities (N,) given the states' log-likelihoods (N,), and the log-evidence."""
+    top = jnp.max(log_likelihoods)
+    joint = weights * jnp.exp(log_likelihoods - top)
+    # Before a track starts all weights are zero; a quotient by the smallest number would have no derivative there.
+    evidence = jnp.sum(joint)
+    evidence = jnp.where(evidence > 0, evidence, 1.0)
+    return joint / evidence, top + jnp.log(evidence)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.algebra import inverse_or_zero
+from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.motion import Noise
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.tunable import Scale
@@ -20,14 +21,14 @@ from trackwright.trackers.parts.median import nan_median
 class MedianState(NamedTuple):
     """The last values of each axis (window, 3), m, the last output (3,), m, and the time since it, s.
 
-    `ages` (window,): the times since the last fixes, s. `age`: that of the middle one when the last output was taken.
+    `ages` (window,): times since the fixes of the window, s. `age`: that of its middle fix at the last output.
     """
 
-    window: Any
-    position: Any
-    elapsed: Any
-    ages: Any
-    age: Any
+    window: AnyArray
+    position: AnyArray
+    elapsed: AnyArray
+    ages: AnyArray
+    age: AnyArray
 
 
 class LimitedMedian(eqx.Module):
@@ -48,8 +49,8 @@ class LimitedMedian(eqx.Module):
     def medians(self, batch: Batch, initial: MedianState | None = None) -> tuple[Reading, Any, MedianState]:
         """The medians of all rows of a chunk, batch-last, seen on rows with a fix once the window is full.
 
-        Also the ages (T, B), s: the time from the middle fix of the window to its last, and the state after,
-        trajectories first in every array, which is the `initial` of later rows.
+        Also the ages (T, B), s: the time from the middle fix of the window to its last; and the final state,
+        trajectories first in every array, the `initial` of later rows.
         """
         reading = batch.readings[FIXES]
         values, seen = jnp.asarray(reading.values), jnp.asarray(reading.seen)
@@ -76,14 +77,14 @@ class LimitedMedian(eqx.Module):
 
         trajectories = jax.vmap(step, in_axes=-1, out_axes=-1)
         rows = values, seen, jnp.asarray(batch.dt)
-        after, found = jax.lax.scan(lambda state, row: trajectories(state, *row), before, rows)
-        positions, median_seen, ages = found
-        # No reported variances: those of a single fix are not the variance of a median.
+        scanned = jax.lax.scan(lambda state, row: trajectories(state, *row), before, rows)
+        after, (positions, median_seen, ages) = scanned
+        # No reported variances: the variance of a fix is not that of a median.
         medians = Reading(positions, median_seen, jnp.zeros((len(values), 0, values.shape[-1]), values.dtype))
         return medians, ages, jax.tree_util.tree_map(lambda x: jnp.moveaxis(x, -1, 0), after)
 
 
-def speed_limited(last: Any, median: Any, limit: Any) -> Any:
+def speed_limited(last: AnyArray, median: AnyArray, limit: AnyArray) -> Any:
     """The position `median` (3,), m, or the one towards it at a distance of `limit` m from `last` (3,), if nearer.
 
     `last` is NaN before the first output. Equation (2), whose two cases are printed in the wrong order: the limit

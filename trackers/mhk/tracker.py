@@ -14,7 +14,7 @@ from trackwright.trackers.core.model.motion import ConstantVelocity
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.tunable import Scale, freeze
 from trackwright.trackers.core.run.latency import scored_truth
-from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.scan import Output, ScanState, Score, scan_rows
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.mhk.accelerations import AccelerationSphere

@@ -18,7 +18,7 @@ from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
 
 
 class BiasedState(NamedTuple):
-    """Position, m, velocity, m/s, and biases in the sensor's unit: of its channels, and that which all of them share.
+    """Position, m, velocity, m/s, and biases in the sensor's unit: one per channel, and one shared by all channels.
 
     `shared` has one entry or none.
     """
@@ -34,7 +34,7 @@ class DriftingBiases(AbstractMotion):
 
     `sigma_a`, `sigma_z`: white acceleration, horizontal and vertical, m/s² per √Hz; `memory`: time constant of the
     velocities, s. `sigma_bias`: standard deviation of the biases, one number, or k that the biases take in turn (of
-    azimuth and elevation). The biases, but for a shared one, which is constant, decay at the rate 1/`time_constant` +
+    azimuth and elevation). A shared bias is constant, the others decay at the rate 1/`time_constant` +
     speed/`length`, s and m: multipath and obstruction depend on the place. `biases`: their number. Exact at constant
     speed (Gelb 1974, section 3.8): there two steps equal one long step.
     """
@@ -74,10 +74,10 @@ class DriftingBiases(AbstractMotion):
         return 6 + self.biases
 
     def at(self, belief: Gaussian) -> DriftingBiases:
-        """The motion whose biases decay with the speed of this belief, by as much as it exceeds its uncertainty.
+        """The motion whose biases decay with the speed of this belief, shrunk by its uncertainty.
 
-        The speed is |v|·(1 − tr P/|v|²)₊ (James and Stein 1961). Linearised at low speed, where the direction of the
-        velocity is noise, the decay of a bias would pass for a measured velocity.
+        The speed is |v|·(1 − tr P/|v|²)₊ (James and Stein 1961). If the decay were linearised at low speed, where the
+        direction of the velocity is noise, it would act as a measurement of velocity.
         """
         state, cov = belief
         n = len(state.position)
@@ -90,9 +90,9 @@ class DriftingBiases(AbstractMotion):
     def step(self, state: BiasedState, inputs: Inputs, dt: Scalar, w: Vector) -> BiasedState:
         n = len(state.position)
         sigmas = [self.sigma_a.value, self.sigma_a.value, self.sigma_z.value][:n]
-        decay, gain, velocity_noise, shared, own = damped_velocity(dt, self.memory.value)
+        decay, gain, velocity_noise, shared, separate = damped_velocity(dt, self.memory.value)
         axes = list(zip(state.position, state.velocity, sigmas, w.parts[:3], w.parts[3:6], strict=False))
-        position = Vector(*(x + v * gain + s * (a * shared + b * own) for x, v, s, a, b in axes))
+        position = Vector(*(x + v * gain + s * (a * shared + b * separate) for x, v, s, a, b in axes))
         velocity = Vector(*(v * decay + s * a * velocity_noise for _, v, s, a, _ in axes))
         if not self.biases:
             return BiasedState(position, velocity, state.bias, state.shared)
@@ -129,15 +129,15 @@ class BiasedStart(AbstractNearbyStart):
 
 
 def in_turn(values: Any, number: int) -> Any:
-    """The value of a bias of this number: the only one, or of k values that the biases take in turn."""
+    """The value for the bias of this number: the only one, or one of k that the biases take in turn."""
     return values if np.ndim(values) == 0 else values[number % len(values)]
 
 
 def damped_velocity(dt: Scalar, memory: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar]:
     """Transition and noise factor of dv = −v/τ dt + dW, dx = v dt over `dt` s, with τ = `memory` s.
 
-    v⁺ = decay·v + velocity_noise·a, x⁺ = x + gain·v + shared·a + own·b, with unit noise a and b. With u = dt/τ, the
-    conditional variance of x given v is τ³(u − 2 tanh(u/2)), by its power series where u is small.
+    v⁺ = decay·v + velocity_noise·a, x⁺ = x + gain·v + shared·a + separate·b, with unit noise a and b. With u = dt/τ,
+    the conditional variance of x given v is τ³(u − 2 tanh(u/2)), by its power series where u is small.
     """
     u = dt / memory
     loss = -jnp.expm1(-u)

@@ -34,7 +34,7 @@ from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 FIXES = "fixes"
 
 PATIENT = TrackLossPolicy(nis_limit=1e3, max_gap=10.0)
-"""Errors of real fixes are correlated over seconds, so a large NIS average is no evidence of track loss."""
+"""Errors of real fixes are correlated over seconds, so a large mean NIS is no evidence of track loss."""
 
 
 class AbstractFixSensor(AbstractDelayedSensor):
@@ -152,8 +152,8 @@ def _dof_and_latency(dof: float | None, latency: float) -> tuple[Scale | None, R
 class FixStart(AbstractStart):
     """A start at the first fix with x and y, at rest, with `sigma_position` m and `sigma_velocity` m/s.
 
-    `planar`: x and y alone. `velocities`, `accelerations`: the numbers of them in the state; accelerations have a
-    standard deviation of `sigma_velocity` per second, m/s². Without z, the height has a standard deviation of 10 km.
+    `planar`: x and y alone. `velocities`, `accelerations`: their numbers of components in the state; accelerations have
+    a standard deviation of `sigma_velocity` per second, m/s². Without z the height has a standard deviation of 10 km.
     """
 
     sigma_position: Noise

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
+import jax
 import jax.numpy as jnp
 
+from trackwright.trackers.core.model.inputs import AnyArray
+
 NETWORK = 16
-"""Most values sorted by a network of comparators, fused into its surroundings; more are sorted by XLA."""
+"""Most values sorted by a network of comparators, which XLA fuses; more are sorted by XLA's sort."""
 
 
-def nan_median(values: Any) -> Any:
+def nan_median(values: AnyArray) -> jax.Array:
     """The median over the first axis of the values that are not NaN; NaN where there are none.
 
     Equation (1) of Huang et al. 2018: of 2n + 1 values the (n + 1)-th in order, where the paper's text has the n-th; of
@@ -26,7 +28,7 @@ def nan_median(values: Any) -> Any:
     return jnp.where(count > 0, 0.5 * (low + high), jnp.nan)
 
 
-def in_order(values: Any) -> list[Any]:
+def in_order(values: AnyArray) -> list[jax.Array]:
     """The values, none of them NaN, in ascending order along the first axis."""
     if len(values) > NETWORK:
         return list(jnp.sort(values, axis=0))

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from trackwright.trackers.core.model.algebra import Scalar, Vector, total
+from trackwright.trackers.core.model.inputs import AnyArray
 
 ITERATIONS = 20
 """Gauss–Newton steps; with weights that change at every step, convergence is linear."""
 
 MIN_INFORMATION = 0.02
-"""Smallest eigenvalue of the horizontal information matrix, per range (0 … ½), with which a position is determined."""
+"""Smallest eigenvalue of the horizontal information matrix, per range (0 … ½), at which a position is determined."""
 
 FURTHEST = 10.0
 """Residual, in scales of the loss, of the furthest range that a position agrees with."""
@@ -30,13 +29,15 @@ class PositionFit(eqx.Module):
     unknowns agree with the position, from directions that determine it.
     """
 
-    position: Any
+    position: AnyArray
     cost: Scalar
-    covariance: Any
+    covariance: AnyArray
     determined: Scalar
 
 
-def multilaterate(ranges: Any, anchors: Any, counts: Any, height: Scalar | None, scale: Scalar) -> PositionFit:
+def multilaterate(
+    ranges: AnyArray, anchors: AnyArray, counts: AnyArray, height: Scalar | None, scale: Scalar
+) -> PositionFit:
     """The position of least cost for ranges (S,), m, to anchors (S, 3), m, where `counts` (S,) is true.
 
     Gauss–Newton on the Cauchy loss, each range weighted by 1/(1 + (r/scale)²), with `scale` m at least 1.5 times the
@@ -56,19 +57,19 @@ def multilaterate(ranges: Any, anchors: Any, counts: Any, height: Scalar | None,
 
 
 def _gauss_newton(
-    ranges: Any, anchors: Any, counts: Any, start: Vector, height: Scalar | None, scale: Scalar
+    ranges: AnyArray, anchors: AnyArray, counts: AnyArray, start: Vector, height: Scalar | None, scale: Scalar
 ) -> PositionFit:
     # Arrays have the axis of ranges alone: over many rows (`vmap`, rows last) each operation runs along long vectors.
     n, number = len(start), jnp.sum(counts)
 
-    def linearised(position: Vector) -> tuple[Any, list[Any], Any]:
+    def linearised(position: Vector) -> tuple[AnyArray, list[jax.Array], jax.Array]:
         """Residuals (S,), columns of the Jacobian (S,) and predicted ranges (S,)."""
         place = [*position] if height is None else [*position, height]
         offset = [x - anchors[:, k] for k, x in enumerate(place)]
         distance = jnp.sqrt(jnp.maximum(total(x * x for x in offset), 1e-12))
         return counts * (ranges - distance), [x / distance for x in offset[:n]], distance
 
-    def widened(residual: Any) -> Scalar:
+    def widened(residual: AnyArray) -> Scalar:
         return jnp.maximum(1.5 * lower_median(jnp.abs(residual), counts), scale)
 
     def step(position: Vector, _: None) -> tuple[Vector, None]:
@@ -84,7 +85,7 @@ def _gauss_newton(
     position = jax.lax.scan(step, start, None, length=ITERATIONS)[0]
     residual, jacobian, _ = linearised(position)
     weight = counts / (1.0 + (residual / scale) ** 2)
-    # As many ranges as unknowns are met exactly by several positions, whatever the range that is left is.
+    # A minimal set of ranges is met exactly by several positions, so one more must agree.
     agree = jnp.where(jnp.abs(residual) <= FURTHEST * widened(residual), counts, 0.0)
     (a, b), (_, c) = information(agree, jacobian[:2], ridge=0.0)
     smallest = 0.5 * (a + c - _root((a - c) ** 2 + 4.0 * b * b)) / jnp.maximum(jnp.sum(agree), 1.0)
@@ -102,15 +103,15 @@ def _root(square: Scalar) -> Scalar:
     return jnp.sqrt(jnp.maximum(square, jnp.finfo(square.dtype).tiny))
 
 
-def information(weight: Any, jacobian: list[Any], ridge: float = RIDGE) -> list[list[Scalar]]:
+def information(weight: AnyArray, jacobian: list[jax.Array], ridge: float = RIDGE) -> list[list[Scalar]]:
     """The information matrix of ranges with these weights (S,) and columns of the Jacobian (S,)."""
     rows = [[jnp.sum(weight * a * b) for b in jacobian] for a in jacobian]
     return [[x + ridge if i == j else x for j, x in enumerate(row)] for i, row in enumerate(rows)]
 
 
-def lower_median(values: Any, counts: Any) -> Scalar:
+def lower_median(values: AnyArray, counts: AnyArray) -> Scalar:
     """The median of the values (S,) where `counts` (S,) > 0, the lower one of an even number; 0 for none."""
-    # By ranks: sorting each row by itself took most of the time.
+    # By ranks: sorting row by row took most of the time.
     kept = jnp.where(counts > 0, values, jnp.inf)
     index = (jnp.sum(counts > 0) - 1) // 2
     smaller, not_larger = (

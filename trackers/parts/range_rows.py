@@ -70,5 +70,5 @@ def anchor_positions(folder: RecordingFolder) -> np.ndarray:
 
 
 def room_of_anchors(folder: RecordingFolder, rows: int) -> dict[str, np.ndarray]:
-    """The input `room` of so many rows, by the folder's floor or its anchors."""
+    """The input `room` for this number of rows, from the folder's floor or its anchors."""
     return {ROOM.name: room_rows(anchor_positions(folder), folder.rig.outline, rows)}

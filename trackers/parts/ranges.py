@@ -41,8 +41,8 @@ class RangeSensor(AbstractSensor):
 
     Inputs: `anchors` (3·slots,) m, x, y, z of each slot's anchor; `anchor` (slots,), its number; `height` m for a
     planar state; optionally `levers` (3·slots,) m, the lever arm of each slot's tag in body axes, for a view with an
-    `attitude`. The predicted range includes the tunable `bias` and, if there are any, `view.bias`, both m per anchor,
-    and `view.shared`, m of all anchors.
+    `attitude`. The predicted range includes the tunable `bias` and, if present, `view.bias`, both m per anchor, and
+    `view.shared`, m, common to all anchors.
 
     Residuals follow a two-piece Student's t with `dof` degrees of freedom, of scale `sigma_r` m below zero and
     `positive_skew`·`sigma_r` above: ranges are too long more often than too short. Reported variances, m², one per
@@ -122,7 +122,7 @@ class RangeSensor(AbstractSensor):
         variances = reading.reported if len(reading.reported) else [0.0] * self.slots
         whitened, log_scales = [], []
         for z, p, seen, variance in zip(reading.values, predicted, reading.seen, variances, strict=True):
-            # Anchors and tags far away make ranges long, and those are rounded.
+            # Long ranges are rounded in single precision.
             sigma = jnp.sqrt(self.sigma_r.value**2 + variance + rounding_variance(z))
             whitened.append(jnp.where(seen, (z - p) / jnp.where(z > p, sigma * positive_skew, sigma), 0.0))
             peak = student_t_log_peak(dof) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + positive_skew))

@@ -63,7 +63,7 @@ class Singer(AbstractMotion):
         first, second, third = (Vector(*w.parts[k * n : (k + 1) * n]) for k in range(3))
         h = 0.5 * dt / self.tau.value
         E, t, T, A, B, D = singer_terms(h)
-        # sqrt(dt) is a factor of its own: it has no derivative at zero, and none is taken with respect to dt.
+        # sqrt(dt) is a separate factor: it has no derivative at zero, and none is taken with respect to dt.
         k = self.sigma_a.value * jnp.sqrt(2.0 / self.tau.value) * jnp.sqrt(dt)
         root = jnp.sqrt(T)
         first_kick = first * (k * root / (1.0 + t))

@@ -6,10 +6,12 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from trackwright.trackers.core.filters.particle.filter import AbstractPotential
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.inputs import AnyArray
 
 
 class Walls(AbstractPotential):
@@ -22,10 +24,10 @@ class Walls(AbstractPotential):
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
 
-    segments: Any
-    outline: Any
+    segments: AnyArray
+    outline: AnyArray
 
-    def __init__(self, segments: Any = (), outline: Any = ()):
+    def __init__(self, segments: ArrayLike = (), outline: ArrayLike = ()):
         edges = np.asarray(outline, float).reshape(-1, 2) if np.size(outline) else np.zeros((0, 2))
         if 0 < len(edges) < 3:
             raise ValueError(f"an outline has at least three corners [x, y], found {len(edges)}")

@@ -1,4 +1,4 @@
-"""Freed memory, of which allocators keep much for the process."""
+"""Settings of glibc's allocator: how much freed memory it keeps for the process."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ KEPT, LARGEST = 2**28, 2**25
 def keep() -> None:
     """Keep freed memory for the next arrays; nothing happens without glibc.
 
-    The system clears each page that it gives: a third of a study's processor time in a worker of Dask, which sets a low
-    limit.
+    The system clears every page that it hands out, which took a third of a study's processor time in workers of Dask,
+    whose limit is low.
     """
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
@@ -28,7 +28,7 @@ def keep() -> None:
 
 
 def give_back() -> None:
-    """Give freed memory back to the system, which takes milliseconds; nothing happens without glibc."""
+    """Return freed memory to the system, within milliseconds; nothing happens without glibc."""
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).malloc_trim(0)

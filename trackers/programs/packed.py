@@ -13,7 +13,7 @@ import numpy as np
 
 
 class Place(NamedTuple):
-    """The place of an array of a tree: the number of its packed array, its part there and its shape."""
+    """The place of one array of a tree: number of its packed array, start and end there, and its shape."""
 
     number: int
     start: int
@@ -22,7 +22,7 @@ class Place(NamedTuple):
 
 
 class Places:
-    """A tree whose leaves are `Place`: comparable, and pickled as that tree, which structures of jax cannot be."""
+    """A tree whose leaves are `Place`; comparable and picklable, unlike jax's tree structures."""
 
     def __init__(self, tree: Any) -> None:
         self.tree = tree

@@ -1,9 +1,9 @@
-"""Compiled programs kept in a directory of the user's, so that a later process need not compile them again.
+"""Disk cache of compiled programs in a directory of the user, shared by later processes.
 
-jax looks a program up by its text, the compiler's version and options; the directory adds the processor, whose
-instructions the programs contain, so that machines may share a home. jax's own files are not used: they are written
-in place, a damaged one is never replaced, and they are bounded in size only with a package that locks them. Whoever can
-write to the directory can run code as its user.
+jax looks a program up by its text, the compiler's version and options; the name of the directory adds the processor,
+whose instructions the programs contain, so that machines may share a home. jax's own cache is not used: it writes files
+in place, never replaces a damaged one, and bounds their size only with another package. Whoever can write to the
+directory can run code as its user.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LIMIT_BYTES = 512 * 2**20
 """The most bytes of all programs; the least recently used are removed first."""
 
 CHECKED_EVERY = 16
-"""Programs written between two looks at the size of the directory."""
+"""Programs written between two checks of the directory's size."""
 
 DIGEST_BYTES = 16
 PREFIX = "jaxlib-"
@@ -43,8 +43,8 @@ def cache_programs(directory: str | Path | None = None, report: Callable[[str], 
     """Keep compiled programs in a directory and use those of earlier processes; returns the directory in use.
 
     `directory`: by default the value of TRACKWRIGHT_CACHE, else `trackwright` in the user's cache directory; created
-    with mode 0700. `report` gets one line if a program cannot be written, after which none is. Returns None, and
-    changes nothing, where TRACKWRIGHT_CACHE is `off` or jax has a cache already. Numbers are the same with and without.
+    with mode 0700. `report` gets one line if a program cannot be written, after which none is. Returns None and
+    changes nothing where TRACKWRIGHT_CACHE is `off` or jax has a cache already. Numbers are the same with and without.
     Raises UnusableInput for a directory that cannot be created, is another user's, or that others can write to.
     """
     if directory is None and os.environ.get(VARIABLE) == "off":
@@ -65,7 +65,7 @@ def cache_programs(directory: str | Path | None = None, report: Callable[[str], 
 
 
 def default_directory() -> Path:
-    """The directory for what `trackwright` may lose, by the platform's convention."""
+    """The user's cache directory, by the platform's convention."""
     if sys.platform == "darwin":
         return Path("~/Library/Caches/trackwright")
     base = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME", "")
@@ -85,7 +85,7 @@ def _require_private(path: Path) -> None:
     """Creates the directory if missing; raises UnusableInput unless it is the user's and closed to other writers."""
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = path.stat()
+        status = path.stat()
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise UnusableInput(
@@ -94,15 +94,15 @@ def _require_private(path: Path) -> None:
         ) from error
     if os.name != "posix":
         return
-    if found.st_uid != os.geteuid():
+    if status.st_uid != os.geteuid():
         raise UnusableInput(
-            f"{path}: compiled programs are not kept there: it belongs to user {found.st_uid}, and they run as code; "
+            f"{path}: compiled programs are not kept there: it belongs to user {status.st_uid}, and they run as code; "
             f"expected a directory of your own; set {VARIABLE}"
         )
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise UnusableInput(
             f"{path}: compiled programs are not kept there: others can write to it (mode "
-            f"{stat.S_IMODE(found.st_mode):04o}), and they run as code; expected mode 0700; run chmod 700"
+            f"{stat.S_IMODE(status.st_mode):04o}), and they run as code; expected mode 0700; run chmod 700"
         )
 
 
@@ -111,7 +111,7 @@ _bypassed = threading.local()
 
 @contextlib.contextmanager
 def compiling_anew() -> Iterator[None]:
-    """In this thread stores hold nothing and keep nothing."""
+    """Bypass all stores in this thread."""
     _bypassed.now = True
     try:
         yield
@@ -120,10 +120,10 @@ def compiling_anew() -> Iterator[None]:
 
 
 class ProgramStore(CacheInterface):
-    """The programs in one folder, a file each: a digest of the rest, then what jax gave.
+    """The programs in one folder, a file each: a digest, then the bytes that it is of.
 
-    A file appears whole or not at all, and one whose digest is wrong is removed, so that any number of processes may
-    share the folder.
+    Files are written atomically, and one with a wrong digest is removed, so that any number of processes may share the
+    folder.
     """
 
     def __init__(self, folder: Path, report: Callable[[str], object]) -> None:
@@ -144,12 +144,12 @@ class ProgramStore(CacheInterface):
         digest, program = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
         damaged = digest != _digest(program)
         with contextlib.suppress(OSError):
-            # The time of modification is that of the last use.
+            # The modification time records the last use.
             path.unlink() if damaged else os.utime(path)
         return None if damaged else program
 
     def put(self, key: str, value: bytes) -> None:
-        """Keeps a program; reports the first failure and keeps none after it."""
+        """Write a program; the first failure is reported and ends all writing."""
         if not self.writable or getattr(_bypassed, "now", False):
             return
         temporary = self._path / f".{uuid.uuid4().hex[:16]}"
@@ -176,7 +176,7 @@ def store_in_use() -> ProgramStore | None:
 
 
 class _Ours:
-    """What jax calls for its cache of a directory: always the store."""
+    """Replacement of jax's function that opens a cache directory: it returns the store."""
 
     def __init__(self, store: ProgramStore) -> None:
         self.store = store
@@ -190,9 +190,9 @@ def remove_oldest(root: Path, limit: int = LIMIT_BYTES) -> None:
     files = []
     for path in root.glob(f"{PREFIX}*/*"):
         with contextlib.suppress(OSError):
-            found = path.lstat()
-            if stat.S_ISREG(found.st_mode):
-                files.append((found.st_mtime, found.st_size, path))
+            status = path.lstat()
+            if stat.S_ISREG(status.st_mode):
+                files.append((status.st_mtime, status.st_size, path))
     total = sum(size for _, size, _ in files)
     if total <= limit:
         return

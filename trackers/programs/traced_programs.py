@@ -1,9 +1,9 @@
-"""Compiled programs found by what they are made of, so that a later command need not trace them.
+"""Disk cache of compiled programs, keyed by function and argument types, so that a later command traces nothing.
 
-jax finds a program by its text, and tracing a tracker takes up to three seconds to write that. Here a program is found
-by the function and its arguments without the numbers in their arrays, pickled: classes, static fields, shapes, types.
-The key has the text of our packages, all versions, the settings of jax and XLA, and the processor too. What comes back
-is the same machine code. A function or an argument of other code than ours, or that cannot be pickled, is traced.
+jax looks a program up by its text, which takes up to three seconds of tracing per tracker. The key here is the pickled
+function with its arguments, arrays reduced to shape and type, and also the text of our packages, all versions, the
+settings of jax and XLA, and the processor. The machine code is that of the traced program. A function or an argument
+that is not of our packages, or that cannot be pickled, is traced.
 """
 
 from __future__ import annotations
@@ -31,11 +31,12 @@ from trackwright.trackers.programs.freed_memory import give_back
 from trackwright.trackers.programs.program_cache import ProgramStore, compiling_anew, processor
 
 OURS = ("trackers", "tuning")
-KNOWN = {"builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy"}
-"""The packages whose classes and functions may occur in a key: their text or version is part of it."""
+OTHERS = ("builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy")
+KNOWN = tuple(f"{name}." for name in (*(f"trackwright.{own}" for own in OURS), *OTHERS))
+"""The packages whose classes and functions may occur in a key, since it has their text or version."""
 
 USERS_FILE = "trackwright_"
-"""What the names of modules begin with that are files of users, who may change anything of ours."""
+"""Prefix of the modules that are files of users, which may replace any function of ours."""
 
 PREFIX = "traced-"
 
@@ -43,7 +44,7 @@ Program = Callable[[Any, Any], Any]
 
 
 class TracedPrograms:
-    """The programs that this process has loaded or compiled, and those that `store` has of earlier processes."""
+    """The programs that this process has loaded or compiled, and those of earlier processes in `store`."""
 
     def __init__(self, store: ProgramStore) -> None:
         self.store = store
@@ -54,9 +55,9 @@ class TracedPrograms:
     def program(
         self, function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str | bool] | None = None
     ) -> Program | None:
-        """The compiled `function(model, part)` for arguments of this kind; None where it cannot be told by a key.
+        """The compiled `function(model, part)` for arguments of these types; None where they have no key.
 
-        `options`: of the compiler, which follow from the arguments.
+        `options`: of the compiler, a function of the arguments.
         """
         leaves, structure = jax.tree_util.tree_flatten((model, part))
         key = self._key(function, leaves, structure)
@@ -64,13 +65,13 @@ class TracedPrograms:
             return None
         if key not in self.loaded:
             name = PREFIX + hashlib.blake2b(key, digest_size=24).hexdigest()
-            found = self._read(name, leaves)
-            if found is None:
+            program = self._read(name, leaves)
+            if program is None:
                 # XLA loses functions of a program that it loads and serialises again.
                 with compiling_anew():
-                    found = _compiled(function, leaves, structure, options)
-                self._write(name, found)
-            self.loaded[key] = _called(found)
+                    program = _compiled(function, leaves, structure, options)
+                self._write(name, *program)
+            self.loaded[key] = _called(*program)
         return self.loaded[key]
 
     def _key(self, function: Any, leaves: list[Any], structure: Any) -> bytes | None:
@@ -80,7 +81,7 @@ class TracedPrograms:
             return None
         kinds = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) if eqx.is_array(x) else x for x in leaves]
         try:
-            # Objects, not their structure: some of what a structure holds is told apart by identity.
+            # The objects, not jax's structure of them: that compares some static fields by identity.
             made_of = _pickled((function, jax.tree_util.tree_unflatten(structure, kinds)))
         except (pickle.PicklingError, TypeError, AttributeError):
             return None
@@ -88,7 +89,7 @@ class TracedPrograms:
 
     def _users_files(self) -> bool:
         """Whether files of users were imported."""
-        # Modules are many: looked through again only once there are others.
+        # There are hundreds of modules: they are searched again only when one was imported.
         modules = len(sys.modules), next(reversed(sys.modules))
         if modules != self.modules[0]:
             self.modules = modules, any(name.startswith(USERS_FILE) for name in [*sys.modules])
@@ -104,14 +105,13 @@ class TracedPrograms:
             indices, outputs = jax.tree_util.tree_flatten(result)
             flat = jax.tree_util.tree_structure(list(indices))
             loaded = serialize_executable.deserialize_and_load(payload, arguments, flat)
-        except Exception:  # whatever a compiler makes of a program that it cannot load: it is compiled again
+        except Exception:  # a compiler raises anything for a program that it cannot load; it is compiled again
             return None
         # Loading frees 60 MB and more of a large program.
         give_back()
         return loaded, outputs
 
-    def _write(self, name: str, found: tuple[Any, Any]) -> None:
-        compiled, outputs = found
+    def _write(self, name: str, compiled: Any, outputs: Any) -> None:
         try:
             payload = serialize_executable.serialize(compiled)[0]
             result = jax.tree_util.tree_unflatten(outputs, range(outputs.num_leaves))
@@ -138,8 +138,8 @@ def _compiled(
     return compiled, structures[-1]
 
 
-def _called(found: tuple[Any, Any]) -> Program:
-    compiled, outputs = found
+def _called(compiled: Any, outputs: Any) -> Program:
+    """The program as a function of model and part; `outputs`: the structure of its result."""
 
     def program(model: Any, part: Any) -> Any:
         arrays = (x for x in jax.tree_util.tree_leaves((model, part)) if eqx.is_array(x))
@@ -149,12 +149,11 @@ def _called(found: tuple[Any, Any]) -> Program:
 
 
 class _KeyPickler(pickle.Pickler):
-    """Refuses what is of a package whose text or version the key does not have."""
+    """A pickler that refuses objects of packages whose text or version is not part of the key."""
 
     def reducer_override(self, obj: Any) -> Any:
         module = getattr(obj if isinstance(obj, type) or callable(obj) else type(obj), "__module__", None) or ""
-        ours = tuple(f"trackwright.{package}." for package in OURS)
-        if module.partition(".")[0] not in KNOWN and not module.startswith(ours):
+        if not f"{module}.".startswith(KNOWN):
             raise pickle.PicklingError(f"{obj!r}: of {module}")
         return NotImplemented
 
@@ -172,7 +171,7 @@ def _pickled(tree: Any) -> bytes:
 
 
 def _base() -> bytes:
-    """What all keys of this process have in common."""
+    """The part of the key that all programs of this process share."""
     root = Path(__file__).parents[2]
     parts = [platform.python_version(), processor(), os.environ.get("XLA_FLAGS", "")]
     parts += [f"{name} {version(name)}" for name in ("jax", "jaxlib", "numpy", "equinox")]
@@ -187,13 +186,13 @@ _in_use: TracedPrograms | None = None
 
 
 def use(store: ProgramStore) -> None:
-    """From now on programs are found without tracing; for processes that change nothing of our code."""
+    """Load programs from this store from now on; for processes that replace no function of ours."""
     global _in_use
     _in_use = TracedPrograms(store)
 
 
-def found_program(
+def kept_program(
     function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str | bool] | None
 ) -> Program | None:
-    """The program of `function(model, part)` that need not be traced; None where there is none, or none is wanted."""
+    """The compiled `function(model, part)` from the store in use; None without a store, or where it must be traced."""
     return None if _in_use is None else _in_use.program(function, model, part, options)

@@ -8,8 +8,7 @@ from enum import IntEnum
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
-from trackwright.trackers.core.data.sorted_parts import first_not_before
+from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S, first_not_before
 from trackwright.trackers.recordings.columns import TableRows, require_columns
 
 

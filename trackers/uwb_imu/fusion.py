@@ -14,7 +14,7 @@ MAX_BIASES = 16
 """Largest number of anchors with a bias each in the state; the cost of an epoch grows with its square."""
 
 REACH = 25.0
-"""The distance, m, over which a range that has nothing to do with a track is uniformly distributed."""
+"""Width, m, of the uniform distribution of a range that does not depend on the track."""
 
 
 def range_tracker(
@@ -36,8 +36,9 @@ def range_tracker(
 
     Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeSensor`; `bias`: mean of the range biases, m;
     `sigma_shared`: standard deviation, m, of the bias of the tag, which its ranges to all anchors share. One set of
-    defaults serves hand-held tags, drones, trolleys and tags on the floor; `range_levels` has those of a calibrated
-    site. Above `MAX_BIASES` anchors the state has only the shared bias; the tunable ones of the sensor remain.
+    defaults serves hand-held tags, drones, trolleys and tags on the floor; `range_levels` has the defaults of a
+    calibrated site. Above `MAX_BIASES` anchors the state has only the shared bias; the tunable ones of the sensor
+    remain.
     """
     require(is_count(anchors), "range_tracker", anchors, "the number of anchors, as range_tracker(len(rig.anchors))")
     biases = anchors if anchors <= MAX_BIASES else 0
@@ -52,9 +53,9 @@ def range_tracker(
 
 
 def range_levels(calibration: Calibration | None) -> dict[str, float]:
-    """The levels of `range_tracker`, by name, at a site with this calibration; none where it has no anchors.
+    """The noise levels of `range_tracker`, by name, at a site with this calibration; none where it has no anchors.
 
-    The biases that a calibration leaves vary from place to place; their standard deviation is its `range_spread`.
+    The biases left by a calibration vary from place to place, with its `range_spread` as standard deviation.
     """
     if calibration is None or not calibration.anchors:
         return {}

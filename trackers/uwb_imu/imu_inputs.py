@@ -14,9 +14,7 @@ REST_ACCEL_STD, REST_GYRO_STD = 0.15, 0.02
 """Largest standard deviations at rest, m/s² and rad/s: several times the noise of a MEMS IMU, below hand motion."""
 
 
-def imu_inputs(
-    times: np.ndarray, imu_times: np.ndarray, accel: np.ndarray, gyro: np.ndarray, hold: float = HOLD_S
-) -> dict[str, np.ndarray]:
+def imu_inputs(times: np.ndarray, imu_times: np.ndarray, accel: np.ndarray, gyro: np.ndarray) -> dict[str, np.ndarray]:
     """The inputs `accel` (T, 3) m/s², `gyro` (T, 3) rad/s, `imu` (T, 2) and `rest` (T, 7) of rows at `times` (T,) s.
 
     Each row has the latest sample not after it. `accel`, `gyro` (n, 3): samples at `imu_times` (n,) s, sorted; NaN if
@@ -26,22 +24,22 @@ def imu_inputs(
     inputs = {"imu": np.zeros((len(times), 2))}
     for k, (name, values) in enumerate((("accel", accel), ("gyro", gyro))):
         known = np.isfinite(values).all(axis=1)
-        own, samples = imu_times[known], values[known]
-        last = np.searchsorted(own, times, side="right") - 1
+        sampled, samples = imu_times[known], values[known]
+        last = np.searchsorted(sampled, times, side="right") - 1
         fresh = last >= 0
-        fresh[fresh] = times[fresh] - own[last[fresh]] <= hold
+        fresh[fresh] = times[fresh] - sampled[last[fresh]] <= HOLD_S
         inputs["imu"][:, k] = fresh
-        inputs[name] = np.where(fresh[:, None], samples[np.maximum(last, 0)] if len(own) else np.zeros((1, 3)), 0.0)
+        inputs[name] = np.where(fresh[:, None], samples[np.maximum(last, 0)] if len(sampled) else np.zeros((1, 3)), 0.0)
     both = np.isfinite(accel).all(axis=1)
-    own, pairs = imu_times[both], np.concatenate([accel, np.nan_to_num(gyro)], axis=1)[both]
-    inputs["rest"] = _rests(times, own, pairs) if len(own) else np.zeros((len(times), 7))
+    sampled, pairs = imu_times[both], np.concatenate([accel, np.nan_to_num(gyro)], axis=1)[both]
+    inputs["rest"] = _rests(times, sampled, pairs) if len(sampled) else np.zeros((len(times), 7))
     return inputs
 
 
-def _rests(times: np.ndarray, own: np.ndarray, samples: np.ndarray) -> np.ndarray:
+def _rests(times: np.ndarray, sampled: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """The input `rest` of `imu_inputs`, by cumulative sums."""
-    stop = np.searchsorted(own, np.maximum(times, own[0] + REST_WINDOW_S), side="right")
-    start = np.minimum(np.searchsorted(own, own[stop - 1] - REST_WINDOW_S), stop - 1)
+    stop = np.searchsorted(sampled, np.maximum(times, sampled[0] + REST_WINDOW_S), side="right")
+    start = np.minimum(np.searchsorted(sampled, sampled[stop - 1] - REST_WINDOW_S), stop - 1)
     # Deviations from the total mean: the squares of gravity would swamp the noise.
     centre = samples.mean(axis=0)
     sums, squares = (np.concatenate([np.zeros((1, 6)), np.cumsum((samples - centre) ** p, axis=0)]) for p in (1, 2))
@@ -49,13 +47,13 @@ def _rests(times: np.ndarray, own: np.ndarray, samples: np.ndarray) -> np.ndarra
     mean = (sums[stop] - sums[start]) / count
     std = np.sqrt(np.maximum((squares[stop] - squares[start]) / count - mean**2, 0.0))
     quiet = (std[:, :3] < REST_ACCEL_STD).all(axis=1) & (std[:, 3:] < REST_GYRO_STD).all(axis=1)
-    at_rest = quiet & (own[stop - 1] - own[start] > 0.5 * REST_WINDOW_S)
-    recent = times - own[stop - 1] <= REST_WINDOW_S
+    at_rest = quiet & (sampled[stop - 1] - sampled[start] > 0.5 * REST_WINDOW_S)
+    recent = times - sampled[stop - 1] <= REST_WINDOW_S
     return np.where(recent[:, None], np.concatenate([mean + centre, at_rest[:, None]], axis=1), 0.0)
 
 
 def to_level_axes(accel: np.ndarray, attitude: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of an IMU that reports its attitude and gravity-free acceleration, rotated to its own level axes.
+    """Samples of an IMU that reports its attitude and gravity-free acceleration, rotated to its level axes.
 
     `accel` (n, 3) m/s² in body axes, without gravity; `attitude` (n, 4): quaternion from body to level axes. Returns
     the specific force in level axes and a turning rate of zero; the drift of these axes about the vertical is left to

@@ -108,7 +108,7 @@ class InertialStart(AbstractNearbyStart):
 
 
 def with_yaw_variance(belief: Gaussian, axis: Vector, variance: Scalar) -> Gaussian:
-    """The belief with a rotation of `variance` rad² about `axis` (body axes) added to that of its `attitude`."""
+    """The belief with a rotation about `axis` (body axes) of `variance` rad² added to the error of its `attitude`."""
     names = component_names(belief.mean)
     part = {names.index(f"attitude.{k}"): axis[k] for k in range(3)}
     cov = tuple(

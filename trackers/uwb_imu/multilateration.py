@@ -16,21 +16,21 @@ from trackwright.trackers.core.model.inputs import HEIGHT, Input, Need
 from trackwright.trackers.core.model.motion import Noise, Placed
 from trackwright.trackers.core.model.sensor import rounding_variance
 from trackwright.trackers.core.model.tunable import Scale, freeze
-from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker
 from trackwright.trackers.parts.multilaterate import PositionFit, multilaterate
 from trackwright.trackers.parts.ranges import ANCHORS, RANGES
 
 SOLVED_AT_ONCE = 64
-"""Rows of all trajectories that are solved side by side: operations on a few numbers take as long as on so many."""
+"""Rows of all trajectories solved side by side: operations on fewer numbers take as long."""
 
 
 class Multilateration(AbstractEpochwiseTracker):
     """The position of every row with at least three ranges at a known height, else four.
 
     Readings under `name` with any number of slots; inputs `anchors` (3·slots,) m and `height` m. `sigma_r` m: standard
-    deviation of a range, of which three are the Cauchy scale; the covariance is that of least squares.
+    deviation of a range; the Cauchy scale is three times that. The covariance is the least-squares one.
     """
 
     sigma_r: Noise

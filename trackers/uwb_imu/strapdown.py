@@ -48,7 +48,7 @@ class PlanarInertial(NamedTuple):
 class Inertial(NamedTuple):
     """Fifteen states: position m, velocity m/s (world), attitude body to world, biases m/s² and rad/s (body).
 
-    The position may be that of a tag at a lever arm from the IMU; the velocity is the IMU's. In addition, a range bias
+    The position may be of a tag at a lever arm from the IMU; the velocity is the IMU's. In addition, a range bias
     per anchor, m, none by default.
     """
 
@@ -114,7 +114,7 @@ class PlanarStrapdown(AbstractMotion):
     """The paper's planar mechanisation in world axes; `noise`: of the IMU; `biases`: number of range biases.
 
     With `transport` the velocity also changes by −ω × v, Kwon et al. 2021, equation (2). That term belongs to a
-    velocity in rotating axes; the paper adds it to a velocity that it integrates to a position in world axes, as does
+    velocity in rotating axes; the paper adds it to a velocity that is integrated to a position in world axes, as does
     this form, whose Jacobian is the corrected matrix (22).
     """
 
@@ -246,13 +246,13 @@ def accelerated(
 ) -> tuple[Vector, Vector]:
     """Position and velocity after an acceleration with white noise, between two half steps at constant velocity.
 
-    With the half steps exact for any interval; `sigma_velocity` m/s. The noise is isotropic, so it enters in world axes
-    whatever the attitude. As one stage the Jacobian of the position would be denser, and the propagation of the
-    covariance of fifteen states half as expensive again.
+    Together with the half steps exact for any interval; `sigma_velocity` m/s. The noise is isotropic and enters in
+    world axes. As one stage the Jacobian of the position would be denser, and propagating the covariance of fifteen
+    states half as expensive again.
     """
     n = len(position)
-    shared, own = Vector(*w.parts[:n]), Vector(*w.parts[n : 2 * n])
-    return position + own * (sigma_velocity * dt / 12**0.5), velocity + acceleration * dt + shared * sigma_velocity
+    shared, separate = Vector(*w.parts[:n]), Vector(*w.parts[n : 2 * n])
+    return position + separate * (sigma_velocity * dt / 12**0.5), velocity + acceleration * dt + shared * sigma_velocity
 
 
 def renormalised(attitude: Rotation, dt: Scalar) -> Rotation:

@@ -23,7 +23,7 @@ from trackwright.trackers.core.model.inputs import HEIGHT, Input, Need
 from trackwright.trackers.core.model.motion import Noise, Placed
 from trackwright.trackers.core.model.sensor import Channel
 from trackwright.trackers.core.model.tunable import Scale, freeze
-from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker
 from trackwright.trackers.parts.ranges import ANCHORS, RANGES
@@ -55,7 +55,7 @@ def intersections(first: Vector, second: Vector, radius: Scalar, other: Scalar) 
     # Middle of the gap, along the baseline: between separate circles, or between nested ones.
     separate = (radius + length - other) / 2.0
     nested = jnp.where(radius > other, (radius + length + other) / 2.0, -(radius + other - length) / 2.0)
-    # Circles that do not intersect are separate if the anchors are further apart than either radius.
+    # Circles that do not intersect are separate if the distance of the anchors exceeds both radii.
     gap = jnp.where(length > jnp.maximum(radius, other), separate, nested)
     foot = first + unit * jnp.where(intersect, along, gap)
     rise = jnp.where(intersect, jnp.sqrt(jnp.where(intersect, height, 1.0)), 0.0)
@@ -64,7 +64,7 @@ def intersections(first: Vector, second: Vector, radius: Scalar, other: Scalar) 
 
 
 def nearer(points: tuple[Vector, Vector], anchor: Vector, radius: Scalar) -> Vector:
-    """The one of two points that is nearer to a third anchor's circle: (16)."""
+    """The point, of two, nearer to a third anchor's circle: (16)."""
     error = [(radius - (p - anchor).norm()) ** 2 for p in points]
     return Vector.of(jnp.where(error[0] < error[1], a, b) for a, b in zip(*points, strict=True))
 
@@ -119,7 +119,7 @@ class Trilateration(AbstractEpochwiseTracker):
         zero = jnp.zeros_like(position[0])
         status = jnp.where(seen, Status.OK, jnp.where(jnp.asarray(batch.valid), Status.WAITING, Status.PADDING))
         cov = tuple(zero + jnp.nan for _ in triangle(2))
-        # Zeros on rows without three ranges: nothing of a masked reading is left in an estimate.
+        # Zeros on rows without three ranges: no masked reading affects an estimate.
         mean = Placed(Vector.of(jnp.where(seen, x, 0.0) for x in position))
         return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8)), ()
 

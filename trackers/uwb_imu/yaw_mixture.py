@@ -13,7 +13,7 @@ from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
 from trackwright.trackers.core.model.algebra import Scalar, total
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, matched
-from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.inputs import AnyArray, Inputs
 from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
@@ -24,14 +24,14 @@ class YawMixture(NamedTuple):
     """A Gaussian sum: beliefs with a first axis of K components, and their log-weights (K,)."""
 
     beliefs: Gaussian
-    log_weights: Any
+    log_weights: AnyArray
 
 
 class YawRtsGains(NamedTuple):
-    """The RTS gains of each component, and the filtered weights, which remain where no later row is `connected`."""
+    """The RTS gains of each component, and the filtered weights, kept where the next row is not `connected`."""
 
     each: Any
-    log_weights: Any
+    log_weights: AnyArray
     connected: Scalar
 
 
@@ -107,7 +107,7 @@ def with_yaw_added(state: State, angle: Scalar) -> State:
     return state._replace(attitude=Rotation.exp((zero, zero, angle)) @ state.attitude)
 
 
-def _one_hot_maximum(log_weights: Any) -> Any:
+def _one_hot_maximum(log_weights: AnyArray) -> Any:
     """1 for the first of the largest weights, 0 for the others."""
     return jax.nn.one_hot(jnp.argmax(log_weights, axis=0), log_weights.shape[0], dtype=log_weights.dtype)
 

@@ -20,7 +20,7 @@ from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Real, Scale, replaced
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import PathOutputMap
-from trackwright.trackers.mhk.chain import predicted, updated
+from trackwright.trackers.mhk.fusion import chain_predicted, chain_updated
 from trackwright.trackers.parts.fixes import FIXES
 
 SINGLE_PRECISION = 1e-4
@@ -68,8 +68,8 @@ def chain_checks() -> list[CheckResult]:
         rate, sigma = jnp.exp(raw[0]), jnp.exp(raw[1])
         weights, value = shares, 0.0
         for k in range(len(measured)):
-            weights = predicted(weights, shares, jnp.exp(-rate * intervals[k - 1])) if k else weights
-            weights, log = updated(weights, -0.5 * ((measured[k] - levels) / sigma) ** 2 - jnp.log(sigma))
+            weights = chain_predicted(weights, shares, jnp.exp(-rate * intervals[k - 1])) if k else weights
+            weights, log = chain_updated(weights, -0.5 * ((measured[k] - levels) / sigma) ** 2 - jnp.log(sigma))
             value = value + log
         return value
 

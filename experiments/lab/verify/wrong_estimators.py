@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from trackwright.trackers.core.filters.filter import Innovation
-from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
-from trackwright.trackers.core.filters.particle.random import draws
+from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles, draws
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian

@@ -10,7 +10,7 @@ import pytest
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli.trackers import _simulated
 from trackwright.trackers.catalogue import TRACKERS, build
-from trackwright.trackers.core.model.tunable_meaning import meanings
+from trackwright.trackers.core.model.tunable import meanings
 
 NOT_SIMULATED = ("bearings", "trilateration", "trilateration-compensated", "floor-pf")
 

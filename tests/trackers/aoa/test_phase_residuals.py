@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackwright.trackers.aoa.circular import arctangent, circular_mean
-from trackwright.trackers.aoa.phases import centred, pairwise
+from trackwright.trackers.aoa.phases import arctangent, centred, circular_mean, pairwise
 from trackwright.trackers.core.model.sensor import Reading
 
 FORMS = {"default": centred, "paper": pairwise}

@@ -5,16 +5,16 @@ import pytest
 
 from trackwright.trackers.baselines.windows import MovingWindow
 from trackwright.trackers.core.data.estimates import Status
-from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.parts.fixes import FIXES
 
 WINDOW, ROWS = 5, 30
 
 
-def _recording(seed=0, rows=ROWS):
-    rng = np.random.default_rng(seed)
-    values, seen = rng.normal(size=(rows, 3)), rng.random((rows, 3)) > 0.3
-    return Recording(np.arange(rows) * 0.1, {FIXES: Readings(np.where(seen, values, 0.0), seen)})
+def _recording():
+    rng = np.random.default_rng(0)
+    values, seen = rng.normal(size=(ROWS, 3)), rng.random((ROWS, 3)) > 0.3
+    return Recording(np.arange(ROWS) * 0.1, {FIXES: Readings(np.where(seen, values, 0.0), seen)})
 
 
 def _positions(estimates):
@@ -39,25 +39,6 @@ def test_of_nine_values_the_fifth_is_the_median():
     values = np.tile(np.array([9.0, 1, 8, 2, 7, 3, 6, 4, 5])[:, None], (1, 3))
     recording = Recording(np.arange(9) * 0.1, {FIXES: Readings(values, np.ones(values.shape, bool))})
     assert _positions(MovingWindow(9, True).run(recording))[-1].tolist() == [5.0, 5.0, 5.0]
-
-
-def test_later_rows_change_nothing_before_them():
-    whole, start = _recording(), _recording()
-    part = Recording(
-        start.times[:20],
-        {FIXES: Readings(*(x[:20] for x in (start.readings[FIXES].values, start.readings[FIXES].seen)))},
-    )
-    tracker = MovingWindow(WINDOW, True)
-    np.testing.assert_array_equal(_positions(tracker.run(whole))[:20], _positions(tracker.run(part)))
-
-
-def test_a_trajectory_is_the_same_in_a_ragged_batch():
-    batch = [_recording(0), _recording(1, 12)]
-    together = MovingWindow(WINDOW, True).run(stack(batch))
-    for k, recording in enumerate(batch):
-        alone = MovingWindow(WINDOW, True).run(recording)
-        np.testing.assert_array_equal(_positions(together[k])[: len(recording)], _positions(alone))
-        assert np.all(together[k].status[len(recording) :] == Status.PADDING)
 
 
 def test_a_window_without_rows_is_refused():

@@ -11,8 +11,7 @@ from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.tunable import freeze
 from trackwright.trackers.mhk.accelerations import AccelerationSphere
 from trackwright.trackers.mhk.azimuths import mean_acceleration
-from trackwright.trackers.mhk.chain import predicted, updated
-from trackwright.trackers.mhk.fusion import AccelerationFilter
+from trackwright.trackers.mhk.fusion import AccelerationFilter, chain_predicted, chain_updated
 
 STATIONARY = np.array([0.5, 0.3, 0.2])
 
@@ -28,8 +27,8 @@ def test_forward_recursion_is_the_sum_over_every_sequence_of_states(kappa):
         joint[path[-1]] += p * np.exp(sum(row[s] for row, s in zip(log_likelihoods, path, strict=True)))
     weights, evidence = jnp.asarray(STATIONARY), 0.0
     for k, row in enumerate(log_likelihoods):
-        weights = predicted(weights, jnp.asarray(STATIONARY), kappa) if k else weights
-        weights, log = updated(weights, jnp.asarray(row))
+        weights = chain_predicted(weights, jnp.asarray(STATIONARY), kappa) if k else weights
+        weights, log = chain_updated(weights, jnp.asarray(row))
         evidence += float(log)
     np.testing.assert_allclose(weights, joint / joint.sum(), rtol=1e-12)
     assert evidence == pytest.approx(np.log(joint.sum()), rel=1e-12)
@@ -37,12 +36,12 @@ def test_forward_recursion_is_the_sum_over_every_sequence_of_states(kappa):
 
 def test_two_steps_are_one_long_step():
     weights, stationary = jnp.array([0.9, 0.1, 0.0]), jnp.asarray(STATIONARY)
-    twice = predicted(predicted(weights, stationary, np.exp(-0.3)), stationary, np.exp(-0.5))
-    np.testing.assert_allclose(twice, predicted(weights, stationary, np.exp(-0.8)), rtol=1e-13)
+    twice = chain_predicted(chain_predicted(weights, stationary, np.exp(-0.3)), stationary, np.exp(-0.5))
+    np.testing.assert_allclose(twice, chain_predicted(weights, stationary, np.exp(-0.8)), rtol=1e-13)
 
 
 def test_an_outlier_leaves_finite_probabilities():
-    weights, log = updated(jnp.asarray(STATIONARY), jnp.array([-1e6, -2e6, -3e6]))
+    weights, log = chain_updated(jnp.asarray(STATIONARY), jnp.array([-1e6, -2e6, -3e6]))
     np.testing.assert_allclose(weights, [1.0, 0.0, 0.0])
     assert float(log) == pytest.approx(-1e6 + np.log(0.5))
 

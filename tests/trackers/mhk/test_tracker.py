@@ -1,4 +1,4 @@
-"""MH-K: the plain Kalman filter without accelerations, independence of the batch, times of stamped estimates."""
+"""MH-K: the plain Kalman filter without accelerations, times of stamped estimates."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ import pytest
 
 from tests.known_start import flat
 from trackwright.trackers.core.data.estimates import Status
-from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.mhk.accelerations import AccelerationSphere
@@ -22,27 +22,16 @@ def _position(t):
     return np.stack([4 * np.sin(0.2 * t), 0.3 * t, 1 + 0 * t], axis=1)
 
 
-def _recording(rows=60, seed=0, dt=0.1):
-    rng = np.random.default_rng(seed)
-    times = np.arange(rows) * dt
+def _recording(rows=60):
+    rng = np.random.default_rng(0)
+    times = np.arange(rows) * 0.1
     fixes = _position(times) + 0.03 * rng.normal(size=(rows, 3))
-    return Recording(times, {FIXES: Readings(fixes, np.ones((rows, 3), bool))}, name=f"tag {seed}")
+    return Recording(times, {FIXES: Readings(fixes, np.ones((rows, 3), bool))})
 
 
 @pytest.fixture(scope="module", params=[None, pytest.param(1.0, marks=pytest.mark.slow)], ids=["as printed", "sticky"])
 def tracker(request):
     return mhk_tracker(rate=request.param)
-
-
-@pytest.mark.slow
-def test_estimates_do_not_depend_on_the_other_tags_of_a_ragged_batch(tracker):
-    recordings = [_recording(60, 0), _recording(30, 1)]
-    together = tracker.run(stack(recordings))
-    for k, recording in enumerate(recordings):
-        alone = tracker.run(stack([recording], rows=60), chunk=1)[0]
-        rows = slice(0, len(recording))
-        np.testing.assert_allclose(flat(together[k].mean)[rows], flat(alone.mean)[rows], rtol=1e-10, atol=1e-12)
-        assert np.all(together[k].status[len(recording) :] == Status.PADDING)
 
 
 def test_it_waits_for_a_full_window_and_ends_near_the_path(tracker):

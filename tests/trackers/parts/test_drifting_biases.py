@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -43,15 +44,30 @@ def test_biases_decay_at_the_rate_of_time_and_way_and_keep_their_variance(veloci
         assert variance * kept**2 + noise**2 == pytest.approx(variance, rel=1e-12)
 
 
-@pytest.mark.parametrize("u", [0.0, 0.01, 0.2, 0.45, 0.499, 0.501, 3.0])
+@pytest.mark.parametrize("u", [0.0, 3e-4, 0.01, 0.2, 0.45, 0.499, 0.501, 3.0, 10.0])
 def test_a_damped_velocity_is_that_of_its_stochastic_differential_equation(u):
-    memory = 2.5
-    F, Q = van_loan(np.array([[0.0, 1.0], [0.0, -1 / memory]]), np.diag([0.0, 1.0]), u * memory)
-    decay, gain, velocity_noise, shared, own = (float(x) for x in damped_velocity(jnp.asarray(u * memory), memory))
-    np.testing.assert_allclose([[gain], [decay]], F[:, 1:], rtol=1e-12)
-    found = np.array([shared * velocity_noise, velocity_noise**2, own**2])
-    conditional = Q[0, 0] - Q[0, 1] ** 2 / Q[1, 1] if u else 0.0
-    np.testing.assert_allclose(found, [Q[0, 1], Q[1, 1], conditional], rtol=2e-6, atol=1e-14)
+    sigma, memory = 0.7, 4.0
+    dt, motion = u * memory, DriftingBiases(0, sigma, 0.2, memory, 0.05, 20.0, 2.0)
+    F, Q = van_loan(np.array([[0.0, 1.0], [0.0, -1.0 / memory]]), np.diag([0.0, sigma**2]), dt)
+
+    def moved(x, v, *noise):
+        state = BiasedState(Vector(x, 0.0), Vector(v, 0.0), Vector())
+        after = motion.step(state, None, jnp.asarray(dt), Vector(noise[0], 0.0, 0.0, noise[1], 0.0, 0.0))
+        return np.array([float(after.position[0]), float(after.velocity[0])])
+
+    G = np.column_stack([moved(0.0, 0.0, 1.0, 0.0), moved(0.0, 0.0, 0.0, 1.0)])
+    # The oracle halves and doubles to twelve digits; the series' next term is 1e-8 of the sum at most.
+    np.testing.assert_allclose(np.column_stack([moved(1.0, 0.0, 0, 0), moved(0.0, 1.0, 0, 0)]), F, rtol=1e-10)
+    np.testing.assert_allclose(G @ G.T, Q, rtol=2e-6, atol=1e-14)
+
+
+def test_gradients_with_respect_to_the_motions_numbers_are_finite_at_dt_zero():
+    def moved(log_memory, dt):
+        kept, reach, kick, along, across = damped_velocity(dt, jnp.exp(log_memory))
+        return kept + reach + kick + along + across
+
+    for dt in (0.0, 1e-4, 3.0):
+        assert np.isfinite(jax.grad(moved)(jnp.asarray(1.0), jnp.asarray(dt)))
 
 
 @pytest.mark.parametrize("as_matrix", [False, True])

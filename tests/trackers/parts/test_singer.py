@@ -64,14 +64,6 @@ def test_the_smallest_pivot_of_the_noise_factor_is_accurate(exact, dtype, tolera
     assert np.all(np.triu(G, 1) == 0)
 
 
-def test_a_step_with_dt_zero_returns_the_state_whatever_the_noise():
-    motion, state = Singer(SIGMA, TAU, 2), Accelerated(Vector(1.1, -2.3), Vector(0.7, 1e-9), Vector(-3.3, 5.0))
-    for seed in range(5):
-        w = Vector.of(np.random.default_rng(seed).normal(size=6) * 1e3)
-        moved = motion.step(state, None, jnp.asarray(0.0), w)
-        assert jax.tree_util.tree_leaves(moved) == jax.tree_util.tree_leaves(state)
-
-
 # On either side of the 7.5 s at which the branches of `singer_terms` meet, and at both ends of the range.
 @pytest.mark.parametrize("dt", [0.0, 1e-6, 7.4, 7.6, 1e4])
 def test_the_derivative_with_respect_to_the_time_constant_is_the_central_difference(dt):

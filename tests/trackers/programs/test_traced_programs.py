@@ -14,8 +14,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import TRACKERS, build
-from trackwright.trackers.core.run.batch_estimates import outputs, outputs_and_state
-from trackwright.trackers.core.run.chunks import as_dtype, chunks, jitted
+from trackwright.trackers.core.run.chunks import as_dtype, chunks, jitted, outputs, outputs_and_state
 from trackwright.trackers.programs.program_cache import ProgramStore
 from trackwright.trackers.programs.traced_programs import PREFIX, USERS_FILE, TracedPrograms
 from trackwright.trackers.recordings.tracks import batches

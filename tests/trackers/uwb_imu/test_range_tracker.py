@@ -1,61 +1,15 @@
 """The tracker of ranges: its motion's contract, starts, biases, outliers and gaps."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.oracles import van_loan
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
-from trackwright.trackers.core.model.algebra import Vector
-from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.recent_positions import recent_positions
 from trackwright.trackers.uwb_imu.fusion import range_tracker
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])
 HEIGHT = 1.1
-
-
-@pytest.mark.parametrize("dt", [1e-3, 0.1, 2.0, 6.0, 40.0])
-def test_the_motion_is_the_solution_of_its_differential_equation(dt):
-    sigma, memory = 0.7, 4.0
-    motion = DriftingBiases(0, sigma, 0.2, memory, 0.05, 20.0, 2.0)
-    F, Q = van_loan(np.array([[0.0, 1.0], [0.0, -1.0 / memory]]), np.diag([0.0, sigma**2]), dt)
-
-    def moved(x, v, *noise):
-        state = BiasedState(Vector(x, 0.0), Vector(v, 0.0), Vector())
-        after = motion.step(state, None, jnp.asarray(dt), Vector(noise[0], 0.0, 0.0, noise[1], 0.0, 0.0))
-        return np.array([float(after.position[0]), float(after.velocity[0])])
-
-    G = np.column_stack([moved(0.0, 0.0, 1.0, 0.0), moved(0.0, 0.0, 0.0, 1.0)])
-    # The oracle halves and doubles to twelve digits; the series' next term is 1e-8 of the sum at most.
-    np.testing.assert_allclose(np.column_stack([moved(1.0, 0.0, 0, 0), moved(0.0, 1.0, 0, 0)]), F, rtol=1e-10)
-    np.testing.assert_allclose(G @ G.T, Q, rtol=1e-6)
-
-
-def test_gradients_with_respect_to_the_motions_numbers_are_finite_at_dt_zero():
-    def moved(log_memory, dt):
-        kept, reach, kick, along, across = damped_velocity(dt, jnp.exp(log_memory))
-        return kept + reach + kick + along + across
-
-    for dt in (0.0, 1e-4, 3.0):
-        assert np.isfinite(jax.grad(moved)(jnp.asarray(1.0), jnp.asarray(dt)))
-
-
-def test_a_bias_decays_exactly_over_any_interval():
-    motion = DriftingBiases(1, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0)
-    state = BiasedState(Vector(0.0, 0.0), Vector(0.0, 0.0), Vector(0.3))
-    still = Vector(*[0.0] * 7)
-    twice = motion.step(motion.step(state, None, jnp.asarray(3.0), still), None, jnp.asarray(4.0), still)
-    # Rounding of exponentials.
-    np.testing.assert_allclose(float(twice.bias[0]), 0.3 * np.exp(-7.0 / 20.0), rtol=1e-14)
-    # Variances: what is left of the first interval's noise and the second's make that of the whole one.
-    unit = Vector(*[0.0] * 6, 1.0)
-    parts = [
-        float(motion.step(state._replace(bias=Vector(0.0)), None, jnp.asarray(t), unit).bias[0]) for t in (3, 4, 7)
-    ]
-    np.testing.assert_allclose((parts[0] * np.exp(-4.0 / 20.0)) ** 2 + parts[1] ** 2, parts[2] ** 2, rtol=1e-13)
 
 
 def _rows(rng, count=600, outlier=0.0, sigma=0.02, biases=None, still=False):

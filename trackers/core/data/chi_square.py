@@ -16,8 +16,8 @@ def chi_square_probability(values: Float[np.ndarray, "*shape"], dof: float) -> F
     # From here on the probability is 1 in double precision.
     x = np.minimum(np.asarray(values, float) / 2, a + 50 + 12 * math.sqrt(a))
     first = np.exp(a * np.log(np.maximum(x, np.finfo(float).tiny)) - x - math.lgamma(a + 1))
-    found: Float[np.ndarray, "*shape"] = np.minimum(first * _series(a, x, float(x.max(initial=0.0))), 1.0)
-    return found
+    probability: Float[np.ndarray, "*shape"] = np.minimum(first * _series(a, x, float(x.max(initial=0.0))), 1.0)
+    return probability
 
 
 @lru_cache(maxsize=4096)
@@ -44,7 +44,7 @@ def chi_square_quantile(probability: float, dof: float) -> float:
 
 
 def _series(a: float, x: Any, largest: float) -> Any:
-    """The lower incomplete gamma function γ(a, x) divided by xᵃ e⁻ˣ/a; `largest`: of the values x.
+    """The lower incomplete gamma function γ(a, x) divided by xᵃ e⁻ˣ/a; `largest`: the largest x.
 
     All terms of the series are positive (Abramowitz and Stegun 1964, equation 6.5.29).
     """

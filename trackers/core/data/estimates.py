@@ -49,7 +49,7 @@ STEP_COLUMNS = ("nis", "nis_dof", "log_likelihood")
 
 
 def is_usable(status: Int[np.ndarray, "*rows"]) -> Bool[np.ndarray, "*rows"]:
-    """Which `Status` codes are those of rows with an estimate: neither padding, waiting nor non-finite."""
+    """The mask of `Status` codes of rows with an estimate: neither padding, waiting nor non-finite."""
     return (status == Status.OK) | (status == Status.RESTARTED) | (status == Status.LOST)
 
 
@@ -58,12 +58,12 @@ class Estimates:
     """The estimates of one recording (arrays start with T) or of several (with B, T).
 
     `mean`: the state, one array per named component. `cov_upper`: (n(n+1)/2, …, T), the covariance of the small step
-    about the mean, upper triangle row by row; with n less than the state's size, of its n leading components.
+    about the mean, upper triangle row by row; of the n leading components where n is less than the state's size.
     `log_likelihood`, `nis`, `nis_dof` (its degrees of freedom), `wrapped` (number of ambiguous angle wraps): per row,
-    summed over sensors. `status`: `Status` codes. `age`: s from the time for which an estimate is valid to that of its
-    row, None where they are the same. `times`: (T,) or (B, T) s, for which the estimates are valid, NaN in padding.
-    `names`: of the recordings. `final`: the state after their last rows, `initial` of a run that continues. After a run
-    of a `Batch` the last three are empty.
+    summed over sensors. `status`: `Status` codes. `age`: time from an estimate's validity to its row, s; None where
+    they coincide. `times`: (T,) or (B, T) s, at which the estimates are valid, NaN in padding. `names`: of the
+    recordings. `final`: the state after their last rows, `initial` of a run that continues. After a run of a `Batch`
+    the last three are empty.
     """
 
     mean: Any
@@ -108,7 +108,7 @@ class Estimates:
         return is_usable(self.status)
 
     def valid_times(self, times: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows"]:
-        """The times for which the estimates of rows at `times`, s, are valid."""
+        """The times at which the estimates of rows at `times`, s, are valid."""
         return times if self.age is None else times - self.age
 
     def __getitem__(self, trajectory: Any) -> Estimates:
@@ -174,10 +174,10 @@ class Estimates:
         """The mask (…, T) of the last row of each time, and one estimate (N,) per time; rows of padding are left out.
 
         State and covariance are those of the last row; log-likelihood, NIS, its degrees of freedom and wraps are sums
-        over the rows of the time, in double precision (a row whose NIS is not finite is in neither of these two). The
+        over the rows of the time, in double precision (rows with a non-finite NIS count in neither of the two). The
         status is `NON_FINITE` if any of the rows is, `RESTARTED` if a track restarted in any of them and runs after
-        the last, else that of the last row. `times` (…, T): of the rows, not of validity; by default the estimates'
-        own.
+        the last, else that of the last row. `times` (…, T): of the rows, not of validity; by default from the
+        estimates' times and ages.
         """
         last = self.last_rows(times)
         rows = self.status != Status.PADDING
@@ -209,7 +209,7 @@ class Estimates:
         return last, merged
 
     def last_rows(self, times: np.ndarray | None = None) -> Bool[np.ndarray, "*rows"]:
-        """The mask (…, T) of the last row of each time; `times` as of `per_time`."""
+        """The mask (…, T) of the last row of each time; `times` as in `per_time`."""
         if times is None:
             if self.times is None:
                 raise UnusableInput("these estimates have no times: a Batch was run; run the recordings themselves")
@@ -218,7 +218,7 @@ class Estimates:
         ends = np.ones_like(rows)
         # (t − age) + age is t up to rounding.
         steps, later = np.diff(times), ~rows[..., 1:]
-        # The spacing of the largest number first: that of each takes longer than all else here.
+        # The spacing of the largest number first: computing each spacing takes longer than the rest.
         if times.size and not ((steps > 2 * np.spacing(np.nanmax(np.abs(times)))) | later).all():
             ends[..., :-1] = (steps > 2 * np.spacing(np.abs(times[..., 1:]))) | later
         return rows & ends
@@ -263,7 +263,7 @@ class Estimates:
     def summary(self) -> str:
         """One sentence on a single trajectory: ok, lost and re-started, non-finite at row k, or too little data.
 
-        The number of restarts is that of times with the status `RESTARTED`; of rows, where there are no times.
+        Restarts are counted by times with the status `RESTARTED`, by rows where there are no times.
         """
         status = self.status[self.status != Status.PADDING]
         if np.all(status == Status.WAITING):
@@ -280,7 +280,7 @@ class Estimates:
 
 
 def numbered_names(names: Sequence[str]) -> list[str]:
-    """The names, those that occur again with their number among all: `a`, `b`, `a` become `a`, `b`, `a 3`."""
+    """The names, repeated ones with their position: `a`, `b`, `a` become `a`, `b`, `a 3`."""
     first = {name: k for k, name in reversed([*enumerate(names)])}
     return [name if first[name] == k else f"{name} {k + 1}" for k, name in enumerate(names)]
 

@@ -48,7 +48,7 @@ def frame_html(caption: str, table: pl.DataFrame) -> str:
 
 
 def estimates_html(estimates: Any) -> str:
-    """The first rows of the table of `Estimates`; those of a bare batch have none."""
+    """The first rows of the table of `Estimates`; no rows after a run of a bare batch."""
     if estimates.times is None:
         return html_table(repr(estimates), (), ())
     return frame_html(repr(estimates), estimates.to_polars())

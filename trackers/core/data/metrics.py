@@ -80,22 +80,22 @@ def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
 def nees_of_leading(errors: Errors, covs: Covariances) -> Float[np.ndarray, "d N"]:
     """NEES of the first axis, of the first two, … and of all d; NaN where their part of P is not positive definite.
 
-    By elimination over the d columns for all rows at once, so that a singular P affects its own row alone.
+    Elimination over the d columns, for all rows at once: a singular P affects its row alone.
     """
-    # Each entry is a vector over the rows.
+    # Each entry is a vector over the rows of the errors.
     remainder = [np.array(x, float) for x in errors.T]
     upper = {(i, j): np.array(covs[:, i, j], float) for i in range(len(remainder)) for j in range(i, len(remainder))}
     P = {(i, j): upper[min(i, j), max(i, j)] for i in range(len(remainder)) for j in range(len(remainder))}
     values: list[np.ndarray] = []
-    # Covariances of a damaged file overflow: their rows have an infinite NEES, or NaN.
+    # Covariances of a damaged file may overflow; the NEES of their rows is infinite or NaN.
     with np.errstate(over="ignore", invalid="ignore"):
-        for j, own in enumerate(remainder):
+        for j, reduced in enumerate(remainder):
             pivot = np.where(P[j, j] > 0, P[j, j], math.nan)
-            value = own**2 / pivot
+            value = reduced**2 / pivot
             values.append(values[-1] + value if values else value)
             for a in range(j + 1, len(remainder)):
                 gain = P[a, j] / pivot
-                remainder[a] = remainder[a] - gain * own
+                remainder[a] = remainder[a] - gain * reduced
                 for b in range(j + 1, len(remainder)):
                     P[a, b] = P[a, b] - gain * P[j, b]
     return np.stack(values) if values else np.zeros((0, len(errors)))

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
+from numpy.typing import ArrayLike
 
 from trackwright.trackers.core.data.frames import recording_html
-from trackwright.trackers.core.data.row_checks import check_rows, read_only
 from trackwright.trackers.core.data.seconds import seconds, span
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.inputs import AnyArray
@@ -51,8 +51,8 @@ class Recording:
     `times`: (T,) seconds, not decreasing; time stamps in any unit become seconds since 1970. `readings`: by sensor
     name. `inputs`: by name, (T, …), known quantities that motion and sensors may use. `truth`: by quantity name, values
     (T, d) with the rows where it is known. Its arrays are read-only views. `id`: from it and the seed of a run come the
-    random numbers of filters that draw any; None for the recording's place among those that run together. Equal to
-    itself alone. Raises UnusableInput where times are unsorted, shapes differ or a number isn't finite.
+    random numbers of filters that draw any; None for the recording's position in the batch. Equal to itself alone.
+    Raises UnusableInput where times are unsorted, shapes differ or a number isn't finite.
     """
 
     times: np.ndarray
@@ -120,7 +120,7 @@ class Columns:
     """The rows of n recordings of the same sensors, inputs and truths as columns, one recording after another.
 
     `starts` (n + 1,): the first of the N rows of each recording, then N. `times` (N,) s, `readings`, `inputs` and
-    `truth`: those of a `Recording`, with N rows. `names` and `ids` (n,). Raises UnusableInput as `Recording` does.
+    `truth`: as in a `Recording`, with N rows. `names` and `ids` (n,). Raises UnusableInput as `Recording` does.
     """
 
     starts: np.ndarray
@@ -174,21 +174,21 @@ class Columns:
         return len(self.starts) - 1
 
     def of_each(self, values: np.ndarray) -> np.ndarray:
-        """A number of every recording (n, …), repeated in each of its rows (N, …)."""
+        """Values per recording (n, …), repeated for each of its rows (N, …)."""
         return np.repeat(values, np.diff(self.starts), axis=0)
 
     def padded(self, rows: np.ndarray, width: int | None = None) -> np.ndarray:
         """The values of all rows (N, …) by recording (n, width, …), NaN or zero beyond its end.
 
-        `width`: by default the rows of the longest.
+        `width`: by default that of the longest recording.
         """
         lengths = np.diff(self.starts)
         width = width or int(lengths.max())
         if (lengths == width).all():
             return rows.reshape(len(self), width, *rows.shape[1:])
-        found = np.full((len(self), width, *rows.shape[1:]), np.nan if rows.dtype.kind == "f" else 0, rows.dtype)
-        found[np.arange(width) < lengths[:, None]] = rows
-        return found
+        padded = np.full((len(self), width, *rows.shape[1:]), np.nan if rows.dtype.kind == "f" else 0, rows.dtype)
+        padded[np.arange(width) < lengths[:, None]] = rows
+        return padded
 
     def recording(self, number: int) -> Recording:
         """One of the recordings; its arrays are views of the columns."""
@@ -201,7 +201,7 @@ class Columns:
     def batch(
         self, rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0, truth: bool = True
     ) -> Batch:
-        """The recordings as one batch; arguments as of `stack`. `truth`: whether with their truth, unused by runs."""
+        """The recordings as one batch; arguments as of `stack`. `truth`: whether to include it; runs do not use it."""
         dtype, lengths, size = dtype or jax.dtypes.canonicalize_dtype(float), np.diff(self.starts), len(self)
         longest = int(lengths.max())
         rows = rows or longest
@@ -218,7 +218,7 @@ class Columns:
                 array = padded
             out = np.zeros((rows, *shape, size), kind)
             rows_last = np.moveaxis(np.reshape(array, (size, longest, *shape)), 0, -1)
-            for k in range(0, size if np.any(array) else 0, 32):  # as many as the cache holds rows of
+            for k in range(0, size if np.any(array) else 0, 32):  # trajectories whose rows fit the cache
                 out[:longest, ..., k : k + 32] = rows_last[..., k : k + 32]
             return out
 
@@ -233,7 +233,7 @@ class Columns:
             },
             inputs={name: pile(x, dtype) for name, x in self.inputs.items()},
             truth={k: (pile(x, dtype), pile(known, bool)) for k, (x, known) in self.truth.items() if truth},
-            key=trajectory_key_data(seed, [k if own is None else own for k, own in enumerate(self.ids)]),
+            key=trajectory_key_data(seed, [k if one is None else one for k, one in enumerate(self.ids)]),
         )
 
 
@@ -246,7 +246,7 @@ def _joined_rows(parts: Sequence[Recording] | Sequence[Columns], names: Sequence
             if set(mine) != set(theirs):
                 raise UnusableInput(
                     f"stack: '{label}' has {what} {sorted(theirs)}, '{names[0]}' {sorted(mine)}; expected the same "
-                    "names in all; leave the others out, or stack these recordings apart"
+                    "names in all; leave the others out, or stack these recordings separately"
                 )
 
     def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
@@ -272,11 +272,74 @@ def stack(
 ) -> Batch:
     """The recordings as one batch, padded to `rows` (default: the longest), floats in `dtype` (default: jax's).
 
-    `seed`: with the ids of the recordings it gives the random keys, for filters that draw random numbers.
+    `seed`: of the random keys, with the ids of the recordings, for filters that draw random numbers.
 
-    All recordings name the same sensors, inputs and truths; `dt` is computed here, in float64. Raises UnusableInput for
+    All recordings have the same sensors, inputs and truths; `dt` is computed here, in float64. Raises UnusableInput for
     no recording.
     """
     if not len(recordings):
         raise UnusableInput("stack: found no recording; expected one or more; usual fix: look at how the list is made")
     return Columns.of(recordings).batch(rows, dtype, seed)
+
+
+def check_rows(
+    name: str,
+    times: np.ndarray,
+    readings: Mapping[str, Readings],
+    inputs: Mapping[str, np.ndarray],
+    truth: Mapping[str, tuple[np.ndarray, np.ndarray]],
+) -> None:
+    """Raises UnusableInput, naming the recording, where times are unsorted, shapes differ or a number isn't finite."""
+    check_times(name, times)
+    for sensor, of_sensor in readings.items():
+        _check_readings(f"{name}: readings['{sensor}']", of_sensor, len(times))
+    for quantity, values in inputs.items():
+        _check_array(f"{name}: inputs['{quantity}']", values, len(times))
+    for quantity, (values, known) in truth.items():
+        _check_array(f"{name}: truth['{quantity}']", values, len(times))
+        _check_array(f"{name}: truth['{quantity}'], where it is known,", known, len(times))
+
+
+def check_times(name: str, times: np.ndarray) -> None:
+    """Raises UnusableInput, by the recording's name, where the times (T,) of its rows are not finite or unsorted."""
+    if times.ndim != 1 or len(times) == 0:
+        raise UnusableInput(f"{name}: times have shape {times.shape}, expected (T,) with at least one row")
+    if not np.all(np.isfinite(times)):
+        raise UnusableInput(f"{name}: times[{int(np.argmin(np.isfinite(times)))}] is not finite")
+    if np.any(np.diff(times) < 0):
+        row = int(np.argmax(np.diff(times) < 0)) + 1
+        raise UnusableInput(f"{name}: times[{row}] = {times[row]} s comes before the row above; sort the rows first")
+
+
+def _check_array(what: str, array: np.ndarray, rows: int) -> None:
+    array = np.asarray(array)
+    length = len(array) if array.ndim else 0
+    if length != rows:
+        raise UnusableInput(f"{what} has {length} rows, expected {rows}, one for each time")
+    bad = ~np.isfinite(array)
+    if bad.any():
+        row = np.argwhere(bad)[0][0]
+        raise UnusableInput(f"{what} row {row} is not finite; mark what is missing by a mask")
+
+
+def _check_readings(what: str, readings: Readings, rows: int) -> None:
+    values, seen = np.asarray(readings.values), np.asarray(readings.seen)
+    if values.ndim != 2 or len(values) != rows or seen.shape != values.shape:
+        raise UnusableInput(f"{what} has values {values.shape} and seen {seen.shape}, expected ({rows}, channels) both")
+    reported = _reported(readings)
+    if len(reported) != rows:
+        raise UnusableInput(f"{what}.reported has {len(reported)} rows, expected {rows}")
+    for array in (values, reported):
+        bad = ~np.isfinite(array)
+        if bad.any():
+            row, channel = np.argwhere(bad)[0]
+            raise UnusableInput(
+                f"{what} row {row}, channel {channel} is not finite; for a missing value store 0 and set seen to False"
+            )
+
+
+def read_only(array: ArrayLike) -> np.ndarray:
+    """A view of the array that refuses assignment."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view

@@ -11,10 +11,10 @@ from jaxtyping import Float
 from trackwright.trackers.core.errors import UnusableInput
 
 UNIX_S, UNIX_MS = 1e8, 1e11
-"""Times, s, from the first on count from 1970, in s below the second: three years are longer than any recording."""
+"""Times from `UNIX_S` on count from 1970, in s below `UNIX_MS`: no recording lasts the three years before."""
 
 HOLE_S, HOLE_M = 1.0, 0.02
-"""Truth is not interpolated between rows further apart than both limits: seconds in time and metres in position."""
+"""Limits of interpolated truth, s and m: between rows that exceed both there is none."""
 
 
 def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
@@ -30,7 +30,7 @@ def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
         unit, _ = np.datetime_data(values.dtype)
         if unit in ("generic", "Y", "M"):
             raise UnusableInput(f"times of type {values.dtype}; expected seconds, or time stamps of days or finer")
-        # Whole and broken seconds apart: nanoseconds since 1970 have more digits than a float.
+        # Whole seconds and fractions separately: nanoseconds since 1970 have more digits than a float.
         missing = np.isnat(values)
         fine = values.astype(f"{'datetime64' if values.dtype.kind == 'M' else 'timedelta64'}[ns]").astype(np.int64)
         values = np.where(missing, np.nan, fine // 10**9 + (fine % 10**9) / 1e9)
@@ -42,7 +42,7 @@ def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
 
 
 def zero_of(first: float) -> float:
-    """The time, s, from which those of a recording that begins at `first` are shown: `first` if it counts from 1970."""
+    """The zero, s, of the displayed times of a recording that begins at `first`: `first` if that counts from 1970."""
     return float(first) if UNIX_S <= first < np.inf else 0.0
 
 
@@ -60,10 +60,22 @@ def span(first: float, last: float) -> str:
 
 
 def place_in_time(time: float, zero: float) -> str:
-    """Where a row stands, for messages: its `t_s`, or of times that count from 1970 the seconds after `zero`."""
+    """The time of a row for messages: its `t_s`, or the seconds after `zero` where times count from 1970."""
     return f"{time - zero:.6g} s after the start" if zero else f"t_s {time:.9g}"
 
 
 def time_label(zero: float) -> str:
-    """The label of an axis of times, s, after `zero`, with its date where that counts from 1970."""
+    """The label of an axis of times, s, after `zero`; with the date where times count from 1970."""
     return f"time (s) since {moment(zero)}" if zero else "time (s)"
+
+
+def first_not_before(times: np.ndarray, low: np.ndarray, high: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The first index in `low` … `high` (N,) of a time that is not before `wanted` (N,); `high` where all are before.
+
+    `times` (n,): sorted between each pair of `low` and `high`.
+    """
+    for _ in range(int((high - low).max(initial=0)).bit_length()):
+        middle = (low + high) // 2
+        earlier = times[middle] < wanted
+        low, high = np.where(earlier & (low < high), middle + 1, low), np.where(earlier, high, middle)
+    return high

@@ -77,7 +77,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         for stage in motion.stages:
             mean, F, G = sparse_jacobians(motion, stage, mean, inputs, dt)
             grown = congruence(F, cov, G)
-            # Entries that are unchanged need no barrier again.
+            # Unchanged entries already have their barrier.
             cov = tuple(a if a is b else compute_once(a) for a, b in zip(grown, cov, strict=True))
         return Gaussian(compute_once(mean), cov)
 
@@ -113,7 +113,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
     def rts_gain(
         self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
     ) -> RtsGain:
-        """The RTS gains to the next time step, `dt` s later; `connected`: that step continues the track."""
+        """The RTS gains to the next time step, `dt` s later; `connected`: whether that step continues the track."""
         constants: list[Any] = []
 
         def linearised(belief: Gaussian, inputs: Inputs, dt: Scalar) -> tuple[State, Array]:
@@ -130,10 +130,10 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
 
 
 def above_resolution(cov: AnyCovariance, point: Sequence[Scalar]) -> AnyCovariance:
-    """The covariance with the variances of rounding: a state in single precision is known to 1 cm at 100 km.
+    """The covariance with the rounding of the mean added: single precision resolves 1 cm at 100 km.
 
-    That of a component is the square of its relative spacing of numbers times its value, which fixes and ranges of the
-    same size are rounded to as well. Nothing is added in double precision.
+    The standard deviation of a component's rounding is its value times the relative spacing of numbers; fixes and
+    ranges of that size are rounded alike. In double precision nothing is added.
     """
     eps = float(jnp.finfo(zero_of(cov).dtype).eps)
     return cov if eps < 1e-12 else added(cov, [eps * jax.lax.stop_gradient(x) for x in point])
@@ -173,7 +173,7 @@ def jacobian_of(motion: AbstractMotion, state: State, inputs: Inputs, dt: Scalar
 def compressed(
     residual: Sequence[Scalar], H: Sequence[SparseRow]
 ) -> tuple[Sequence[Scalar], Sequence[SparseRow], Scalar]:
-    """One whitened channel per observed direction of the state, and the sum of squares that no state explains.
+    """One whitened channel per observed direction of the state, and the residual sum of squares that no state explains.
 
     With HᵀH = LLᵀ the equivalent channels are Lᵀ with residual L⁻¹Hᵀr. The remaining sum of squares is |r −
     H(HᵀH)⁻¹Hᵀr|², by projection: the difference of two large numbers would lose it in single precision.
@@ -213,8 +213,8 @@ def sequential_updates(
         innovation = r - dot(h, step)
         square = innovation * innovation / (1.0 + a)
         # A covariance in single precision cannot hold 10 km beside 1 mm: one reading reduces a variance as far as the
-        # number format allows, later ones further. What counts are the variances of which hᵀPh is the sum: where they
-        # cancel, as those of a position and a bias do, hᵀPh is all rounding. This never happens in double precision.
+        # number format allows, later ones further. The bound follows the variances that hᵀPh sums: where a position and
+        # a bias cancel, hᵀPh is nothing but rounding. In double precision the bound is never active.
         resolved = coarse * unconnected(cov, h, n)
         noise = jnp.maximum(1.0, resolved)
         if dof is None:

@@ -1,4 +1,4 @@
-"""Filters: Bayes' rule for one trajectory and one time step, over a belief of the filter's own form.
+"""Filters: Bayes' rule for one trajectory and one time step; each filter has its form of belief.
 
     init     prior -> belief                  predict  belief at a later time
     update   belief after one reading         moments  mean and covariance of a belief
@@ -36,20 +36,20 @@ class Innovation(NamedTuple):
 class AbstractFilter(eqx.Module, Generic[Belief]):
     """A recursive filter of one trajectory; its belief is a tree of arrays.
 
-    `has_particle_axis`: the belief has a large axis of its own, of particles or grid cells. In a batch trajectories are
-    then the first axis of the belief, not the last, and a belief is copied or started only where it must be.
+    `has_particle_axis`: the belief has a large axis of particles or grid cells. In a batch trajectories are then the
+    first axis of the belief, not the last, and a belief is copied or started only where necessary.
     """
 
     has_particle_axis: ClassVar[bool] = False
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """The known inputs that it reads itself; none by default."""
+        """The known inputs that the filter reads; none by default."""
         return ()
 
     @property
     def view_fields(self) -> tuple[str, ...]:
-        """The fields of `motion.view` that it needs itself; none by default."""
+        """The fields of `motion.view` that the filter reads; none by default."""
         return ()
 
     @abstractmethod

@@ -58,7 +58,7 @@ class ModeGains(NamedTuple):
     """RTS gains between modes: `gains` from mode i to mode j of the next time step, i and j first in every array.
 
     `backward` (K, K, B): P(mode i now | mode j at the next step). Where the motion is the same in all modes, `gains`
-    has one j. `connected`: the next step continues the track.
+    has one j. `connected`: whether the next step continues the track.
     """
 
     filtered: Mixture
@@ -132,7 +132,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
 
     def transition(self, belief: Mixture, inputs: Inputs, dt: Scalar) -> ModeTransition:
         """The mode transition over `dt` s."""
-        # The square of this number still has an inverse, which the derivative of a quotient needs.
+        # Its square still has a finite inverse, which the derivative of a quotient needs.
         tiny = float(jnp.finfo(dt.dtype).tiny) ** 0.5
         weights = [jnp.exp(w) for w in belief.log_weights]
         rates = self.switching_rates(belief, inputs)
@@ -191,8 +191,8 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
 
         def gains_to(later: AbstractMotion) -> RtsGain:
             gain = jax.vmap(lambda mode: self.filter.rts_gain(mode, later, connected, dt, inputs))
-            found: RtsGain = gain(modes)
-            return found
+            gains: RtsGain = gain(modes)
+            return gains
 
         return ModeGains(belief, _stacked([gains_to(later) for later in motions], axis=1), backward, connected)
 
@@ -204,7 +204,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         """
         K = len(after.components)
         tiny = float(jnp.finfo(after.log_weights[0].dtype).tiny) ** 0.5
-        # `tiny`: a mode without any successor continues as itself, so that its weights still have the sum 1.
+        # `tiny`: a mode without a successor continues unchanged, so that its weights still have sum 1.
         joint = [
             p * jnp.exp(w)[None] + tiny * (np.arange(K) == j)[:, None]
             for j, (p, w) in enumerate(zip(rts_gain.backward.swapaxes(0, 1), after.log_weights, strict=True))
@@ -256,7 +256,7 @@ def collapsed_beside(components: Sequence[Gaussian], weights: Sequence[Any]) -> 
 
 
 def _mean_and_deviations(means: Sequence[State], weights: Sequence[Scalar]) -> tuple[State, list[Sequence[Scalar]]]:
-    """The mean of a mixture of components with these means, and the steps from it to each of them."""
+    """The mean of a mixture, and the small steps from it to the means of its components."""
     steps = [local(means[0], x) for x in means[1:]]
     mean_step = [total(w * s for w, s in zip(weights[1:], column, strict=True)) for column in zip(*steps, strict=True)]
     mean = retract(means[0], mean_step) if mean_step else means[0]

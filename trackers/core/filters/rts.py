@@ -6,9 +6,9 @@ P⁻ = FPFᵀ + GGᵀ the prediction, and ₊ the next step's smoothed belief:
     C = PFᵀ(P⁻)⁻¹        xˢ = x + C(xˢ₊ − x⁻)        Pˢ = (I − CF)P(I − CF)ᵀ + C(GGᵀ + Pˢ₊)Cᵀ
 
 The covariance is a sum of squares (Joseph's form, positive semi-definite whatever the rounding error of C), not
-P + C(Pˢ₊ − P⁻)Cᵀ. Beliefs and gains are those of all trajectories, last in every array. Covariances are arrays
-(n, n, B), not scalars as in the filter: C has no structural zeros, and programs of single entries compile for minutes
-with 15 states. No `vmap` of a product of matrices: it puts trajectories first, and numbers of one are not vectorised.
+P + C(Pˢ₊ − P⁻)Cᵀ. Beliefs and gains hold all trajectories, last in every array. Covariances are arrays (n, n, B), not
+scalars as in the filter: C has no structural zeros, and programs of single entries compile for minutes with 15 states.
+Matrix products are not mapped by `vmap`, which would put trajectories first, where loops over them do not vectorise.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from trackwright.trackers.core.model.state import State, local, retract
 Matrices = Float[Array, "n n B"]
 
 BLOCK = 32
-"""Trajectories smoothed side by side: so many that LLVM vectorises loops over them, and so few that XLA makes one
-kernel of the loop over times (with three components of 23 states it makes none)."""
+"""Trajectories smoothed side by side: enough for LLVM to vectorise loops over them, few enough for XLA to compile the
+loop over times to one kernel (it does not for three components of 23 states)."""
 
 
 class RtsGain(NamedTuple):
     """The backward step of one time step: filtered belief, x⁻, Cᵀ (`gain`), GGᵀ (`noise`), (I − CF)P(I − CF)ᵀ (`base`).
 
-    `connected`: the next step continues this track. `simultaneous`: it is at the same time.
+    `connected`: whether the next step continues this track. `simultaneous`: whether it is at the same time.
     """
 
     filtered: Gaussian
@@ -101,19 +101,19 @@ def fixed_interval(
 ) -> Any:
     """The smoothed estimates of all T rows, by a scan backwards over the times of each trajectory.
 
-    `filtered`: the beliefs. `connected`, `dt`, `inputs`: of the step from each row to the next one, whether that row
-    continues the track, s, and known inputs; the last row has no next one. `gain_of(belief, connected, dt, inputs)`:
+    `filtered`: the beliefs. Of the step from each row to the next: `connected`, whether that row continues the track,
+    `dt` s, and known `inputs`; the values of the last row are unused. `gain_of(belief, connected, dt, inputs)`:
     the gain of a step. `estimate_of`: the estimates of beliefs.
     """
     n_rows, size = dt.shape
     block = BLOCK if size % BLOCK == 0 else size
-    # Rows at the time of the next one have its belief. The others are counted from the last row.
-    own = ~connected | (dt != 0)
-    rank = jnp.cumsum(own[::-1].astype(jnp.int32), axis=0)[::-1] - 1
-    every_row, lanes = jnp.arange(n_rows, dtype=jnp.int32)[:, None], jnp.arange(size, dtype=jnp.int32)
+    # A row at the time of the next one shares its belief. The other rows are ranked from the last one.
+    ranked = ~connected | (dt != 0)
+    rank = jnp.cumsum(ranked[::-1].astype(jnp.int32), axis=0)[::-1] - 1
+    every_row, every_column = jnp.arange(n_rows, dtype=jnp.int32)[:, None], jnp.arange(size, dtype=jnp.int32)
     row_of = (
         jnp.zeros_like(rank)
-        .at[jnp.where(own, rank, n_rows), lanes]
+        .at[jnp.where(ranked, rank, n_rows), every_column]
         .set(jnp.broadcast_to(every_row, rank.shape), mode="drop")
     )
     estimates_of = OneArray()
@@ -121,10 +121,10 @@ def fixed_interval(
     def backwards(first: jax.Array) -> jax.Array:
         """The estimates of the trajectories of one block by rank, (T, numbers, block)."""
         rows, ranks = (jax.lax.dynamic_slice_in_dim(x, first, block, axis=-1) for x in (row_of, rank[0]))
-        # Gathered before the loop: XLA counts the whole array of a gather among the bytes that a step moves.
-        lanes = first + jnp.arange(block, dtype=jnp.int32)
+        # Gathered before the loop: XLA's cost model charges each step with the whole array of a gather.
+        columns = first + jnp.arange(block, dtype=jnp.int32)
         steps = jax.tree_util.tree_map(
-            lambda x: jnp.moveaxis(x[rows, ..., lanes], 1, -1), (filtered, connected, dt, inputs)
+            lambda x: jnp.moveaxis(x[rows, ..., columns], 1, -1), (filtered, connected, dt, inputs)
         )
         last = in_matrices(jax.tree_util.tree_map(lambda x: x[0], steps[0]))
 
@@ -146,13 +146,13 @@ def fixed_interval(
 
     firsts = jnp.arange(0, size, block, dtype=jnp.int32)
     by_rank = jax.lax.map(backwards, firsts) if len(firsts) > 1 else backwards(firsts[0])[None]
-    blocks, within = (lanes // block)[None, None], (lanes % block)[None, None]
+    blocks, within = (every_column // block)[None, None], (every_column % block)[None, None]
 
     def of_rows(start: int, end: int) -> jax.Array:
         numbers = jnp.arange(start, end, dtype=jnp.int32)[None, :, None]
         return by_rank.at[blocks, rank[:, None], numbers, within].get(mode="promise_in_bounds")
 
-    # Leaf by leaf: one array of all numbers would be written and read once more, at nearly the cost of smoothing.
+    # Leaf by leaf: one more pass over an array of all numbers costs nearly as much as smoothing.
     return estimates_of.unpacked_from(of_rows)
 
 
@@ -186,7 +186,7 @@ def fixed_lag(
 ) -> Any:
     """The smoothed beliefs of all time steps but the last, batch-last, each from measurements at most `lag` s later.
 
-    All windows run backwards in parallel, each from its own last step, until they have reached their first one.
+    All windows run backwards in parallel, each from its last step, until all have reached their first one.
     """
     filtered = in_matrices(filtered)
     gains = jax.vmap(lambda belief, *rest: gain_of(in_matrices(belief), *rest))(*steps)
@@ -204,12 +204,12 @@ def fixed_lag(
         def body(state: tuple[Any, Any]) -> tuple[Any, Any]:
             index, belief = state
             previous = jnp.maximum(index - 1, 0)
-            smoothed = rts_step(jax.tree_util.tree_map(lambda x: x[..., previous], gains), belief)
+            after = rts_step(jax.tree_util.tree_map(lambda x: x[..., previous], gains), belief)
             running = index > first
-            return jnp.where(running, index - 1, index), _chosen(running, smoothed, belief)
+            return jnp.where(running, index - 1, index), _chosen(running, after, belief)
 
-        found = jax.lax.while_loop(lambda state: jnp.any(state[0] > first), body, (end, initial))[1]
-        return jax.tree_util.tree_map(lambda x: jnp.moveaxis(x, -1, 0), found)
+        smoothed = jax.lax.while_loop(lambda state: jnp.any(state[0] > first), body, (end, initial))[1]
+        return jax.tree_util.tree_map(lambda x: jnp.moveaxis(x, -1, 0), smoothed)
 
     return jax.vmap(trajectory, in_axes=-1, out_axes=-1)(gains, filtered, dt)
 
@@ -241,7 +241,7 @@ def _congruence(A: Matrices, P: Matrices) -> Matrices:
 def _solved(cov: Matrices, right: Matrices) -> Matrices:
     """The pseudo-inverse of a covariance times a matrix, by LDLᵀ; directions without variance drop out.
 
-    Row by row: LLVM vectorises loops over the columns of one row, not those over all rows of few trajectories.
+    Row by row: LLVM vectorises the loop over the columns of one row, but not a loop over rows of few trajectories.
     """
     n, tolerance = cov.shape[0], 16 * float(jnp.finfo(cov.dtype).eps)
     upper, solution = [cov[i, i:] for i in range(n)], list(right)

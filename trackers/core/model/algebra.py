@@ -1,8 +1,8 @@
 """Small linear algebra over scalars, for states of a dozen components and batches of thousands.
 
-Each entry is a scalar of its own, so that under `vmap` it becomes one long vector over trajectories and XLA fuses a
+Each entry is a separate scalar, so that under `vmap` it becomes one long vector over trajectories and XLA fuses a
 whole filter step; a matrix of shape (batch, n, n) would cost a pass over memory for every product. Structural zeros are
-absent entries and structural ones the Python float 1.0: both cost nothing in the compiled program.
+absent entries, structural ones the Python float 1.0: both cost nothing in the compiled program.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import custom_vmap
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -29,9 +30,9 @@ ZERO, ONE, VARIABLE = range(3)
 
 
 class Jacobian(NamedTuple):
-    """A Jacobian whose columns without a common row are added: `sums` (groups, outputs), `group` (inputs,) of a column.
+    """A Jacobian compressed by adding columns without a common row: `sums` (groups, outputs[, B]).
 
-    `structure` (outputs, inputs): the kind of each entry. Of many trajectories, `sums` (groups, outputs, B).
+    `group` (inputs,): of each column. `structure` (outputs, inputs): the kind of each entry.
     """
 
     sums: jax.Array
@@ -58,7 +59,7 @@ class Jacobian(NamedTuple):
         return (jnp.sum(squares, axis=0) if squares.ndim == 2 else total(squares))[outputs]
 
     def _constant(self, array: np.ndarray) -> jax.Array:
-        """A constant of two axes beside those of the trajectories, in the type of the entries."""
+        """A constant with two axes, broadcast over trajectories, in the type of the entries."""
         return jnp.asarray(array.reshape(array.shape + (1,) * (self.sums.ndim - 2)), self.sums.dtype)
 
 
@@ -179,8 +180,8 @@ mlir.register_lowering(_once_p, mlir.lower_fun(_divided, multiple_results=False)
 def mark_dependent(tree: Tree, numbers: Any) -> Tree:
     """Identity that makes the initial carry of a scan formally depend on `numbers`, for jax to type it in one trace.
 
-    Without it jax traces the step again whenever more of the carry turns out to have a tangent or to be batched, which
-    takes seconds for large states.
+    Without it jax traces the step again whenever another part of the carry turns out to have a tangent or to be
+    batched, which takes seconds for large states.
     """
     arrays = [x for x in jax.tree_util.tree_leaves(numbers) if hasattr(x, "dtype") and x.size]
     floating = [jnp.ravel(x)[0] for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
@@ -193,6 +194,27 @@ def mark_dependent(tree: Tree, numbers: Any) -> Tree:
         return jax.lax.select(jnp.zeros(x.shape, bool), jnp.broadcast_to(other.astype(x.dtype), x.shape), x)
 
     return jax.tree_util.tree_map(of, tree)
+
+
+def select(condition: Scalar, yes: Any, no: Any) -> Any:
+    """The tree `yes` where the condition holds, else `no`."""
+    return jax.tree_util.tree_map(lambda a, b: jnp.where(condition, a, b), yes, no)
+
+
+@custom_vmap
+def where_mostly(condition: Scalar, yes: Any, no: Any) -> Any:
+    """`select` without a copy where the condition holds in all trajectories, for large trees."""
+    return select(condition, yes, no)
+
+
+@where_mostly.def_vmap
+def _in_trajectories(size: int, batched: Any, condition: Any, yes: Any, no: Any) -> tuple[Any, Any]:
+    def spread(x: Any, has: bool) -> Any:
+        return x if has else jnp.broadcast_to(x[None], (size, *x.shape))
+
+    condition, yes, no = jax.tree_util.tree_map(spread, (condition, yes, no), tuple(batched))
+    chosen = jax.lax.cond(jnp.all(condition), lambda: yes, lambda: jax.vmap(select)(condition, yes, no))
+    return chosen, jax.tree_util.tree_map(lambda _: True, chosen)
 
 
 def triangle(n: int) -> list[tuple[int, int]]:
@@ -225,11 +247,11 @@ def congruence(rows: Sequence[SparseRow], upper: Sequence[Scalar], added: Sequen
     """F P Fᵀ + G Gᵀ as an upper triangle; F = `rows`, P = `upper`, G = `added`, all without their structural zeros."""
     n = len(rows)
     P = full(upper, n)
-    # Only the columns of F P that later rows multiply: little more than half of them for a chain of integrators.
+    # Only the columns of F P that later rows use: little more than half of them for a chain of integrators.
     needed = [sorted({j for later in rows[i:] for j in later}) for i in range(n)]
     products = [{k: total(times(f, P[j][k]) for j, f in rows[i].items()) for k in needed[i]} for i in range(n)]
-    # Each enters many sums. Recomputed in each of them, 15 states took twice as long to compile and ten times as long
-    # to run.
+    # Each enters many sums. Recomputing it there doubled the compile time of 15 states and took ten times as long to
+    # run.
     FP = [compute_once(entries) if len(row) > 1 else entries for row, entries in zip(rows, products, strict=True)]
     result = []
     for i, k in triangle(n):

@@ -39,26 +39,26 @@ AnyCovariance = tuple[Scalar, ...] | jax.Array
 
 
 def few(trajectories: int) -> bool:
-    """Whether the covariances of so many trajectories are matrices."""
+    """Whether the covariances of this number of trajectories are matrices."""
     return trajectories <= FEW
 
 
 def compiler_options(trajectories: int) -> dict[str, str | bool] | None:
-    """Options of XLA's compiler for a program of so many trajectories.
+    """XLA's compiler options for a program of this number of trajectories.
 
-    Products of matrices are compiled, not calls of a library: a loop becomes one kernel only without calls.
+    Matrix products are compiled inline instead of calling a library: a loop becomes one kernel only without calls.
     """
     return {"xla_cpu_experimental_ynn_fusion_type": ""} if few(trajectories) else None
 
 
 class OneArray:
-    """A tree of arrays (…, B) as one array: a loop over rows stores one array in place, not a hundred."""
+    """A tree of arrays (…, B) packed into one array, so that a loop over rows stores one array, not a hundred."""
 
     structure: Any
     leaves: Sequence[Any]
 
     def packed(self, tree: Any) -> jax.Array:
-        """The leaves of the tree below one another, (numbers, B), in the type of the first."""
+        """The leaves of the tree stacked, (numbers, B), in the type of the first."""
         self.leaves, self.structure = jax.tree_util.tree_flatten(tree)
         kind = self.leaves[0].dtype
         return jnp.concatenate([x.reshape(-1, x.shape[-1]).astype(kind) for x in self.leaves])
@@ -72,8 +72,8 @@ class OneArray:
         ends = np.cumsum([0, *(x.size // x.shape[-1] for x in self.leaves)])
         parts = [part(int(start), int(end)) for start, end in pairwise(ends)]
         leaves = [
-            found.reshape(len(found), *x.shape[:-1], found.shape[-1]).astype(x.dtype)
-            for x, found in zip(self.leaves, parts, strict=True)
+            rows.reshape(len(rows), *x.shape[:-1], rows.shape[-1]).astype(x.dtype)
+            for x, rows in zip(self.leaves, parts, strict=True)
         ]
         return jax.tree_util.tree_unflatten(self.structure, leaves)
 
@@ -94,7 +94,7 @@ def by_entry(covs: Any) -> tuple[jax.Array, ...]:
 
 
 def size_of(upper: Sequence[Any]) -> int:
-    """The number of components whose covariance has this upper triangle."""
+    """The number of components n of a covariance with n(n + 1)/2 entries."""
     return (isqrt(8 * len(upper) + 1) - 1) // 2
 
 
@@ -135,9 +135,9 @@ def matched(
             for k, (i, j) in enumerate(triangle(len(deviations[0])))
         )
     parts = zip(weights, map(jnp.asarray, covs), [jnp.stack(list(d)) for d in deviations], strict=True)
-    # Of one trajectory, or of many, last in every array.
-    found: jax.Array = total(jnp.expand_dims(w, (0, 1)) * (P + d[:, None] * d[None]) for w, P, d in parts)
-    return found
+    # Arrays of one trajectory, or of many, which are last.
+    cov: jax.Array = total(jnp.expand_dims(w, (0, 1)) * (P + d[:, None] * d[None]) for w, P, d in parts)
+    return cov
 
 
 def propagated(cov: jax.Array, jacobian: Jacobian) -> jax.Array:
@@ -147,7 +147,7 @@ def propagated(cov: jax.Array, jacobian: Jacobian) -> jax.Array:
 
 
 class ChangedRows:
-    """F of a Jacobian (F G), by the rows `at` that differ from those of the unit matrix: `block`ᵀ, columns `needed`."""
+    """F of a Jacobian (F G) as its rows `at` that differ from the unit matrix: `block`ᵀ over the columns `needed`."""
 
     def __init__(self, jacobian: Jacobian):
         n = len(jacobian.structure)
@@ -165,7 +165,7 @@ class ChangedRows:
         """F P Fᵀ, symmetric to the bit, given F P."""
         rows = FP[self.at]
         square = product_of(rows[:, self.needed], self.block)
-        # Both triangles of a matrix are computed, and must not drift apart.
+        # Both triangles are computed, and rounding must not make them differ.
         square = 0.5 * (square + square.T)
         rows = jnp.concatenate([rows[:, : self.at.start], square, rows[:, self.at.stop :]], axis=1)
         P = jnp.concatenate([P[:, : self.at.start], rows.T, P[:, self.at.stop :]], axis=1)
@@ -173,7 +173,7 @@ class ChangedRows:
 
 
 def noise_covariance(jacobian: Jacobian) -> jax.Array:
-    """G Gᵀ of a Jacobian (F G): a block of the rows that share noise, and variances."""
+    """G Gᵀ of a Jacobian (F G): a block for rows with common noise, and variances for the others."""
     n, inputs = jacobian.structure.shape
     present = (jacobian.structure[:, n:] != ZERO).astype(int)
     shared = present @ present.T
@@ -190,15 +190,15 @@ def noise_covariance(jacobian: Jacobian) -> jax.Array:
 
 
 def product_of(A: jax.Array, B: jax.Array) -> jax.Array:
-    """AB as sums: no call of a library, and contiguous in the columns of B."""
+    """AB by sums, without a library call, contiguous in the columns of B."""
     return jnp.sum(A[:, :, None] * B[None], axis=1)
 
 
 def transposed_product(A: jax.Array, B: jax.Array) -> jax.Array:
-    """AᵀB as sums, contiguous in the columns of B; of many trajectories, last in each, a sum of outer products."""
+    """AᵀB by sums, contiguous in the columns of B; a sum of outer products for many trajectories, last in each."""
     if A.ndim == 2:
         return jnp.sum(A[:, :, None] * B[:, None], axis=0)
-    # XLA leaves reductions to a library whose calls keep a loop from becoming one kernel.
+    # XLA calls a library for reductions, and a loop with calls does not become one kernel.
     result: jax.Array = total(a[:, None] * b[None] for a, b in zip(A, B, strict=True))
     return result
 
@@ -220,7 +220,7 @@ def zeros(cov: AnyCovariance, n: int) -> Any:
 
 
 def row_for(cov: AnyCovariance, h: SparseRow, n: int) -> SparseRow | jax.Array:
-    """A sparse row as the products with this covariance take it: itself, or an array (n,) with a matrix."""
+    """A sparse row in the form that products with this covariance take: itself, or an array (n,) for a matrix."""
     return h if isinstance(cov, tuple) else jnp.stack([jnp.asarray(h.get(j, 0.0), cov.dtype) for j in range(n)])
 
 
@@ -238,7 +238,7 @@ def product(cov: AnyCovariance, h: SparseRow | jax.Array, n: int) -> Any:
 
 
 def unconnected(cov: AnyCovariance, h: SparseRow | jax.Array, n: int) -> Scalar:
-    """hᵀDh with D the diagonal of P: the size of the terms of hᵀPh, whose rounding errors remain where they cancel."""
+    """hᵀDh with D the diagonal of P: the size of the terms of hᵀPh, and of its rounding error where they cancel."""
     if not isinstance(cov, tuple):
         return jnp.sum(jnp.asarray(h) ** 2 * jnp.diagonal(cov))
     return total(variance(cov, j) * (v * v) for j, v in dict(h).items())

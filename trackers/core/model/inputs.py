@@ -30,9 +30,9 @@ class Need(Enum):
 class Input(NamedTuple):
     """A known input: a recording holds an array (T, *shape) under `name`.
 
-    `about`: its meaning in one phrase. `source`: what makes it, for the usual fix in messages. `per_channel`: the shape
-    is that of one channel of the readings, and the array has the numbers of all channels in a row, flattened. `below`:
-    the values are whole numbers from 0 to below − 1; None for any number.
+    `about`: its meaning in one phrase. `source`: how to make it, the usual fix in messages. `per_channel`: whether
+    `shape` is for one channel of the readings; a row then holds the numbers of all channels, flattened. `below`: the
+    values are whole numbers from 0 to below − 1; None for any number.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Input(NamedTuple):
     below: int | None = None
 
     def row_shape(self, channels: int) -> tuple[int, ...]:
-        """The shape of one row, for readings with so many channels."""
+        """The shape of one row, for readings with this number of channels."""
         if not self.per_channel:
             return self.shape
         return (channels * (self.shape[0] if self.shape else 1),)

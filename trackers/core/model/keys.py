@@ -31,7 +31,7 @@ def threefry(key: Words, x: Words, y: Words) -> tuple[Words, Words]:
 
 
 def trajectory_key_data(seed: int, ids: Sequence[int]) -> UInt32[np.ndarray, "2 n"]:
-    """The raw random keys (2, n), uint32, of trajectories: each a function of the seed and its own id alone.
+    """The raw random keys (2, n), uint32, of trajectories: each a function of the seed and the trajectory's id alone.
 
     Different ids have different keys. Raises ValueError for seeds and ids that are no whole numbers from 0 to 2^64 - 1.
     """

@@ -60,8 +60,8 @@ def jacobian(function: Callable[..., State], point: Sequence[Scalar]) -> tuple[S
         return steps_of(state, tangent_map(*unit))
 
     n = len(point)
-    found = _structure(jax.make_jaxpr(small_step)(*point).jaxpr, [{k: ONE} for k in range(n)])
-    structure = np.array([[kinds.get(j, ZERO) for j in range(n)] for kinds in found]).reshape(-1, n)
+    kinds_of_outputs = _structure(jax.make_jaxpr(small_step)(*point).jaxpr, [{k: ONE} for k in range(n)])
+    structure = np.array([[kinds.get(j, ZERO) for j in range(n)] for kinds in kinds_of_outputs]).reshape(-1, n)
     group = _groups(structure != ZERO)
     seeds = jnp.asarray(group[:, None] == np.arange(group.max() + 1), point[0].dtype)
     sums = jax.vmap(lambda *unit: jnp.stack(small_step(*unit)))(*seeds)
@@ -69,7 +69,7 @@ def jacobian(function: Callable[..., State], point: Sequence[Scalar]) -> tuple[S
 
 
 def _groups(present: np.ndarray) -> np.ndarray:
-    """The group of each column of a pattern (outputs, inputs); columns of a group have no row in common."""
+    """A group for each column of a pattern (outputs, inputs), such that columns of one group have no row in common."""
     group = np.zeros(present.shape[1], int)
     rows: list[np.ndarray] = []
     for j, column in enumerate(present.T):
@@ -82,7 +82,7 @@ def _groups(present: np.ndarray) -> np.ndarray:
 
 
 def _structure(jaxpr: Any, inputs: Sequence[dict[int, int]]) -> list[dict[int, int]]:
-    """The kind of the entry of each input on which an output of a linear program depends, output by output."""
+    """For each output of a linear program: the inputs that it depends on, with the kind of their entry."""
     env: dict[Any, dict[int, int]] = dict(zip(jaxpr.invars, inputs, strict=True))
 
     def read(atom: Any) -> dict[int, int]:

@@ -23,7 +23,7 @@ Noise = AbstractTunable | Constant
 
 
 def as_scale(value: float | Noise, unit: str, role: Role | None = None, axis: Axis | None = None) -> Noise:
-    """The value as a positive tunable in this unit, with this role; a tunable keeps its own unit and role.
+    """The value as a positive tunable with this unit and role; a tunable keeps the unit and role that it has.
 
     A `Constant` is returned unchanged.
     """
@@ -60,18 +60,18 @@ class AbstractMotion(eqx.Module):
         return (self.step,)
 
     def at(self, belief: Any) -> AbstractMotion:
-        """The motion with those of its numbers that are to follow the belief, but not to be linearised.
+        """This motion with belief-dependent parameters held constant during linearisation.
 
-        Filters that linearise use it; `belief`: a `Gaussian`. By default the motion itself: everything is linearised.
+        For filters that linearise; `belief`: a `Gaussian`. By default the motion itself, linearised in full.
         """
         return self
 
     def log_density(self, state: State, inputs: Inputs, dt: Scalar, w: Vector) -> Scalar:
         """The log density of the noise draw of one step, in physical units, up to terms without tunables.
 
-        It is differentiated for the score of a particle filter with the draw held fixed, not the next state, which has
-        no density at a speed clipped at zero. A draw s·w of scale s has the density `draw_log_density(w, s)`. Only
-        tuning of a particle filter needs it; raises ValueError for a motion without it.
+        Differentiated for the score of a particle filter with the draw held fixed: the next state may have no density,
+        as at a speed clipped at zero. A draw s·w of scale s has the density `draw_log_density(w, s)`. Only tuning of a
+        particle filter needs it; raises ValueError for a motion without it.
         """
         raise ValueError(
             f"the motion {type(self).__name__} has no log_density, which a particle filter needs for derivatives with "
@@ -169,7 +169,7 @@ class GroundMotion(AbstractMotion):
     """Constant velocity over the floor, and a height that drifts as a random walk: people, trolleys, tools on a belt.
 
     `sigma_a`: m/s² per √Hz, horizontal. `sigma_z`: m per √s, vertical. A state whose position has two components
-    moves over the floor alone: its height is known, and the same noise levels serve with and without.
+    moves over the floor alone, at a known height, with the same horizontal noise.
     """
 
     sigma_a: Noise

@@ -13,7 +13,7 @@ from trackwright.trackers.core.model.rig import checked_knots
 from trackwright.trackers.core.model.state import wrap
 
 FEW = 16
-"""Up to so many segments a position is a sum over the joins; with more, its segment is looked up."""
+"""Most segments for which a position is a sum over the joins; with more, its segment is looked up."""
 
 LOOK_UP = "scan_unrolled"
 """Binary search, unrolled: fast on accelerators and for batches of particles."""

@@ -125,8 +125,8 @@ def room_rows(
 ) -> Float[np.ndarray, "rows 4"]:
     """Lowest and highest x, lowest and highest y of the tags, m, in each of the rows: the input `room`.
 
-    The box of the outline, or else that of the points (n, 2 or 3), anchors or stations, wider on each side by its
-    longer side, at least by `MARGIN`: tags may be outside of it.
+    The bounding box of the outline. Without one, that of the anchors or stations at `points` (n, 2 or 3), extended on
+    each side by its longer side and at least by `MARGIN`, since tags may be outside of it.
     """
     corners = np.asarray(points)[:, :2] if outline is None else np.asarray(outline)
     low, high = corners.min(axis=0), corners.max(axis=0)

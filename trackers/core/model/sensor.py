@@ -29,7 +29,7 @@ class Channel(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """One row of one sensor: values, their mask, and the noise that the device reported (empty for most sensors).
+    """One row of one sensor: values, their mask, and noise reported by the device (empty for most sensors).
 
     All three are sequences of scalars. Masked values are finite.
     """
@@ -109,7 +109,7 @@ def position_in_space(position: Vector, inputs: Inputs) -> Vector:
 
 
 def rounding_variance(reading: Scalar) -> Scalar:
-    """The square of the spacing of numbers at a reading: no number is known better."""
+    """The square of the spacing of numbers at a reading, the variance of its rounding."""
     return (float(jnp.finfo(jnp.result_type(reading)).eps) * reading) ** 2
 
 

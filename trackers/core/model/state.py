@@ -1,4 +1,4 @@
-"""States as pytrees with named fields, and the flat list of tangent components in which filters work.
+"""States as pytrees with named fields, and their tangent components as a flat list, in which filters work.
 
 A flat leaf (a number, or a one-dimensional array) is its own tangent. A curved leaf (`Heading`, `Rotation`) has
 `retract` (state + small step) and `local` (small step between two states), so that the EKF on a state with such a leaf
@@ -199,7 +199,7 @@ def retract(state: State, step: Sequence[Scalar]) -> State:
 
 
 def _parts(leaves: Sequence[Any], values: Sequence[Scalar]) -> Iterator[tuple[Any, Sequence[Scalar]]]:
-    """Each leaf with the values of its own components."""
+    """Each leaf with the values of its components."""
     start = 0
     for leaf in leaves:
         yield leaf, values[start : start + _dimension(leaf)]

@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 import fnmatch
+import re
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import equinox as eqx
@@ -24,7 +25,7 @@ Role = Literal["process noise", "bias noise", "measurement noise"]
 """Role of a noise level: of the motion's driving noise, of slowly varying errors such as biases, or of a sensor."""
 
 Axis = Literal["horizontal", "vertical", "all"]
-"""Axes of space along which a noise acts; none for a noise that is no vector of space, as of phases or ranges."""
+"""Axes of space along which a noise acts; none for scalar noise, as that of phases or ranges."""
 
 
 class AbstractTunable(eqx.Module):
@@ -45,9 +46,9 @@ class AbstractTunable(eqx.Module):
 
 
 def _numbers(kind: str, value: Any) -> tuple[Any, Any]:
-    """The value of a tunable of this kind as an array of floats, and NumPy for it, or `jax.numpy` where it is traced.
+    """The value of a tunable of this kind as an array of floats, and its module: NumPy, or `jax.numpy` if traced.
 
-    Traced numbers, as inside `jax.grad` and `jax.vmap`, have no value that could be checked.
+    Traced numbers, as inside `jax.grad` and `jax.vmap`, cannot be checked.
     """
     if isinstance(value, jax.core.Tracer):
         return value.astype(jnp.result_type(float)), jnp
@@ -57,7 +58,7 @@ def _numbers(kind: str, value: Any) -> tuple[Any, Any]:
 class Scale(AbstractTunable):
     """A positive number such as a standard deviation; tuned on a logarithmic scale.
 
-    `role`, `axis`: of a noise level; first guesses and coarse grids go by them, never by names.
+    `role`, `axis`: of a noise level; first guesses and coarse grids depend on them, not on names.
     """
 
     bounds = "> 0"
@@ -171,7 +172,7 @@ class Covariance(AbstractTunable):
 class Threshold(AbstractTunable):
     """A positive limit that a comparison is made with; np.inf disables it.
 
-    Set by name and swept as other tunables. Nothing has a derivative with respect to it, so no fit changes it.
+    Set by name and swept as other tunables; derivatives with respect to it are zero, so no fit changes it.
     """
 
     bounds = "> 0, inf: off"
@@ -205,15 +206,15 @@ def role_of(node: AbstractTunable) -> Role | None:
 
 
 def with_role(node: Scale, role: Role | None, axis: Axis | None) -> Scale:
-    """The positive number with this role and axis, unless it has a role of its own."""
+    """The positive number with this role and axis, unless it already has a role."""
     return node if node.role is not None else eqx.tree_at(lambda n: n.raw, Scale(1.0, node.unit, role, axis), node.raw)
 
 
 def _checked(role: Role | None, axis: Axis | None) -> tuple[Role | None, Axis | None]:
-    for found, expected in ((role, Role), (axis, Axis)):
-        if found is not None and found not in get_args(expected):
+    for value, expected in ((role, Role), (axis, Axis)):
+        if value is not None and value not in get_args(expected):
             choices = ", ".join(f"'{x}'" for x in get_args(expected))
-            raise UnusableInput(f"the role of a noise level: found '{found}'; expected one of {choices}, or None")
+            raise UnusableInput(f"the role of a noise level: found '{value}'; expected one of {choices}, or None")
     return role, axis
 
 
@@ -263,26 +264,66 @@ def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values"
 
     Raises UnusableInput, naming `source`, for a pattern that matches nothing and a value of another shape or range.
     """
-    own = tunables(tree)
+    by_name = tunables(tree)
     new = {}
     for pattern, value in values.items():
-        names = [pattern] if pattern in own else fnmatch.filter(own, pattern)
+        names = [pattern] if pattern in by_name else fnmatch.filter(by_name, pattern)
         if not names:
             raise UnusableInput(
-                f"{source}: this tracker has no '{pattern}'{near(pattern, own)}; it has: {', '.join(own)}"
+                f"{source}: this tracker has no '{pattern}'{near(pattern, by_name)}; it has: {', '.join(by_name)}"
             )
         for name in names:
-            if np.shape(own[name].raw) == () and np.ndim(value) == 1:
+            if np.shape(by_name[name].raw) == () and np.ndim(value) == 1:
                 raise UnusableInput(
                     f"{source}: '{pattern}' has {len(value)} numbers, separated by commas, the tracker's {name} one; "
                     "decimals have a point, as 0.1"
                 )
-            if np.shape(value) != np.shape(own[name].raw):
+            if np.shape(value) != np.shape(by_name[name].raw):
                 raise UnusableInput(
-                    f"{source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} {np.shape(own[name].raw)}"
+                    f"{source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} "
+                    f"{np.shape(by_name[name].raw)}"
                 )
             try:
-                new[name] = own[name].with_value(value)
+                new[name] = by_name[name].with_value(value)
             except ValueError as error:
                 raise UnusableInput(f"{source}: '{pattern}': {error}") from error
     return replaced(tree, new)
+
+
+def meanings(tree: Any) -> dict[str, str]:
+    """A sentence on every tunable of the tree by its dotted name; empty where no docstring mentions it.
+
+    The sentence is the first with the field's name in backticks (of a list, the field's clause) in the docstring of the
+    innermost object around the tunable that has one.
+    """
+    sentence_of = {}
+    for path, node in jax.tree_util.tree_flatten_with_path(tree, is_leaf=is_tunable)[0]:
+        if is_tunable(node):
+            owners = list(_owners(tree, path))
+            sentences = (_sentence(owner, owners[-1][1]) for owner, _ in reversed(owners))
+            sentence_of[path_name(path)] = next(filter(None, sentences), "")
+    return sentence_of
+
+
+def _owners(tree: Any, path: tuple[Any, ...]) -> Iterator[tuple[Any, str]]:
+    """The objects on the path to a leaf, each with the name of the field that leads on."""
+    for key in path:
+        if isinstance(key, jax.tree_util.GetAttrKey):
+            yield tree, key.name
+            tree = getattr(tree, key.name)
+        else:
+            tree = tree[key.key if isinstance(key, jax.tree_util.DictKey) else key.idx]
+
+
+def _sentence(owner: Any, name: str) -> str:
+    """The first sentence of the docstrings of an object's class and its bases that names the field."""
+    for kind in type(owner).__mro__:
+        text = " ".join((kind.__dict__.get("__doc__") or "").split())
+        for sentence in re.split(r"(?<=\.) (?=[A-Z`])", text):
+            if f"`{name}`" in sentence:
+                # A list of `name`: meaning; `other`: meaning.
+                clauses = [part for part in sentence.split("; ") if re.match(rf"(`\w+`, )*`{name}`", part)]
+                clause = (clauses or [sentence])[0].rstrip(".")
+                if not re.fullmatch(rf"`{name}`: as in `\w+`", clause):
+                    return clause.replace("`", "")
+    return ""

@@ -1,1 +1,1 @@
-"""Trackers and the one scan that runs them, checks before it, and the bound on what it can reach."""
+"""Trackers, the scan that runs them, the checks before a run, smoothers, and the Cramér–Rao bound."""

@@ -1,4 +1,4 @@
-"""Batches in chunks of one shape, so that the bits of a trajectory depend on its chunk's size, not on its others."""
+"""Batches run in chunks of one shape: the bits of a trajectory depend on the chunk's size, not on its neighbours."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import DTypeLike
+from jaxtyping import Array, DTypeLike, Shaped
 
+from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.covariance import compiler_options, few
+from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.programs.packed import PackedResult
-from trackwright.trackers.programs.traced_programs import found_program
+from trackwright.trackers.programs.traced_programs import kept_program
 
 Tree = TypeVar("Tree")
 
@@ -58,7 +61,7 @@ def as_dtype(tree: Tree, dtype: DTypeLike) -> Tree:
 
 
 def piece_size(trajectories: int, rows: int, chunk: int) -> int:
-    """The trajectories, padding included, of each part of a batch of so many, with so many rows; at most `chunk`."""
+    """The number of trajectories per part, padding included, of a batch of this size; at most `chunk`."""
     # A small batch gets a small chunk, a power of two so that few shapes are compiled. Few long recordings run one by
     # one: they gain nothing side by side, and one program serves them all.
     alone = few(trajectories) and rows >= LONG
@@ -120,8 +123,8 @@ def on_host(function: Callable[[Any, Batch], Tree], model: Any, part: Batch, cal
     options = compiler_options(part.size)
     if few(part.size):
         # The loop of few trajectories is so short that a call with a hundred arrays takes as long.
-        found: Tree = call(PackedResult(function), model, part, options).unpacked()
-        return found
+        unpacked: Tree = call(PackedResult(function), model, part, options).unpacked()
+        return unpacked
     return jax.tree_util.tree_map(np.asarray, call(function, model, part, options))
 
 
@@ -159,13 +162,92 @@ class Programs:
 def called(
     function: Callable[[Any, Any], Tree], model: Any, part: Any, options: dict[str, str | bool] | None = None
 ) -> Tree:
-    """`function(model, part)` by a compiled program, which is found without tracing where that is possible.
+    """`function(model, part)` by a compiled program, loaded without tracing where possible.
 
-    `options`: those of `compiler_options`.
+    `options`: see `compiler_options`.
     """
-    program = found_program(function, model, part, options)
+    program = kept_program(function, model, part, options)
     if program is None:
-        result: Tree = (jitted if options is None else jitted_for_few)(function, model, part)
-        return result
-    found: Tree = program(model, part)
-    return found
+        program = partial(jitted if options is None else jitted_for_few, function)
+    result: Tree = program(model, part)
+    return result
+
+
+class Scans(Protocol):
+    """The method of a tracker that runs a chunk."""
+
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]: ...
+
+
+def batch_estimates(tracker: Scans, batch: Batch, chunk: int, state: Any = None, continues: bool = False) -> Estimates:
+    """The estimates of a batch in chunks of `chunk` trajectories.
+
+    `state`: the scan state of all trajectories before the first row; None for no track. With `continues` the estimates
+    have the state after the last row as `final`.
+    """
+    # No truth: it would be copied for nothing.
+    parts = pieces(batch._replace(truth={}), chunk)
+    # Arrays used once go to the device with the call.
+    alone, size = len(parts) == 1, parts[0].size
+    model = (as_numbers if alone else as_dtype)(tracker, batch.dt.dtype)
+    each = parts if alone else placed(parts)
+    pairs = [((model, trajectories_of(state, k * size, (k + 1) * size)), part) for k, part in enumerate(each)]
+    output, final = joined(run_chunks(outputs_and_state if continues else outputs, pairs), batch)
+
+    def first(x: np.ndarray) -> np.ndarray:
+        return x.transpose(x.ndim - 1, *range(x.ndim - 1))
+
+    mean, age = jax.tree_util.tree_map(first, (output.mean, output.age))
+    log_likelihood, nis, nis_dof, wrapped, status = map(first, output[2:7])
+    cov = np.moveaxis(output.cov, -1, 1)
+    return Estimates(mean, cov, log_likelihood, nis, nis_dof, wrapped, status, age=age, final=final)
+
+
+def trajectories_of(state: Any, start: int, stop: int) -> Any:
+    """The trajectories start … stop − 1 of a state, padded with zeros beyond its end."""
+
+    def cut(x: Shaped[Array | np.ndarray, "B *shape"]) -> Shaped[np.ndarray, "part *shape"]:
+        part = np.asarray(x)[start:stop]
+        return np.pad(part, [(0, stop - start - len(part)), *[(0, 0)] * (part.ndim - 1)])
+
+    return jax.tree_util.tree_map(cut, state)
+
+
+def outputs(model: tuple[Scans, Any], batch: Batch) -> tuple[Output, Any]:
+    """The outputs of a tracker, without the final state; a function for `run_chunks`."""
+    return model[0].scan(batch, model[1])[0], None
+
+
+def outputs_and_state(model: tuple[Scans, Any], batch: Batch) -> tuple[Output, Any]:
+    """The outputs of a tracker and the final state; a function for `run_chunks`."""
+    return model[0].scan(batch, model[1])
+
+
+def joined(parts: Sequence[tuple[Output, Any]], batch: Batch) -> tuple[Output, Any]:
+    """The outputs of all trajectories, with the covariances as one array (entries, T, B), and the final states.
+
+    Trajectories stay last, as in the parts: another order is a slow copy.
+    """
+    (output, final), *others = parts
+    if not others and few(batch.size) and output.nis.shape[-1] == batch.size:
+        return output._replace(cov=np.stack(output.cov)), final
+
+    def filled(arrays: Sequence[np.ndarray], whole: np.ndarray) -> np.ndarray:
+        start = 0
+        for array in arrays:
+            part = whole[..., start : start + array.shape[-1]]
+            # Columns beyond the end of the batch are left out.
+            part[...] = array[..., : part.shape[-1]]
+            start += array.shape[-1]
+        return whole
+
+    def all_of(*arrays: np.ndarray) -> np.ndarray:
+        return filled(arrays, np.empty((*arrays[0].shape[:-1], batch.size), arrays[0].dtype))
+
+    each = [output for output, _ in parts]
+    cov = np.empty((len(output.cov), len(batch.dt), batch.size), batch.dt.dtype)
+    for entry, arrays in zip(cov, zip(*(one.cov for one in each), strict=True), strict=True):
+        filled(arrays, entry)
+    whole = jax.tree_util.tree_map(all_of, *(one._replace(cov=()) for one in each))
+    final = jax.tree_util.tree_map(lambda *x: np.concatenate(x)[: batch.size], *[after for _, after in parts])
+    return whole._replace(cov=cov), final

@@ -26,7 +26,7 @@ class NoBoundError(ValueError):
     """A motion for which the recursion gives no bound."""
 
 
-LANES = 4096
+AT_ONCE = 4096
 """Rows times trajectories whose Jacobians are computed at once."""
 
 ROUNDING = 100.0
@@ -37,9 +37,9 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
     """Lower bounds (T, n) on the standard deviations of the filtered state's components, averaged over the batch.
 
     `states`: the true states, leaves (T, B). The recursion starts at the first row with the covariance of the tracker's
-    start; transitions are those at the state of the row before. The information of later rows is the mean over the
-    valid trajectories; masked channels carry none. Where transitions differ between trajectories, as those of a
-    nonlinear motion do,
+    start; transitions are linearised at the state of the previous row. The information of later rows is the mean over
+    the valid trajectories; masked channels carry none. Where transitions differ between trajectories, as for a
+    nonlinear motion,
 
         J⁺ = D₂₂ − D₁₂ᵀ (J + D₁₁)⁻¹ D₁₂,    D₁₁ = E FᵀQ⁻¹F,    D₁₂ = −E FᵀQ⁻¹,    D₂₂ = E Q⁻¹ + E HᵀR⁻¹H
 
@@ -55,8 +55,8 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
             f"posterior_bound: row {row}: the noise of {type(tracker.motion).__name__} is not additive: its Jacobians "
             "depend on the noise draw; expected a motion f(state) + G·w with G the same in all states"
         )
-    found, unit = np.empty(F.shape), np.eye(len(prior))
-    P = found[0] = prior
+    covs, unit = np.empty(F.shape), np.eye(len(prior))
+    P = covs[0] = prior
     for k in range(1, len(F)):
         if spread[k] > limit:
             valid = np.asarray(batch.valid[k])
@@ -65,15 +65,15 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
         else:
             P = F[k] @ P @ F[k].T + Q[k]
         P = P @ np.linalg.inv(unit + information[k] @ P)
-        P = found[k] = (P + P.T) / 2
-    return np.sqrt(np.maximum(np.diagonal(found, axis1=1, axis2=2), 0))
+        P = covs[k] = (P + P.T) / 2
+    return np.sqrt(np.maximum(np.diagonal(covs, axis1=1, axis2=2), 0))
 
 
 def _terms_of_rows(tracker: Tracker, batch: Batch, states: State) -> tuple[Float[np.ndarray, "..."], ...]:
-    """`_terms` of all rows in double precision, a block of rows at a time: one program, whatever the number of rows."""
+    """`_terms` of all rows in double precision, in blocks of rows: one program serves any number of rows."""
     before = jax.tree_util.tree_map(lambda x: np.concatenate([x[:1], x[:-1]]), states)
     rows = (_rows(batch), before, states)
-    block = min(len(batch.dt), max(LANES // batch.size, 1))
+    block = min(len(batch.dt), max(AT_ONCE // batch.size, 1))
     blocks = []
     for first in range(0, len(batch.dt), block):
         part = jax.tree_util.tree_map(lambda x, first=first: np.asarray(x[first : first + block]), rows)
@@ -134,7 +134,7 @@ def _jacobians(
 def _terms(tracker: Tracker, part: tuple[Row, State, State]) -> tuple[Array, ...]:
     """The start's covariance (n, n); per row the batch means of F, Q and information (T, n, n), and two checks (T,).
 
-    `part`: rows, the states at the rows before, and their own. The covariance is that of a start at the first row. The
+    `part`: rows, the true states at the previous rows, the true states at the rows. The start is at the first row. The
     checks: the range of F and Q over the batch and their change by a noise draw of 1, relative to their size.
     """
     tracker = freeze(tracker)

@@ -1,7 +1,7 @@
-"""Latency: estimates at the time of measurement, which is earlier than that of the row by the sensor's latency.
+"""Latency: estimates at the time of measurement, which precedes the row by the sensor's latency.
 
-A measurement with latency is of an earlier state, z(t) = h(x(t − latency)). The filter's state is that of the row's
-time t; shifted back for straight motion, p(t − latency) = p(t) − v(t)·latency, its error is smallest.
+A sensor with latency measures an earlier state, z(t) = h(x(t − latency)). The filter estimates the state at the row's
+time t; shifted back along a straight line, p(t − latency) = p(t) − v(t)·latency, the estimate has the least error.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.state import State, coordinates, local_after
 
 LONGEST_S = 1e4
-"""Gaps count as this at most: the truth across a longer one is known only where it hardly changes."""
+"""Longest gap, s, in elapsed times; across longer ones truth is scored only where it hardly changes."""
 
 
 class AbstractDelayedSensor(AbstractSensor):
-    """A sensor whose readings are of the state `latency` s before their row."""
+    """A sensor that measures the state `latency` s before the row of its reading."""
 
     latency: eqx.AbstractVar[Noise]
 
@@ -56,17 +56,17 @@ def shifted_back(mean: State, upper: AnyCovariance, seconds: Scalar) -> tuple[St
 
 
 def scored_truth(batch: Batch, age: Any = None) -> dict[str, tuple[Any, Any]]:
-    """The truth of a batch for which estimates are scored: `age` s before each row, on the last row of each time.
+    """The truth that estimates are scored against: `age` s before each row, on the last row of each time.
 
-    `age` (T, B) or (B,), None for the times of the rows. The truth is differentiable in it: cubic between the rows of
-    an uninterrupted stretch of known truth, so that an objective has a slope where the age is zero and all rows are on
-    knots, straight across a gap and beyond the ends of a stretch. Positions inside a hole are not scored; else the rows
-    that are scored do not depend on the age.
+    `age` (T, B) or (B,); None for the times of the rows. The truth is differentiable with respect to it: cubic between
+    the rows of an uninterrupted stretch of known truth, so that an objective has a derivative at age zero, where all
+    rows are knots, and straight across a gap and beyond the ends of a stretch. Positions inside a hole are not scored;
+    otherwise the choice of scored rows does not depend on the age.
     """
     dt = jnp.where(batch.valid, batch.dt, jnp.ones_like(batch.dt))
     no = jnp.zeros_like(dt[:1], bool)
     followed = jnp.concatenate([jnp.asarray(batch.valid)[1:] & (jnp.asarray(batch.dt)[1:] == 0), no])
-    found = {}
+    scored_truths = {}
     for name, (values, known) in batch.truth.items():
         values, scored = jnp.asarray(values), jnp.asarray(known) & ~followed
         if age is not None:
@@ -74,12 +74,12 @@ def scored_truth(batch: Batch, age: Any = None) -> dict[str, tuple[Any, Any]]:
             each = jax.vmap(earlier, in_axes=-1, out_axes=-1)
             values, hole = each(dt, jnp.broadcast_to(age, dt.shape), values, jnp.asarray(known))
             scored &= ~hole
-        found[name] = values, scored
-    return found
+        scored_truths[name] = values, scored
+    return scored_truths
 
 
 def _earlier_truth(dt: Any, age: Any, values: Any, known: Any, moved: float) -> tuple[Any, Any]:
-    """The truth (T, d) of one trajectory `age` (T,) s before its rows, and whether that time is in a hole.
+    """The truth (T, d) of one trajectory `age` (T,) s before its rows, and a mask (T,) of times inside a hole.
 
     A hole is a gap longer than `HOLE_S` over which the truth changes by more than `moved`.
     """
@@ -89,27 +89,27 @@ def _earlier_truth(dt: Any, age: Any, values: Any, known: Any, moved: float) -> 
 
 
 def _splines(dt: Any, times: Elapsed, age: Any, at: Any, values: Any, known: Any) -> Any:
-    """The truth `age` before the rows by cubic Hermite splines; `at` (T,): the last row up to then."""
+    """The truth `age` before the rows by cubic Hermite splines; `at` (T,): the last row not after that time."""
     rows, end = jnp.arange(len(dt), dtype=jnp.int32), len(dt) - 1
     no = jnp.zeros_like(known[:1])
     joined = known[1:] & known[:-1]
     first = jax.lax.cummax(jnp.where(known & ~jnp.concatenate([no, joined]), rows, 0))
     last = jax.lax.cummin(jnp.where(known & ~jnp.concatenate([joined, no]), rows, end), reverse=True)
-    slopes = _slopes(dt[1:], values, joined & (dt[1:] <= HOLE_S))
+    tangents = _tangents(dt[1:], values, joined & (dt[1:] <= HOLE_S))
     left = jnp.maximum(jnp.minimum(jnp.maximum(at, first), last - 1), first)
     right = jnp.minimum(left + 1, last)
     since, span = (times.since(left) - age)[:, None], (times.since(left) - times.since(right))[:, None]
     u = jnp.where(span > 0, since / jnp.where(span > 0, span, 1.0), 0.0)
-    step, begin, end_slope = values[right] - values[left], slopes[left], slopes[right]
-    curve = u * (1.0 - u) * ((1.0 - u) * (begin * span - step) - u * (end_slope * span - step))
-    # Tangents, not a clipped u: both have the same slope at the knot, where clipping has half of it.
-    after = step + (since - span) * end_slope
+    step, begin, finish = values[right] - values[left], tangents[left], tangents[right]
+    curve = u * (1.0 - u) * ((1.0 - u) * (begin * span - step) - u * (finish * span - step))
+    # Along the tangent: a clipped u would halve the derivative at the knot.
+    after = step + (since - span) * finish
     inner = jnp.where(u > 1, after, u * step + jnp.where(span > HOLE_S, 0.0, curve))
     return values[left] + jnp.where(since < 0, since * begin, inner)
 
 
 def _in_hole(times: Elapsed, age: Any, at: Any, values: Any, known: Any, moved: float) -> Any:
-    """Which rows (T,) are valid between two known rows of a hole; arguments as of `_splines`."""
+    """Mask (T,) of rows valid at a time between the two known rows of a hole; arguments as of `_splines`."""
     rows, end = jnp.arange(len(known), dtype=jnp.int32), len(known) - 1
     before = jax.lax.cummax(jnp.where(known, rows, -1))[at]
     after = jax.lax.cummin(jnp.where(known, rows, end), reverse=True)[jnp.minimum(at + 1, end)]
@@ -118,12 +118,12 @@ def _in_hole(times: Elapsed, age: Any, at: Any, values: Any, known: Any, moved: 
     return between & (times.since(before) - times.since(after) > HOLE_S) & (change > moved**2)
 
 
-def _slopes(spans: Any, values: Any, joined: Any) -> Any:
-    """The slopes (T, d) of the parabolas through three neighbours, or through those that are `joined` (T - 1,)."""
+def _tangents(spans: Any, values: Any, joined: Any) -> Any:
+    """The tangents (T, d) of parabolas through three neighbouring rows, or of chords; `joined` (T - 1,): both known."""
     spans = jnp.where(joined, spans, 0.0)
     chords = jnp.where(spans > 0, 1.0 / jnp.where(spans > 0, spans, 1.0), 0.0)[:, None] * (values[1:] - values[:-1])
     none, flat = jnp.zeros(1, spans.dtype), jnp.zeros_like(values[:1])
-    # Each neighbour's chord has the other's span as its weight; a single neighbour has the whole weight.
+    # Each chord is weighted by the span of the other one; a single chord has the whole weight.
     before, after = jnp.concatenate([none, spans]), jnp.concatenate([spans, none])
     total_span = jnp.where(before + after > 0, before + after, 1.0)
     weight = jnp.where(before > 0, jnp.where(after > 0, after / total_span, 1.0), 0.0)[:, None]

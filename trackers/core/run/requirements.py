@@ -1,6 +1,7 @@
-"""The check of recordings against a tracker before it runs: their kind, names, channels, inputs and the motion's view.
+"""The check of recordings against a tracker before a run: their type, names, channels, inputs and the motion's view.
 
-Only names and shapes are compared, and the range of inputs that number something; no row is filtered.
+It compares the layout of recordings, the names and shapes of their arrays, with what the parts of a tracker read, and
+the range of inputs that are indices; no row is filtered. Messages are one sentence: where, found, expected, usual fix.
 """
 
 from __future__ import annotations
@@ -11,18 +12,16 @@ from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.data.recording import Batch, Recording
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.core.filters.filter import AbstractFilter
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.inputs import Input, Need
-from trackwright.trackers.core.model.motion import AbstractMotion
-from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Row
-from trackwright.trackers.core.model.start import AbstractStart
-from trackwright.trackers.core.run.layout import Layout
-from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, Row
+from trackwright.trackers.core.run.scan import RecursiveTracker
+from trackwright.trackers.core.wording import counted
 
 KINDS = {
     "RecordingFolder": "a tracker by name, `tw.tracker_for(folder)`",
@@ -37,22 +36,187 @@ KINDS = {
     "PosixPath": "`folder = tw.read(path)` and a tracker by name, `tw.tracker_for(folder)`",
     "Batch": "each batch by itself, or `stack` of all recordings",
 }
-"""The usual fix by the type of what was given in place of a recording."""
+"""The usual fix, by the type of an argument that is no recording."""
+
+
+class Layout(NamedTuple):
+    """Names and shapes of the arrays of recordings, which are the same in each of them.
+
+    `where`: their name in messages. `readings`: numbers of channels and of reported noise columns. `inputs`: shape of
+    one row. `truth`: number of columns. `arrays`: the inputs of each recording, or of the batch.
+    """
+
+    where: str
+    readings: Mapping[str, tuple[int, int]]
+    inputs: Mapping[str, tuple[int, ...]]
+    truth: Mapping[str, int]
+    arrays: Sequence[Mapping[str, Any]]
+
+    @classmethod
+    def of_recording(cls, recording: Recording) -> Layout:
+        """The layout of a recording in arrays."""
+        return cls(
+            f"recording '{recording.name}'",
+            {
+                name: (np.shape(r.values)[1], 0 if r.reported is None else np.shape(r.reported)[1])
+                for name, r in recording.readings.items()
+            },
+            {name: np.shape(x)[1:] for name, x in recording.inputs.items()},
+            {name: np.shape(values)[1] for name, (values, _) in recording.truth.items()},
+            [recording.inputs],
+        )
+
+    @classmethod
+    def of_batch(cls, batch: Batch) -> Layout:
+        """The layout of a batch; raises UnusableInput for arrays that are not batch-last."""
+        rows, size = np.shape(batch.dt)
+        arrays = {f"readings['{name}'].values": r.values for name, r in batch.readings.items()}
+        arrays |= {f"inputs['{name}']": x for name, x in batch.inputs.items()}
+        arrays |= {f"truth['{name}']": values for name, (values, _) in batch.truth.items()}
+        for name, array in arrays.items():
+            shape = np.shape(array)
+            if shape[:1] != (rows,) or shape[-1:] != (size,):
+                raise UnusableInput(
+                    f"the batch: {name} has shape {shape}; expected ({rows}, …, {size}), rows first and trajectories "
+                    "last as `dt`; usual fix: make it by `stack` of recordings"
+                )
+        return cls(
+            "the batch",
+            {
+                name: (np.shape(r.values)[1], np.shape(r.reported)[1] if np.ndim(r.reported) == 3 else 0)
+                for name, r in batch.readings.items()
+            },
+            {name: np.shape(x)[1:-1] for name, x in batch.inputs.items()},
+            {name: np.shape(values)[1] for name, (values, _) in batch.truth.items()},
+            [batch.inputs],
+        )
+
+    @classmethod
+    def of_recordings(cls, recordings: Sequence[Recording]) -> Layout:
+        """The layout of several recordings; raises UnusableInput where they differ in more than the names of inputs."""
+        first = cls.of_recording(recordings[0])
+        for number, recording in enumerate(recordings[1:], 1):
+            other = cls.of_recording(recording)
+            for what in ("readings", "inputs", "truth"):
+                one, two = getattr(first, what), getattr(other, what)
+                names = one.keys() & two.keys() if what == "inputs" else [*one, *two]
+                name = next((k for k in names if one.get(k) != two.get(k)), None)
+                if name is not None:
+                    raise UnusableInput(
+                        f"the recordings differ: {what}['{name}'] is {_described(what, one.get(name))} in recording 0 "
+                        f"('{recordings[0].name}') and {_described(what, two.get(name))} in recording {number} "
+                        f"('{recording.name}'); expected the same names and shapes in all of them; usual fix: make all "
+                        "by the same helper with the same arguments, or run them one by one"
+                    )
+        return first._replace(arrays=[r.inputs for r in recordings])
+
+    def check_readings(self, reader: str, name: str, channels: Sequence[Channel] | int) -> None:
+        """Raises UnusableInput without readings `name` with exactly these channels, or with at least this number."""
+        if name not in self.readings:
+            raise UnusableInput(
+                f"{self.where}: found readings of {listed(self.readings) or 'no sensor'}; expected '{name}', which "
+                f"{reader} reads; usual fix: give the readings the name of the sensor, or run a tracker of these "
+                "readings"
+            )
+        number = self.readings[name][0]
+        if isinstance(channels, int):
+            expected, fits = f"at least the {channels} that {reader} reads", number >= channels
+        else:
+            expected, fits = f"the {len(channels)} of {reader}, {_span(channels)}", number == len(channels)
+        if not fits:
+            raise UnusableInput(
+                f"{self.where}: readings['{name}'] has {counted(number, 'channel')}; expected {expected}; usual fix: "
+                "one column per channel, with seen = False where a value is missing"
+            )
+
+    def check_reported(self, reader: str, name: str, columns: Sequence[Channel]) -> None:
+        """Raises UnusableInput for reported noise in other columns than a sensor reads; none is always accepted."""
+        number = self.readings[name][1]
+        if number and columns and number != len(columns):
+            raise UnusableInput(
+                f"{self.where}: readings['{name}'].reported has {counted(number, 'column')}; expected the "
+                f"{len(columns)} of {reader}, {_span(columns)}, or none; usual fix: the square of each standard "
+                "deviation, or leave `reported` out"
+            )
+
+    def check_inputs(self, reader: str, inputs: Sequence[Input], channels: int, needs: Sequence[Need]) -> None:
+        """Raises UnusableInput for an input of one of the `needs` that is missing, or of another shape or range."""
+        for declared in inputs:
+            if declared.need not in needs:
+                continue
+            shape = declared.row_shape(channels)
+            expected = f"expected {_rows(shape)}{f' {declared.unit}' if declared.unit else ''}, {declared.about}"
+            reads = f"which {reader} reads"
+            if declared.need is not Need.ALWAYS:
+                reads += f" {declared.need.value}"
+            source = f"make it by {declared.source}" if declared.source else "add it to the recording's `inputs`"
+            if declared.name not in self.inputs:
+                if declared.need is not Need.IF_GIVEN:
+                    raise UnusableInput(
+                        f"{self.where}: no input '{declared.name}', found {listed(self.inputs, 8) or 'none'}; "
+                        f"{expected}, {reads}; usual fix: {source}"
+                    )
+                continue
+            given = self.inputs[declared.name]
+            if given != shape:
+                raise UnusableInput(
+                    f"{self.where}: inputs['{declared.name}'] has {_rows(given)}; {expected}, {reads}; usual fix: "
+                    f"{source}"
+                )
+            if declared.below is not None:
+                self._check_range(reader, declared, declared.below)
+
+    def _check_range(self, reader: str, declared: Input, below: int) -> None:
+        for arrays in self.arrays:
+            low, high = _extremes(arrays[declared.name])
+            if low < 0 or high >= below:
+                outlier, fix = (low, "count from 0") if low < 0 else (high, f"build the tracker for {high + 1:g}")
+                raise UnusableInput(
+                    f"{self.where}: inputs['{declared.name}'], {declared.about}, is {outlier:g} in a row; expected 0 "
+                    f"to {below - 1}, since {reader} is built for {below}; usual fix: {fix}"
+                )
+
+
+def _extremes(array: Any) -> tuple[float, float]:
+    """The smallest and the largest number of an array; (0, 0) of a traced one and of none."""
+    if isinstance(array, jax.core.Tracer) or not np.size(array):
+        return 0.0, 0.0
+    kind = jnp if isinstance(array, jax.Array) else np
+    return float(kind.min(array)), float(kind.max(array))
+
+
+def _rows(shape: tuple[int, ...]) -> str:
+    return f"rows of shape {shape}" if shape else "one number per row,"
+
+
+def _span(channels: Sequence[Channel]) -> str:
+    """The names of channels, the first and the last of many, and their unit."""
+    names = [c.name for c in channels]
+    shown = ", ".join(names) if len(names) <= 4 else f"{names[0]} … {names[-1]}"
+    return shown + (f", {channels[0].unit}" if channels and channels[0].unit else "")
+
+
+def _described(what: str, shape: Any) -> str:
+    if shape is None:
+        return "missing"
+    if what == "readings":
+        return f"of {counted(shape[0], 'channel')} with {counted(shape[1], 'reported column')}"
+    return f"of {counted(shape, 'column')}" if what == "truth" else f"of shape {shape} per row"
 
 
 @runtime_checkable
 class ChecksLayout(Protocol):
-    """A tracker, as the check sees it."""
+    """The method of a tracker that the check calls."""
 
     def check_layout(self, layout: Layout) -> None: ...
 
 
 def check_input(tracker: ChecksLayout, recordings: Any, caller: str) -> Recording | list[Recording] | Batch:
-    """The recording, the recordings as a list, or the batch, once they have what the tracker reads.
+    """The recording, the recordings as a list, or the batch, checked to have what the tracker reads.
 
     Of several recordings only the inputs that all of them have are kept, since a batch has one array of each. Raises
-    UnusableInput, in the name of the `caller`, for anything else and for recordings that lack something. The
-    check compares names and shapes: its time does not grow with rows, but for inputs that number anchors.
+    UnusableInput, in the name of the `caller`, for anything else and for recordings that lack something. The time
+    of the check does not grow with the rows, except for inputs that are indices of anchors.
     """
     if isinstance(recordings, Recording):
         tracker.check_layout(Layout.of_recording(recordings))
@@ -80,7 +244,7 @@ def check_input(tracker: ChecksLayout, recordings: Any, caller: str) -> Recordin
 
 
 def _is_sequence(recordings: Any) -> bool:
-    """Whether it may hold recordings: a list, a tuple, a generator; tables, arrays, texts and mappings hold none."""
+    """Whether an argument may hold recordings: a list, a tuple, a generator; no table, array, text or mapping."""
     return type(recordings).__name__ not in KINDS and hasattr(recordings, "__iter__")
 
 
@@ -93,7 +257,7 @@ class MissingInputError(KeyError):
 
 
 class GivenInputs(dict[str, Any]):
-    """The inputs of a row, which name the reader of one that is missing."""
+    """The inputs of a row; a missing one raises MissingInputError with the name of its reader."""
 
     def __init__(self, values: Mapping[str, Any], reader: str) -> None:
         super().__init__(values)
@@ -103,62 +267,53 @@ class GivenInputs(dict[str, Any]):
         raise MissingInputError(self.reader, name)
 
 
-class Parts(NamedTuple):
-    """The parts of a recursive tracker that read rows."""
-
-    motion: AbstractMotion
-    sensors: Mapping[str, AbstractSensor]
-    start: AbstractStart
-    filter: AbstractFilter[Any]
-    track_loss: AbstractTrackLoss
-
-    def readers(self) -> Iterator[tuple[str, Sequence[Input], int]]:
-        """Every part by a name for messages, its declared inputs, and the number of channels of its readings."""
-        yield f"the motion ({type(self.motion).__name__})", self.motion.inputs, 0
-        for name, sensor in self.sensors.items():
-            yield _sensor(name, sensor), sensor.inputs, len(sensor.channels)
-        yield f"the start ({type(self.start).__name__})", self.start.inputs, 0
-        yield f"the filter ({type(self.filter).__name__})", self.filter.inputs, 0
-        yield f"the track loss ({type(self.track_loss).__name__})", self.track_loss.inputs, 0
-
-
-def check_parts(layout: Layout, parts: Parts) -> None:
+def check_parts(layout: Layout, tracker: RecursiveTracker) -> None:
     """Raises UnusableInput unless recordings of this layout have what the parts of a recursive tracker read."""
-    for name, sensor in parts.sensors.items():
+    for name, sensor in tracker.sensors.items():
         layout.check_readings(_sensor(name, sensor), name, sensor.channels)
         layout.check_reported(_sensor(name, sensor), name, sensor.reported)
-    for name, least in parts.start.readings.items():
-        layout.check_readings(f"the start ({type(parts.start).__name__})", name, least)
-    readers = list(parts.readers())
+    for name, least in tracker.start.readings.items():
+        layout.check_readings(f"the start ({type(tracker.start).__name__})", name, least)
+    readers = list(_readers(tracker))
     for reader, inputs, channels in readers:
         layout.check_inputs(reader, inputs, channels, (Need.ALWAYS, Need.IF_GIVEN))
-    view = initial_view(layout, parts)
-    fields = {_sensor(name, sensor): sensor.view_fields for name, sensor in parts.sensors.items()}
-    fields[f"the filter ({type(parts.filter).__name__})"] = parts.filter.view_fields
+    view = _initial_view(layout, tracker)
+    fields = {_sensor(name, sensor): sensor.view_fields for name, sensor in tracker.sensors.items()}
+    fields[f"the filter ({type(tracker.filter).__name__})"] = tracker.filter.view_fields
     for reader, names in fields.items():
         for name in names:
             if not hasattr(view, name):
                 shown = listed(getattr(view, "_fields", ()), 8) or type(view).__name__
                 raise UnusableInput(
-                    f"the view of {type(parts.motion).__name__} has {shown}; expected '{name}', which {reader} reads; "
-                    f"usual fix: a motion whose state has '{name}', or whose `view` computes it"
+                    f"the view of {type(tracker.motion).__name__} has {shown}; expected '{name}', which {reader} "
+                    f"reads; usual fix: a motion whose state has '{name}', or whose `view` computes it"
                 )
     if len(getattr(view, "position", ())) == 2:
         for reader, inputs, channels in readers:
             layout.check_inputs(reader, inputs, channels, (Need.PLANAR,))
 
 
-def initial_view(layout: Layout, parts: Parts) -> Any:
-    """`motion.view` of a state that the start makes, in shapes; inputs that are declared and missing are filled in.
+def _readers(tracker: RecursiveTracker) -> Iterator[tuple[str, Sequence[Input], int]]:
+    """Every part by a name for messages, its declared inputs, and the number of channels of its readings."""
+    yield f"the motion ({type(tracker.motion).__name__})", tracker.motion.inputs, 0
+    for name, sensor in tracker.sensors.items():
+        yield _sensor(name, sensor), sensor.inputs, len(sensor.channels)
+    yield f"the start ({type(tracker.start).__name__})", tracker.start.inputs, 0
+    yield f"the filter ({type(tracker.filter).__name__})", tracker.filter.inputs, 0
+    yield f"the track loss ({type(tracker.track_loss).__name__})", tracker.track_loss.inputs, 0
 
-    Raises UnusableInput for an input that is read without being declared, where the recordings lack it.
+
+def _initial_view(layout: Layout, tracker: RecursiveTracker) -> Any:
+    """The shapes of `motion.view` of a start's state; declared inputs that are missing are filled in.
+
+    Raises UnusableInput for an undeclared input that is read and missing from the recordings.
     """
     inputs = dict(layout.inputs)
-    for _, declared, channels in parts.readers():
+    for _, declared, channels in _readers(tracker):
         for one in declared:
             if one.need is not Need.IF_GIVEN and one.name not in inputs:
                 inputs[one.name] = one.row_shape(channels)
-    leaves, tree = jax.tree_util.tree_flatten((parts.motion, parts.sensors, parts.start))
+    leaves, tree = jax.tree_util.tree_flatten((tracker.motion, tracker.sensors, tracker.start))
     numeric = [isinstance(x, (float, np.ndarray, np.floating, jax.Array)) for x in leaves]
     fixed = tuple(None if n else x for n, x in zip(numeric, leaves, strict=True))
     shapes = tuple((np.shape(x), np.result_type(x)) if n else None for n, x in zip(numeric, leaves, strict=True))
@@ -181,16 +336,17 @@ def _view_of(
     inputs: tuple[tuple[str, tuple[int, ...]], ...],
     kind: Any,
 ) -> Any:
-    """The shapes of the view after the start, kept, so that a second check traces nothing.
+    """The shapes of the view of a start's state, cached, so that a second check traces nothing.
 
-    Motion, sensors and start are a `tree` of `fixed` leaves and of numbers with these `shapes`; `kind`: of floats.
+    `tree`: structure of motion, sensors and start, whose leaves are `fixed` or arrays with these `shapes`; `kind`: the
+    type of floats.
     """
 
     def array(*shape: int) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(shape, kind)
 
-    def number(shape: tuple[int, ...], own: np.dtype[Any]) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct(shape, kind if np.issubdtype(own, np.floating) else own)
+    def number(shape: tuple[int, ...], dtype: np.dtype[Any]) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(shape, kind if np.issubdtype(dtype, np.floating) else dtype)
 
     given: dict[str, Any] = {name: array(*shape) for name, shape in inputs}
     row = Row(
@@ -209,11 +365,11 @@ def _view_of(
         state = start.belief(start.candidate(sensors, given), given).mean
         inputs = GivenInputs(row.inputs, f"the motion ({type(motion).__name__})")
         motion.step(state, inputs, row.dt, Vector(*[row.dt] * motion.noise_dimension))
-        found = motion.view(state)
+        of_state = motion.view(state)
         for name, sensor in sensors.items():
-            if all(hasattr(found, field) for field in sensor.view_fields):
-                sensor.measure(found, GivenInputs(row.inputs, _sensor(name, sensor)))
-        return found
+            if all(hasattr(of_state, field) for field in sensor.view_fields):
+                sensor.measure(of_state, GivenInputs(row.inputs, _sensor(name, sensor)))
+        return of_state
 
     return jax.eval_shape(view, [None if s is None else number(*s) for s in shapes], row)
 

@@ -6,8 +6,8 @@ over trajectories. The exception is a belief with an axis of particles or cells:
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -19,21 +19,98 @@ from jaxtyping import Array, Bool, UInt32
 
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.filters.filter import Innovation
+from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
 from trackwright.trackers.core.model import covariance
-from trackwright.trackers.core.model.algebra import Scalar, mark_dependent
-from trackwright.trackers.core.model.covariance import AnyCovariance, OneArray, by_entry, entries
-from trackwright.trackers.core.model.select import select
-from trackwright.trackers.core.model.sensor import Row
-from trackwright.trackers.core.run.carry import (
-    Carry,
-    RecursiveTracker,
-    StepInfo,
-    carry_axes,
-    empty_carry,
-    in_form,
-    initial_carry,
+from trackwright.trackers.core.model.algebra import Scalar, mark_dependent, select
+from trackwright.trackers.core.model.covariance import (
+    AnyCovariance,
+    Gaussian,
+    OneArray,
+    as_scalars,
+    by_entry,
+    entries,
+    matrix,
+    with_covariances,
 )
+from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor, Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
+
+
+class StepInfo(NamedTuple):
+    """Per-step diagnostics: log-likelihood, NIS and its degrees of freedom, ambiguous wraps, `Status`."""
+
+    log_likelihood: Scalar
+    nis: Scalar
+    nis_dof: Scalar
+    wrapped: Scalar
+    status: Scalar
+
+
+class Carry(NamedTuple):
+    """The carry between two time steps: belief, track status, statistic of track loss, s since the last measurement."""
+
+    belief: Any
+    running: Scalar
+    started: Scalar
+    loss_statistic: Scalar
+    time_since_measurement: Scalar
+
+
+@runtime_checkable
+class RecursiveTracker(Protocol):
+    """The attributes of a `Tracker` that the scan and the checks before it use."""
+
+    @property
+    def motion(self) -> AbstractMotion: ...
+    @property
+    def sensors(self) -> Mapping[str, AbstractSensor]: ...
+    @property
+    def start(self) -> AbstractStart: ...
+    @property
+    def filter(self) -> AbstractFilter[Any]: ...
+    @property
+    def track_loss(self) -> AbstractTrackLoss: ...
+    def predict(self, belief: Any, row: Row) -> Any: ...
+    def update(self, belief: Any, row: Row) -> tuple[Any, Innovation]: ...
+    def advance(self, carry: Carry, row: Row, belief: Any, innovation: Innovation) -> tuple[Carry, StepInfo]: ...
+    def moments(self, belief: Any) -> tuple[Any, AnyCovariance]: ...
+
+
+def carry_axes(tracker: RecursiveTracker) -> Carry:
+    """The axis of trajectories in each part of the carry: last, but first in a belief with a particle axis."""
+    return Carry(0 if tracker.filter.has_particle_axis else -1, -1, -1, -1, -1)
+
+
+def initial_carry(tracker: RecursiveTracker, candidate: Any, row: Row) -> Carry:
+    """The carry after a row that starts a track."""
+    return carry_of(tracker, tracker.start.belief(candidate, row), row.key, row.number)
+
+
+def carry_of(tracker: RecursiveTracker, prior: Gaussian, key: RawKey, number: Scalar) -> Carry:
+    """The carry of a track that begins with this prior at row `number` of a trajectory with this random key."""
+    one = jnp.ones_like(prior.cov[0])
+    # A new key for every start of a trajectory; XLA drops it where the filter draws no random numbers.
+    key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), number))
+    return Carry(tracker.filter.init(prior, key), one > 0, one > 0, one * tracker.track_loss.initial, one * 0)
+
+
+def in_form(carry: Carry, few: bool) -> Carry:
+    """The carry of one trajectory with its covariances in the form for few trajectories, or for many."""
+    return carry._replace(belief=with_covariances(carry.belief, matrix if few else as_scalars))
+
+
+def empty_carry(tracker: RecursiveTracker, row: Row, few: bool) -> Carry:
+    """The carry before the first row: zeros, no track running."""
+
+    def started(row: Row) -> Carry:
+        return in_form(initial_carry(tracker, tracker.start.candidate(tracker.sensors, row), row), few)
+
+    shape = jax.eval_shape(started, row)
+    return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
+
 
 STARTS_AT_ONCE = 16
 """Trajectories whose start is searched for together; one search costs as much as hundreds of filter steps."""
@@ -42,7 +119,7 @@ STARTS_AT_ONCE = 16
 class ScanState(NamedTuple):
     """The state of a recursive tracker after some rows, trajectories first in every array: `scan` continues from it.
 
-    `n_rows` (B,): rows so far, which number the starts of a trajectory.
+    `n_rows` (B,): rows so far; the row of a start is part of the track's random key.
     """
 
     carry: Carry
@@ -52,7 +129,7 @@ class ScanState(NamedTuple):
 class Output(NamedTuple):
     """The result of one time step: mean of the state, upper triangle of its covariance entry by entry, and `StepInfo`.
 
-    `age`: s between the time for which the estimate is valid and that of its row; None where they are the same.
+    `age`: time from the estimate's validity to its row, s; None where they coincide.
     """
 
     mean: Any
@@ -66,7 +143,7 @@ class Output(NamedTuple):
 
 
 Score = Callable[[Output, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
-"""Numbers per trajectory, (B,) each, of one time step: a function of its output and its truth."""
+"""A function of a time step's output and truth: numbers per trajectory, (B,) each."""
 
 
 def scan_rows(
@@ -124,8 +201,8 @@ def scan_rows(
     else:
         given = jax.tree_util.tree_map(jnp.asarray, initial.carry)
         before = jax.vmap(lambda carry: in_form(carry, few), out_axes=axes)(given)
-    # XLA chooses the layout of a carry whose first value it knows, and by it the order of sums in the loop: with one
-    # layout, a run that continues another has the bits of the one run.
+    # XLA derives the memory layout of the carry from its first value, and the layout decides the order of sums in the
+    # loop. A fixed layout makes a continued run bit-identical to one long run.
     before = jax.tree_util.tree_map(lambda x: with_layout_constraint(x, Layout(tuple(range(x.ndim)))), before)
     sums: tuple[Any, ...] = ()
     if score is not None and not every_row:
@@ -155,8 +232,8 @@ def without_dead_code(function: Callable[[Any], Any], argument: Any) -> Any:
     program, shapes = jax.make_jaxpr(function, return_shape=True)(argument)
     live, used = dce_jaxpr(program.jaxpr, [True] * len(program.jaxpr.outvars))
     leaves = jax.tree_util.tree_leaves(argument)
-    found = jax.core.eval_jaxpr(live, program.consts, *[x for x, u in zip(leaves, used, strict=True) if u])
-    return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(shapes), found)
+    results = jax.core.eval_jaxpr(live, program.consts, *[x for x, u in zip(leaves, used, strict=True) if u])
+    return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(shapes), results)
 
 
 def moments_by_entry(tracker: RecursiveTracker, belief: Any) -> tuple[Any, AnyCovariance]:
@@ -168,8 +245,8 @@ def moments_by_entry(tracker: RecursiveTracker, belief: Any) -> tuple[Any, AnyCo
 def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[Carry, StepInfo]:
     """Prediction and update of all trajectories of a chunk, and the status of their tracks.
 
-    With few trajectories a row at the time of the row before predicts nothing, and one without readings updates
-    nothing: ranges of one epoch, samples of an IMU between two ranges.
+    With few trajectories the prediction is skipped on rows at the time of the previous row (ranges of one epoch), and
+    the update on rows without readings (IMU samples between two ranges).
     """
     axes = carry_axes(tracker)
     predict = jax.vmap(tracker.predict, in_axes=(axes.belief, -1), out_axes=axes.belief)
@@ -181,7 +258,7 @@ def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[
     chosen = jax.vmap(select, (-1, axes.belief, axes.belief), axes.belief)
 
     def where(condition: Bool[Array, " B"], after: Any, before: Any) -> Any:
-        # A trajectory that stands still beside others that move keeps its bits: they must not depend on its neighbours.
+        # The bits of a trajectory must not depend on its neighbours: it keeps its belief where only others step.
         return after if len(condition) == 1 else chosen(condition, after, before)
 
     moves = row.dt > 0
@@ -189,8 +266,8 @@ def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[
 
     def measured(belief: Any) -> tuple[Any, Innovation]:
         after, innovation = update(belief, row)
-        own = (jnp.where(seen, x, 0.0).astype(row.dt.dtype) for x in innovation)
-        return where(seen, after, belief), Innovation(*own)
+        statistics = (jnp.where(seen, x, 0.0).astype(row.dt.dtype) for x in innovation)
+        return where(seen, after, belief), Innovation(*statistics)
 
     def unmeasured(belief: Any) -> tuple[Any, Innovation]:
         return belief, Innovation(*[jnp.zeros_like(row.dt)] * 4)
@@ -250,6 +327,6 @@ def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"], few: bo
         )
         return need.at[index].set(False, mode="drop"), candidates
 
-    # XLA makes one kernel of a small loop without a scatter: right for few trajectories alone.
-    found = all_at_once if few else some
-    return jax.lax.while_loop(lambda state: jnp.any(state[0]), found, (need, nothing))[1]
+    # XLA compiles a small loop without a scatter to one kernel, which pays for few trajectories alone.
+    body = all_at_once if few else some
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), body, (need, nothing))[1]

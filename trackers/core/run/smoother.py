@@ -17,7 +17,7 @@ from trackwright.trackers.core.model.covariance import Gaussian, by_entry, few
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.tunable import freeze
-from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.scan import Output, moments_by_entry, scan_rows
 from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker, AbstractTracker, Tracker
 
@@ -55,7 +55,7 @@ class Smoothed(AbstractEpochwiseTracker):
         filtered = output.mean
         usable = (output.status == Status.OK) | (output.status == Status.RESTARTED)
         connected = usable[:-1] & (output.status[1:] == Status.OK)
-        # Time steps of padding rows are no times: those of a lag's windows are sums of all of them.
+        # No time passes in padding rows: the windows of a fixed lag sum over all time steps.
         elapsed = jnp.where(jnp.asarray(batch.valid), batch.dt, 0.0)
         dt, inputs = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[1:], (elapsed, batch.inputs))
 

@@ -31,7 +31,7 @@ SIGMAS = 3.0
 
 
 class AbstractTrackLoss(eqx.Module):
-    """The test by which a track is lost and started again; no fit changes its thresholds, a sweep does.
+    """The test for track loss, after which a track restarts; sweeps change its thresholds, fits do not.
 
     `initial`: the test statistic of a new track. `limit`: the name of its threshold. `max_gap`: limit of
     the time without measurements, s; np.inf for none.
@@ -55,7 +55,7 @@ class AbstractTrackLoss(eqx.Module):
         """Whether the statistic is beyond its limit."""
 
     def relaxed(self, factor: float) -> AbstractTrackLoss:
-        """The test with its limit multiplied, for noise levels far off, with which most rows would exceed it."""
+        """The test with its limit multiplied, for noise levels so wrong that most rows would exceed it."""
         threshold: Threshold = getattr(self, self.limit)
         raised = threshold.with_value(factor * np.asarray(threshold.value))
         return eqx.tree_at(lambda test: getattr(test, test.limit), self, raised)
@@ -89,11 +89,11 @@ class TrackLossPolicy(AbstractTrackLoss):
 class TrackScorePolicy(AbstractTrackLoss):
     """Track loss by the fall of the track score, for heavy tails, which bound the NIS, and by the room.
 
-    The track score is the log-likelihood ratio of the track against measurements that do not depend on it, of which
-    each has the uniform density 1/`width` (Blackman and Popoli 1999, section 6.2). A track is lost where the score is
-    more than `score_limit` nats below its maximum (Page's CUSUM test): under a model that fits, a row where this
-    happens has at most the probability e^−`score_limit`. It is also lost where its mean is more than `SIGMAS` standard
-    deviations outside the input `room`. `width`: in the unit of the measurements. `max_gap`: as in `AbstractTrackLoss`.
+    The track score is the log-likelihood ratio of the track against unrelated measurements of uniform density 1/`width`
+    (Blackman and Popoli 1999, section 6.2). A track is lost where the score is more than `score_limit` nats below its
+    maximum (Page's CUSUM test), which under a correct model has a probability of at most e^−`score_limit` per row. It
+    is also lost where its mean is more than `SIGMAS` standard deviations outside the input `room`. `width`: in the unit
+    of the measurements. `max_gap`: as in `AbstractTrackLoss`.
     """
 
     initial: ClassVar[float] = 0.0

@@ -1,8 +1,8 @@
-"""Trackers: what turns recordings into estimates, and the recursive tracker of a motion, sensors, a filter and a start.
+"""Trackers turn recordings into estimates; the recursive one is made of a motion, sensors, a filter and a start.
 
 `Tracker.predict`, `update` and `advance` are written for one trajectory and one time step; `scan` maps them over
-trajectories and scans them over time. A batch runs in chunks: in chunks of one size a trajectory has the same bits
-whatever the others are; chunks of other sizes are other programs, which agree to rounding.
+trajectories and scans them over time. A batch runs in chunks: in chunks of one size the estimates of a trajectory are
+bit-identical whatever the others are; chunks of other sizes are other programs, which agree to rounding.
 """
 
 from __future__ import annotations
@@ -10,36 +10,74 @@ from __future__ import annotations
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import DTypeLike, Float
 
 from trackwright.trackers.core.data.estimates import Estimates, Status
 from trackwright.trackers.core.data.recording import Batch, Recording, stack
+from trackwright.trackers.core.data.seconds import moment
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
-from trackwright.trackers.core.model.algebra import Scalar, compute_once, total
+from trackwright.trackers.core.model.algebra import Scalar, compute_once, select, total, where_mostly
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, leading
 from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion
-from trackwright.trackers.core.model.select import select, where_mostly
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import freeze, with_values
-from trackwright.trackers.core.run.batch_estimates import batch_estimates
-from trackwright.trackers.core.run.carry import Carry, StepInfo, carry_of
-from trackwright.trackers.core.run.chunks import CHUNK, as_dtype
-from trackwright.trackers.core.run.initial import TrackerState, continued, stacked_priors
+from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, batch_estimates
 from trackwright.trackers.core.run.latency import AbstractDelayedSensor, scored_truth, shifted_back
-from trackwright.trackers.core.run.layout import Layout
-from trackwright.trackers.core.run.requirements import Parts, check_input, check_parts
-from trackwright.trackers.core.run.scan import Output, ScanState, Score, scan_rows
+from trackwright.trackers.core.run.requirements import Layout, check_input, check_parts
+from trackwright.trackers.core.run.scan import Carry, Output, ScanState, Score, StepInfo, carry_of, scan_rows
 from trackwright.trackers.core.run.track_loss import ROOM, AbstractTrackLoss, TrackLossPolicy, outside
+
+
+class TrackerState(NamedTuple):
+    """The state of a tracker after the last row of each recording, from which a later run continues.
+
+    `state`: as `tracker.scan` returns it, trajectories first in every array. `times` (B,): of the last rows, s.
+    """
+
+    state: Any
+    times: Float[np.ndarray, " B"]
+
+
+def continued(batch: Batch, recordings: Sequence[Recording], initial: TrackerState) -> Batch:
+    """The batch with the time from the last row of each earlier recording to its first row."""
+    if len(initial.times) != len(recordings):
+        raise UnusableInput(
+            f"run: `initial` is the state after {len(initial.times)} recordings, found {len(recordings)}; expected the "
+            "recordings that continue them, in their order"
+        )
+    gaps = np.array([r.times[0] for r in recordings]) - initial.times
+    if (gaps < 0).any():
+        k = int(np.argmax(gaps < 0))
+        raise UnusableInput(
+            f"run: '{recordings[k].name}' begins at {moment(recordings[k].times[0])}, its `initial` state is that at "
+            f"{moment(initial.times[k])}; expected later rows; leave out the rows that were run before"
+        )
+    dt = np.array(batch.dt)
+    dt[0] = gaps
+    return batch._replace(dt=dt)
+
+
+def stacked_priors(prior: Gaussian | Sequence[Gaussian], count: int, dtype: DTypeLike) -> Gaussian:
+    """One prior for each of `count` trajectories, (B,) first in every array."""
+    each = [prior] * count if isinstance(prior, Gaussian) else list(prior)
+    if len(each) != count or not all(isinstance(g, Gaussian) for g in each):
+        raise UnusableInput(
+            f"run: `initial` holds {len(each)} beliefs for {count} recordings; expected one Gaussian for all, one for "
+            "each, or the `final` of an earlier run"
+        )
+    stacked: Gaussian = jax.tree_util.tree_map(lambda *x: jnp.stack([jnp.asarray(v, dtype) for v in x]), *each)
+    return stacked
 
 
 class AbstractTracker(eqx.Module):
@@ -77,7 +115,7 @@ class AbstractTracker(eqx.Module):
         return ()
 
     def begin(self, prior: Gaussian, batch: Batch) -> Any:
-        """The state before the first row of tracks that begin there with `prior`, trajectories first in its arrays.
+        """The scan state of tracks that start at the first row with the belief `prior`; trajectories are first.
 
         Raises UnusableInput for a tracker without a belief to begin with.
         """
@@ -96,11 +134,11 @@ class AbstractTracker(eqx.Module):
     ) -> Estimates:
         """The estimates for one recording, several, or a batch, in chunks of `chunk` trajectories.
 
-        `seed`: of the random numbers of a filter that draws any; a batch has its keys from `stack`. `initial`: the
-        belief at the first row, one for all recordings or one for each, or the `final` of the estimates for the
-        recordings that these continue; by default the first row that suffices starts a track. Raises UnusableInput, a
-        ValueError, before anything is traced: for no recording at all, for one that lacks what the tracker reads, and
-        where the recordings differ in their sensors, inputs or truth; TypeError where the tracker or a batch is traced.
+        `seed`: for filters that draw random numbers; a batch has its keys from `stack`. `initial`: the belief at the
+        first row, one for all recordings or one for each, or the `final` of the estimates that these recordings
+        continue; by default the first row that suffices starts a track. Raises UnusableInput, a ValueError, before
+        anything is traced: for no recording, for one that lacks what the tracker reads, and where recordings differ in
+        their sensors, inputs or truth; TypeError where the tracker or a batch is traced.
         """
         if any(isinstance(x, jax.core.Tracer) for x in jax.tree_util.tree_leaves((self, recordings))):
             raise TypeError(
@@ -125,15 +163,15 @@ class AbstractTracker(eqx.Module):
             batch, state = continued(batch, listed, initial), initial.state
         elif initial is not None:
             state = self.begin(stacked_priors(initial, len(listed), batch.dt.dtype), batch)
-        found = batch_estimates(self, batch, 1 if single else chunk, state, continues=True)
+        estimates = batch_estimates(self, batch, 1 if single else chunk, state, continues=True)
         times = np.full((len(listed), longest), np.nan)
         for row, recording in zip(times, listed, strict=True):
             row[: len(recording)] = recording.times
-        final = TrackerState(found.final, np.array([r.times[-1] for r in listed]))
-        found = found if longest == len(batch.dt) else found.rows(slice(0, longest))
+        final = TrackerState(estimates.final, np.array([r.times[-1] for r in listed]))
+        estimates = estimates if longest == len(batch.dt) else estimates.rows(slice(0, longest))
         names = tuple(r.name for r in listed)
-        found = dataclasses.replace(found, times=found.valid_times(times), names=names, final=final)
-        return found[0] if single else found
+        estimates = dataclasses.replace(estimates, times=estimates.valid_times(times), names=names, final=final)
+        return estimates[0] if single else estimates
 
 
 class AbstractEpochwiseTracker(AbstractTracker):
@@ -172,7 +210,7 @@ class Tracker(AbstractTracker):
     position_alone: bool = eqx.field(static=True, default=False)
 
     def check_layout(self, layout: Layout) -> None:
-        check_parts(layout, Parts(self.motion, self.sensors, self.start, self.filter, self.track_loss))
+        check_parts(layout, self)
 
     @property
     def nis_sensors(self) -> tuple[AbstractSensor, ...]:
@@ -195,7 +233,7 @@ class Tracker(AbstractTracker):
 
     @property
     def latency(self) -> Scalar | None:
-        """The time from the measurement for which an estimate is valid to its row, s; None for no time at all."""
+        """The time from the measurement for which an estimate is valid to its row, s; None for no latency."""
         if self.latency_of is None:
             return None
         sensor = self.sensors[self.latency_of]

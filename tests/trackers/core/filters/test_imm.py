@@ -1,6 +1,5 @@
 """Interacting models: one model is the plain filter, several are the textbook's K² mixing, no switching is enumeration."""
 
-import equinox as eqx
 import numpy as np
 import pytest
 
@@ -10,7 +9,6 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.filters.imm import InteractingModels, SwitchingMotion
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
-from trackwright.trackers.core.model.tunable import matching
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import flatten, select_parameters
@@ -127,15 +125,3 @@ def test_a_filter_without_modes_sees_the_first_motion():
     np.testing.assert_array_equal(
         flat(_run(switching, default).mean), flat(_run(ConstantVelocity(0.7, 1), default).mean)
     )
-
-
-def test_switching_rate_and_mode_prior_are_tunables_by_name():
-    tracker = Tracker(
-        SwitchingMotion((ConstantVelocity(0.1, 1), ConstantVelocity(1.0, 1))),
-        {"z": LinearSensor(H, R, 2)},
-        KnownStart(_state),
-        InteractingModels(RATE, [1.0, 1.0]),
-    )
-    assert set(matching(tracker, "filter.*")) == {"filter.switching_rate", "filter.mode_prior"}
-    assert set(matching(tracker, "motion.*")) == {"motion.modes.0.sigma_a", "motion.modes.1.sigma_a"}
-    assert eqx.is_array_like(tracker.filter.mode_prior.value)

@@ -16,7 +16,7 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.inputs import Input, Need
 from trackwright.trackers.core.model.sensor import Row
-from trackwright.trackers.core.run.layout import Layout
+from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 
 PAGE = Path(__file__).parents[4] / "docs/inputs.md"

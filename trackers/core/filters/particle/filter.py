@@ -1,28 +1,32 @@
 """The bootstrap particle filter (Gordon, Salmond and Smith 1993) over named states, for one trajectory and one step.
 
 Leaves of the states end with an axis of N particles. Weights are kept as logarithms. A step resamples first, then
-propagates, then weights, so that estimates are taken before resampling.
+propagates, then weights, so that estimates are taken before resampling. Random numbers are those of Threefry-2x32
+(Salmon et al. 2011), unrolled: `jax.random` has the same generator in a loop that passes memory five times; XLA fuses
+the unrolled form into one pass.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+import scipy
+from jaxtyping import Array, DTypeLike, Float, UInt32
 
 from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
-from trackwright.trackers.core.filters.particle.random import draws
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO, Weights, cached_exp, effective_sample_size
 from trackwright.trackers.core.filters.particle.score import normal_log_density, resample_with_score, with_score
 from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
-from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.keys import RawKey, threefry
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Residual
 from trackwright.trackers.core.model.state import State, dimension, local, retract
@@ -61,11 +65,11 @@ class AbstractPotential(eqx.Module):
 
 
 class AbstractOutputMap(eqx.Module):
-    """A map from states to the quantity that is estimated, as from arclength on a path to a position on the floor."""
+    """A map from states to the estimated quantity, as from arclength on a path to a position on the floor."""
 
     @abstractmethod
     def moments(self, states: State, weights: Weights) -> tuple[State, tuple[Scalar, ...]]:
-        """The mapped quantity of the mean state, and its covariance about that as an upper triangle.
+        """The mapped quantity of the mean state, and the covariance about it as an upper triangle.
 
         `states`: leaves end with an axis of N. `weights`: (N,), with sum 1.
         """
@@ -79,7 +83,7 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
     @property
     @abstractmethod
     def bootstrap(self) -> ParticleFilter:
-        """The bootstrap filter with its number of particles and its potential: itself, or the one that it modifies."""
+        """The bootstrap filter whose number of particles and potential it has: itself, or the one that it modifies."""
 
 
 class ParticleFilter(AbstractParticleFilter):
@@ -115,7 +119,7 @@ class ParticleFilter(AbstractParticleFilter):
         L = cholesky(pairs, range(n), 16 * float(jnp.finfo(dtype).eps))
         steps = [total(L[i, j] * w[j] for j in range(i + 1)) for i in range(n)]
         states = jax.vmap(lambda step: retract(belief.mean, list(step)), in_axes=-1, out_axes=-1)(steps)
-        # 0·w makes the log-weights depend on the trajectory, as their score does; jax (0.10) else confuses the axes.
+        # 0·w makes the log-weights depend on the trajectory, as their score does; else jax (0.10) confuses the axes.
         uniform = 0.0 * w[0] - math.log(self.n_particles)
         states = jax.lax.stop_gradient(states)
         log_weights = with_score(uniform, belief, states, log_density=normal_log_density)
@@ -148,8 +152,8 @@ class ParticleFilter(AbstractParticleFilter):
     ) -> tuple[Particles, Innovation]:
         """The belief after one reading (1.24)–(1.27), and the reading's `Innovation`.
 
-        Log-likelihood: the log of the sum of the new weights, where the old ones add to 1. NIS: that of the particles'
-        mean whitened residual, whose covariance is that of the particles plus that of the noise.
+        Log-likelihood: the log of the sum of the new weights, where the old ones have sum 1. NIS: of the particles'
+        mean whitened residual, with the covariance of the particles plus that of the noise.
         """
         result = particle_residuals(belief.states, motion, sensor, reading, inputs)
         whitened, densities = result.whitened, result.log_density
@@ -263,3 +267,38 @@ def weighted_nis(whitened: list[Float[Array, " N"]], weights: Weights, dof: Scal
     L = cholesky(cov, range(m), 0.0)
     squares = [x * x for x in solve_lower(L, mean)]
     return total(squares if dof is None else [s * (dof + 1.0) / (dof + s) for s in squares])
+
+
+@cache
+def quantiles() -> np.ndarray:
+    """The normal quantiles at the midpoints of 65,536 equal probability intervals, scaled to variance 1."""
+    upper = scipy.special.ndtri((np.arange(32768, 65536) + 0.5) / 65536)
+    return np.concatenate([-upper[::-1], upper]) / np.sqrt(np.mean(upper**2))
+
+
+def draws(
+    key: RawKey, rows: int, count: int, dtype: DTypeLike
+) -> tuple[RawKey, Float[Array, ""], list[Float[Array, " {count}"]]]:
+    """The next key (2,), a uniform number in [0, 1), and `rows` arrays of `count` standard normal numbers.
+
+    `key`: raw, (2,) uint32. A normal number has 16 random bits: the median of one of 65,536 equally likely intervals,
+    so that none exceeds 4.3.
+    """
+    spare = words(key, 0, 2)
+    table = jnp.asarray(quantiles(), dtype)
+    normals = []
+    for row in range(rows):
+        both = words(key, row + 1, -(-count // 4)).reshape(-1)
+        bits = jnp.concatenate([both >> np.uint32(16), both & np.uint32(0xFFFF)])[:count].astype(jnp.int32)
+        normals.append(table.at[bits].get(mode="promise_in_bounds"))
+    return spare[:, 0], (spare[0, 1] >> np.uint32(9)).astype(dtype) * 2.0**-23, normals
+
+
+def words(key: RawKey, stream: int, count: int) -> UInt32[Array, "2 {count}"]:
+    """Random words (2, count), uint32: both words of the first `count` counters of a stream under a raw key.
+
+    Each entry computes both words and selects one: with two results XLA makes a pass over memory of every round.
+    """
+    shape = (2, count)
+    x, y = threefry(key, jax.lax.broadcasted_iota(jnp.uint32, shape, 1), jnp.full(shape, stream, jnp.uint32))
+    return jnp.where(jax.lax.broadcasted_iota(jnp.uint32, shape, 0) == 0, x, y)

@@ -34,11 +34,11 @@ def with_score(log_weights: Weights, *numbers: Any, log_density: Callable[..., W
 @with_score.def_jvp
 def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Weights]) -> tuple[Weights, Weights | None]:
     value = with_score(*primals, log_density=log_density)
-    own, others = tangents[0], jax.tree_util.tree_leaves(tangents[1:], is_leaf=lambda x: x is None)
+    tangent, others = tangents[0], jax.tree_util.tree_leaves(tangents[1:], is_leaf=lambda x: x is None)
     leaves, structure = jax.tree_util.tree_flatten(primals[1:])
     differentiated = [k for k, t in enumerate(others) if t is not None]
     if not differentiated:
-        return value, own
+        return value, tangent
 
     def density(*numbers: Any) -> Weights:
         every = list(leaves)
@@ -47,7 +47,7 @@ def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Weigh
         return log_density(*jax.tree_util.tree_unflatten(structure, every))
 
     score = jax.jvp(density, [leaves[k] for k in differentiated], [others[k] for k in differentiated])[1]
-    return value, score if own is None else own + score
+    return value, score if tangent is None else tangent + score
 
 
 @eqx.filter_custom_jvp

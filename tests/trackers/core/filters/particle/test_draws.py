@@ -5,7 +5,7 @@ import jax.extend
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.core.filters.particle.random import draws
+from trackwright.trackers.core.filters.particle.filter import draws
 from trackwright.trackers.core.model.keys import threefry
 
 
