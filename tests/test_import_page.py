@@ -7,10 +7,11 @@ import shlex
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from tests.bags import write_bag
-from tests.in_process import trackwright
+from tests.in_process import assert_refused, trackwright
 
 PAGE = Path(__file__).parents[1] / "docs" / "import.md"
 LINE = "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51 111C[5.00,0.00,2.25]=3.18 est[2.57,1.98,1.68,100]"
@@ -40,7 +41,8 @@ def files(tmp_path, monkeypatch):
         (tmp_path / name).write_text(text)
     (tmp_path / "tag.log").write_text("".join(f"12:00:0{k}.5 {LINE}\n" for k in range(5)))
     (tmp_path / "anchors.toml").write_text("format = 1\n[anchors]\n17 = [0.0, 0.0, 2.0]\n42 = [5.0, 0.0, 2.0]\n")
-    for block in _blocks("toml"):
+    (tmp_path / "my.log").write_text("booted\n@12.5;A1=271;A2=402\n@12.25;0x0F=305\n")
+    for block in (*_blocks("toml"), *(block for block in _blocks("python") if block.startswith("# "))):
         (tmp_path / block.split()[1]).write_text(block)
     write_bag(tmp_path / "run", "mcap")
     (tmp_path / "run" / "run.mcap").rename(tmp_path / "run.mcap")
@@ -60,13 +62,64 @@ def test_every_command_of_the_page_runs_on_the_files_that_it_describes(files):
         assert done.code == 0, (words, done.err)
     assert "time offset -0.2" in said["evaluate mine.tum"].out
     assert (files / "tracks.tum").is_file()
+    own = pl.read_parquet("hall-own/ranges.parquet")
+    assert own.select("t_s", "tag", "anchor", "range_m").rows()[:2] == [
+        (12.5, "T1", "A1", 2.71),
+        (12.5, "T1", "A2", 4.02),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("returned", "words"),
+    [
+        ("3", ("gave int of my.log", "expected tables by name")),
+        ("{}", ("gave dict of my.log",)),
+        ("{'ranges': [1, 2]}", ("ranges: found list; expected a pandas or polars frame",)),
+        ("{'range': pl.DataFrame({'t_s': [0.0]})}", ("table 'range'; expected one of ranges",)),
+        (
+            "{'ranges': pl.DataFrame({'t_s': [0.0], 'anchor': ['A1']})}",
+            ("ranges needs range_m", "found 't_s', 'anchor'"),
+        ),
+        (
+            "{'ranges': pl.DataFrame({'t_s': [None], 'anchor': ['A1'], 'range_m': [1.0]})}",
+            ("row 1, column t_s: no time",),
+        ),
+        ("{'fixes': pl.DataFrame({'t_s': [0.0], 'x_m': ['a'], 'y_m': [0.0], 'z_m': [0.0]})}", ("column x_m: 'a'",)),
+        ("path.read()", ("my.log: bad.py:own fails (AttributeError:", "has no attribute 'read'")),
+    ],
+)
+def test_what_a_format_of_ones_own_returns_is_refused_in_a_line(tmp_path, monkeypatch, returned, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my.log").write_text("@12.5;A1=271\n")
+    (tmp_path / "bad.py").write_text(f"import polars as pl\n\n\ndef own(path):\n    return {returned}\n")
+    said = trackwright("import", "my.log", "--format", "bad.py:own", "--tag", "T1", "--out", "new")
+    assert_refused(said._replace(err=said.err.splitlines()[-1] + "\n"), "bad.py:own", *words)
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--format", "none.py:own"), ("format none.py:own: there is no file none.py",)),
+        (("--format", "bad.py:other"), ("bad.py: other is no function; the file's are: own",)),
+        (("--format", "csvv"), ("--format csvv: expected csv, ros", "FILE.py:NAME (did you mean csv?)")),
+        (("--format", "bad.py:own", "--table", "ranges"), ("has its tables; leave --table and --topic out",)),
+        (("--format", "bad.py:own", "--columns", "range_m=x"), ("has its columns; leave --columns out",)),
+    ],
+)
+def test_a_format_that_is_none_and_options_that_it_does_not_take_are_refused(tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my.log").write_text("@12.5;A1=271\n")
+    (tmp_path / "bad.py").write_text("def own(path):\n    return {}\n")
+    said = trackwright("import", "my.log", *arguments, "--out", "new")
+    assert_refused(said._replace(err=said.err.splitlines()[-1] + "\n"), *words)
 
 
 def test_the_python_code_of_the_page_runs(tmp_path, monkeypatch):
     pytest.importorskip("pandas", reason="pandas is not installed; make test installs it")
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "import"}
-    for block in _blocks("python"):
+    for block in (block for block in _blocks("python") if not block.startswith("# ")):
         exec(compile(block, str(PAGE), "exec", dont_inherit=True), names)
     assert names["recording"].tables["ranges"]["range_m"].to_list() == [2.71, 4.025, 2.735]
     assert names["errors"].ape_m["rmse"] == pytest.approx(0.5)

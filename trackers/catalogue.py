@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
-from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from trackwright.trackers.core.errors import UnusableInput, near
+from trackwright.trackers.core.user_file import from_file, split_name
 from trackwright.trackers.recordings.kinds import KINDS
 
 if TYPE_CHECKING:  # shells complete the names of trackers, for which jax need not be imported
@@ -123,51 +121,11 @@ def spec_of(name: str) -> TrackerSpec:
         raise UnusableInput(f'tracker: found {type(name).__name__}; expected a name, as in build("uwb", recording)')
     if name in TRACKERS:
         return TRACKERS[name]
-    file, attribute = split_name(name)
-    if file:
-        return _from_file(Path(file), attribute)
+    if split_name(name)[0]:
+        from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+
+        found: TrackerSpec = from_file(name, "tracker", "TrackerSpec", lambda x: isinstance(x, TrackerSpec))
+        return found
     raise UnusableInput(
         f"tracker {name}: unknown{near(name, TRACKERS)}; expected FILE.py:NAME or one of {', '.join(TRACKERS)}"
     )
-
-
-def split_name(name: str) -> tuple[str, str]:
-    """File and name of a user's own tracker, given as `FILE.py:NAME`; an empty file for any other text."""
-    file, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
-    return (file, attribute) if file.endswith(".py") and name not in TRACKERS else ("", "")
-
-
-def _from_file(file: Path, attribute: str) -> TrackerSpec:
-    """The `TrackerSpec` of this name in a user's Python file, which is run."""
-    if not file.is_file():
-        raise UnusableInput(f"tracker {file}:{attribute}: there is no file {file}; expected FILE.py:NAME")
-    try:
-        module = run_file(file, f"trackwright_tracker_{file.stem}")
-    except Exception as error:
-        line = str(error).splitlines()[0] if str(error) else "no message"
-        raise UnusableInput(f"{file}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
-    from trackwright.trackers.recordings.tracker_spec import TrackerSpec
-
-    found = getattr(module, attribute, None)
-    if not isinstance(found, TrackerSpec):
-        mine = ", ".join(k for k, v in vars(module).items() if isinstance(v, TrackerSpec)) or "none"
-        what = f"{attribute} is no TrackerSpec" if attribute else "no TrackerSpec is named"
-        raise UnusableInput(f"{file}: {what}; the file's are: {mine}; name one as {file}:NAME")
-    return found
-
-
-def run_file(file: Path, name: str) -> ModuleType:
-    """The module of a Python file, which is run; registered as `name`, where dataclasses and pytrees look it up.
-
-    The file may import those beside it.
-    """
-    folder = str(file.resolve().parent)
-    if folder not in sys.path:
-        sys.path.append(folder)
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module

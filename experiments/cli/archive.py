@@ -33,9 +33,10 @@ from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
 from trackwright.experiments.text.evaluation_text import archive_text, content
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import Begin, notice, stages
-from trackwright.trackers.catalogue import spec_of, split_name
+from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names

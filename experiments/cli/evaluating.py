@@ -20,8 +20,14 @@ from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.exchange.estimate_files import assigned, read_estimates, read_truth
-from trackwright.trackers.exchange.tracks_compared import compare_tracks, pooled, pooled_names
+from trackwright.trackers.exchange.estimates import (
+    assigned,
+    compare_tracks,
+    pooled,
+    pooled_names,
+    read_estimates,
+    read_truth,
+)
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks_table import (

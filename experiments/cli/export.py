@@ -37,10 +37,8 @@ def export(
     import polars as pl
 
     from trackwright.trackers.core.wording import counted
-    from trackwright.trackers.exchange.exported_tracks import tracks_of
-    from trackwright.trackers.exchange.rerun_writer import write_rrd
-    from trackwright.trackers.exchange.ros_writer import write_bag
-    from trackwright.trackers.exchange.trajectory_files import write_trajectory
+    from trackwright.trackers.exchange.exported_tracks import tracks_of, write_bag, write_rrd
+    from trackwright.trackers.exchange.trajectories import write_trajectory
     from trackwright.trackers.recordings.atomic import atomic_write
 
     table, rigs, truths = _table(run, format)

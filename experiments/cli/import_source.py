@@ -10,13 +10,22 @@ from cyclopts import Parameter
 
 from trackwright.experiments.cli.options import File, Folder, Seconds
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.exchange.formats import FORMATS
 
 if TYPE_CHECKING:
     from trackwright.trackers.exchange.mapping import TableMapping
     from trackwright.trackers.recordings.folder import RecordingFolder
 
-SourceKind = Literal["csv", "tum", "kitti", "euroc", "ros", "dwm1001", "trek1000"]
-"""As `trackers.exchange.sources.SourceKind`, which takes longer to import."""
+FormatName = Annotated[
+    str,
+    Parameter(
+        metavar="NAME",
+        help=f"of the file: {', '.join(FORMATS)}, or FILE.py:NAME of a function of your own, from its path to tables; "
+        "default: by its name and first lines.",
+        completer=lambda context: list(FORMATS),
+    ),
+]
+"""A format by name, or a user's own."""
 
 Table = Literal["ranges", "fixes", "bearings", "phases", "imu", "truth"]
 
@@ -32,7 +41,7 @@ def import_source(
     topic: str | None = None,
     tag: str | None = None,
     rig: File | None = None,
-    format: SourceKind | None = None,
+    format: FormatName | None = None,
     separator: str | None = None,
     decimal: Literal[".", ","] = ".",
     origin: Annotated[str, Parameter(metavar="start|S|DATE")] | None = None,
@@ -59,7 +68,6 @@ def import_source(
         topic: of a bag.
         tag: the id of the tag, where no column has it.
         rig: a rig.toml with the positions of anchors or stations; default: those in the log, if it has any.
-        format: of the file; default: by its name and first lines.
         separator: of the cells of a CSV file; default: a semicolon or tab where the header has one and no comma.
         decimal: the mark in the numbers of a CSV file.
         origin: the time of the source that becomes t_s = 0 in every table: start (the earliest measurement), seconds
@@ -74,17 +82,17 @@ def import_source(
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.core.data.seconds import moment
     from trackwright.trackers.core.wording import counted
-    from trackwright.trackers.exchange.imported import assembled, save
-    from trackwright.trackers.exchange.mapping import TableMapping, columns_of
-    from trackwright.trackers.exchange.origin import origin_of, since
-    from trackwright.trackers.exchange.sources import read_source, source_kind
+    from trackwright.trackers.exchange.formats import format_of, has_tables
+    from trackwright.trackers.exchange.imported import assembled, origin_of, read_source, save, since
+    from trackwright.trackers.exchange.mapping import Asked, TableMapping, columns_of
     from trackwright.trackers.recordings.folder import read_recording
     from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 
-    kind = format or source_kind(source)
-    notice(f"{source}: read as {kind}" + ("" if format else "; another format: --format"))
+    name = format or format_of(source)
+    own_tables = has_tables(name)
+    notice(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
     given = TableMapping(table or "", columns_of(columns), topic, tag, separator, decimal)
-    mappings = _mappings(source, kind, given, mapping)
+    mappings = _mappings(source, own_tables, given, mapping)
     there = (out / RIG_FILE).is_file()
     if origin == "start" and there:
         raise UnusableInput(
@@ -93,7 +101,7 @@ def import_source(
         )
     if there and rig is not None:
         raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
-    found = read_source(source, kind, mappings, interval, skip_bad_lines, messages)
+    found = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
     for line in found.notices:
         notice(f"notice: {line}")
     tables = found.tables
@@ -102,9 +110,9 @@ def import_source(
         tables = since(tables, begin)
         notice(f"notice: t_s = 0 is {moment(begin)} of {source}; give further tables the same --origin {begin!r}")
     # Recordings of one installation share its rig, but not their name.
-    name = None if there else out.resolve().name
+    title = None if there else out.resolve().name
     known = out / RIG_FILE if there else rig
-    folder = assembled(name, None if known is None else read_rig(known)[0], tables, found.anchors)
+    folder = assembled(title, None if known is None else read_rig(known)[0], tables, found.anchors)
     if transform is not None or align_truth:
         folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform)
     written = save(folder, out)
@@ -115,22 +123,25 @@ def import_source(
     return 0
 
 
-def _mappings(source: Path, kind: SourceKind, given: TableMapping, file: Path | None) -> list[TableMapping]:
-    """The mappings of the tables of a source, by the options `given` or by the file of --mapping."""
+def _mappings(source: Path, own_tables: bool, given: TableMapping, file: Path | None) -> list[TableMapping]:
+    """The mappings of the tables of a source, by the options `given` or by the file of --mapping.
+
+    `own_tables`: whether the source says itself which tables it holds.
+    """
     from trackwright.trackers.exchange.mapping import read_mapping
 
     plain = not given.columns and given.topic is None and given.separator is None and given.decimal == "."
     if file is not None:
-        if kind in ("dwm1001", "trek1000"):
-            raise UnusableInput(f"--mapping {file}: a log of a kit has its tables; leave it out")
+        if own_tables:
+            raise UnusableInput(f"--mapping {file}: a file of this format has its tables; leave it out")
         if given.table or not plain:
             raise UnusableInput(
                 "--mapping and --table, --columns, --topic, --separator or --decimal; expected one or the other"
             )
         return [m if m.tag else replace(m, tag=given.tag) for m in read_mapping(file)]
-    if kind in ("dwm1001", "trek1000"):
+    if own_tables:
         if given.table or given.topic is not None:
-            raise UnusableInput(f"{source}: a log of a kit has its tables; leave --table and --topic out")
+            raise UnusableInput(f"{source}: a file of this format has its tables; leave --table and --topic out")
         return [replace(given, table="ranges")]
     if given.table:
         return [given]

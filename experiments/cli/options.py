@@ -44,7 +44,7 @@ def _names_of_trackers(context: Any) -> list[str]:
 Tracker = Annotated[str, Parameter(metavar="NAME", completer=_names_of_trackers)]
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
-"""As `trackers.exchange.alignment.Alignment`, which takes longer to import."""
+"""As `trackers.exchange.pose_errors.Alignment`, which takes longer to import."""
 
 FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100', with ':log' at the end for equal ratios"
 
@@ -433,7 +433,8 @@ class EvaluateOptions:
 
 def run_tracker_files(trackers: str | None) -> None:
     """Runs the users' files among trackers, separated by commas: they may add the kinds of the recordings' tables."""
-    from trackwright.trackers.catalogue import spec_of, split_name
+    from trackwright.trackers.catalogue import spec_of
+    from trackwright.trackers.core.user_file import split_name
 
     for name in (trackers or "").split(","):
         if Path(split_name(name)[0]).is_file():

@@ -25,9 +25,10 @@ from trackwright.experiments.text.evaluation_text import to_json, to_text
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
-from trackwright.trackers.catalogue import build, fitting, spec_of, split_name
+from trackwright.trackers.catalogue import build, fitting, spec_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import Association, associate_truth
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, evaluate_association

@@ -15,8 +15,8 @@ from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.chunk_store import first_difference, packed, plain_identity
 from trackwright.experiments.monte_carlo.declaration import Condition, Study, checked
 from trackwright.experiments.monte_carlo.sources import load_study
-from trackwright.trackers.catalogue import split_name
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.user_file import split_name
 
 
 class PortableStudy(NamedTuple):

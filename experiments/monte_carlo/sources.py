@@ -13,8 +13,8 @@ from typing import Any
 
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
 from trackwright.sim.worlds import WORLDS
-from trackwright.trackers.catalogue import run_file, split_name
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.user_file import run_file, split_name
 from trackwright.trackers.recordings.input_file import read_toml
 
 PAPERS, QUESTIONS = "trackwright.experiments.lab.papers", "trackwright.experiments.lab.questions"

@@ -8,13 +8,15 @@ jackknife over pieces (Efron and Stein 1981; Künsch 1989 for pieces of a time s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.evaluation import metrics as table
 from trackwright.trackers.evaluation.association import Association
+from trackwright.trackers.evaluation.scores import Groups, Ordered, Scores, error_sums
 from trackwright.trackers.evaluation.scoring import Scored
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.tracks_table import track_keys
@@ -67,14 +69,8 @@ class Difference(NamedTuple):
         return self.second - self.first
 
 
-METRICS: dict[str, Callable[[TrackErrors], float]] = {
-    "rmse_m": lambda rows: _rms(rows.error),
-    "median_m": lambda rows: _quantile(rows.error, 0.5),
-    "p95_m": lambda rows: _quantile(rows.error, 0.95),
-    "rmse_3d_m": lambda rows: _rms(rows.error_3d),
-    "coverage_95": lambda rows: float(np.nanmean(rows.inside)) if np.isfinite(rows.inside).any() else math.nan,
-}
-"""The metrics of which differences are taken, by their names in evaluation.json."""
+METRICS = ("rmse_m", "median_m", "p95_m", "rmse_3d_m", "coverage_95")
+"""The metrics of which differences are taken; those of bearings are of the angle."""
 
 
 def errors_by_track(association: Association, scored: Scored) -> dict[Key, TrackErrors]:
@@ -102,7 +98,11 @@ def paired_differences(
     both = np.intersect1d(a.piece, b.piece)
     a, b = a.of(both), b.of(both)
     kind = "tracks" if len(common) >= MANY_TRACKS else "pieces of time, several times longer than errors last"
-    return {name: _difference(METRICS[name], a, b, both)._replace(kind=kind) for name in metrics}
+    before, after = (run.metrics(metrics, both) for run in (a, b))
+    return {
+        name: jackknifed(x[0].item(), y[0].item(), y[1:] - x[1:])._replace(kind=kind)
+        for (name, x), y in zip(before.items(), after.values(), strict=True)
+    }
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -128,9 +128,25 @@ class _Pieces(NamedTuple):
         kept = np.isin(self.piece, pieces)
         return _Pieces(TrackErrors(*(x[kept] for x in self.rows)), self.piece[kept])
 
-    def without(self, piece: int) -> TrackErrors:
-        kept = self.piece != piece
-        return TrackErrors(*(x[kept] for x in self.rows))
+    def metrics(self, names: Sequence[str], pieces: np.ndarray) -> dict[str, np.ndarray]:
+        """The metrics by name, (1 + k,): of all rows, and of those without each of the k pieces."""
+        # Sorted once, for the percentiles of all.
+        order = np.argsort(self.rows.error)
+        parts = [_scores(self.rows, order, self.piece != piece) for piece in (None, *pieces)]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return {name: np.array([table.METRICS[name].formula(part).item() for part in parts]) for name in names}
+
+
+def _scores(rows: TrackErrors, order: np.ndarray, kept: np.ndarray) -> Scores:
+    """The scores of the rows that are kept, (n,), as one group; `order`: their numbers by ascending error."""
+    sums: dict[str, np.ndarray] = {}
+    for kind, size in (("m", rows.error), ("3d_m", rows.error_3d)):
+        known = size[kept & ~np.isnan(size)]
+        sums |= error_sums(kind, known, Groups(np.array([0, len(known)])))[0]
+    inside = rows.inside[kept & ~np.isnan(rows.inside)]
+    sums |= {"n nees": np.array([len(inside)]), "inside 95 nees": np.array([inside.sum()])}
+    ascending = rows.error[order][kept[order]]
+    return Scores(sums, {}, {}, {"m": Ordered(ascending, np.array([0, len(ascending)]))})
 
 
 def _in_pieces(
@@ -195,11 +211,6 @@ def _correlation_time(runs: Sequence[np.ndarray]) -> float:
     return max(time, 1.0)
 
 
-def _difference(metric: Callable[[TrackErrors], float], a: _Pieces, b: _Pieces, pieces: np.ndarray) -> Difference:
-    without = np.array([metric(b.without(k)) - metric(a.without(k)) for k in pieces])
-    return jackknifed(metric(a.rows), metric(b.rows), without)
-
-
 def jackknifed(first: float, second: float, without: np.ndarray) -> Difference:
     """The difference of two values, with its interval by the differences without each of the pieces (n,)."""
     n = len(without)
@@ -221,11 +232,3 @@ def jackknifed(first: float, second: float, without: np.ndarray) -> Difference:
 
 def _joined(parts: Sequence[TrackErrors]) -> TrackErrors:
     return TrackErrors(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-def _rms(x: np.ndarray) -> float:
-    return math.sqrt(float(np.mean(x * x))) if len(x) and np.isfinite(x).all() else math.nan
-
-
-def _quantile(x: np.ndarray, level: float) -> float:
-    return float(np.quantile(x, level)) if len(x) else math.nan

@@ -1,16 +1,27 @@
-"""The trajectories of a table of estimates or of truth, as the writers of other programs' files take them."""
+"""Tracks for other programs: those of a table of estimates or truth, as ROS 2 bags and for the Rerun viewer."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.scoring import covariances
-from trackwright.trackers.exchange.poses import PoseTrajectory, trajectory_of_table
+from trackwright.trackers.exchange.ros_reader import rosbags_module
+from trackwright.trackers.exchange.trajectories import PoseTrajectory, quaternions_of, trajectory_of_table
+from trackwright.trackers.recordings.beside import beside
 from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing
+
+_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_FRAME = "world"
+_QUANTILE_95 = 7.814727903251178
+"""95 % quantile of χ² with 3 degrees of freedom."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,3 +60,102 @@ def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
     if not tracks:
         raise UnusableInput("no track holds an estimate; run `trackwright check` on the recording")
     return tracks
+
+
+def write_bag(out: Path, tracks: Sequence[ExportedTrack]) -> list[str]:
+    """Writes the bag, a new folder, completely or not at all, and returns the topics, /RECORDING/TAG.
+
+    An unknown variance of the position is 0 as in ROS; attitudes are those of the poses or the identity, with zero
+    variance. Raises UnusableInput for times before 0, an existing folder, and without the package rosbags.
+    """
+    rosbag2, typesys = rosbags_module("rosbag2", "--format ros2"), rosbags_module("typesys", "--format ros2")
+    early = [track.poses.name for track in tracks if track.poses.times[0] < 0]
+    if early:
+        raise UnusableInput(f"{early[0]}: has times before 0 s, which a ROS bag cannot hold; cut or shift them")
+    if out.exists():
+        raise UnusableInput(f"--out {out}: exists already, expected a new folder for the bag; choose another name")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    plugin, topics = rosbag2.StoragePlugin.SQLITE3, []
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with beside(out, Path.mkdir) as scratch:
+            # The bag's files have the name of its folder, which is why a folder around it is temporary, not a name.
+            with rosbag2.Writer(scratch / out.name, version=9, storage_plugin=plugin) as writer:
+                for track in tracks:
+                    topic = f"/{_plain(track.recording)}/{_plain(track.tag)}"
+                    topics.append(topic)
+                    connection = writer.add_connection(topic, _TYPE, typestore=store)
+                    for stamp, message in _messages(store, track):
+                        writer.write(connection, stamp, store.serialize_cdr(message, _TYPE))
+            (scratch / out.name).rename(out)
+    except OSError as error:
+        raise UnusableInput(f"{out}: cannot be written ({error.strerror}); check free space and permissions") from error
+    return topics
+
+
+def _messages(store: Any, track: ExportedTrack) -> Any:
+    types = store.types
+    quaternion, point = types["geometry_msgs/msg/Quaternion"], types["geometry_msgs/msg/Point"]
+    time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    pose, with_covariance = types["geometry_msgs/msg/Pose"], types["geometry_msgs/msg/PoseWithCovariance"]
+    poses = track.poses
+    given = np.tile([1.0, 0, 0, 0], (len(poses), 1)) if poses.quaternions is None else poses.quaternions
+    for k, position in enumerate(np.nan_to_num(poses.positions).tolist()):
+        covariance = np.zeros((6, 6))
+        if track.covariances is not None:
+            covariance[:3, :3] = np.nan_to_num(track.covariances[k])
+        w, x, y, z = given[k].tolist()
+        stamp = round(poses.times[k] * 1e9)
+        moment = time(sec=stamp // 10**9, nanosec=stamp % 10**9)
+        place = pose(position=point(*position), orientation=quaternion(x=x, y=y, z=z, w=w))
+        yield stamp, types[_TYPE](header(moment, _FRAME), with_covariance(place, covariance.ravel()))
+
+
+def _plain(text: str) -> str:
+    """The text as a part of a topic: letters, digits and underscores, not a digit first."""
+    name = "".join(c if c.isascii() and c.isalnum() else "_" for c in text)
+    return f"tag_{name}" if not name or name[0].isdigit() else name
+
+
+def write_rrd(
+    path: Path, tracks: Sequence[ExportedTrack], truths: Sequence[ExportedTrack], rigs: Mapping[str, Rig]
+) -> None:
+    """Writes tracks, truths and, by recording, rigs; raises UnusableInput without the package rerun-sdk."""
+    try:
+        import rerun as rr
+    except ImportError:
+        raise UnusableInput(
+            "--format rrd needs the package rerun-sdk; install the extra: pip install 'trackwright[rerun]'"
+        ) from None
+    stream = rr.RecordingStream("trackwright")
+    stream.save(path)
+    for name, rig in rigs.items():
+        stations = {key: station.position for key, station in rig.stations.items()}
+        for what, places in (("anchors", rig.anchors), ("stations", stations)):
+            if places:
+                points = rr.Points3D(np.stack(list(places.values())), labels=list(places), radii=0.05)
+                stream.log([name, what], points, static=True)
+    for what, several in (("track", tracks), ("truth", truths)):
+        for track in several:
+            _log(rr, stream, [track.recording, f"tag {track.tag}", what], track)
+    stream.flush()
+    stream.disconnect()
+
+
+def _log(rr: Any, stream: Any, entity: list[str], track: ExportedTrack) -> None:
+    positions = np.nan_to_num(track.poses.positions)
+    stream.log([*entity, "path"], rr.LineStrips3D([positions]), static=True)
+    times, name = [rr.TimeColumn("t_s", duration=track.poses.times)], rr.new_entity_path
+    points = rr.Points3D.columns(positions=positions, radii=np.full(len(positions), 0.04))
+    rr.send_columns(name([*entity, "position"]), times, points, recording=stream)
+    if track.covariances is not None:
+        half_sizes, quaternions = _ellipsoids(track.covariances)
+        shapes = rr.Ellipsoids3D.columns(centers=positions, half_sizes=half_sizes, quaternions=quaternions)
+        rr.send_columns(name([*entity, "ellipsoid 95 %"]), times, shapes, recording=stream)
+
+
+def _ellipsoids(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Half axes (n, 3), m, and attitudes (n, 4) x, y, z, w of the 95 % ellipsoids; an unknown variance counts as 0."""
+    values, axes = np.linalg.eigh(np.nan_to_num(covariances))
+    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+    return np.sqrt(np.maximum(values, 0.0) * _QUANTILE_95), np.roll(quaternions_of(axes), -1, axis=1)

@@ -1,13 +1,17 @@
-"""Recordings made from tables that were read elsewhere: put together, checked as any recording, written at once."""
+"""Files and frames of other programs made recordings: read, put together, checked as any, and written at once."""
 
 from __future__ import annotations
 
+import math
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import partial
+from importlib import import_module
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -15,15 +19,59 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.exchange.mapped_table import mapped_table
-from trackwright.trackers.exchange.mapping import TableMapping, checked, columns_of
-from trackwright.trackers.exchange.origin import origin_of, since
+from trackwright.trackers.core.user_file import from_file
+from trackwright.trackers.exchange.formats import FORMATS, has_tables
+from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, checked, columns_of, mapped_table
+from trackwright.trackers.exchange.ros_reader import topics_in
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.beside import beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
-from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.kinds import KINDS, first_time
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackwright.trackers.recordings.table_file import TableFile
+
+
+def read_source(path: Path, name: str, asked: Asked) -> Source:
+    """The tables of a source in the format of this name, or a user's own; raises UnusableInput with file and line."""
+    if not has_tables(name) and not asked.mappings:
+        topics = f"; topics: {topics_in(path, asked.definitions)}" if name == "ros" else ""
+        raise UnusableInput(
+            f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml{topics}"
+        )
+    if name in FORMATS:
+        module = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}")
+        found: Source = module.read_source(path, name, asked)
+        return found
+    return _by_file(path, name, *asked.mappings)
+
+
+def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
+    """The tables that a user's function gives of a source: pandas or polars frames by table, with their columns."""
+    if mapping.columns:
+        raise UnusableInput(
+            f"{path}: {listed(mapping.columns)}: a file of this format has its columns; leave --columns out"
+        )
+    function: Callable[[Path], Any] = from_file(name, "format", "function", lambda x: isinstance(x, FunctionType))
+    try:
+        frames = function(path)
+    except UnusableInput:
+        raise
+    except Exception as error:
+        raise UnusableInput(f"{path}: {name} fails ({type(error).__name__}: {error}); correct either") from error
+    if not isinstance(frames, Mapping) or not frames:
+        raise UnusableInput(f"{name}: gave {type(frames).__name__} of {path}; expected tables by name, one at least")
+    found = Source()
+    for table, frame in frames.items():
+        try:
+            found.add(table, *_of_frame(path, frame, TableMapping(table, tag=mapping.tag)))
+        except UnusableInput as problem:
+            raise UnusableInput(f"{name}: {str(problem).partition('; add --columns')[0]}") from problem
+    return found
+
+
+def _of_frame(path: Path, frame: Any, mapping: TableMapping) -> tuple[pl.DataFrame, list[str]]:
+    """The table that the mapping makes of a pandas or polars frame, named as `path`, and notices."""
+    return mapped_table(TableFile(path, _polars(frame, mapping.table)), checked(mapping))
 
 
 def import_frames(
@@ -45,8 +93,8 @@ def import_frames(
     tables, notices = {}, []
     for table, frame in frames.items():
         try:
-            mapping = checked(TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag))
-            tables[table], found = mapped_table(TableFile(Path(f"frame {table}"), _polars(frame, table)), mapping)
+            mapping = TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag)
+            tables[table], found = _of_frame(Path(f"frame {table}"), frame, mapping)
         except UnusableInput as problem:
             raise UnusableInput(_in_python(str(problem), table)) from None
         notices += [f"{table}: {line}" for line in found]
@@ -152,3 +200,30 @@ def _written(folder: RecordingFolder, path: Path) -> RecordingFolder:
         return read_recording(path)
     except UnusableInput as problem:
         raise UnusableInput(str(problem).replace(f"{path}/", "imported ").replace(str(path), "imported")) from problem
+
+
+def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
+    """The origin, s on the clock of the source: `start`, the earliest measurement, a number, or a date.
+
+    `start` is the earliest row where the tables have no measurements. A date without a time zone is UTC. Raises
+    UnusableInput for another text.
+    """
+    if text == "start":
+        return first_time(tables)
+    try:
+        seconds = float(text)
+    except ValueError:
+        try:
+            date = datetime.fromisoformat(text)
+        except ValueError:
+            seconds = math.nan
+        else:
+            seconds = (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+    if not math.isfinite(seconds):
+        raise UnusableInput(f"--origin {text}: expected start, seconds, or a date such as 2026-05-01T12:00:00.25")
+    return seconds
+
+
+def since(tables: Mapping[str, pl.DataFrame], origin: float) -> dict[str, pl.DataFrame]:
+    """The tables with times, s, from the origin on."""
+    return {name: table.with_columns(pl.col("t_s") - origin) for name, table in tables.items()}

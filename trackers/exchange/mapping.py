@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.recordings.input_file import read_toml
-from trackwright.trackers.recordings.kinds import table_kinds
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.recordings.input_file import beginning, read_toml
+from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
+from trackwright.trackers.recordings.table_file import TableFile, read_table_file
 
 UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048},
@@ -28,6 +33,10 @@ _EXPRESSION = re.compile(
 )
 _TARGET = re.compile(r"(?P<name>\w+)(?:\[(?P<sensor>[^\]]+)\])?")
 _ENTRY_KEYS = ("table", "columns", "topic", "tag", "separator", "decimal")
+_UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|ns|deg|km|ft)[\])]$", re.IGNORECASE)
+_DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:[T ]|$)")
+_ZONE = re.compile(r":\d.*?(Z|[+-]\d{2}:?(?:\d{2})?)$")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -156,3 +165,249 @@ def checked(mapping: TableMapping) -> TableMapping:
     if mapping.decimal not in (".", ","):
         raise UnusableInput(f"decimal {mapping.decimal!r}; expected '.' or ','")
     return mapping
+
+
+@dataclass
+class Source:
+    """Tables by name, notices on how they were read, and the positions of anchors, m, if the source has them."""
+
+    tables: dict[str, pl.DataFrame] = field(default_factory=dict)
+    notices: list[str] = field(default_factory=list)
+    anchors: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    def add(self, name: str, table: pl.DataFrame, notices: Sequence[str]) -> None:
+        """Adds a table, after the rows of another part of it."""
+        if name in self.tables:
+            table = pl.concat([self.tables[name], table], how="diagonal").sort("t_s", maintain_order=True)
+        self.tables[name] = table
+        self.notices += [f"{name}: {line}" for line in notices]
+
+
+class Asked(NamedTuple):
+    """What is asked of a source: `mappings`, one for each table; of a log its tag alone.
+
+    `interval`: s between the lines of a log without times. `skip`: whether lines of a log that are not understood are
+    left out. `definitions`: .msg files of the types that a bag does not define.
+    """
+
+    mappings: Sequence[TableMapping] = ()
+    interval: float | None = None
+    skip: bool = False
+    definitions: Sequence[Path] = ()
+
+
+def read_source(path: Path, name: str, asked: Asked) -> Source:
+    """The tables that the mappings make of a CSV or Parquet file; raises UnusableInput with file and line."""
+    found = Source()
+    for mapping in asked.mappings:
+        separator = mapping.separator or _separator_of(path, mapping.decimal)
+        if mapping.separator is None and separator != ",":
+            found.notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
+        if len(separator) != 1:
+            raise UnusableInput(f"--separator {separator!r}; expected one character, such as ';'")
+        file = replace(read_table_file(path, separator), decimal=mapping.decimal)
+        found.add(mapping.table, *mapped_table(file, mapping))
+    return found
+
+
+def _separator_of(path: Path, decimal: str) -> str:
+    """A semicolon or tab where the header has one and no comma, or numbers have decimal commas; else a comma."""
+    if path.name.lower().endswith((".gz", ".parquet")):
+        return ","
+    head = beginning(path, 20_000).decode("utf-8-sig", errors="replace").partition("\n")[0]
+    return next((mark for mark in ";\t" if mark in head and (decimal == "," or "," not in head)), ",")
+
+
+def mapped_table(file: TableFile, mapping: TableMapping) -> tuple[pl.DataFrame, list[str]]:
+    """The table that the mapping makes of the columns of a file, and notices; rows without any value are left out.
+
+    A target without an expression is taken from the source's column of the same name. Raises UnusableInput for a
+    missing column, one that the table does not have, and a cell that is not a number, with its row.
+    """
+    by_sensor: dict[str | None, dict[str, Expression]] = {}
+    for target, expression in mapping.columns.items():
+        name, sensor = sensor_of(target)
+        by_sensor.setdefault(sensor, {})[name] = expression
+    shared = by_sensor.pop(None, {})
+    parts = [_part(file, mapping, shared | own, sensor) for sensor, own in by_sensor.items()] or [
+        _part(file, mapping, shared, None)
+    ]
+    table = pl.concat(parts)
+    wanted = layout(mapping.table, table.columns)
+    filled = table.filter(pl.any_horizontal(pl.col(wanted.values).is_not_null()))
+    notices = (
+        [] if len(filled) == len(table) else [f"{counted(len(table) - len(filled), 'row')} without a value left out"]
+    )
+    if filled.is_empty():
+        raise UnusableInput(f"{file.path}: no row has a value of {', '.join(wanted.values)}; look at the mapping")
+    used = {expression.source for expression in mapping.columns.values()}
+    used |= {"t_s", *wanted.ids, *wanted.values, *wanted.optional}
+    unused = [name for name in file.frame.columns if name not in used]
+    if unused:
+        notices.append(f"columns not used: {listed(unused, 12)}")
+    return filled.sort("t_s", maintain_order=True) if parts[1:] else filled, notices
+
+
+def _part(
+    file: TableFile, mapping: TableMapping, columns: Mapping[str, Expression], sensor: str | None
+) -> pl.DataFrame:
+    """The rows of one sensor, or of all where the source names it."""
+    expressions = dict(columns)
+    own_names = [name for name in file.frame.columns if name not in expressions]
+    wanted = layout(mapping.table, [*expressions, *own_names])
+    ids = wanted.ids
+    if mapping.tag is not None:
+        expressions["tag"] = Expression(repr(mapping.tag), constant=mapping.tag)
+    if sensor is not None:
+        if len(ids) < 2:
+            raise UnusableInput(f"{mapping.table}: has no anchors or stations; leave [{sensor}] out of the columns")
+        expressions[ids[1]] = Expression(repr(sensor), constant=sensor)
+    known = ("t_s", *ids, *wanted.values, *wanted.optional)
+    unknown = [name for name in expressions if name not in known]
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], known, 1, 0.5)
+        raise UnusableInput(
+            f"{mapping.table}: has no column {unknown[0]}; expected {near[0] if near else listed(known, 12)}; rename it"
+        )
+    for name in known:
+        if name not in expressions and name in file.frame.columns:
+            expressions[name] = Expression(name, source=name)
+    for name in ("t_s", *ids, *(wanted.values or table_kinds()[mapping.table].least)):
+        if name not in expressions:
+            raise UnusableInput(_missing(file, mapping.table, name))
+    attitude = [name for name in QUATERNION if name in expressions]
+    if attitude and len(attitude) < 4:
+        raise UnusableInput(f"{file.path}: {', '.join(attitude)} alone; expected all of qw, qx, qy, qz or none")
+    return pl.DataFrame(
+        [
+            (_identifiers if name in ids else _values)(file, name, expressions[name]).alias(name)
+            for name in known
+            if name in expressions
+        ]
+    )
+
+
+def _missing(file: TableFile, table: str, name: str) -> str:
+    found = file.frame.columns
+    own = {"t_s", "tag", *layout(table, found).values}
+    unmapped = f"{file.path}: {table} needs {name}, which is not mapped; found {listed(map(repr, found), 12)}"
+    if name == "tag":
+        return f"{unmapped}; give --tag ID"
+    near = difflib.get_close_matches(name.rpartition("_")[0] or name, [c for c in found if c not in own], 1, 0.3)
+    source = near[0] if near else "COLUMN"
+    unit = _UNIT_IN_NAME.search(source)
+    example = f"{name}={source}" + (f" in {(unit[1] or unit[2]).lower()}" if unit and "_" in name else "")
+    return f"{unmapped}; add --columns {example!r}"
+
+
+def _source(file: TableFile, name: str, expression: Expression) -> str:
+    """The column of the source; the whole expression is tried first, so that a name may hold a sign."""
+    for column in (expression.text.strip("`"), expression.source):
+        if column in file.frame.columns:
+            return column
+    near = difflib.get_close_matches(expression.source, file.frame.columns, 1, 0.5)
+    raise UnusableInput(
+        f"{file.path}: {name}={expression.text}: no column {expression.source!r}; "
+        + (f"expected {near[0]!r}?" if near else f"found {listed(map(repr, file.frame.columns), 12)}")
+    )
+
+
+def _identifiers(file: TableFile, name: str, expression: Expression) -> pl.Series:
+    if expression.constant is not None:
+        return pl.repeat(expression.constant, len(file.frame), dtype=pl.String, eager=True)
+    column = file.frame[_source(file, name, expression)]
+    if not (column.dtype.is_integer() or column.dtype in (pl.String, pl.Categorical, pl.Enum)):
+        raise UnusableInput(f"{file.path}: {name} from a column of type {column.dtype}; expected text or whole numbers")
+    text = column.cast(pl.String).str.strip_chars()
+    missing = text.is_null() | (text == "")
+    if missing.any():
+        raise UnusableInput(f"{file.location(_first(missing), expression.source)}: empty; expected the id for {name}")
+    return text
+
+
+def _values(file: TableFile, name: str, expression: Expression) -> pl.Series:
+    if expression.constant is not None:
+        raise UnusableInput(f"{name}={expression.text}: a text; expected a column of numbers")
+    source = _source(file, name, expression)
+    if expression.iso or file.frame[source].dtype in (pl.Datetime, pl.Date):
+        numbers = _seconds(file, source)
+    else:
+        numbers = numbers_of(file, source)
+    if name == "t_s" and numbers.has_nulls():
+        raise UnusableInput(f"{file.location(_first(numbers.is_null()), source)}: no time; remove the row")
+    if source == expression.text.strip("`"):
+        return numbers
+    if expression.root:
+        negative = (numbers < 0).fill_null(False)
+        if negative.any():
+            raise UnusableInput(f"{file.location(_first(negative), source)}: a negative number under the root")
+        numbers = numbers.sqrt()
+    return (
+        numbers * expression.factor + expression.shift if (expression.factor, expression.shift) != (1, 0) else numbers
+    )
+
+
+def _seconds(file: TableFile, source: str) -> pl.Series:
+    """Dates as seconds since 1970, UTC where they name no zone; raises UnusableInput with the row of another text."""
+    column = file.frame[source]
+    if column.dtype == pl.String:
+        stamps = column.str.strip_chars().str.replace(",", ".", literal=True)
+        stamps = stamps.str.to_datetime(time_unit="ns", time_zone="UTC", strict=False)
+        wrong = stamps.is_null()
+        if wrong.any():
+            raise UnusableInput(_no_date(file, source, _first(wrong)))
+        column = stamps
+    whole = column.dt.epoch("ns")
+    # The seconds are exact; only their sum with the fraction is rounded.
+    return (whole // 1_000_000_000).cast(pl.Float64) + (whole % 1_000_000_000).cast(pl.Float64) / 1e9
+
+
+def _no_date(file: TableFile, source: str, row: int) -> str:
+    """Why the text in a row is no date as those above: a time zone that the first row lacks, or the reverse."""
+    texts = file.frame[source]
+    first, other = (_ZONE.search(str(texts[k]).strip()) for k in (0, row))
+    if _DATE.match(str(texts[row]).strip()) and (first is None) != (other is None):
+        zones = [f"has {found[1]}" if found else "has no time zone" for found in (other, first)]
+        return (
+            f"{file.path}: column {source}: row {row + 1} {zones[0]}, row 1 {zones[1]}; expected a time zone in every "
+            "row, or in none"
+        )
+    return f"{file.location(row, source)}: {texts[row]!r}; expected a date such as 2026-05-01T12:00:00.25"
+
+
+def _first(rows: pl.Series) -> int:
+    found = rows.arg_max()
+    assert found is not None
+    return int(found)
+
+
+def numbers_of(file: TableFile, column: str) -> pl.Series:
+    """The column as Float64, null where empty or NaN; raises UnusableInput with the row of a text."""
+    found = file.frame[column]
+    if found.dtype != pl.String:
+        if not (found.dtype.is_numeric() or found.dtype in (pl.Null, pl.Boolean)):
+            raise UnusableInput(f"{file.path}: column {column} has type {found.dtype}; expected numbers")
+        return found.cast(pl.Float64).fill_nan(None)
+    text = found.str.strip_chars()
+    points = text
+    if file.decimal == ",":
+        # A point, as it groups thousands, is then no part of a number.
+        points = text.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)
+    numbers = points.cast(pl.Float64, strict=False)
+    wrong = numbers.is_null() & text.is_not_null() & (text != "")
+    if wrong.any():
+        row = wrong.arg_max()
+        assert row is not None
+        raise UnusableInput(
+            f"{file.location(row, column)}: {text[row][:40]!r}; expected a number; {_remedy(text[row], column)}"
+        )
+    return numbers.fill_nan(None)
+
+
+def _remedy(text: str, column: str) -> str:
+    """What to do about a text where a number is expected."""
+    if _DATE.match(text):
+        return f"it looks like a date, which `trackwright import` reads by 't_s={column} in iso'"
+    if _DECIMAL_COMMA.fullmatch(text):
+        return "it looks like a decimal comma, which `trackwright import --decimal ,` reads"
+    return "leave a missing cell empty"

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
+from itertools import count
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.exchange.mapping import TableMapping, parsed, sensor_of
+from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, mapped_table, parsed, sensor_of
 from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, size_of
 from trackwright.trackers.recordings.table_file import TableFile
 
@@ -94,20 +95,48 @@ def _first_line(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
-def _raw_messages(reader: Any, connections: Sequence[Any], where: str) -> Iterator[tuple[Any, int, bytes]]:
-    """Connection, time in ns and bytes of each message; raises UnusableInput where the bag is broken."""
-    messages, size = reader.messages(connections=connections), 0
-    while True:
+def _messages(reader: Any, connections: Sequence[Any], topic: str) -> Iterator[tuple[str, Any, int]]:
+    """Of each message where it is, in words, its content, and its time in ns; raises UnusableInput where it is broken.
+
+    Broken bags and messages raise errors of many kinds within rosbags.
+    """
+    raw, size = reader.messages(connections=connections), 0
+    for number in count(1):
         try:
-            message = next(messages, None)
+            found = next(raw, None)
         except Exception as error:
-            raise UnusableInput(f"{where}: the bag is broken: {_first_line(error)}; record or copy it again") from error
-        if message is None:
+            raise UnusableInput(f"{topic}: the bag is broken: {_first_line(error)}; record or copy it again") from error
+        if found is None:
             return
-        size += len(message[2])
+        connection, stamp, data = found
+        size += len(data)
         if size > LARGEST:
-            raise UnusableInput(f"{where}: its messages hold more than {LARGEST / 1e9:.1f} GB; split the bag")
-        yield message
+            raise UnusableInput(f"{topic}: its messages hold more than {LARGEST / 1e9:.1f} GB; split the bag")
+        where = f"{topic}, message {number}"
+        try:
+            message = reader.deserialize(data, connection.msgtype)
+        except KeyError as error:
+            name = str(error.args[0])
+            raise UnusableInput(
+                f"{where}: the bag does not define the type {name}; give its definition, as those of all its parts: "
+                f"--messages {name}.msg"
+            ) from error
+        except Exception as error:
+            raise UnusableInput(
+                f"{where}: is no {connection.msgtype} ({_first_line(error)}); record it again"
+            ) from error
+        yield where, message, stamp
+
+
+def read_source(path: Path, name: str, asked: Asked) -> Source:
+    """The tables that the mappings make of a bag; raises UnusableInput with the topic and the number of the message."""
+    found = Source()
+    with opened(path, asked.definitions) as reader:
+        for mapping in asked.mappings:
+            if mapping.topic is None:
+                raise UnusableInput(f"{path}: no --topic for {mapping.table}; expected one of {topics_of(reader)}")
+            found.add(mapping.table, *mapped_table(*message_columns(reader, path, mapping)))
+    return found
 
 
 def topics_of(reader: Any) -> str:
@@ -115,6 +144,12 @@ def topics_of(reader: Any) -> str:
     return listed(
         (f"{c.topic} ({c.msgtype}, {c.msgcount})" for c in sorted(reader.connections, key=lambda c: c.topic)), 20
     )
+
+
+def topics_in(path: Path, definitions: Sequence[Path]) -> str:
+    """Those of the bag of this path; raises UnusableInput."""
+    with opened(path, definitions) as reader:
+        return topics_of(reader)
 
 
 def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[TableFile, TableMapping]:
@@ -141,10 +176,7 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
             f"fields: --columns 'range_m=FIELD in mm' 'anchor=FIELD' …; fields: {_fields(reader, kinds[0])}"
         )
     rows: dict[str, list[Any]] = {source: [] for source in dict.fromkeys(sources)}
-    of_topic = f"{path}: topic {mapping.topic}"
-    for count, (connection, stamp, raw) in enumerate(_raw_messages(reader, connections, of_topic), 1):
-        where = f"{of_topic}, message {count}"
-        message = _message(reader, connection, raw, where)
+    for where, message, stamp in _messages(reader, connections, f"{path}: topic {mapping.topic}"):
         found = {source: _values(message, source, stamp, where, reader, kinds[0]) for source in rows}
         lengths = {len(values) for values in found.values() if isinstance(values, list)}
         if len(lengths) > 1:
@@ -158,20 +190,6 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
     if len(frame) > 1 and "header.stamp" in frame.columns and (frame["header.stamp"] == 0).all():
         raise UnusableInput(f"{path}: topic {mapping.topic}: header.stamp is 0 in every message; give t_s=received")
     return TableFile(Path(f"{path} {mapping.topic}"), frame), replace(mapping, columns=columns)
-
-
-def _message(reader: Any, connection: Any, raw: bytes, where: str) -> Any:
-    try:
-        return reader.deserialize(raw, connection.msgtype)
-    except KeyError as error:
-        name = str(error.args[0])
-        raise UnusableInput(
-            f"{where}: the bag does not define the type {name}; give its definition, as those of all its parts: "
-            f"--messages {name}.msg"
-        ) from error
-    # Broken messages raise errors of many kinds within rosbags, too.
-    except Exception as error:
-        raise UnusableInput(f"{where}: is no {connection.msgtype} ({_first_line(error)}); record it again") from error
 
 
 def _standard(kind: str, table: str) -> dict[str, str]:

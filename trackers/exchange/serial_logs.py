@@ -6,16 +6,15 @@ import re
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.exchange.mapping import Expression
+from trackwright.trackers.exchange.formats import FORMATS
+from trackwright.trackers.exchange.mapping import Asked, Expression, Source
+from trackwright.trackers.exchange.trajectories import AXES
 from trackwright.trackers.recordings.input_file import file_bytes
-
-LogKind = Literal["dwm1001", "trek1000"]
 
 _N = r"-?\d+(?:\.\d+)?"
 _LES = re.compile(rf"([0-9A-Fa-f]{{4}})\[({_N}),({_N}),({_N})\]=({_N})")
@@ -28,85 +27,62 @@ _TREK = re.compile(
     r"m([acr]) ([0-9a-fA-F]{2}) ((?:[0-9a-fA-F]{8} ){4})([0-9a-fA-F]{4}) ([0-9a-fA-F]{2}) ([0-9a-fA-F]{8}) "
     r"([at])(\d+):(\d+)"
 )
-_BEGINS = re.compile(rf"(?:DIST,|POS,|[0-9A-Fa-f]{{4}}\[{_N},|m[acr] [0-9a-fA-F]{{2}} )")
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
 _SHELL = ("dwm>", "DWM1001", "Copyright", "License", "Compiled", "Help")
 _DAY = 86400.0
-TIME = Expression("time", source="time")
+_TIME = Expression("time", source="time")
 """The expression of the number before the readings of a line, for `t_s`."""
 
 
-@dataclass
-class SerialLog:
-    """The rows of a log, with the number of their line; `anchors`: the positions, m, that it names."""
-
-    ranges: list[tuple[int, float, str, str, float]] = field(default_factory=list)
-    fixes: list[tuple[int, float, str, float, float, float]] = field(default_factory=list)
-    anchors: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    notices: list[str] = field(default_factory=list)
-
-    def tables(self) -> dict[str, pl.DataFrame]:
-        """The tables ranges and fixes, those that have rows."""
-        ranges = pl.DataFrame([row[1:] for row in self.ranges], ["t_s", "tag", "anchor", "range_m"], orient="row")
-        fixes = pl.DataFrame([row[1:] for row in self.fixes], ["t_s", "tag", "x_m", "y_m", "z_m"], orient="row")
-        return {name: table for name, table in (("ranges", ranges), ("fixes", fixes)) if len(table)}
-
-
-def log_kind(text: str) -> LogKind | None:
-    """The kind of a log by its first line that holds readings; None for another text."""
-    for line in text.splitlines()[:200]:
-        begin = _BEGINS.search(line)
-        if begin is not None:
-            return "trek1000" if begin[0].startswith("m") else "dwm1001"
-    return None
-
-
-def read_log(
-    path: Path,
-    kind: LogKind,
-    tag: str | None,
-    interval: float | None = None,
-    skip: bool = False,
-    time: Expression = TIME,
-) -> SerialLog:
+def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The readings of a log. Lines of the shell, `mr` and `ma` lines and empty lines are left out.
 
-    Times: the text before the readings of a line, a number (s, or by the expression `time`), a date or time of day; of
-    TREK1000 lines without it, the time of the last range in ms that they hold; else line k is at k · `interval`, s.
-    `tag`: the id of the tag, which DWM1001 lines do not name. Any other line is refused with its number, or left out
-    with a notice if `skip`.
+    Times: the text before the readings of a line, a number (s, or by an expression as `t_s=time in ms`), a date or time
+    of day; of TREK1000 lines without it, the time of the last range in ms that they hold; else that of line k is k
+    times the interval asked for. DWM1001 lines do not name the tag. Any other line is refused with its number, or left
+    out with a notice if that is asked for.
     """
-    if kind == "dwm1001" and tag is None:
+    (mapping,) = asked.mappings
+    time = mapping.columns.get("t_s", _TIME)
+    if mapping.columns.keys() - {"t_s"} or time.source != "time":
+        raise UnusableInput(f"{path}: {listed(mapping.columns)}: a log has one column, t_s=time, as t_s=time in ms")
+    if name == "dwm1001" and mapping.tag is None:
         raise UnusableInput(f"{path}: DWM1001 lines do not name the tag; give it: --tag ID")
-    log, clock, bad = SerialLog(), _Clock(path, interval, time), []
-    raw, lines = 0, _text(path).rstrip().splitlines()
+    log, bad, raw = _Log(path, mapping.tag, _Clock(path, asked.interval, time)), [], 0
+    read = {"dwm1001": log.dwm1001, "trek1000": log.trek1000}[name]
+    begins, lines = FORMATS[name].begins, _text(path).rstrip().splitlines()
+    assert begins is not None
     for number, line in enumerate(lines, 1):
         line = line.strip()
-        begin = _BEGINS.search(line)
+        begin = begins.search(line)
         if not line or line.startswith("#") or (begin is None and line.startswith(_SHELL)):
             continue
         body = "" if begin is None else line[begin.start() :]
-        if kind == "trek1000" and body[:2] in ("mr", "ma") and _TREK.fullmatch(body):
+        if name == "trek1000" and body[:2] in ("mr", "ma") and _TREK.fullmatch(body):
             raw += 1
             continue
         try:
             if begin is None:
-                raise UnusableInput(f"{path}: line {number}: {line[:60]!r}; expected {_EXPECTED[kind]}")
-            _READERS[kind](log, path, number, body, line[: begin.start()], clock, tag)
+                raise UnusableInput(f"{path}: line {number}: {line[:60]!r}; expected {_EXPECTED[name]}")
+            read(number, body, line[: begin.start()])
         except UnusableInput as problem:
-            if not skip:
+            if not asked.skip:
                 last = isinstance(problem, _NoSuchLine) and number == len(lines)
                 cut = "; it is the last line, and looks cut off" if last else ""
                 raise UnusableInput(f"{problem}{cut}; --skip-bad-lines leaves such lines out") from problem
             bad.append(number)
+    if not log.ranges and not log.fixes:
+        raise UnusableInput(f"{path}: no readings; expected {_EXPECTED[name]}")
+    found = Source(anchors=log.anchors)
     if bad:
         shown = ", ".join(map(str, bad[:5])) + (" …" if len(bad) > 5 else "")
-        log.notices.append(f"{counted(len(bad), 'line')} could not be read, left out: {shown}")
+        found.notices.append(f"{counted(len(bad), 'line')} could not be read, left out: {shown}")
     if raw:
-        log.notices.append(f"{counted(raw, 'line')} of raw (mr) and anchor (ma) ranges left out; mc lines are used")
-    if not log.ranges and not log.fixes:
-        raise UnusableInput(f"{path}: no readings; expected {_EXPECTED[kind]}")
-    return log
+        found.notices.append(f"{counted(raw, 'line')} of raw (mr) and anchor (ma) ranges left out; mc lines are used")
+    for table, rows, values in (("ranges", log.ranges, ("anchor", "range_m")), ("fixes", log.fixes, AXES)):
+        if rows:
+            found.tables[table] = pl.DataFrame(rows, ["t_s", "tag", *values], orient="row")
+    return found
 
 
 _EXPECTED = {
@@ -168,45 +144,55 @@ class _Clock:
         return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
 
 
-def _dwm1001(log: SerialLog, path: Path, number: int, body: str, prefix: str, clock: _Clock, tag: str | None) -> None:
-    assert tag is not None
-    position, command = None, "les"
-    if body.startswith("POS"):
-        command = "lep"
-        position = _POS.fullmatch(body)
-        found, understood = [], position is not None
-    elif body.startswith("DIST"):
-        command = "lec"
-        line = _LEC_LINE.fullmatch(body)
-        found = _LEC.findall(body)
-        understood = line is not None and int(line[1]) == len(found)
-        position = _POS.search(body)
-    else:
-        understood, found, position = _LES_LINE.fullmatch(body) is not None, _LES.findall(body), _ESTIMATE.search(body)
-    if not understood:
-        raise _NoSuchLine(f"{path}: line {number}: {body[:60]!r}; expected {_EXPECTED[command]}")
-    time = clock.at(number, prefix)
-    for anchor, x, y, z, distance in found:
-        place = (float(x), float(y), float(z))
-        if log.anchors.setdefault(anchor, place) != place:
-            raise UnusableInput(
-                f"{path}: line {number}: anchor {anchor} at {place}, before at {log.anchors[anchor]}; expected anchors "
-                "that stay; cut the log where it was moved"
-            )
-        log.ranges.append((number, time, tag, anchor, float(distance)))
-    if position is not None:
-        log.fixes.append((number, time, tag, *(float(position[k]) for k in (1, 2, 3))))  # type: ignore[arg-type]
+@dataclass
+class _Log:
+    """The rows of a log; `anchors`: the positions, m, that it names."""
 
+    path: Path
+    tag: str | None
+    clock: _Clock
+    ranges: list[tuple[float, str, str, float]] = field(default_factory=list)
+    fixes: list[tuple[float, str, float, float, float]] = field(default_factory=list)
+    anchors: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
-def _trek1000(log: SerialLog, path: Path, number: int, body: str, prefix: str, clock: _Clock, tag: str | None) -> None:
-    match = _TREK.fullmatch(body)
-    if match is None or match[1] != "c":
-        raise _NoSuchLine(f"{path}: line {number}: {body[:60]!r}; expected {_EXPECTED['trek1000']}")
-    mask, ranges = int(match[2], 16), [int(text, 16) for text in match[3].split()]
-    time = clock.at(number, prefix, int(match[6], 16) / 1000)
-    for k, millimetres in enumerate(ranges):
-        if mask >> k & 1 and millimetres < 0x8000_0000:
-            log.ranges.append((number, time, tag or match[8], str(k), millimetres / 1000))
+    def dwm1001(self, number: int, body: str, prefix: str) -> None:
+        """Adds the readings of a line; raises UnusableInput."""
+        position, command = None, "les"
+        if body.startswith("POS"):
+            command = "lep"
+            position = _POS.fullmatch(body)
+            found, understood = [], position is not None
+        elif body.startswith("DIST"):
+            command = "lec"
+            line = _LEC_LINE.fullmatch(body)
+            found = _LEC.findall(body)
+            understood = line is not None and int(line[1]) == len(found)
+            position = _POS.search(body)
+        else:
+            understood, found = _LES_LINE.fullmatch(body) is not None, _LES.findall(body)
+            position = _ESTIMATE.search(body)
+        if not understood:
+            raise _NoSuchLine(f"{self.path}: line {number}: {body[:60]!r}; expected {_EXPECTED[command]}")
+        time = self.clock.at(number, prefix)
+        for anchor, x, y, z, distance in found:
+            place = (float(x), float(y), float(z))
+            if self.anchors.setdefault(anchor, place) != place:
+                raise UnusableInput(
+                    f"{self.path}: line {number}: anchor {anchor} at {place}, before at {self.anchors[anchor]}; "
+                    "expected anchors that stay; cut the log where it was moved"
+                )
+            self.ranges.append((time, str(self.tag), anchor, float(distance)))
+        if position is not None:
+            x, y, z = (float(position[k]) for k in (1, 2, 3))
+            self.fixes.append((time, str(self.tag), x, y, z))
 
-
-_READERS = {"dwm1001": _dwm1001, "trek1000": _trek1000}
+    def trek1000(self, number: int, body: str, prefix: str) -> None:
+        """Adds the readings of a line; raises UnusableInput."""
+        match = _TREK.fullmatch(body)
+        if match is None or match[1] != "c":
+            raise _NoSuchLine(f"{self.path}: line {number}: {body[:60]!r}; expected {_EXPECTED['trek1000']}")
+        mask, ranges = int(match[2], 16), [int(text, 16) for text in match[3].split()]
+        time = self.clock.at(number, prefix, int(match[6], 16) / 1000)
+        for k, millimetres in enumerate(ranges):
+            if mask >> k & 1 and millimetres < 0x8000_0000:
+                self.ranges.append((time, self.tag or match[8], str(k), millimetres / 1000))

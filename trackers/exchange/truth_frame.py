@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.exchange.alignment import Similarity
+from trackwright.trackers.exchange.trajectories import Similarity
 from trackwright.trackers.recordings.checks.compared import Compared, compared
 from trackwright.trackers.recordings.checks.explanations import transform_text
 from trackwright.trackers.recordings.checks.robust_fit import robust_fit

@@ -46,12 +46,15 @@ class TableFile:
         return f"{self.path}: row {row + 1}{line}, column {column}"
 
 
-def read_table_file(path: Path) -> TableFile:
-    """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file."""
+def read_table_file(path: Path, separator: str = ",") -> TableFile:
+    """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file.
+
+    `separator`: the character between the cells of text.
+    """
     if path.name.endswith(".parquet"):
         file = TableFile(path, read_parquet(path))
     else:
-        file = _text(path, _unpacked(path, _content(path)))
+        file = _text(path, _unpacked(path, _content(path)), separator)
     if file.frame.height == 0:
         raise UnusableInput(f"{path}: the table has no rows, expected at least one; remove the file if there are none")
     return file
@@ -118,7 +121,7 @@ def _unpacked(path: Path, data: bytes) -> bytes:
         raise UnusableInput(f"{path}: is not valid gzip data ({error}); copy it again or pack it with gzip") from error
 
 
-def _text(path: Path, data: bytes) -> TableFile:
+def _text(path: Path, data: bytes, separator: str) -> TableFile:
     if b"\0" in data:
         raise UnusableInput(f"{path}: holds binary data, expected CSV text in UTF-8; export it again as CSV")
     try:
@@ -129,8 +132,8 @@ def _text(path: Path, data: bytes) -> TableFile:
         ) from error
     text = text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
     head, _, body = text.partition("\n")
-    names = [name.strip() for name in next(csv.reader([head]), [])]
-    if len(names) == 1 and any(mark in head for mark in ";\t"):
+    names = [name.strip() for name in next(csv.reader([head], delimiter=separator), [])]
+    if separator == "," and len(names) == 1 and any(mark in head for mark in ";\t"):
         raise UnusableInput(f"{path}: line 1 is {head[:60]!r}, expected names separated by commas; export it again")
     repeated = {name for name in names if names.count(name) > 1}
     if repeated:
@@ -139,22 +142,24 @@ def _text(path: Path, data: bytes) -> TableFile:
     if not body.strip():
         return TableFile(path, pl.DataFrame(schema=dict.fromkeys(names, pl.String)), ())
     rows = body.count("\n") + 1
-    plain = '"' not in text and "\n\n" not in body and not body.startswith("\n")
-    if plain and body.count(",") == (len(names) - 1) * rows:
+    # polars takes separators of one byte.
+    plain = separator.isascii() and '"' not in text and "\n\n" not in body and not body.startswith("\n")
+    if plain and body.count(separator) == (len(names) - 1) * rows:
         try:
             frame = pl.read_csv(
-                body.encode(), has_header=False, schema=dict.fromkeys(names, pl.String), quote_char=None
-            )
+                body.encode(), has_header=False, schema=dict.fromkeys(names, pl.String), quote_char=None,
+                separator=separator,
+            )  # fmt: skip
             if frame.height == rows:
                 return TableFile(path, frame, range(2, rows + 2))
         except pl.exceptions.PolarsError:
             pass  # rows too long and too short in equal measure: the slow reader names the first
-    return _row_by_row(path, names, text)
+    return _row_by_row(path, names, text, separator)
 
 
-def _row_by_row(path: Path, names: list[str], text: str) -> TableFile:
+def _row_by_row(path: Path, names: list[str], text: str, separator: str) -> TableFile:
     """Slow reader for quotes and blank lines; refuses rows of a wrong length by their line."""
-    reader = csv.reader(io.StringIO(text))
+    reader = csv.reader(io.StringIO(text), delimiter=separator)
     rows, lines = [], []
     try:
         next(reader)

@@ -13,8 +13,9 @@ from trackwright.experiments.cli.console import errors_of, ready
 from trackwright.experiments.cli.options import ReadingOptions
 from trackwright.experiments.cli.tracking import late_readings
 from trackwright.experiments.jobs.portable_tracker import PortableTracker, spec_here
-from trackwright.trackers.catalogue import fitting, split_name
+from trackwright.trackers.catalogue import fitting
 from trackwright.trackers.core.errors import UnusableInput, one_line
+from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.evaluation.association import associate_truth, refuse_without_overlap
 from trackwright.trackers.evaluation.evaluate import Evaluation, TrackScores
 from trackwright.trackers.evaluation.events import EVENTS, events_of

@@ -7,9 +7,8 @@ from collections.abc import Iterator, Sequence
 
 from trackwright.experiments.text.tables import compact_table, rendered
 from trackwright.experiments.text.wording import fixed, length_unit
-from trackwright.trackers.exchange.compare import TrajectoryErrors
-from trackwright.trackers.exchange.pose_errors import Statistics
-from trackwright.trackers.exchange.tracks_compared import ComparedTrack
+from trackwright.trackers.exchange.estimates import ComparedTrack
+from trackwright.trackers.exchange.pose_errors import Statistics, TrajectoryErrors
 
 SHOWN_TRACKS = 10
 """The most tracks listed: those with the largest APE."""

@@ -17,8 +17,7 @@ import trackwright.trackers.evaluation as evaluation
 from tests.in_process import assert_refused, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackwright.experiments.cli import evaluating
-from trackwright.trackers.exchange.poses import PoseTrajectory, trajectory_of_table
-from trackwright.trackers.exchange.trajectory_files import write_trajectory
+from trackwright.trackers.exchange.trajectories import PoseTrajectory, trajectory_of_table, write_trajectory
 from trackwright.trackers.recordings.tracks_table import write_tracks
 
 

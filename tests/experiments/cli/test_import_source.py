@@ -11,8 +11,7 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import assert_refused, trackwright
-from trackwright.trackers.exchange.poses import PoseTrajectory, trajectory_of_table
-from trackwright.trackers.exchange.trajectory_files import write_trajectory
+from trackwright.trackers.exchange.trajectories import PoseTrajectory, trajectory_of_table, write_trajectory
 from trackwright.trackers.exchange.truth_frame import Placement, found_placement
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 

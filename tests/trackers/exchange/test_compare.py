@@ -11,10 +11,14 @@ from tests.trackers.exchange.against_evo import evo_errors
 from trackwright.trackers.core.data.metrics import nees
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.scoring import covariances
-from trackwright.trackers.exchange.alignment import Similarity
-from trackwright.trackers.exchange.compare import compare_trajectories
-from trackwright.trackers.exchange.poses import PoseTrajectory, trajectory_of_table
-from trackwright.trackers.exchange.trajectory_files import read_trajectory, write_trajectory
+from trackwright.trackers.exchange.pose_errors import compare_trajectories
+from trackwright.trackers.exchange.trajectories import (
+    PoseTrajectory,
+    Similarity,
+    read_trajectory,
+    trajectory_of_table,
+    write_trajectory,
+)
 from trackwright.trackers.recordings.folder import read_recording
 
 RECORDINGS = ("tiers-1tag-01", "tiers-2tag-03", "iasl-drone-1", "starloc-fast-s1", "rcv-drone-3")

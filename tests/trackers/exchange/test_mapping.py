@@ -14,8 +14,7 @@ import pytest
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.exchange.imported import import_frames
-from trackwright.trackers.exchange.mapped_table import mapped_table
-from trackwright.trackers.exchange.mapping import TableMapping, columns_of, parsed, read_mapping
+from trackwright.trackers.exchange.mapping import TableMapping, columns_of, mapped_table, parsed, read_mapping
 from trackwright.trackers.recordings.table_file import TableFile, read_table_file
 
 RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7": np.array([0.0, 4, 2])})

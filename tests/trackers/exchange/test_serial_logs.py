@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.exchange.mapping import parsed
-from trackwright.trackers.exchange.serial_logs import log_kind, read_log
+from trackwright.trackers.exchange.formats import format_of
+from trackwright.trackers.exchange.imported import read_source
+from trackwright.trackers.exchange.mapping import Asked, TableMapping, columns_of
 
 # Output of the DWM1001's shell, commands les, lec and lep, as public code quotes it.
 LES = (
@@ -26,15 +27,15 @@ TREK = (
 )
 
 
-def _log(tmp_path, text, kind="dwm1001", tag="T", **options):
+def _log(tmp_path, text, kind="dwm1001", tag="T", columns=(), **options):
     path = tmp_path / "log.txt"
     path.write_text(text)
-    return read_log(path, kind, tag, **options)
+    return read_source(path, kind, Asked([TableMapping("ranges", columns_of(columns), tag=tag)], **options))
 
 
 def test_the_lines_of_the_dwm1001_guide_are_ranges_fixes_and_anchors(tmp_path):
     log = _log(tmp_path, f"dwm> les\n0.1 {LES}\n0.2 {LEC}\n0.3 {LEP}\n")
-    tables = log.tables()
+    tables = log.tables
     assert tables["ranges"].row(0) == (0.1, "T", "1151", 6.48)
     assert tables["ranges"].row(7) == (0.2, "T", "1150", 3.19)
     assert len(tables["ranges"]) == 8
@@ -54,7 +55,7 @@ def test_the_lines_of_the_dwm1001_guide_are_ranges_fixes_and_anchors(tmp_path):
 def test_the_lines_of_the_trek1000_manual_are_corrected_ranges_in_metres(tmp_path):
     log = _log(tmp_path, TREK, "trek1000", None)
     time = 0x24C24 / 1000
-    assert log.tables()["ranges"].rows() == [
+    assert log.tables["ranges"].rows() == [
         (time, "0", "0", 1.635),
         (time, "0", "1", 1.443),
         (time, "0", "2", 1.298),
@@ -65,7 +66,7 @@ def test_the_lines_of_the_trek1000_manual_are_corrected_ranges_in_metres(tmp_pat
 
 def test_ranges_that_the_mask_of_trek1000_leaves_out_are_left_out(tmp_path):
     line = "mc 05 00000663 000005a3 00000512 ffffffff 095f c1 00024c24 a3:0\n"
-    rows = _log(tmp_path, line, "trek1000", None).tables()["ranges"].rows()
+    rows = _log(tmp_path, line, "trek1000", None).tables["ranges"].rows()
     assert [(tag, anchor) for _, tag, anchor, _ in rows] == [("3", "0"), ("3", "2")]
 
 
@@ -81,19 +82,19 @@ def test_ranges_that_the_mask_of_trek1000_leaves_out_are_left_out(tmp_path):
 )
 def test_the_time_before_a_line_is_its_time(tmp_path, prefixes, times):
     log = _log(tmp_path, "".join(f"{prefix}{LEP}\n" for prefix in prefixes))
-    assert log.tables()["fixes"]["t_s"].to_list() == pytest.approx(times, abs=1e-6)
+    assert log.tables["fixes"]["t_s"].to_list() == pytest.approx(times, abs=1e-6)
 
 
 def test_a_number_before_a_line_may_have_a_unit(tmp_path):
-    log = _log(tmp_path, f"1500 {LEP}\n2500 {LEP}\n", time=parsed("t_s", "time in ms"))
-    assert log.tables()["fixes"]["t_s"].to_list() == [1.5, 2.5]
+    log = _log(tmp_path, f"1500 {LEP}\n2500 {LEP}\n", columns=["t_s=time in ms"])
+    assert log.tables["fixes"]["t_s"].to_list() == [1.5, 2.5]
 
 
 def test_a_log_without_times_needs_an_interval(tmp_path):
     with pytest.raises(UnusableInput, match="line 1: no time .* --interval"):
         _log(tmp_path, f"{LEP}\n{LEP}\n")
     log = _log(tmp_path, f"{LEP}\n{LEP}\n", interval=0.1)
-    assert log.tables()["fixes"]["t_s"].to_list() == [0.0, 0.1]
+    assert log.tables["fixes"]["t_s"].to_list() == [0.0, 0.1]
 
 
 @pytest.mark.parametrize(
@@ -114,11 +115,13 @@ def test_a_line_that_is_not_understood_is_refused_or_counted(tmp_path, line, wor
     assert words in str(refused.value)
     log = _log(tmp_path, text, skip=True)
     assert log.notices == ["1 line could not be read, left out: 2"]
-    assert len(log.tables()["fixes"]) == 2
+    assert len(log.tables["fixes"]) == 2
 
 
 def test_logs_of_other_kinds_are_refused(tmp_path):
-    assert (log_kind(f"x\n0.1 {LEC}"), log_kind(TREK), log_kind("1 2 3")) == ("dwm1001", "trek1000", None)
+    for text, kind in ((f"x\n0.1 {LEC}", "dwm1001"), (TREK, "trek1000"), ("1 2 3 4 5 6 7 8", "tum")):
+        (tmp_path / "log.txt").write_text(text)
+        assert format_of(tmp_path / "log.txt") == kind
     with pytest.raises(UnusableInput, match="no readings"):
         _log(tmp_path, "dwm> les\n")
     with pytest.raises(UnusableInput, match="do not name the tag"):

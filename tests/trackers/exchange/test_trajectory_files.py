@@ -9,8 +9,13 @@ from scipy.spatial.transform import Rotation
 from tests.trackers.exchange.against_evo import evo_modules
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import rotation_matrices
-from trackwright.trackers.exchange.poses import PoseTrajectory, quaternions_of
-from trackwright.trackers.exchange.trajectory_files import kind_of, read_trajectory, write_trajectory
+from trackwright.trackers.exchange.trajectories import (
+    PoseTrajectory,
+    kind_of,
+    quaternions_of,
+    read_trajectory,
+    write_trajectory,
+)
 
 EUROC = """#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_x
 1403636580838555648,4.688319,-1.786938,0.783338,0.534108,-0.153029,-0.827383,-0.082152,-0.027876

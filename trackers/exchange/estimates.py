@@ -1,21 +1,33 @@
-"""Estimates of any program, and true paths, in files: trajectories, or tables with the columns of `track`."""
+"""Estimates of any program and true paths in files, and their errors track by track.
+
+The files are trajectories, or tables with the columns of `track`.
+"""
 
 from __future__ import annotations
 
-import re
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.exchange.trajectory_files import Kind, read_trajectory
+from trackwright.trackers.exchange.mapping import numbers_of
+from trackwright.trackers.exchange.pose_errors import (
+    Alignment,
+    Statistics,
+    Step,
+    TrajectoryErrors,
+    compare_trajectories,
+)
+from trackwright.trackers.exchange.trajectories import Kind, read_trajectory, trajectory_of_table
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.input_file import beginning
 from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
+from trackwright.trackers.recordings.tracks_table import is_bearing
 
-_DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:[T ]|$)")
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
 
 
@@ -88,33 +100,72 @@ def _table(file: TableFile) -> pl.DataFrame:
     return file.frame.select(texts + [numbers_of(file, name) for name in columns if name not in _TEXT])
 
 
-def numbers_of(file: TableFile, column: str) -> pl.Series:
-    """The column as Float64, null where empty or NaN; raises UnusableInput with the row of a text."""
-    found = file.frame[column]
-    if found.dtype != pl.String:
-        if not (found.dtype.is_numeric() or found.dtype in (pl.Null, pl.Boolean)):
-            raise UnusableInput(f"{file.path}: column {column} has type {found.dtype}; expected numbers")
-        return found.cast(pl.Float64).fill_nan(None)
-    text = found.str.strip_chars()
-    points = text
-    if file.decimal == ",":
-        # A point, as it groups thousands, is then no part of a number.
-        points = text.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)
-    numbers = points.cast(pl.Float64, strict=False)
-    wrong = numbers.is_null() & text.is_not_null() & (text != "")
-    if wrong.any():
-        row = wrong.arg_max()
-        assert row is not None
+class ComparedTrack(NamedTuple):
+    """The errors of the track of one tag."""
+
+    recording: str
+    tag: str
+    errors: TrajectoryErrors
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it in plain numbers, for JSON."""
+        return {"recording": self.recording, "tag": self.tag} | self.errors.to_dict()
+
+
+def compare_tracks(
+    tracks: pl.DataFrame,
+    truths: Mapping[str, pl.DataFrame],
+    align: Alignment = "none",
+    time_offset: float | Literal["auto"] = 0.0,
+    tolerance: float = 0.01,
+    rpe: Sequence[str] = ("1m", "1s"),
+    all_pairs: bool = False,
+) -> tuple[pl.DataFrame, list[ComparedTrack]]:
+    """The estimates, each track aligned and shifted in time, and the errors of each track that has a truth.
+
+    `tracks`: the columns of tracks.parquet. `truths`: by recording, a truth table. Further arguments as of
+    `compare_trajectories`, which is called for each track. Raises UnusableInput as it does, for bearings, and where no
+    track has a truth.
+    """
+    if is_bearing(tracks):
+        raise UnusableInput("the tracks hold bearings; expected positions x_m, y_m; leave the trajectory options out")
+    moved, compared = [], []
+    for (recording, tag), rows in tracks.partition_by(["recording", "tag"], as_dict=True, maintain_order=True).items():
+        truth = truths.get(str(recording))
+        own = None if truth is None else truth.filter(pl.col("tag").cast(pl.String) == str(tag))
+        if own is None or own.is_empty():
+            continue
+        name = f"track of tag {tag} in '{recording}'"
+        errors = compare_trajectories(
+            trajectory_of_table(rows, name),
+            trajectory_of_table(own, f"truth of tag {tag} in '{recording}'"),
+            align, time_offset, tolerance, rpe, all_pairs,
+        )  # fmt: skip
+        moved.append(errors.similarity.table(rows).with_columns(pl.col("t_s") + errors.time_offset))
+        compared.append(ComparedTrack(str(recording), str(tag), errors))
+    if not compared:
+        known = [f"{name}: {listed(sorted(truth['tag'].unique().cast(pl.String)))}" for name, truth in truths.items()]
         raise UnusableInput(
-            f"{file.location(row, column)}: {text[row][:40]!r}; expected a number; {_remedy(text[row], column)}"
+            f"no track has a truth: tracks of {listed(tracks['recording'].unique())}, tags "
+            f"{listed(tracks['tag'].unique())}; truth of {listed(known) or 'no recording'}; give the --truth of "
+            "the same recording and tag"
         )
-    return numbers.fill_nan(None)
+    return pl.concat(moved), compared
 
 
-def _remedy(text: str, column: str) -> str:
-    """What to do about a text where a number is expected."""
-    if _DATE.match(text):
-        return f"it looks like a date, which `trackwright import` reads by 't_s={column} in iso'"
-    if _DECIMAL_COMMA.fullmatch(text):
-        return "it looks like a decimal comma, which `trackwright import --decimal ,` reads"
-    return "leave a missing cell empty"
+def pooled_names(steps: Sequence[str]) -> list[str]:
+    """The names that `pooled` may have with relative errors over these steps."""
+    return ["ape_m", *(f"rpe_{Step.of(step)}_m" for step in steps), "speed_mps"]
+
+
+def pooled(compared: Sequence[ComparedTrack]) -> dict[str, float]:
+    """Root mean squares over all tracks, for `--fail-if`: ape_m, rpe_STEP_m, speed_mps."""
+    parts: dict[str, list[Statistics]] = {}
+    for track in compared:
+        found = {"ape_m": track.errors.ape_m}
+        found |= {f"rpe_{step}_m": errors for step, errors in track.errors.rpe_m.items()}
+        if track.errors.speed_mps is not None:
+            found["speed_mps"] = track.errors.speed_mps
+        for name, errors in found.items():
+            parts.setdefault(name, []).append(errors)
+    return {name: math.sqrt(sum(e["sse"] for e in all_) / sum(e["n"] for e in all_)) for name, all_ in parts.items()}

@@ -1,0 +1,57 @@
+"""What a user's Python file brings under a name, `FILE.py:NAME`: trackers, and formats of logs."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from trackwright.trackers.core.errors import UnusableInput
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """File and name of what is given as `FILE.py:NAME`; an empty file for any other text."""
+    file, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
+    return (file, attribute) if file.endswith(".py") else ("", "")
+
+
+def from_file(name: str, what: str, kind: str, fits: Callable[[Any], bool]) -> Any:
+    """The object `FILE.py:NAME`, for `what`, of the file, which is run; `fits` tells those of the `kind` from others.
+
+    Raises UnusableInput where the file is missing or fails, and for another object.
+    """
+    path, attribute = split_name(name)
+    file = Path(path)
+    if not file.is_file():
+        raise UnusableInput(f"{what} {file}:{attribute}: there is no file {file}; expected FILE.py:NAME")
+    try:
+        module = run_file(file, f"trackwright_{what}_{file.stem}")
+    except Exception as error:
+        line = str(error).splitlines()[0] if str(error) else "no message"
+        raise UnusableInput(f"{file}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
+    found = getattr(module, attribute, None)
+    if not fits(found):
+        mine = ", ".join(key for key, value in vars(module).items() if fits(value)) or "none"
+        wrong = f"{attribute} is no {kind}" if attribute else f"no {kind} is named"
+        raise UnusableInput(f"{file}: {wrong}; the file's are: {mine}; name one as {file}:NAME")
+    return found
+
+
+def run_file(file: Path, name: str) -> ModuleType:
+    """The module of a Python file, which is run; registered as `name`, where dataclasses and pytrees look it up.
+
+    The file may import those beside it.
+    """
+    folder = str(file.resolve().parent)
+    if folder not in sys.path:
+        sys.path.append(folder)
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
