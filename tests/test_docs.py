@@ -15,6 +15,7 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import assert_refused, trackwright
+from trackwright.trackers import catalogue
 from trackwright.trackers.recordings.kinds import KINDS
 
 ROOT = Path(__file__).parents[1]
@@ -130,7 +131,13 @@ def hall(tmp_path, monkeypatch):
     yield made
     for name in ("tdoa", "hall"):
         sys.modules.pop(name, None)
+    _as_in_a_new_process()
+
+
+def _as_in_a_new_process() -> None:
+    """Forgets the kind, and that its file was run."""
     KINDS.pop("tdoa", None)
+    catalogue._module.cache_clear()
 
 
 def test_a_kind_of_ones_own_is_read_checked_and_tracked(hall):
@@ -148,15 +155,15 @@ OWN = ("--tracker", "tdoa.py:TRACKER")
 
 
 def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_line(hall):
-    KINDS.pop("tdoa")
+    _as_in_a_new_process()
     assert "tdoa.parquet (not one of the tables" in trackwright("check", "hall").out
     done = trackwright("check", "hall", *OWN)
     assert (done.code, "range difference noise" in done.out) == (0, True)
-    KINDS.pop("tdoa")
+    _as_in_a_new_process()
     done = trackwright("track", "hall", *OWN, "--out", "out", "--no-figures")
     assert done.code == 0, done.err
     assert "range difference" in Path("out/report.html").read_text("utf-8")
-    KINDS.pop("tdoa")
+    _as_in_a_new_process()
     done = trackwright("track", "hall", *OWN, "--out", "kept", "--keep-going", "--no-figures", "--no-report")
     assert done.code == 0, done.err
     tracks = [pl.read_parquet(f"{out}/tracks.parquet").select("t_s", "tag", "x_m", "y_m") for out in ("out", "kept")]
@@ -165,12 +172,12 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
 
 @pytest.mark.slow
 def test_a_kind_of_ones_own_is_tuned_swept_and_studied_by_file(hall):
-    KINDS.pop("tdoa")
+    _as_in_a_new_process()
     done = trackwright(
         "tune", "hall", *OWN, "--tune", "sensors.tdoa.sigma_d", "--steps", 4, "--force", "--out", "tuned"
     )
     assert done.code == 0, done.err
-    KINDS.pop("tdoa")
+    _as_in_a_new_process()
     assert trackwright("sweep", "hall", *OWN, "--over", "sensors.tdoa.sigma_d=0.1:0.3:3", "--out", "swept").code == 0
     done = trackwright("study", "hall.py", "--out", "studied")
     assert done.code == 0, done.err

@@ -85,8 +85,8 @@ from trackwright.trackers.recordings.calibration import AnchorCalibration as Anc
 from trackwright.trackers.recordings.calibration import Calibration as Calibration
 from trackwright.trackers.recordings.calibration import StationCalibration as StationCalibration
 from trackwright.trackers.recordings.calibration import TagCalibration as TagCalibration
-from trackwright.trackers.recordings.calibration_file import read_calibration as read_calibration
-from trackwright.trackers.recordings.calibration_file import write_calibration as write_calibration
+from trackwright.trackers.recordings.calibration import read_calibration as read_calibration
+from trackwright.trackers.recordings.calibration import write_calibration as write_calibration
 from trackwright.trackers.recordings.checks import CheckResult as CheckResult
 from trackwright.trackers.recordings.checks import check as check
 from trackwright.trackers.recordings.folder import RecordingFolder as RecordingFolder

@@ -56,23 +56,22 @@ def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind) -> dict[st
 
 def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tuple[str, Pairs]]:
     """The pairs of each station or anchor of one recording."""
-    assert kind.predicted is not None
-    rows, ids = folder.rows(kind.name), list(kind.places(folder.rig))
-    measured, readings = rows.floats(kind.least), kind.values(rows)
+    rows = folder.rows(kind.name)
+    raw = kind.measured(folder.rig, rows)
+    measured = raw.usable
     positions, status = folder.paths.at(rows.tags, rows.starts, rows.times)
     # A truth over the floor is completed by the height of the tag in the rig.
     heights = rows.of_each(known_heights(folder, rows.tags))
     positions = np.column_stack([positions[:, :2], np.where(np.isnan(positions[:, 2]), heights, positions[:, 2])])
-    known = (status == TruthStatus.SCORED) & np.isfinite(positions).all(axis=1) & np.isfinite(measured).any(axis=1)
+    known = (status == TruthStatus.SCORED) & np.isfinite(positions).all(axis=1) & np.isfinite(raw.values).any(axis=1)
     piece, place = _pieces(rows, positions, known) + MOST_PIECES * number, _places(positions)
     tag = rows.of_each(np.array(rows.tags))
-    sensor = kind.numbers(rows, ids)
-    true = kind.predicted(positions, kind.sensors_of(folder.rig, ids, sensor, len(kind.columns)))
+    true = measured.predicted(positions)
     # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
-    away = readings - true
-    values = readings - (away - wrapped(away, kind.least))
-    for code, name in enumerate(ids):
-        own = known & (sensor[:, 0] == code)
+    away = measured.values - true
+    values = measured.values - (away - wrapped(away, measured.columns))
+    for code, name in enumerate(measured.ids):
+        own = known & (measured.sensors.number[:, 0] == code)
         yield (
             name,
             Pairs(true[own], values[own], positions[own], np.full(own.sum(), number), piece[own], place[own], tag[own]),

@@ -11,7 +11,7 @@ import tomli_w
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.input_file import read_toml
+from trackwright.trackers.recordings.input_file import TomlReader
 
 if TYPE_CHECKING:
     from trackwright.tuning.fitting import FitResult
@@ -73,10 +73,10 @@ class Tuned(NamedTuple):
 
 def read_tuned(path: Path) -> Tuned:
     """The tracker and the values by name; raises UnusableInput for a file that `tune` did not write."""
-    content = read_toml(path, "the tuned.toml of `trackwright tune`")
-    table = content.get("tunables")
+    reader = TomlReader(path, "the tuned.toml of `trackwright tune`")
+    content, table = reader.content, reader.content.get("tunables")
     if not isinstance(table, Mapping) or not table:
-        raise UnusableInput(f"{path}: found no [tunables], expected the tuned.toml of `trackwright tune`")
+        reader.refuse("found no [tunables], expected the tuned.toml of `trackwright tune`")
     values = {}
     for name, entry in table.items():
         value = entry.get("value") if isinstance(entry, Mapping) else None
@@ -86,17 +86,17 @@ def read_tuned(path: Path) -> Tuned:
         except ValueError:
             usable = False
         if not usable:
-            raise UnusableInput(f"{path}: tunables.{name}.value is {value!r}, expected a finite number or a list")
+            reader.wrong(f"tunables.{name}.value", value, "a finite number or a list")
     tracker = content.get("tracker")
     if not isinstance(tracker, str | None):
-        raise UnusableInput(f"{path}: tracker is {tracker!r}, expected the name of a tracker")
+        reader.wrong("tracker", tracker, "the name of a tracker")
     calibration = content.get("calibration")
     if calibration is not None and not (
         isinstance(calibration, Mapping)
         and set(calibration) == {"name", "fingerprint"}
         and all(isinstance(text, str) for text in calibration.values())
     ):
-        raise UnusableInput(f"{path}: calibration is {calibration!r}, expected its name and fingerprint")
+        reader.wrong("calibration", calibration, "its name and fingerprint")
     return Tuned(tracker, values, calibration)
 
 

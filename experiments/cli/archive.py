@@ -41,8 +41,7 @@ from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names
 from trackwright.trackers.evaluation.events import EVENTS
-from trackwright.trackers.recordings.atomic import config_hash
-from trackwright.trackers.recordings.beside import held
+from trackwright.trackers.recordings.atomic import config_hash, held
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_truth
 from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
 

@@ -32,7 +32,7 @@ def calibrate_recordings(*recordings: Recording, out: File, json: bool = False) 
         report_text,
         write_calibration_report,
     )
-    from trackwright.trackers.recordings.calibration_file import write_calibration
+    from trackwright.trackers.recordings.calibration import write_calibration
     from trackwright.tuning.calibrating import calibrate
 
     calibration = calibrate(folders)

@@ -12,8 +12,7 @@ from trackwright.experiments.cli.options import ReadingOptions, require_output
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.atomic import json_text
-from trackwright.trackers.recordings.calibration import Calibration
-from trackwright.trackers.recordings.calibration_file import identity
+from trackwright.trackers.recordings.calibration import Calibration, identity
 from trackwright.trackers.recordings.checks import quick_check
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, refuse_repeated
 

@@ -108,8 +108,8 @@ class ReadingOptions(PartOptions):
             raise UnusableInput(f"--average {self.average:g}: expected seconds above zero, or 0 for every reading")
 
     def read_calibration(self) -> Calibration | None:
-        """The calibration, None without; raises UnusableInput as `trackers.recordings.calibration_file`."""
-        from trackwright.trackers.recordings.calibration_file import read_calibration
+        """The calibration, None without; raises UnusableInput as `trackers.recordings.calibration`."""
+        from trackwright.trackers.recordings.calibration import read_calibration
 
         return None if self.calibration is None else read_calibration(self.calibration)
 

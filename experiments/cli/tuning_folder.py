@@ -28,7 +28,7 @@ from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.calibration_file import identity
+from trackwright.trackers.recordings.calibration import identity
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.data import FitData

@@ -19,13 +19,11 @@ from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.tunable import tunables
-from trackwright.trackers.recordings.calibration import Calibration
-from trackwright.trackers.recordings.calibration_file import read_calibration
+from trackwright.trackers.recordings.calibration import Calibration, read_calibration
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
-from trackwright.trackers.recordings.mapped_rows import mapped
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
-from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.recordings.trajectories import Trajectory, mapped
 from trackwright.tuning import checkpoint
 from trackwright.tuning.cross_calibration import by_halves, by_others
 from trackwright.tuning.data import FitData, fit_data, fit_segments, judged_dimensions, segments_data

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 
 from tests.faults.values import ENCODINGS, Draw, pick
-from trackwright.trackers.recordings.parquet_footer import MARK
+from trackwright.trackers.recordings.table_file import MARK
 
 
 def _flipped(draw: Draw, data: bytes) -> bytes:

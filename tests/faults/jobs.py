@@ -21,7 +21,7 @@ import numpy as np
 import polars as pl
 
 from tests.in_process import trackwright
-from trackwright.trackers.recordings.beside import PREFIX
+from trackwright.trackers.recordings.atomic import PREFIX
 
 LIMIT_S = 600
 """Seconds after which a command counts as one that does not end."""

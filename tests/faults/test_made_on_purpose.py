@@ -14,13 +14,12 @@ import pytest
 from tests.faults import disks, table, workers
 from tests.faults.jobs import Ended, Job, half_written, jobs, temporary
 from tests.faults.seen import Seen, UntriedError
-from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.beside import PREFIX, beside, remove_abandoned
+from trackwright.trackers.recordings.atomic import PREFIX, atomic_write, beside, remove_abandoned
 
 WRITER = """
 import os, signal, sys
 from pathlib import Path
-from trackwright.trackers.recordings.beside import beside
+from trackwright.trackers.recordings.atomic import beside
 path, make = Path(sys.argv[1]), getattr(Path, sys.argv[2])
 with beside(path, make) as temporary:
     print("writing", flush=True)

@@ -17,7 +17,7 @@ from tests.faults.values import CELLS, IDS
 from tests.faulty import RIG, good_tables
 from trackwright.trackers.core.errors import UnusableInput, has_control
 from trackwright.trackers.exchange.mapping import read_mapping
-from trackwright.trackers.recordings.calibration_file import read_calibration
+from trackwright.trackers.recordings.calibration import read_calibration
 from trackwright.trackers.recordings.rig_file import read_rig
 from trackwright.tuning.tuned_file import read_tuned
 

@@ -12,7 +12,7 @@ from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import bearing_tracker
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import tunables, with_values
-from trackwright.trackers.recordings.calibration_file import identity
+from trackwright.trackers.recordings.calibration import identity
 from trackwright.tuning.parameters import flatten, physical, select_parameters, with_parameters
 from trackwright.tuning.tuned_file import read_tuned, tuned_content, write_tuned
 
@@ -102,5 +102,5 @@ def test_the_file_names_the_calibration_of_its_recordings(tmp_path):
     (tmp_path / "cal.toml").write_text("another calibration")
     assert identity(tmp_path / "cal.toml")["fingerprint"] != own["fingerprint"]
     write_tuned(tmp_path / "tuned.toml", content | {"calibration": "cal.toml"})
-    with pytest.raises(UnusableInput, match="calibration is 'cal.toml', expected its name and fingerprint"):
+    with pytest.raises(UnusableInput, match="calibration = 'cal.toml', expected its name and fingerprint"):
         read_tuned(tmp_path / "tuned.toml")

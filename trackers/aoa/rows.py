@@ -19,7 +19,7 @@ from trackwright.trackers.core.model.rig import Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.checks.readings import readings as readings_of
-from trackwright.trackers.recordings.checks.repeats import repeated_share
+from trackwright.trackers.recordings.checks.readings import repeated_share
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,7 +20,7 @@ def split_name(name: str) -> tuple[str, str]:
 
 
 def from_file(name: str, what: str, kind: str, fits: Callable[[Any], bool]) -> Any:
-    """The object `FILE.py:NAME`, for `what`, of the file, which is run; `fits` tells those of the `kind` from others.
+    """The object `FILE.py:NAME` of a file that is run once, for `what`; `fits` tells those of the `kind` from others.
 
     Raises UnusableInput where the file is missing or fails, and for another object.
     """
@@ -28,7 +29,7 @@ def from_file(name: str, what: str, kind: str, fits: Callable[[Any], bool]) -> A
     if not file.is_file():
         raise UnusableInput(f"{what} {file}:{attribute}: there is no file {file}; expected FILE.py:NAME")
     try:
-        module = run_file(file, f"trackwright_{what}_{file.stem}")
+        module = _module(file.resolve(), f"trackwright_{what}_{file.stem}", file.stat().st_mtime_ns)
     except Exception as error:
         line = str(error).splitlines()[0] if str(error) else "no message"
         raise UnusableInput(f"{file}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
@@ -38,6 +39,12 @@ def from_file(name: str, what: str, kind: str, fits: Callable[[Any], bool]) -> A
         wrong = f"{attribute} is no {kind}" if attribute else f"no {kind} is named"
         raise UnusableInput(f"{file}: {wrong}; the file's are: {mine}; name one as {file}:NAME")
     return found
+
+
+@lru_cache(maxsize=16)
+def _module(file: Path, name: str, changed: int) -> ModuleType:
+    """The module of a user's file; one that was `changed` since is run again."""
+    return run_file(file, name)
 
 
 def run_file(file: Path, name: str) -> ModuleType:

@@ -13,8 +13,8 @@ from trackwright.trackers.line.path import path_of
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.local_frame import from_origins
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
+from trackwright.trackers.recordings.tracks import from_origins
 from trackwright.trackers.recordings.tracks_table import track_keys
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
 

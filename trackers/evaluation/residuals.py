@@ -18,8 +18,7 @@ from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.state import wrap
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.recordings.local_frame import from_origins
-from trackwright.trackers.recordings.tracks import Tracks
+from trackwright.trackers.recordings.tracks import Tracks, from_origins
 from trackwright.trackers.recordings.trajectories import Trajectory
 
 BLOCK_S = 5.0

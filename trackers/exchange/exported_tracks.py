@@ -15,7 +15,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.exchange.ros_reader import rosbags_module
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, quaternions_of, trajectory_of_table
-from trackwright.trackers.recordings.beside import beside
+from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing
 
 _TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"

@@ -23,8 +23,7 @@ from trackwright.trackers.core.user_file import from_file
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
 from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, checked, columns_of, mapped_table
 from trackwright.trackers.exchange.ros_reader import topics_in
-from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.beside import beside
+from trackwright.trackers.recordings.atomic import atomic_write, beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackwright.trackers.recordings.kinds import KINDS, first_time
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig

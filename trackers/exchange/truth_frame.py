@@ -11,9 +11,8 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.exchange.trajectories import Similarity
-from trackwright.trackers.recordings.checks.compared import Compared, compared
-from trackwright.trackers.recordings.checks.explanations import transform_text
-from trackwright.trackers.recordings.checks.robust_fit import robust_fit
+from trackwright.trackers.recordings.checks.changes import transform_text
+from trackwright.trackers.recordings.checks.compared import Compared, compared, robust_fit
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 
@@ -35,7 +34,7 @@ class Placement(NamedTuple):
 
     def __str__(self) -> str:
         """As `--transform` takes it."""
-        return transform_text(self)
+        return transform_text(*self)
 
     def of_table(self, truth: pl.DataFrame) -> pl.DataFrame:
         """The truth, positions and attitudes, in the other frame and on the other clock."""
@@ -100,7 +99,7 @@ def _errors(view: Compared, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def _searched(view: Compared, centre: np.ndarray) -> np.ndarray:
     """The best of some turns at each difference of the clocks, each with the shift that fits it."""
-    middle = np.nanmean((view.values if view.kind.position else view.places)[:, :2], axis=0)
+    middle = np.nanmean((view.values if view.kind.position else view.sensors.places)[:, :2], axis=0)
     found = []
     for later in np.arange(-LONGEST_S, LONGEST_S + STEP_S, STEP_S):
         own = view.later(float(later))

@@ -1,12 +1,21 @@
-"""Atomic writes, and strict JSON without NaN."""
+"""Atomic writes, the temporary files and folders that they need, and strict JSON without NaN.
+
+Each temporary is beside what it becomes, and locked (flock) while its process runs; the system ends the lock with the
+process, however that ends. What has the prefix and no lock is abandoned, and is removed by the next process that writes
+to the folder.
+"""
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+import shutil
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +23,13 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.beside import beside
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks: what a killed process left there stays
+    fcntl = None  # type: ignore[assignment]
+
+PREFIX = ".trackwright-"
 
 
 def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:
@@ -60,3 +75,88 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (Sequence, set, frozenset)) and not isinstance(value, bytes):
         return [_plain(item) for item in value]
     return str(value)
+
+
+@contextmanager
+def beside(path: Path, make: Callable[[Path], object] = Path.touch) -> Iterator[Path]:
+    """A new file beside `path`, to be renamed to it within the block, and removed otherwise; `Path.mkdir`: a folder.
+
+    The first one in a folder removes what killed processes left there. Raises OSError where it cannot be made.
+    """
+    _clear_once(path.absolute().parent)
+    temporary = path.with_name(f"{PREFIX}{uuid.uuid4().hex[:8]}-{path.name}")
+    lock = None
+    try:
+        lock = _made(temporary, make)
+        yield temporary
+    finally:
+        with suppress(OSError):  # missing or unreadable folder, which the first error reports
+            _remove(temporary)
+        if lock is not None:
+            os.close(lock)
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Removes the temporary files and folders in there whose process no longer runs."""
+    if fcntl is None:
+        return
+    for path in folder.glob(f"{PREFIX}*"):
+        with suppress(OSError):  # in use, or gone
+            lock = _opened(path)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _remove(path)
+            finally:
+                os.close(lock)
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Keeps other processes that ask for it out of a folder; raises UnusableInput where one has it."""
+    if fcntl is None:
+        yield
+        return
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            fix = "wait until that has ended, or choose another folder"
+            raise UnusableInput(f"{folder}: another command writes to it; {fix}") from error
+        except OSError:
+            pass  # a file system without locks
+        yield
+    finally:
+        os.close(lock)
+
+
+# Of the folders written to last: a command may write to thousands.
+_clear_once = functools.lru_cache(maxsize=64)(remove_abandoned)
+
+
+def _made(path: Path, make: Callable[[Path], object]) -> int | None:
+    """Makes the file or folder; the descriptor that holds its lock, None where the system has none."""
+    while True:
+        make(path)
+        if fcntl is None:
+            return None
+        # Another process may take it for abandoned before it is locked.
+        with suppress(FileNotFoundError):
+            lock = _opened(path)
+            with suppress(OSError):  # a file system without locks: nobody takes it for abandoned
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            if path.exists():
+                return lock
+            os.close(lock)
+
+
+def _opened(path: Path) -> int:
+    # NFS gives exclusive locks to writers alone, and nobody can write to a folder.
+    return os.open(path, (os.O_RDONLY if path.is_dir() else os.O_RDWR) | os.O_NOFOLLOW)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,4 +1,5 @@
-"""Calibrations: the systematic errors of stations and anchors, with their covariances, and their removal from readings.
+"""Calibrations: the systematic errors of stations and anchors, with their covariances, and their removal from readings;
+and their file `calibration.toml`, written by `calibrate`, read by `--calibration`.
 
 A station measures each angle a as offset + gain·a + cubic·a³ + cross·a·b, where b is the other angle, both in its array
 frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. The fit is in
@@ -7,13 +8,20 @@ frame. An anchor measures the distance d of a tag as d + bias + slope·d + the t
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tomli_w
 from jaxtyping import Float
 
+from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Point, Rig, Station
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.input_file import TomlReader
 
 ANGLES = ("azimuth", "elevation")
 ANGLE_TERMS = ("offset", "gain", "cubic", "cross")
@@ -34,10 +42,22 @@ MOVED_M, MOVED_RAD = 0.1, 0.05
 DETERMINED = 0.7
 """Largest standard deviation of a term that counts as determined, as a share of that before any recording."""
 
-LARGEST = np.array([np.pi, np.pi / 2])
+LARGEST_ANGLES = np.array([np.pi, np.pi / 2])
 """The largest azimuth and elevation, rad."""
 
 _NEWTON_STEPS, _CONVERGED = 20, 1e-10
+
+FORMAT = 1
+COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
+
+_TOP = ("format", "recordings", "stations", "anchors", "tags")
+_SPREAD = "range_spread_m"
+_ANGLE_TERMS = ("offset_rad", "gain", "cubic_per_rad2", "cross_per_rad")
+_ANGLE = (*_ANGLE_TERMS, "lowest_rad", "highest_rad", "covariance")
+_STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
+_RANGE_TERMS = ("bias_m", "slope")
+_ANCHOR = ("rows", *_RANGE_TERMS, "lowest_m", "highest_m", "covariance")
+_TAG = ("rows", "bias_m", "standard_error_m")
 
 
 def angle_terms(true: np.ndarray, spans: np.ndarray) -> np.ndarray:
@@ -85,7 +105,7 @@ class StationCalibration:
 
 
 UNCALIBRATED = StationCalibration(
-    np.tile(ANGLE_PRIOR[0], (2, 1)), np.zeros((2, 4, 4)), np.stack([-LARGEST, LARGEST], axis=1)
+    np.tile(ANGLE_PRIOR[0], (2, 1)), np.zeros((2, 4, 4)), np.stack([-LARGEST_ANGLES, LARGEST_ANGLES], axis=1)
 )
 """A station without systematic errors."""
 
@@ -222,7 +242,141 @@ def _true(measured: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> 
         miss = measured - _measured(found, coefficients, spans)
         determinant = own[..., :1] * own[..., 1:] - other[..., :1] * other[..., 1:]
         step = (own[..., ::-1] * miss - other * miss[..., ::-1]) / determinant
-        before, found = found, np.clip(found + step, -LARGEST, LARGEST)
+        before, found = found, np.clip(found + step, -LARGEST_ANGLES, LARGEST_ANGLES)
         if np.abs(found - before).max(initial=0.0) < _CONVERGED:
             break
     return found
+
+
+def write_calibration(calibration: Calibration, path: str | Path) -> Path:
+    """Writes the calibration to the file `path`, completely or not at all; raises UnusableInput where it cannot be."""
+    stations = {
+        name: {"rows": one.rows}
+        | ({} if one.mounted is None else _mounting(one.mounted))
+        | {
+            angle: _entries(_ANGLE, one.coefficients[k], one.spans[k], one.covariances[k])
+            for k, angle in enumerate(ANGLES)
+        }
+        for name, one in calibration.stations.items()
+    }
+    anchors = {
+        name: {"rows": one.rows}
+        | ({} if one.position is None else {"position_m": np.asarray(one.position, float).tolist()})
+        | _entries(_ANCHOR[1:], one.coefficients, one.span, one.covariance)
+        for name, one in calibration.anchors.items()
+    }
+    content = {
+        "format": FORMAT,
+        "recordings": list(calibration.recordings),
+        **({} if calibration.range_spread is None else {_SPREAD: calibration.range_spread}),
+        "stations": stations,
+        "anchors": anchors,
+        "tags": {
+            name: dict(zip(_TAG, (one.rows, one.bias, one.sigma), strict=True))
+            for name, one in calibration.tags.items()
+        },
+    }
+    text = COMMENT + tomli_w.dumps(content)
+    return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _mounting(station: Station) -> dict[str, list[float]]:
+    values = (np.asarray(value, float).tolist() for value in (station.position, station.rotation))
+    return dict(zip(_MOUNTED, values, strict=True))
+
+
+def _entries(names: Sequence[str], terms: np.ndarray, span: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
+    return dict(zip(names, [*terms.tolist(), *span.tolist(), covariance.tolist()], strict=True))
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """The calibration in a `calibration.toml`; raises UnusableInput for content that `calibrate` does not write."""
+    path = Path(path)
+    return _Reader(
+        path, "the calibration.toml of `trackwright calibrate`", "write it with `trackwright calibrate`"
+    ).calibration()
+
+
+def identity(path: Path) -> dict[str, str]:
+    """Name and fingerprint of a calibration file: what tells it from others."""
+    return {"name": path.name, "fingerprint": hashlib.sha256(path.read_bytes()).hexdigest()[:16]}
+
+
+class _Reader(TomlReader):
+    """Converts a `calibration.toml` into a `Calibration`."""
+
+    def calibration(self) -> Calibration:
+        self.of_format(FORMAT)
+        content = self.content
+        spread = (_SPREAD,) if _SPREAD in content else ()
+        self.exactly(content, (*_TOP, *spread), "the top level")
+        names = content["recordings"]
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            self.wrong("recordings", names, "a list of names")
+        stations, anchors, tags = (self.table(key, content[key]) for key in ("stations", "anchors", "tags"))
+        if not stations and not anchors:
+            self.refuse("neither a station nor an anchor, expected [stations.ID] or [anchors.ID]")
+        if spread and self.number(_SPREAD, content[_SPREAD]) <= 0.0:
+            self.wrong(_SPREAD, content[_SPREAD], "a number above zero")
+        return Calibration(
+            {name: self.station(f"stations.{name}", one) for name, one in stations.items()},
+            {name: self.anchor(f"anchors.{name}", one) for name, one in anchors.items()},
+            {name: self.tag(f"tags.{name}", one) for name, one in tags.items()},
+            tuple(names),
+            float(content[_SPREAD]) if spread else None,
+        )
+
+    def station(self, where: str, content: Any) -> StationCalibration:
+        mounted = _MOUNTED if any(key in self.table(where, content) for key in _MOUNTED) else ()
+        self.exactly(content, (*_STATION, *mounted), f"[{where}]")
+        parts = []
+        for angle in ANGLES:
+            table = self.table(f"{where}.{angle}", content[angle])
+            self.exactly(table, _ANGLE, f"[{where}.{angle}]")
+            parts.append(self.terms(f"{where}.{angle}", table, _ANGLE_TERMS, ("lowest_rad", "highest_rad")))
+        terms, spans, covariances = (np.stack(x) for x in zip(*parts, strict=True))
+        at = [self.array(f"{where}.{key}", content[key], (size,)) for key, size in zip(mounted, (3, 4), strict=False)]
+        return StationCalibration(
+            terms, covariances, spans, self.rows(where, content["rows"]), Station(at[0], at[1]) if at else None
+        )
+
+    def anchor(self, where: str, content: Any) -> AnchorCalibration:
+        placed = ("position_m",) if "position_m" in self.table(where, content) else ()
+        self.exactly(content, (*_ANCHOR, *placed), f"[{where}]")
+        terms, span, covariance = self.terms(where, content, _RANGE_TERMS, ("lowest_m", "highest_m"))
+        if terms[1] <= -1.0:
+            self.wrong(f"{where}.slope", content["slope"], "a number above -1")
+        position = self.array(f"{where}.position_m", content["position_m"], (3,)) if placed else None
+        return AnchorCalibration(terms, covariance, span, self.rows(where, content["rows"]), position)
+
+    def tag(self, where: str, content: Any) -> TagCalibration:
+        self.exactly(self.table(where, content), _TAG, f"[{where}]")
+        bias, sigma = (self.number(f"{where}.{key}", content[key]) for key in _TAG[1:])
+        if sigma < 0.0:
+            self.wrong(f"{where}.standard_error_m", sigma, "a number of zero or more")
+        return TagCalibration(bias, sigma, self.rows(where, content["rows"]))
+
+    def terms(
+        self, where: str, table: dict[str, Any], names: Sequence[str], ends: tuple[str, str]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The terms, their span and their covariance."""
+        terms, span = (np.array([self.number(f"{where}.{name}", table[name]) for name in n]) for n in (names, ends))
+        if span[0] > span[1]:
+            self.refuse(f"{where}.{ends[0]} = {span[0]:.6g} is above {ends[1]} = {span[1]:.6g}, expected it below")
+        covariance = self.array(f"{where}.covariance", table["covariance"], (len(names), len(names)))
+        symmetric = np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12)
+        if not symmetric or np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.trace(covariance):
+            self.refuse(f"{where}.covariance is no covariance, expected a symmetric, positive semidefinite matrix")
+        return terms, span, covariance
+
+    def rows(self, where: str, value: Any) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            self.wrong(f"{where}.rows", value, "a count")
+        return value
+
+    def exactly(self, content: Mapping[str, Any], expected: tuple[str, ...], where: str) -> None:
+        unknown = [key for key in content if key not in expected]
+        lacking = [key for key in expected if key not in content]
+        if unknown or lacking:
+            found = f"unknown key {unknown[0]!r}" if unknown else f"no {lacking[0]}"
+            self.refuse(f"{where} has {found}, expected {listed(expected, len(expected))}")

@@ -1,10 +1,11 @@
-"""Content of input files within limits of size: whole files, unpacked gzip data, TOML, arrays."""
+"""Content of input files within limits of size: whole files, unpacked gzip data, arrays, TOML and its values."""
 
 from __future__ import annotations
 
 import errno
 import gzip
 import io
+import math
 import os
 import re
 import stat
@@ -12,7 +13,7 @@ import tomllib
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -20,6 +21,10 @@ from trackwright.trackers.core.errors import UnusableInput
 
 LARGEST = 2**31
 """Bytes of the largest file that is read, packed or unpacked: some 50 million rows of a table."""
+
+LARGEST_NUMBER = 1e9
+"""Size of the largest number in a file of geometry, beyond all coordinates on Earth; squares of squares stay finite."""
+
 _PIECE = 2**20
 _NO_ARRAYS = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
@@ -119,3 +124,57 @@ def _given_twice(text: str, reason: str) -> str:
     number = int(at[1] or len(lines))
     key = lines[number - 1].partition("=")[0].strip(" \t[]")
     return f"line {number}: {key} is given twice"
+
+
+class TomlReader:
+    """The content of a TOML file, whose values are refused with their key where they are not what is expected.
+
+    `content`: of the file. `fix`: the usual remedy, which ends each refusal. Raises UnusableInput as `read_toml`.
+    """
+
+    def __init__(self, path: Path, expected: str, fix: str = "") -> None:
+        self.path, self.expected, self.fix = path, expected, fix
+        self.content = read_toml(path, expected)
+
+    def refuse(self, what: str, fix: str = "") -> NoReturn:
+        """Raises UnusableInput."""
+        raise UnusableInput("; ".join(text for text in (f"{self.path}: {what}", fix or self.fix) if text))
+
+    def wrong(self, where: str, value: Any, expected: str) -> NoReturn:
+        """Raises UnusableInput for the value of a key."""
+        shown = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
+        self.refuse(f"{where} = {shown}, expected {expected}")
+
+    def of_format(self, version: int) -> None:
+        """Refuses a file whose `format` is another one."""
+        found = self.content.get("format")
+        if found != version or isinstance(found, bool):
+            was = "no `format`" if found is None else f"format = {found!r}"
+            self.refuse(f"{was}, expected `format = {version}` for {self.expected}", self.fix or "correct it")
+
+    def table(self, where: str, value: Any) -> dict[str, Any]:
+        """A value that is a table."""
+        if not isinstance(value, dict):
+            self.wrong(where, value, f"a table [{where}]")
+        return value
+
+    def number(self, where: str, value: Any) -> float:
+        """A finite number of at most `LARGEST_NUMBER` in size."""
+        return float(self.array(where, value, ()))
+
+    def array(self, where: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+        """Lists of so many finite numbers, as an array."""
+        if not _has_shape(value, shape):
+            of = {0: "a finite number", 1: "a list of {} finite numbers", 2: "{} lists of {} finite numbers"}
+            expected = of[len(shape)].format(*shape)
+            self.wrong(where, value, f"{expected}, at most {LARGEST_NUMBER:g} in size")
+        return np.array(value, float)
+
+
+def _has_shape(value: Any, shape: tuple[int, ...]) -> bool:
+    if shape:
+        return isinstance(value, list) and len(value) == shape[0] and all(_has_shape(x, shape[1:]) for x in value)
+    try:
+        return not isinstance(value, bool | str) and math.isfinite(value) and abs(value) <= LARGEST_NUMBER
+    except (TypeError, OverflowError):
+        return False

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count, takewhile
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -186,27 +187,75 @@ class Kind:
         """A size of errors of each of so many columns."""
         return np.broadcast_to(np.array([getattr(column, which) for column in self.columns]), (columns,))
 
-    def values(self, rows: TagRows) -> Float[np.ndarray, "N m"]:
-        """The readings of rows in the columns that a table has at least, NaN where there is none."""
-        found = rows.floats(self.least)
-        positive = np.array([column.positive for column in self.columns])
-        return np.where(positive & ~(found > 0.0), np.nan, found) if positive.any() else found
-
-    def numbers(self, rows: TagRows, ids: Sequence[str]) -> Int[np.ndarray, "N k"]:
-        """The numbers in `ids` of the sensors of each row."""
+    def measured(self, rig: Rig, rows: TagRows) -> Measured:
+        """The readings in the rows of its table, with the anchors or stations of a rig."""
+        columns, ids = self.least, tuple(self.places(rig))
+        if self.numbered:
+            names = map(self.columns[0].name.format_map, ({"n": n} for n in count(1)))
+            columns = tuple(takewhile(rows.__contains__, names))
         codes = [rows.codes(column, ids).astype(int) for column in self.sensors]
-        return np.stack(codes, axis=1) if codes else np.zeros((len(rows.times), 0), int)
+        number = np.stack(codes, axis=1) if codes else np.zeros((len(rows.times), 0), int)
+        return Measured(self, ids, columns, rows.floats(columns), self.sensors_of(rig, ids, number, len(columns)))
 
     def sensors_of(self, rig: Rig, ids: Sequence[str], number: Int[np.ndarray, "N k"], columns: int) -> Sensors:
         """The sensors of readings with so many columns, numbered in `ids`, anchors or stations of the rig."""
         there, axes = self.places(rig), np.tile(np.eye(3), (len(ids), 1, 1))
-        places = np.array([there.get(key, np.zeros(3)) for key in ids]).reshape(-1, 3)
+        places = np.array([there[key] for key in ids]).reshape(-1, 3)
         antennas, wavelengths = np.full((len(ids), columns, 2), np.nan), np.ones(len(ids))
         for k, station in enumerate(rig.stations[key] for key in ids if self.noun == "station"):
             axes[k] = station.world_from_array()
             if self.numbered and station.antennas is not None and station.wavelength is not None:
                 antennas[k, : len(station.antennas)], wavelengths[k] = station.antennas, station.wavelength
         return Sensors(number, places, axes, antennas, wavelengths)
+
+    def errors(
+        self,
+        values: Float[np.ndarray, "N m"],
+        positions: Float[np.ndarray, "N 3"],
+        sensors: Sensors,
+        columns: Sequence[str],
+    ) -> Float[np.ndarray, "N m"]:
+        """Values of columns less those predicted, angles in [−π, π); less an offset common to a row, if it has one."""
+        assert self.predicted is not None
+        found = values - self.predicted(positions, sensors)
+        if self.common:
+            found = found - np.angle(np.nansum(np.exp(1j * found), axis=1, keepdims=True))
+        return wrapped(found, columns)
+
+
+class Measured(NamedTuple):
+    """The readings of a table, and the anchors or stations of each.
+
+    `ids`: of the anchors or stations that `sensors` numbers; none of those. `columns`: those with values. `values`
+    (N, m): NaN where one is missing.
+    """
+
+    kind: Kind
+    ids: tuple[str, ...]
+    columns: tuple[str, ...]
+    values: Float[np.ndarray, "N m"]
+    sensors: Sensors
+
+    @property
+    def usable(self) -> Measured:
+        """These readings, NaN also where the kind has positive ones alone and one is not."""
+        positive = np.array([column.positive for column in self.kind.columns])
+        if not positive.any():
+            return self
+        return self._replace(values=np.where(positive & ~(self.values > 0.0), np.nan, self.values))
+
+    def of_rows(self, part: np.ndarray) -> Measured:
+        """Some of the readings, by their numbers."""
+        return self._replace(values=self.values[part], sensors=self.sensors._replace(number=self.sensors.number[part]))
+
+    def predicted(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N m"]:
+        """The values that positions imply."""
+        assert self.kind.predicted is not None
+        return self.kind.predicted(positions, self.sensors)
+
+    def errors(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N m"]:
+        """The differences from the values that positions imply: see `Kind.errors`."""
+        return self.kind.errors(self.values, positions, self.sensors, self.columns)
 
 
 def std_column(value: str) -> str:

@@ -1,23 +1,32 @@
-"""A tracker by name that runs on recording folders: the catalogue's entry with noise levels and settings."""
+"""A tracker by name that runs on recording folders: the catalogue's entry with noise levels and settings.
+
+Recordings in map coordinates are tracked about an origin nearby: single precision resolves 5e6 m to half a metre.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+import polars as pl
+
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
+from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
-from trackwright.trackers.recordings.local_frame import near_origin
+from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.reading_grids import above_rounding
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackwright.trackers.recordings.tracks import Tracks, track
 
 Recordings = RecordingFolder | Sequence[RecordingFolder]
+
+FAR_M = 1000.0
+"""Distance of x or y from zero, m, from which on coordinates are those of a map if it is also larger than the site."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,7 +77,7 @@ class NamedTracker:
         """
         groups = self._batches(recordings)
         split = [part for group in groups for part in above_rounding(group)]
-        return [dataclasses.replace(group, tracker=self._finished(group.tracker)) for group in split]
+        return [replace(group, tracker=self._finished(group.tracker)) for group in split]
 
     def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The batches with this tracker's numbers as they are, not smoothed."""
@@ -77,9 +86,7 @@ class NamedTracker:
         # Rows of long recordings take longer to make than to filter.
         if len(folders) != len(own) or any(a is not b for a, b in zip(folders, own, strict=True)):
             groups = self.spec.batches([*map(near_origin, folders)], self.name, self.free_height)
-        return [
-            dataclasses.replace(group, tracker=with_values(group.tracker, self.values, self.source)) for group in groups
-        ]
+        return [replace(group, tracker=with_values(group.tracker, self.values, self.source)) for group in groups]
 
     def only_batch(self, recordings: Recordings) -> TrackerBatch:
         """All trajectories of the recordings for one and the same tracker, as a fit needs them.
@@ -89,7 +96,7 @@ class NamedTracker:
         groups = self._batches(recordings)
         if len(groups) != 1:
             raise self._several(len(groups))
-        return dataclasses.replace(groups[0], tracker=self._finished(groups[0].tracker))
+        return replace(groups[0], tracker=self._finished(groups[0].tracker))
 
     def batch_by_batch(self, recordings: Iterable[RecordingFolder]) -> Iterator[TrackerBatch]:
         """As `only_batch`, the trajectories of one recording at a time; a recording without any is passed over."""
@@ -99,7 +106,7 @@ class NamedTracker:
                 kinds.add((group.planar, self.spec.geometry(group.trajectories[0])))
                 if len(kinds) > 1:
                     raise self._several(len(kinds))
-                yield dataclasses.replace(group, tracker=self._finished(group.tracker))
+                yield replace(group, tracker=self._finished(group.tracker))
 
     def _several(self, count: int) -> UnusableInput:
         return UnusableInput(
@@ -115,7 +122,7 @@ class NamedTracker:
     def with_values(self, values: Mapping[str, Any], source: object = "values") -> NamedTracker:
         """This tracker with other values by tunable name or pattern; raises UnusableInput where they do not fit."""
         found = with_values(self.tracker, values, source)
-        return dataclasses.replace(self, tracker=found, values={**self.values, **values}, source=str(source))
+        return replace(self, tracker=found, values={**self.values, **values}, source=str(source))
 
     def smoothing(self, lag: float | None = None) -> NamedTracker:
         """This tracker with fixed-interval smoothing, or with the next `lag` seconds of each row only.
@@ -125,7 +132,7 @@ class NamedTracker:
         if lag is not None and not 0 < lag < 1e6:
             raise UnusableInput(f"lag {lag}: expected seconds above zero; leave it out to use the whole recording")
         self._smoother(self.tracker, lag)
-        return dataclasses.replace(self, smoothed=True, lag=lag)
+        return replace(self, smoothed=True, lag=lag)
 
     def _finished(self, tracker: AbstractTracker) -> AbstractTracker:
         return self._smoother(tracker, self.lag) if self.smoothed else tracker
@@ -153,3 +160,47 @@ def folder_list(recordings: Recordings) -> list[RecordingFolder]:
     )
     refuse_same_names([folder.name for folder in found])
     return found
+
+
+def near_origin(folder: RecordingFolder) -> RecordingFolder:
+    """The recording about an origin of whole metres in the middle of its site, or as it is if that is near zero.
+
+    The site is that of the rig, or, where this has no geometry, of most fixes. Heights are unchanged.
+    """
+    points = _site(folder)
+    if not len(points):
+        return folder
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = np.round((low + high) / 2)
+    if (np.abs(middle) <= np.maximum(FAR_M, high - low)).all():
+        return folder
+    x, y = middle.tolist()
+    here = {"x_m": pl.col("x_m") - x, "y_m": pl.col("y_m") - y}
+    kinds = table_kinds()
+    tables = {name: t.with_columns(**here) if kinds[name].position else t for name, t in folder.tables.items()}
+    return replace(folder, rig=_moved(folder.rig, middle), tables=tables, origin=(x, y))
+
+
+def _site(folder: RecordingFolder) -> np.ndarray:
+    """Points (n, 2), m, on and between which the tags are; none where neither the rig nor fixes tell."""
+    rig = folder.rig
+    places = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
+    corners = [x for x in (rig.path_knots, rig.outline) if x is not None]
+    points = np.concatenate([np.array([p[:2] for p in places]).reshape(-1, 2), *corners, rig.all_walls()[:, :2]])
+    if len(points) or "fixes" not in folder.tables:
+        return points
+    known = folder.tables["fixes"].select("x_m", "y_m").drop_nulls().to_numpy()
+    return np.quantile(known, [0.1, 0.9], axis=0) if len(known) else points
+
+
+def _moved(rig: Rig, origin: np.ndarray) -> Rig:
+    """The rig with its x and y from the origin (2,)."""
+    solid = np.append(origin, 0.0)
+    return replace(
+        rig,
+        anchors={name: np.asarray(place) - solid for name, place in rig.anchors.items()},
+        stations={name: replace(s, position=np.asarray(s.position) - solid) for name, s in rig.stations.items()},
+        path_knots=None if rig.path_knots is None else rig.path_knots - origin,
+        walls=None if rig.walls is None else rig.walls - np.tile(origin, 2),
+        outline=None if rig.outline is None else rig.outline - origin,
+    )

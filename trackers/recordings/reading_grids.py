@@ -14,9 +14,7 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.tunable import Scale, tunables, with_values
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.recordings.checks.quantisation import quantisation_step
-from trackwright.trackers.recordings.checks.readings import Readings, readings
-from trackwright.trackers.recordings.checks.repeats import repeated_share
+from trackwright.trackers.recordings.checks.readings import Readings, quantisation_step, readings, repeated_share
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, wrapped
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch

@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import difflib
 import json
-import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from trackwright.trackers.core.errors import UnusableInput, has_control
 from trackwright.trackers.core.model.rig import Rig, Station, Tag, checked_knots
-from trackwright.trackers.recordings.input_file import read_toml
+from trackwright.trackers.recordings.input_file import TomlReader
 
 FORMAT = 1
 RIG_FILE = "rig.toml"
 HIGHEST = 1e5  # metres, of a tag
 SHORTEST = 1e-6  # wavelength, m: that of light
-LARGEST = 1e9  # of any number, beyond all coordinates on Earth; squares of squares stay finite
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
 _TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "path", "floor")
-_IDS = ("anchors", "stations", "tags")
 _ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 _STATION = ("position_m", "rotation_wxyz", *_ANGLES, "wavelength_m", "antennas_m")
 _TAG = ("height_m", "offset_m")
@@ -36,77 +33,68 @@ def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
         raise UnusableInput(
             f"{path}: missing, expected beside the tables, with `format = {FORMAT}`, a name and the geometry; add it"
         )
-    return _Reader(path).rig(read_toml(path, "the geometry of a recording"))
+    reader = _Reader(path, "the geometry of a recording")
+    return reader.rig(), tuple(reader.notices)
 
 
-class _Reader:
-    """Converts parsed TOML into a `Rig` and collects notices."""
+class _Reader(TomlReader):
+    """Converts a `rig.toml` into a `Rig`; `notices`: a line for each unknown key."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, expected: str) -> None:
+        super().__init__(path, expected)
         self.notices: list[str] = []
 
-    def rig(self, content: dict[str, Any]) -> tuple[Rig, tuple[str, ...]]:
-        version = content.get("format")
-        if version != FORMAT or isinstance(version, bool):
-            found = "no `format`" if version is None else f"format = {version!r}"
-            raise UnusableInput(
-                f"{self.path}: {found}, expected `format = {FORMAT}`, the only supported one; correct it"
-            )
+    def rig(self) -> Rig:
+        self.of_format(FORMAT)
+        content = self.content
         self.known(content, _TOP, "the top level")
         texts = {key: content.get(key, "") for key in ("name", "about", "licence", "source")}
         for key, text in texts.items():
             if not isinstance(text, str):
-                self.refuse(key, text, "a text in quotes")
-        for text in (texts["name"], *(key for group in _IDS for key in self.table(content, group))):
+                self.wrong(key, text, "a text in quotes")
+        anchors, stations, tags, path, floor = (
+            self.table(key, content.get(key, {})) for key in ("anchors", "stations", "tags", "path", "floor")
+        )
+        for text in (texts["name"], *anchors, *stations, *tags):
             if has_control(text):
-                raise UnusableInput(f"{self.path}: {text!r} has a control character; expected a name without")
-        path = self.table(content, "path")
+                self.refuse(f"{text!r} has a control character; expected a name without")
         self.known(path, ("knots_m",), "[path]")
         if "path" in content and "knots_m" not in path:
-            raise UnusableInput(f"{self.path}: [path] has no knots_m, expected a list of [x, y] corners in metres")
-        floor = self.table(content, "floor")
+            self.refuse("[path] has no knots_m, expected a list of [x, y] corners in metres")
         self.known(floor, ("walls_m", "outline_m"), "[floor]")
         if "floor" in content and not floor.keys() & {"walls_m", "outline_m"}:
-            raise UnusableInput(
-                f"{self.path}: [floor] has neither walls_m nor outline_m, expected lists of [x1, y1, x2, y2] and of "
-                "[x, y] corners in metres"
+            self.refuse(
+                "[floor] has neither walls_m nor outline_m, expected lists of [x1, y1, x2, y2] and of [x, y] corners "
+                "in metres"
             )
-        rig = Rig(
+        return Rig(
             name=texts.pop("name") or self.path.resolve().parent.name,
-            anchors={key: self.vector(f"anchors.{key}", v, 3) for key, v in self.table(content, "anchors").items()},
-            stations={key: self.station(f"stations.{key}", v) for key, v in self.table(content, "stations").items()},
-            tags={key: self.tag(f"tags.{key}", v) for key, v in self.table(content, "tags").items()},
+            anchors={key: self.array(f"anchors.{key}", place, (3,)) for key, place in anchors.items()},
+            stations={key: self.station(f"stations.{key}", v) for key, v in stations.items()},
+            tags={key: self.tag(f"tags.{key}", v) for key, v in tags.items()},
             path_knots=self.knots(path["knots_m"]) if path else None,
             walls=self.points("floor.walls_m", floor["walls_m"], 4, 1) if "walls_m" in floor else None,
             outline=self.points("floor.outline_m", floor["outline_m"], 2, 3) if "outline_m" in floor else None,
             **texts,
         )
-        return rig, tuple(self.notices)
 
     def station(self, where: str, content: Any) -> Station:
-        if not isinstance(content, dict):
-            self.refuse(where, content, "a table [stations.ID]")
-        self.known(content, _STATION, f"[{where}]")
+        self.known(self.table(where, content), _STATION, f"[{where}]")
         for key, named in (("position_m", ("position_m",)), ("rotation_wxyz", ("rotation_wxyz", "yaw_deg"))):
             if not any(name in content for name in named):
-                raise UnusableInput(
-                    f"{self.path}: [{where}] has no {key}, expected position_m and rotation_wxyz, or yaw_deg instead"
-                )
+                self.refuse(f"[{where}] has no {key}, expected position_m and rotation_wxyz, or yaw_deg instead")
         rotation = self.rotation(where, content)
         antennas = wavelength = None
         given = [key for key in ("antennas_m", "wavelength_m") if key in content]
         if len(given) == 1:
             lack = "wavelength_m" if given == ["antennas_m"] else "antennas_m"
-            raise UnusableInput(
-                f"{self.path}: [{where}] has {given[0]} but no {lack}; a station with phases needs both"
-            )
+            self.refuse(f"[{where}] has {given[0]} but no {lack}; a station with phases needs both")
         if "antennas_m" in content:
             antennas = self.points(f"{where}.antennas_m", content["antennas_m"])
             wavelength = self.number(f"{where}.wavelength_m", content["wavelength_m"])
             if wavelength < SHORTEST:
-                self.refuse(f"{where}.wavelength_m", wavelength, f"a length of at least {SHORTEST:g} m")
-        position = self.vector(f"{where}.position_m", content["position_m"], 3)
+                self.wrong(f"{where}.wavelength_m", wavelength, f"a length of at least {SHORTEST:g} m")
+        position = self.array(f"{where}.position_m", content["position_m"], (3,))
         return Station(position=position, rotation=rotation, antennas=antennas, wavelength=wavelength)
 
     def rotation(self, where: str, content: dict[str, Any]) -> np.ndarray:
@@ -115,28 +103,24 @@ class _Reader:
         if "rotation_wxyz" not in content:
             return mounted(*np.deg2rad([angles.get(key, 0.0) for key in _ANGLES]))
         if angles:
-            raise UnusableInput(
-                f"{self.path}: [{where}] has rotation_wxyz and {next(iter(angles))}, expected one of them"
-            )
-        rotation = self.vector(f"{where}.rotation_wxyz", content["rotation_wxyz"], 4)
+            self.refuse(f"[{where}] has rotation_wxyz and {next(iter(angles))}, expected one of them")
+        rotation = self.array(f"{where}.rotation_wxyz", content["rotation_wxyz"], (4,))
         norm = float(np.linalg.norm(rotation))
         if abs(norm - 1) > NORM_TOLERANCE:
-            raise UnusableInput(
-                f"{self.path}: {where}.rotation_wxyz has length {norm:.4g}, expected a unit quaternion w, x, y, z "
+            self.refuse(
+                f"{where}.rotation_wxyz has length {norm:.4g}, expected a unit quaternion w, x, y, z "
                 "(array frame to world frame); no rotation is [1, 0, 0, 0]"
             )
         return rotation / norm
 
     def tag(self, where: str, content: Any) -> Tag:
-        if not isinstance(content, dict):
-            self.refuse(where, content, "a table [tags.ID]")
-        self.known(content, _TAG, f"[{where}]")
+        self.known(self.table(where, content), _TAG, f"[{where}]")
         height = self.number(f"{where}.height_m", content["height_m"]) if "height_m" in content else None
         if height is not None and abs(height) > HIGHEST:
-            self.refuse(f"{where}.height_m", height, f"metres, at most {HIGHEST:g}")
+            self.wrong(f"{where}.height_m", height, f"metres, at most {HIGHEST:g}")
         return Tag(
             height=height,
-            offset=self.vector(f"{where}.offset_m", content["offset_m"], 3) if "offset_m" in content else None,
+            offset=self.array(f"{where}.offset_m", content["offset_m"], (3,)) if "offset_m" in content else None,
         )
 
     def knots(self, value: Any) -> np.ndarray:
@@ -144,32 +128,13 @@ class _Reader:
         try:
             return checked_knots(knots)
         except ValueError as problem:
-            raise UnusableInput(f"{self.path}: path.knots_m: {problem}") from problem
-
-    def table(self, content: dict[str, Any], key: str) -> dict[str, Any]:
-        value = content.get(key, {})
-        if not isinstance(value, dict):
-            self.refuse(key, value, f"a table [{key}]")
-        return value
+            self.refuse(f"path.knots_m: {problem}")
 
     def points(self, where: str, value: Any, size: int = 2, least: int = 2) -> np.ndarray:
         if not isinstance(value, list) or len(value) < least:
             counts, names = {1: "one", 2: "two", 3: "three"}, {2: "[x, y]", 4: "[x1, y1, x2, y2]"}
-            self.refuse(where, value, f"a list of at least {counts[least]} {names[size]} in metres")
-        return np.stack([self.vector(f"{where}[{i}]", point, size) for i, point in enumerate(value)])
-
-    def vector(self, where: str, value: Any, size: int) -> np.ndarray:
-        if not isinstance(value, list) or len(value) != size:
-            self.refuse(where, value, f"a list of {size} numbers")
-        return np.array([self.number(where, v) for v in value])
-
-    def number(self, where: str, value: Any) -> float:
-        try:
-            if not isinstance(value, bool | str) and math.isfinite(value) and abs(value) <= LARGEST:
-                return float(value)
-        except (TypeError, OverflowError):
-            pass
-        self.refuse(where, value, f"a finite number, at most {LARGEST:g} in size")
+            self.wrong(where, value, f"a list of at least {counts[least]} {names[size]} in metres")
+        return np.stack([self.array(f"{where}[{i}]", point, (size,)) for i, point in enumerate(value)])
 
     def known(self, content: Iterable[str], expected: tuple[str, ...], where: str) -> None:
         """Refuses a key that looks misspelt; adds a notice for any other unknown key."""
@@ -178,12 +143,8 @@ class _Reader:
                 continue
             near = difflib.get_close_matches(key.lower(), [e for e in expected if e not in content], 1, 0.7)
             if near:
-                raise UnusableInput(f"{self.path}: unknown key {key!r} in {where}, expected {near[0]}; rename it")
+                self.refuse(f"unknown key {key!r} in {where}, expected {near[0]}; rename it")
             self.notices.append(f"{RIG_FILE}: key {key!r} in {where} is not part of the format and was ignored")
-
-    def refuse(self, where: str, value: Any, expected: str) -> NoReturn:
-        found = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
-        raise UnusableInput(f"{self.path}: {where} = {found}, expected {expected}")
 
 
 def mounted(yaw: float, pitch: float, roll: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from trackwright.experiments.pages.interactive.packing import packed, rounded
 from trackwright.experiments.pages.scored_tracks import ScoredRecording
 from trackwright.trackers.recordings.columns import TagRows, float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
+from trackwright.trackers.recordings.kinds import KINDS, Kind, Measured
 
 LEAST = 5
 """The fewest readings of a quantile or of a mean."""
@@ -113,34 +113,29 @@ def _channels(
     folder: RecordingFolder, kind: Kind, rows: TagRows, tag: np.ndarray, estimated: np.ndarray, true: np.ndarray
 ) -> Iterator[Channel]:
     """A channel for each column of a kind, without the systematic errors of a calibration."""
-    assert kind.predicted is not None
-    ids, columns = list(kind.places(folder.rig)), kind.least
-    number = kind.numbers(rows, ids)
-    sensors = kind.sensors_of(folder.rig, ids, number, len(columns))
-    at_estimate, at_truth = (kind.predicted(positions, sensors) for positions in (estimated, true))
-    values = _without_systematic_errors(folder, kind, rows, ids, number)
-    source = number[:, 0] if kind.sensors else np.zeros(len(values), int)
-    about = [wrapped(values - predicted, columns) for predicted in (at_estimate, at_truth)]
+    measured = kind.measured(folder.rig, rows).usable
+    measured = measured._replace(values=_without_systematic_errors(folder, measured, rows))
+    source = measured.sensors.number[:, 0] if kind.sensors else np.zeros(len(rows.times), int)
+    against, about = measured.predicted(true), [measured.errors(positions) for positions in (estimated, true)]
     unit, factor = kind.shown[0].strip(), kind.shown[1]
-    for k, column in enumerate(columns):
+    for k, column in enumerate(measured.columns):
         name = column.rpartition("_")[0].replace("_", " ")
         yield Channel(
-            f"fix, {name}" if kind.position else name, unit, ids or [kind.name], rows.times, tag, source,
-            factor * about[0][:, k], factor * about[1][:, k], factor * at_truth[:, k], f"true {name} ({unit})",
+            f"fix, {name}" if kind.position else name, unit, list(measured.ids) or [kind.name], rows.times, tag, source,
+            factor * about[0][:, k], factor * about[1][:, k], factor * against[:, k], f"true {name} ({unit})",
         )  # fmt: skip
 
 
-def _without_systematic_errors(
-    folder: RecordingFolder, kind: Kind, rows: TagRows, ids: list[str], number: np.ndarray
-) -> np.ndarray:
+def _without_systematic_errors(folder: RecordingFolder, measured: Measured, rows: TagRows) -> np.ndarray:
     """The readings (N, m), NaN where one is missing, without what the calibration says of their anchors or stations."""
-    values = kind.values(rows)
+    values, kind = measured.values, measured.kind
     if folder.calibration is None or kind.calibrated is None:
         return values
+    number = measured.sensors.number[:, 0]
     if kind.calibrated == "stations":
-        return folder.calibration.of_bearings(ids, number[:, 0], values)[1]
+        return folder.calibration.of_bearings(measured.ids, number, values)[1]
     tag = rows.of_each(np.arange(len(rows.tags)))
-    return folder.calibration.of_ranges(ids, number[:, 0], rows.tags, tag, values[:, 0])[0][:, None]
+    return folder.calibration.of_ranges(measured.ids, number, rows.tags, tag, values[:, 0])[0][:, None]
 
 
 def _boxes(channel: Channel, residuals: np.ndarray) -> list[list[float | None]] | None:

@@ -10,8 +10,8 @@ import pytest
 
 from tests.faulty import write_good
 from tests.in_process import trackwright
-from trackwright.trackers.recordings.averaging import averaged
 from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.recordings.tables_by_tag import averaged
 
 
 def _ranges(seed=0, rows=400):

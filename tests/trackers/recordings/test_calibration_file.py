@@ -12,8 +12,9 @@ from trackwright.trackers.recordings.calibration import (
     Calibration,
     StationCalibration,
     TagCalibration,
+    read_calibration,
+    write_calibration,
 )
-from trackwright.trackers.recordings.calibration_file import read_calibration, write_calibration
 
 _RNG = np.random.default_rng(0)
 
@@ -86,7 +87,7 @@ def test_a_calibration_is_read_back_to_the_bit(path):
         ("slope = 0.01", "slope = 1e200", "anchors.A.slope = 1e+200, expected a finite number, at most 1e+09 in size"),
         ("slope = 0.01", "slope = -1.5", "slope = -1.5, expected a number above -1"),
         ("slope = 0.01", 'slope = "0.01"', "slope = '0.01', expected a finite number"),
-        ("position_m = [\n    1.0", "position_m = [\n    nan", "anchors.A.position_m = [nan, 2.0, 2.5], expected 3 finite"),
+        ("position_m = [\n    1.0", "position_m = [\n    nan", "anchors.A.position_m = [nan, 2.0, 2.5], expected a list of 3 finite"),
         ("position_m = [\n    0.0", "place_m = [\n    0.0", "[stations.S 1] has unknown key 'place_m'"),
         ("standard_error_m = 0.01", "standard_error_m = -0.01", "standard_error_m = -0.01, expected a number of zero"),
         ("lowest_m = 0.4", "lowest_m = 9.0", "lowest_m = 9 is above highest_m = 7"),

@@ -232,14 +232,6 @@ def test_a_panic_of_the_parquet_reader_is_one_line_and_prints_nothing(
     assert capfd.readouterr() == ("", "after the panic")
 
 
-@pytest.mark.parametrize("name", ANOMALOUS)
-def test_a_recording_with_an_anomaly_is_read_with_a_notice(tmp_path: Path, name):
-    word = ANOMALOUS[name](tmp_path / "recording")
-    folder = read_recording(tmp_path / "recording")
-    assert any(word in notice for notice in folder.notices)
-    assert all(notice.isprintable() for notice in folder.notices)
-
-
 def test_ranges_of_zero_are_missing(tmp_path: Path):
     ANOMALOUS["zeros for missing ranges"](tmp_path / "recording")
     ranges = read_recording(tmp_path / "recording").tables["ranges"]["range_m"]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import gzip
-import io
 import os
-import zipfile
 
 import numpy as np
 import polars as pl
@@ -15,7 +13,7 @@ from tests.faulty import RIG, write_good
 from trackwright.experiments.cli.options import require_output
 from trackwright.trackers.core.errors import LONGEST, UnusableInput
 from trackwright.trackers.recordings import input_file, table_file
-from trackwright.trackers.recordings.calibration_file import read_calibration
+from trackwright.trackers.recordings.calibration import read_calibration
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.table_file import read_table_file
 from trackwright.tuning.tuned_file import read_tuned
@@ -52,16 +50,6 @@ def test_a_large_file_is_refused_before_it_is_read(tmp_path, small_limit):
     with path.open("wb") as file:
         file.truncate(2**40)  # a hole: no byte is stored
     with pytest.raises(UnusableInput, match="holds more than"):
-        read_table_file(path)
-
-
-def test_a_parquet_table_of_too_many_rows_is_refused_by_its_footer(tmp_path, small_limit):
-    path = tmp_path / "ranges.parquet"
-    pl.DataFrame({"t_s": np.zeros(1_000_000)}).write_parquet(path)
-    assert path.stat().st_size < 10**5
-    # Of broken pages, which are not read.
-    path.write_bytes(path.read_bytes()[:4] + b"\xff" * 50 + path.read_bytes()[54:])
-    with pytest.raises(UnusableInput, match="has 1,000,000 rows of 1 columns, expected at most 393,216 values"):
         read_table_file(path)
 
 
@@ -134,7 +122,9 @@ def test_an_id_with_a_control_character_is_refused(tmp_path, bad):
 def test_a_number_of_the_rig_beyond_all_coordinates_is_refused(tmp_path):
     write_good(tmp_path / "good")
     (tmp_path / "good" / "rig.toml").write_text(RIG.replace("[6.0, 0.0, 2.6]", "[1e308, 0.0, 2.6]"))
-    with pytest.raises(UnusableInput, match=r"anchors.A2 = 1e\+308, expected a finite number, at most 1e\+09"):
+    with pytest.raises(
+        UnusableInput, match=r"anchors.A2 = \[1e\+308, 0.0, 2.6\], expected a list of 3 finite numbers, at most 1e\+09"
+    ):
         read_recording(tmp_path / "good")
 
 
@@ -167,25 +157,6 @@ def test_a_zip_bomb_and_a_broken_archive_hold_no_arrays(tmp_path, small_limit):
     np.save(path.with_suffix(".npy"), np.arange(3))
     with pytest.raises(ValueError, match="not a zip file"):
         input_file.read_arrays(path.with_suffix(".npy"))
-
-
-def test_no_number_is_lost_below_the_limit(tmp_path):
-    path = tmp_path / "fixes.parquet"
-    frame = pl.DataFrame({"t_s": np.arange(1000.0), "x_m": np.random.default_rng(0).normal(size=1000)})
-    frame.write_parquet(path)
-    assert read_table_file(path).frame.equals(frame)
-
-
-def test_a_member_of_an_archive_outside_its_folder_is_an_array_and_no_file(tmp_path):
-    path = tmp_path / "inside" / "a.npz"
-    path.parent.mkdir()
-    with zipfile.ZipFile(path, "w") as archive:
-        for name in ("../outside.npy", "/outside.npy"):
-            written = io.BytesIO()
-            np.save(written, np.arange(3))
-            archive.writestr(name, written.getvalue())
-    assert sorted(input_file.read_arrays(path)) == ["../outside", "/outside"]
-    assert [p.name for p in tmp_path.rglob("*")] == ["inside", "a.npz"]
 
 
 def test_a_pipe_in_place_of_an_archive_holds_no_arrays(tmp_path):

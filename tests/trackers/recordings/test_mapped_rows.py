@@ -10,7 +10,7 @@ import pytest
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.mapped_rows import mapped
+from trackwright.trackers.recordings.trajectories import mapped
 
 
 def _arrays(recording):

@@ -71,6 +71,8 @@ def test_a_recording_without_the_table_is_refused(tracker, folders):
         tracker.run([np.zeros(3)])
     with pytest.raises(tw.UnusableInput, match=r"nonsense: unknown; expected FILE\.py:NAME or one of"):
         tw.build("nonsense", folders)
+    with pytest.raises(UnusableInput, match=r"tracker ubw: unknown \(did you mean uwb\?\)"):
+        tw.build("ubw", folders)
 
 
 def test_a_fit_by_name_returns_the_tracker_by_name_with_other_values(tracker, folders):
@@ -163,8 +165,3 @@ def test_a_trackers_file_may_import_the_one_beside_it(tmp_path, monkeypatch):
 def test_a_name_and_a_number_that_are_nearly_right_are_met_by_the_right_one(tracker, values, words):
     with pytest.raises(UnusableInput, match=words):
         tracker.with_values(values)
-
-
-def test_an_unknown_tracker_is_met_by_the_nearest_name():
-    with pytest.raises(UnusableInput, match=r"tracker ubw: unknown \(did you mean uwb\?\)"):
-        spec_of("ubw")

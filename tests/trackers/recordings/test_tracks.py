@@ -207,17 +207,3 @@ def test_recordings_of_different_lengths_have_one_line_per_time_each():
     alone = tw.fix_tracker().run(recordings[0]).to_polars()
     assert alone["x_m"].to_list() == pytest.approx(table.filter(pl.col("recording") == "short")["x_m"], rel=1e-12)
     assert tw.evaluate(estimates, recordings)["n"] == 17
-
-
-def test_the_log_likelihood_of_a_real_recording_is_that_of_all_its_ranges(recordings):
-    whole = tw.read(recordings / "lias-planar-fast")
-    begin = whole.tables["ranges"]["t_s"].min()
-    part = {name: t.filter(pl.col("t_s") < begin + 2.0) for name, t in whole.tables.items()}
-    folder = RecordingFolder(whole.name, None, whole.rig, part)
-    tracker = tw.build("uwb", folder)
-    table = tracker.run(folder).table
-    nis, dof, log_likelihood, _ = (x.sum() for x in _all_rows(tracker, folder))
-    assert table["log_likelihood"].sum() == pytest.approx(log_likelihood, rel=1e-9)
-    assert tw.evaluate(tracker.run(folder), folder)["nis_ratio"] == pytest.approx(nis / dof, rel=1e-9)
-    # Eight ranges share a time.
-    assert table["nis_dof"].max() == 8.0

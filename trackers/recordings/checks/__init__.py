@@ -12,19 +12,27 @@ import numpy as np
 
 from trackwright.trackers.recordings.checks.anomalies import anomalies
 from trackwright.trackers.recordings.checks.check_result import LEVELS, CheckResult, Level, format_results
-from trackwright.trackers.recordings.checks.closing_mistakes import check_closing
+from trackwright.trackers.recordings.checks.closing import check_closing
 from trackwright.trackers.recordings.checks.compared import Compared, compared
-from trackwright.trackers.recordings.checks.correlation import check_correlation
-from trackwright.trackers.recordings.checks.coverage import check_ids, check_overlap, check_truth
-from trackwright.trackers.recordings.checks.geometry import check_geometry
-from trackwright.trackers.recordings.checks.heights import check_heights
-from trackwright.trackers.recordings.checks.imu_mistakes import check_imu
+from trackwright.trackers.recordings.checks.coverage import (
+    check_ids,
+    check_overlap,
+    check_rates,
+    check_time_base,
+    check_truth,
+)
+from trackwright.trackers.recordings.checks.geometry import check_geometry, check_heights
+from trackwright.trackers.recordings.checks.imu import check_imu
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
-from trackwright.trackers.recordings.checks.quantisation import check_quantisation
-from trackwright.trackers.recordings.checks.readings import about_local_line, readings, robust_std
-from trackwright.trackers.recordings.checks.repeats import check_repeats
+from trackwright.trackers.recordings.checks.readings import (
+    about_local_line,
+    check_correlation,
+    check_quantisation,
+    check_repeats,
+    readings,
+    robust_std,
+)
 from trackwright.trackers.recordings.checks.residuals import check_residuals
-from trackwright.trackers.recordings.checks.sampling import check_rates, check_time_base
 from trackwright.trackers.recordings.checks.units import check_units
 from trackwright.trackers.recordings.kinds import KINDS
 

@@ -1,21 +1,45 @@
 """Readings of some moments without truth: the positions that fit them best, and the errors that remain.
 
-Ranges are fitted by damped Gauss-Newton steps from below the anchors, rays of bearings by linear least squares.
+Ranges are fitted by damped Gauss-Newton steps from below the anchors, rays of bearings by linear least squares. Where
+readings of one moment contradict each other, and no longer do with a change, that is the likely mistake.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from trackwright.trackers.core.model.rig import angles_in_array
+from trackwright.trackers.core.wording import significant
+from trackwright.trackers.recordings.checks.changes import exchanged, value_changes
+from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.checks.readings import MOST_ROWS
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackwright.trackers.recordings.folder import RecordingFolder
+
+LARGE = {"m": 0.3, "rad": 0.12}
+"""Contradiction, m or rad, up to which nothing needs an explanation."""
+
+SMALLER = 0.67
+"""Ratio of contradictions from which a change explains them."""
+
+REMAINING = {"m": 0.45, "rad": 0.3}
+"""Contradiction that may remain with a change that explains it; twice as much is reported without an explanation."""
+
+ONE_LARGE, CLEARER = {"m": 0.15, "rad": 0.06}, 0.5
+"""Contradiction, m or rad, from which one anchor or station is looked for, and the ratio that it must reach.
+
+On no real recording is the best ratio below 0.6; of the changes none may come as near.
+"""
+
+ALIKE, NAMED = 1.1, 3
+"""Ratio up to which changes explain them alike, as in a symmetric rig, and how many of these are named."""
 
 SPANS_S = (0.1, 0.25, 0.5, 1.0)
 """Times within which readings are taken for those of one moment, s; the first in which enough of them come."""
@@ -83,31 +107,25 @@ class Moments(NamedTuple):
 
 def moments(recording: RecordingFolder, table: str) -> Moments | None:
     """Moments of a table with more readings than a position takes; None with too few, or sensors all at one place."""
-    rig, rows = recording.rig, recording.rows(table)
-    part = slice(MOST_ROWS)
-    kind = KINDS[table]
-    known, columns = kind.places(rig), kind.least
-    values, times = rows.floats(columns)[part], rows.times[part]
-    whole = np.isfinite(values).all(axis=1)
-    sensor = rows.codes(kind.noun, list(known))[part].astype(int)
-    ids = [key for k, key in enumerate(known) if (sensor[whole] == k).any()]
-    if not 2 <= len(ids) <= MOST_SENSORS:
+    rig, rows, kind = recording.rig, recording.rows(table), KINDS[table]
+    measured = kind.measured(rig, rows)
+    whole = np.flatnonzero(np.isfinite(measured.values[:MOST_ROWS]).all(axis=1))
+    used, number = np.unique(measured.sensors.number[whole, 0], return_inverse=True)
+    ids, places, axes = tuple(measured.ids[k] for k in used), measured.sensors.places[used], measured.sensors.axes[used]
+    if not 2 <= len(ids) <= MOST_SENSORS or np.linalg.norm(np.ptp(places, axis=0)) < LEAST_EXTENT_M:
         return None
-    number = np.array([ids.index(key) if key in ids else -1 for key in known])[sensor]
-    tag = np.repeat(np.arange(len(rows.tags)), np.diff(rows.starts))[part]
+    times, values = rows.times[whole], measured.values[whole]
+    tag = rows.of_each(np.arange(len(rows.tags)))[whole]
     given = [rig.tags[name].height if name in rig.tags else None for name in rows.tags]
     heights = np.array([np.nan if height is None else height for height in given])
-    _, places, axes, _, _ = kind.sensors_of(rig, ids, np.zeros((0, 1), int), len(columns))
-    if np.linalg.norm(np.ptp(places, axis=0)) < LEAST_EXTENT_M:
-        return None
     for span in SPANS_S:
-        found = _grid(np.floor(times[whole] / span), tag[whole], number[whole], values[whole], len(ids))
+        found = _grid(np.floor(times / span), tag, number, values, len(ids))
         seen = np.isfinite(found[1]).all(axis=2).sum(axis=1)
         free = np.isnan(heights[found[0]])
         enough = np.flatnonzero(seen >= least_sensors(kind, free))
         if len(enough) >= LEAST_MOMENTS and 2 * len(enough) >= len(seen):
             chosen = enough[np.unique(np.linspace(0, len(enough) - 1, MOST_MOMENTS).astype(int))]
-            return Moments(kind, tuple(ids), found[1][chosen], places, axes, heights[found[0][chosen]])
+            return Moments(kind, ids, found[1][chosen], places, axes, heights[found[0][chosen]])
     return None
 
 
@@ -126,3 +144,63 @@ def _grid(
     found = np.full((int(new.sum()), sensors, values.shape[1]), np.nan)
     found[row, sensor[order]] = values[order]
     return tag[order][new], found
+
+
+def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
+    """An error where ranges or bearings contradict each other and one change explains it, as of units or ids.
+
+    A warning where they do not without one anchor or station, and where nothing explains it.
+    """
+    kind = KINDS[table]
+    closes = len(kind.sensors) == 1 and (kind.angles or kind.distance)
+    found = moments(recording, table) if closes else None
+    if found is None or (before := found.closing()) <= ONE_LARGE[kind.unit]:
+        return []
+    large = before > LARGE[kind.unit]
+    tried = [(changed.closing(), change, cause) for change, cause, changed in (_changes(found) if large else ())]
+    least = min(tried, default=(before,))[0]
+    apart = min(_without_each(found), default=(np.inf, ""))
+    unit, factor = kind.shown
+    message = f"readings of one moment contradict each other by {significant(factor * before, 2)}{unit}"
+    if apart[0] <= CLEARER * min(before, least):
+        line = f"{message}, and by {significant(factor * apart[0], 2)}{unit} without {kind.noun} {apart[1]}"
+        cause = "its place in rig.toml is wrong, or its readings are; measure it again"
+        return [CheckResult("warning", table, f"{line}: {cause}")]
+    if not large:
+        return []
+    if least > min(SMALLER * before, REMAINING[kind.unit]):
+        line = f"{message}, and no change of units, signs or ids explains it; check positions and rotations in rig.toml"
+        return [CheckResult("warning", table, line)] if before > 2 * REMAINING[kind.unit] else []
+    alike = [one for one in sorted(tried) if one[0] <= ALIKE * least][:NAMED]
+    changes, causes = ", or ".join(one[1] for one in alike), "; or ".join(dict.fromkeys(one[2] for one in alike))
+    line = f"{message}, and by {significant(factor * least, 2)}{unit} with {changes}: {causes}"
+    return [CheckResult("error", table, line)]
+
+
+def _without_each(found: Moments) -> Iterator[tuple[float, str]]:
+    """What contradictions are left without each anchor or station, where the others are enough for a position."""
+    for k, name in enumerate(found.ids):
+        values = found.values.copy()
+        values[:, k] = np.nan
+        enough = np.isfinite(values).all(axis=2).sum(axis=1) >= least_sensors(found.kind, np.isnan(found.heights))
+        if enough.sum() >= LEAST_MOMENTS:
+            yield found._replace(values=values[enough], heights=found.heights[enough]).closing(), name
+
+
+def _changes(found: Moments) -> Iterator[tuple[str, str, Moments]]:
+    """Changes of units, signs and ids in words, the mistake that they undo, and the readings with them."""
+    kind, noun, count = found.kind, found.kind.noun, len(found.ids)
+    if kind.angles:
+        cause = "another zero of the azimuth, or stations that face the other way in rig.toml; turn one of both"
+        yield "the azimuth turned by 180°", cause, found._replace(values=found.values + np.array([np.pi, 0.0]))
+    for words, cause, of, _ in value_changes(kind, found.values.shape[2]):
+        values = of(found.values)
+        yield words, cause, found._replace(values=values)
+        for k, name in enumerate(found.ids if kind.angles else ()):
+            own = np.arange(count)[:, None] == k
+            yield f"{words} of {noun} {name}", cause, found._replace(values=np.where(own, values, found.values))
+    for i, j in combinations(range(count), 2):
+        order = exchanged(count, i, j)
+        words, cause = f"{noun}s {found.ids[i]} and {found.ids[j]} swapped", f"the ids of {noun}s are mixed up"
+        other = found._replace(places=found.places[order], axes=found.axes[order])
+        yield words, f"{cause}; correct rig.toml or the table", other

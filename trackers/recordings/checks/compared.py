@@ -1,16 +1,16 @@
-"""The readings of a table beside the truth: what predicts each of them, their errors, and how large these are."""
+"""The readings of a table beside the truth: what predicts each, their errors, and fits that make these small."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.recordings.columns import stable_order
-from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
+from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors
 from trackwright.trackers.recordings.truth import TruePaths
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
@@ -22,15 +22,17 @@ MOST_OF_GROUP = 500
 LEAST_OF_GROUP = 12
 """Least number of readings of an anchor, station or tag."""
 
+STEPS = 15
+CUT = 3.0
+"""Robust standard deviations at which an error has a tenth of the weight of a small one."""
+
 
 class Compared(NamedTuple):
     """Readings of a table and what predicts them, those of a group (anchor or station; of fixes, tag) together.
 
-    `ids`: of the G groups. `group` (N,), not decreasing, `tag` (N,): numbers in `ids` and in `tags`. `sensor` (N, k):
-    numbers in `ids` of the sensors of each reading, the first of which is the group. `times` (N,) s. `values` (N, m):
-    NaN where one is missing. `positions` (N, 3) m: the true ones. `places` (G, 3) m, `rotations` (G, 4) and `axes`
-    (G, 3, 3), their matrices: of anchors and stations. `paths`: the true paths. `antennas` (G, m, 2) m, `wavelengths`
-    (G,) m: of stations with phases, NaN for antennas that a station lacks.
+    `ids`: of the G groups. `group` (N,), not decreasing, `tag` (N,): numbers in `ids` and in `tags`. `times` (N,) s.
+    `values` (N, m): NaN where one is missing. `positions` (N, 3) m: the true ones. `sensors`: those of each reading,
+    the first of which is the group. `rotations` (G, 4): quaternions of stations. `paths`: the true paths.
     """
 
     kind: Kind
@@ -39,16 +41,12 @@ class Compared(NamedTuple):
     columns: tuple[str, ...]
     group: Int[np.ndarray, " N"]
     tag: Int[np.ndarray, " N"]
-    sensor: Int[np.ndarray, "N k"]
     times: Float[np.ndarray, " N"]
     values: Float[np.ndarray, "N m"]
     positions: Float[np.ndarray, "N 3"]
-    places: Float[np.ndarray, "G 3"]
+    sensors: Sensors
     rotations: Float[np.ndarray, "G 4"]
-    axes: Float[np.ndarray, "G 3 3"]
     paths: TruePaths
-    antennas: Float[np.ndarray, "G m 2"]
-    wavelengths: Float[np.ndarray, " G"]
 
     @property
     def table(self) -> str:
@@ -60,24 +58,27 @@ class Compared(NamedTuple):
         """What the groups are."""
         return self.kind.noun
 
+    def changed(self, **fields: np.ndarray) -> Compared:
+        """The same readings with other fields, of these or of the sensors."""
+        own = {name: x for name, x in fields.items() if name in self._fields}
+        of_sensors = {name: x for name, x in fields.items() if name not in own}
+        return self._replace(**own, sensors=self.sensors._replace(**of_sensors))  # type: ignore[arg-type]
+
     def predicted(self) -> Float[np.ndarray, "N m"]:
         """The readings that true positions and geometry imply."""
         assert self.kind.predicted is not None
-        sensors = Sensors(self.sensor, self.places, self.axes, self.antennas, self.wavelengths)
-        return self.kind.predicted(self.positions, sensors)
+        return self.kind.predicted(self.positions, self.sensors)
 
     def errors(self) -> Float[np.ndarray, "N m"]:
-        """The differences from the predicted readings, those of angles in [−π, π); less an offset common to a row."""
-        found = self.values - self.predicted()
-        if self.kind.common:
-            found = found - np.angle(np.nansum(np.exp(1j * found), axis=1, keepdims=True))
-        return wrapped(found, self.columns)
+        """The differences from the predicted readings: see `Kind.errors`."""
+        return self.kind.errors(self.values, self.positions, self.sensors, self.columns)
 
-    def sizes(self, errors: Float[np.ndarray, "N m"], bias: bool = True) -> Float[np.ndarray, "G m"]:
+    def sizes(self, errors: Float[np.ndarray, "N m"] | None = None, bias: bool = True) -> Float[np.ndarray, "G m"]:
         """The median size of the errors of each group and column; NaN where fewer than half of them are known.
 
-        `bias`: less their median, as far as it may be the sensor's own.
+        `errors`: by default those against truth. `bias`: less their median, as far as it may be the sensor's own.
         """
+        errors = self.errors() if errors is None else errors
         ends = np.searchsorted(self.group, np.arange(len(self.ids) + 1))
         found = np.full((len(self.ids), errors.shape[1]), np.nan)
         for column, bound in enumerate(self.kind.sizes("bias", errors.shape[1]) * bias):
@@ -105,11 +106,9 @@ class Compared(NamedTuple):
         return self.of_rows(slice(None, None, -(-len(self.group) // most)))
 
     def of_rows(self, part: Any) -> Compared:
-        """Some of the readings, by a mask or a slice."""
-        return self._replace(
-            group=self.group[part], tag=self.tag[part], sensor=self.sensor[part], times=self.times[part],
-            values=self.values[part], positions=self.positions[part],
-        )  # fmt: skip
+        """Some of the readings, by a mask, a slice or their numbers."""
+        of_rows = {name: getattr(self, name)[part] for name in ("group", "tag", "times", "values", "positions")}
+        return self.changed(**of_rows, number=self.sensors.number[part])
 
 
 def median_of(x: np.ndarray) -> float:
@@ -121,45 +120,80 @@ def median_of(x: np.ndarray) -> float:
     return float((low + high) / 2)
 
 
-def axes_of(rotations: Float[np.ndarray, "G 4"]) -> Float[np.ndarray, "G 3 3"]:
-    """The matrices that take array-frame vectors to world-frame vectors, of quaternions w, x, y, z of any length."""
-    return rotation_matrices(rotations / np.linalg.norm(rotations, axis=1, keepdims=True))
-
-
 def compared(recording: RecordingFolder, table: str) -> Compared | None:
     """The readings of a table beside the truth; None where too few of them have a true position."""
     kind = KINDS.get(table)
     if kind is None or kind.predicted is None or table not in recording.tables or "truth" not in recording.tables:
         return None
     rows, rig = recording.rows(table), recording.rig
-    columns = kind.layout(recording.tables[table].columns).values
+    measured = kind.measured(rig, rows)
     tag = rows.of_each(np.arange(len(rows.tags)))
-    ids = tuple(kind.places(rig)) if kind.sensors else tuple(rows.tags)
-    sensor = kind.numbers(rows, ids)
-    group = sensor[:, 0] if kind.sensors else tag
+    ids = measured.ids if kind.sensors else tuple(rows.tags)
+    group = measured.sensors.number[:, 0] if kind.sensors else tag
+    rotations = np.array([rig.stations[key].rotation for key in ids if kind.noun == "station"], float).reshape(-1, 4)
+    whole = Compared(
+        kind, ids, tuple(rows.tags), measured.columns, group, tag, rows.times, measured.values,
+        np.full((len(tag), 3), np.nan), measured.sensors, rotations, recording.paths,
+    )  # fmt: skip
     order = stable_order(group * len(rows.tags) + tag)
     counts = np.bincount(group, minlength=len(ids))
     within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-    order = order[within % np.repeat(-(-counts // MOST_OF_GROUP), counts) == 0]
-    _, places, axes, antennas, wavelengths = kind.sensors_of(rig, ids, sensor, len(columns))
-    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (len(ids), 1))
-    if kind.noun == "station":
-        rotations = np.stack([np.asarray(rig.stations[key].rotation, float) for key in ids])
-    found = Compared(
-        kind, ids, tuple(rows.tags), columns, group[order], tag[order], sensor[order], rows.times[order],
-        rows.floats(columns)[order], np.full((len(order), 3), np.nan), places, rotations, axes, recording.paths,
-        antennas, wavelengths,
-    ).later(0.0)  # fmt: skip
+    found = whole.of_rows(order[within % np.repeat(-(-counts // MOST_OF_GROUP), counts) == 0]).later(0.0)
     known = np.isfinite(found.errors()).any(axis=1)
     enough = np.bincount(found.group[known], minlength=len(ids)) >= LEAST_OF_GROUP
     found = found.of_rows(known & enough[found.group])
-    if not len(found.group):
-        return None
-    # The other sensor of a difference stays, whether or not it has readings of its own.
-    used = enough | (np.bincount(found.sensor.ravel(), minlength=len(ids)) > 0)
+    return _with_used_groups(found, enough) if len(found.group) else None
+
+
+def _with_used_groups(view: Compared, enough: np.ndarray) -> Compared:
+    """Without the groups that have not `enough` readings (G,); the other sensor of a difference stays in any case."""
+    sensors = view.sensors
+    used = enough | (np.bincount(sensors.number.ravel(), minlength=len(enough)) > 0)
     number = np.cumsum(used) - 1
-    return found._replace(
-        ids=tuple(key for key, ok in zip(ids, used, strict=True) if ok), group=number[found.group],
-        sensor=number[found.sensor], places=places[used], rotations=rotations[used], axes=axes[used],
-        antennas=antennas[used], wavelengths=wavelengths[used],
+    if view.kind.sensors:
+        others = {name: getattr(sensors, name)[used] for name in ("places", "axes", "antennas", "wavelengths")}
+        view = view.changed(number=number[sensors.number], **others)
+    return view._replace(
+        ids=tuple(key for key, ok in zip(view.ids, used, strict=True) if ok), group=number[view.group],
+        rotations=view.rotations[used] if len(view.rotations) else view.rotations,
     )  # fmt: skip
+
+
+def robust_fit(
+    errors: Callable[[np.ndarray], Float[np.ndarray, "N m"]], start: Float[np.ndarray, " k"], steps: int = STEPS
+) -> tuple[Float[np.ndarray, " k"], float]:
+    """The numbers near `start` with the smallest errors, and their median size; errors that are NaN count nothing.
+
+    Levenberg-Marquardt with Cauchy's weights. Derivatives are differences over 1e-6 of each number's unit.
+    """
+    x, damping = np.asarray(start, float), 1e-2
+    e = _finite(errors(x))
+    for _ in range(steps):
+        scale = max(1.4826 * float(np.median(np.abs(e))), 1e-9)
+        weights = 1.0 / (1.0 + (e / (CUT / 3 * scale)) ** 2)
+        J = np.stack([(_finite(errors(x + 1e-6 * unit)) - e) / 1e-6 for unit in np.eye(len(x))], axis=1)
+        normal, gradient = (J.T * weights) @ J, (J.T * weights) @ e
+        loss = _loss(e, scale)
+        # Damped in proportion to the largest curvature too: a height that is hardly seen would go far in one step.
+        ridge = np.diag(np.diag(normal) + 0.1 * np.diag(normal).max() + 1e-12)
+        for _ in range(6):
+            step = np.linalg.solve(normal + damping * ridge, -gradient)
+            trial = _finite(errors(x + step))
+            if _loss(trial, scale) < loss:
+                damping = max(damping / 5, 1e-9)
+                break
+            damping *= 10
+        else:
+            break
+        x, e = x + step, trial
+        if np.max(np.abs(step)) < 1e-5:
+            break
+    return x, float(np.median(np.abs(e)))
+
+
+def _finite(errors: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(errors).ravel()
+
+
+def _loss(errors: np.ndarray, scale: float) -> float:
+    return float(np.log1p((errors / (CUT / 3 * scale)) ** 2).sum())

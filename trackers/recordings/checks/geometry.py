@@ -1,4 +1,4 @@
-"""Checks of geometry: collinear and coplanar anchors, and dilution of precision at the tags' positions.
+"""Checks of geometry: anchors on a line or plane, dilution of precision at the tags' positions, the tags' heights.
 
 Dilution of precision is the standard deviation of a least-squares position per unit of measurement noise, with all
 sensors observed: the diagonal of (Jᵀ J)⁻¹, J the Jacobian of the measurements with respect to position (Kaplan and
@@ -25,6 +25,12 @@ POINTS = 400  # positions at which dilution is evaluated, at most
 _ONE_DEGREE = np.radians(1.0)
 _STEP_M = 1e-4
 """Half the distance over which slopes are taken: third derivatives and rounding are both below 1e-9."""
+
+OFF_M = 0.5
+"""Difference of heights, m, from which it counts as a mistake."""
+
+SHORT = 0.5
+"""Share of a tag's ranges shorter than its height above or below the anchors from which the height counts as wrong."""
 
 
 @dataclass(frozen=True)
@@ -191,3 +197,46 @@ def _dilution_results(
 def _pair(values: np.ndarray) -> str:
     shown = [f"{v:.3g}" if np.isfinite(v) else "undetermined" for v in (np.median(values), np.max(values))]
     return f"{shown[0]} ({shown[1]})"
+
+
+def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
+    """An error for each tag of known height that truth or ranges contradict."""
+    heights = {tag: known.height for tag, known in rig.tags.items() if known.height is not None}
+    if not heights:
+        return []
+    contrary: dict[str, str] = {}
+    for name, kind in KINDS.items():
+        if name in tables and kind.distance:
+            contrary |= _short_distances(rig, tables[name], kind, heights)
+    contrary |= _true_heights(tables["truth"], heights) if "truth" in tables else {}
+    return [
+        CheckResult("error", "rig.toml", f"height_m of tag {tag} is {heights[tag]:g}, but {why}")
+        for tag, why in contrary.items()
+    ]
+
+
+def _true_heights(truth: pl.DataFrame, heights: Mapping[str, float]) -> dict[str, str]:
+    """For each tag whose true heights are elsewhere: where."""
+    typical = truth.filter(pl.col("tag").is_in(list(heights))).group_by("tag", maintain_order=True)
+    found = {}
+    for tag, z in typical.agg(pl.col("z_m").median()).iter_rows():
+        if z is not None and abs(z - heights[tag]) > OFF_M:
+            down = abs(z + heights[tag]) <= OFF_M
+            fix = "z of the truth points down; flip its sign" if down else "one of the two is wrong"
+            found[tag] = f"z of its truth is typically {z:.2f} m: {fix}"
+    return found
+
+
+def _short_distances(rig: Rig, table: pl.DataFrame, kind: Kind, heights: Mapping[str, float]) -> dict[str, str]:
+    """For each tag most of whose distances are too short for its height: how many."""
+    distance = kind.columns[0].name
+    own = table.filter(pl.col("tag").is_in(list(heights)) & pl.col(distance).is_not_null())
+    z = pl.col(kind.noun).replace_strict({key: float(at[2]) for key, at in rig.anchors.items()}, default=None)
+    least = (z - pl.col("tag").replace_strict(dict(heights))).abs() - OFF_M
+    shares = own.group_by("tag", maintain_order=True).agg((pl.col(distance) < least).mean())
+    return {
+        tag: f"{100 * share:.0f} % of its {kind.name} are shorter than the difference of height to their {kind.noun}s; "
+        "correct it"
+        for tag, share in shares.iter_rows()
+        if share is not None and share > SHORT
+    }

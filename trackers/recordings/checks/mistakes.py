@@ -1,25 +1,29 @@
 """Readings that contradict the truth, and the change that explains their errors best: the most likely mistake.
 
-Each explanation is a change of the readings, the truth or the rig, some with fitted numbers. The errors of each anchor,
-station or tag are compared by their medians, so that outliers count little: the best explanation has the smallest mean
-logarithm of these medians, and pays for each fitted number.
+The errors of each anchor, station or tag are compared by their medians, so that outliers count little: the best change
+has the smallest mean logarithm of these medians, and pays for each fitted number. The changes are looked for where
+errors are large alone.
 """
 
 from __future__ import annotations
+
+from itertools import chain
 
 import numpy as np
 
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import significant
+from trackwright.trackers.recordings.checks.changes import Change, changes
 from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared
-from trackwright.trackers.recordings.checks.explanations import PENALTY, Explanation
+from trackwright.trackers.recordings.checks.fitted_changes import fitted_changes
 from trackwright.trackers.recordings.checks.readings import known_median
-from trackwright.trackers.recordings.checks.sensor_mistakes import sensor_explanations
-from trackwright.trackers.recordings.checks.world_mistakes import world_explanations
+
+PENALTY = 0.06
+"""Log ratio of errors by which a fitted number must pay."""
 
 ALL_GAIN, OWN_GAIN = 0.65, 1.0
-"""Mean log ratio of errors that an explanation must reach, and one with numbers fitted to single sensors."""
+"""Mean log ratio of errors that a change must reach, and one with numbers fitted to single sensors."""
 
 UNCHANGED = 0.02
 """Log ratio of errors up to which a change leaves them as they are."""
@@ -30,89 +34,90 @@ FEW = 0.25
 
 def check_against_truth(view: Compared) -> list[CheckResult]:
     """The most likely mistake where the readings contradict the truth: an error; else nothing."""
-    explained = most_likely_mistake(view)
+    before = view.sizes()
+    large = np.any(before > view.kind.sizes("large", before.shape[1]), axis=1)
+    explained = _likely_mistake(view, before, large) if large.any() else _upside_down(view)
     return [] if explained is None else [CheckResult("error", view.table, explained)]
 
 
-def most_likely_mistake(view: Compared) -> str | None:
-    """The errors and the most likely cause in a line; None where they are small, or nothing explains them."""
-    before = view.sizes(view.errors())
-    large = np.any(before > view.kind.sizes("large", before.shape[1]), axis=1)
-    if not large.any():
-        return _upside_down(view)
-    found = []
-    for explanation in sensor_explanations(view, large):
-        found += _judged(view, explanation, before, large)
-    for explanation in world_explanations(view):
-        found += _judged(view, explanation, before, large)
-    if not found:
+def _likely_mistake(view: Compared, before: np.ndarray, large: np.ndarray) -> str | None:
+    """The errors and the most likely cause in a line; None where nothing explains them.
+
+    `before` (G, m): their sizes; `large` (G,): the groups that need an explanation.
+    """
+    best = None
+    for change in chain(changes(view), fitted_changes(view, large)):
+        sizes = change.handicap * view.changed(**change.fields).sizes()
+        judged = _judged(view, change, sizes, before, large)
+        if judged is not None and (best is None or judged[0] < best[0]):
+            best = *judged, change, sizes
+    if best is None or best[2].harmless:
         return None
-    _, groups, best = min(found, key=lambda one: one[0])
-    return None if best.harmless else _sentence(view, best, groups)
+    return _sentence(view, *best[1:])
 
 
 def _upside_down(view: Compared) -> str | None:
-    """As `most_likely_mistake`, for a truth whose z points down: each sensor takes it for a bias of its own."""
+    """As `_likely_mistake`, for a truth whose z points down: each sensor takes it for a bias of its own."""
     if not view.kind.sensors or view.kind.common:
         return None
-    down = view._replace(positions=view.positions * np.array([1.0, 1.0, -1.0]))
+    positions = view.positions * np.array([1.0, 1.0, -1.0])
     floor, large = (view.kind.sizes(which, len(view.columns)) for which in ("floor", "large"))
-    before, after = (np.maximum(one.sizes(one.errors(), bias=False), floor) for one in (view, down))
+    before, after = (np.maximum(one.sizes(bias=False), floor) for one in (view, view.changed(positions=positions)))
     gains = np.log(before / after)
     if not (known_median(before) > large).any() or np.mean(gains[np.isfinite(gains)]) < ALL_GAIN:
         return None
-    best = Explanation("the sign of z of the truth flipped", "z of the truth points down; flip it", after)
-    return _sentence(view, best, np.ones(len(view.ids), bool))
+    change = Change(
+        "the sign of z of the truth flipped", "z of the truth points down; flip it", {"positions": positions}
+    )
+    return _sentence(view, np.ones(len(view.ids), bool), change, after)
 
 
 def _judged(
-    view: Compared, one: Explanation, before: np.ndarray, large: np.ndarray
-) -> list[tuple[float, np.ndarray, Explanation]]:
-    """The cost of an explanation and the groups that it is for; none where it explains too little."""
+    view: Compared, change: Change, sizes: np.ndarray, before: np.ndarray, large: np.ndarray
+) -> tuple[float, np.ndarray] | None:
+    """The cost of a change and the groups (G,) that it is for; None where it explains too little."""
     floor, limit = (view.kind.sizes(which, before.shape[1]) for which in ("floor", "large"))
     # A change with which the errors are unknown improves nothing.
-    after = np.where(np.isfinite(one.sizes), one.sizes, np.fmax(before, 1e3))
+    after = np.where(np.isfinite(sizes), sizes, np.fmax(before, 1e3))
     known = np.isfinite(before)
     ratio = np.where(known, np.log(np.maximum(after, floor) / np.maximum(before, floor)), 0.0)
     gains = -ratio.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     # Errors that were small and stay small neither need an explanation nor contradict one.
     matters = known & ((before > limit) | (after > limit))
-    if not one.own:
+    if not change.own:
         if -float(ratio[matters].sum()) < ALL_GAIN * max(int(matters.sum()), 1):
-            return []
-        return [(PENALTY * (one.parameters + 1) - float(gains.mean()), np.ones(len(gains), bool), one)]
+            return None
+        return PENALTY * (change.parameters + 1) - float(gains.mean()), np.ones(len(gains), bool)
     # Nor do errors that the change leaves as they are.
     changed = matters & (np.abs(ratio) > UNCHANGED)
+    least = OWN_GAIN if change.parameters else ALL_GAIN
     groups = large & changed.any(axis=1)
-    groups &= np.where(changed, -ratio, 0.0).sum(axis=1) >= (OWN_GAIN if one.parameters else ALL_GAIN) * changed.sum(
-        axis=1
-    )
-    if one.groups is not None:
-        groups &= one.groups
-    if one.together and one.groups is not None:
-        groups = one.groups & (gains[one.groups].mean() >= ALL_GAIN)
-    if one.parameters > 1:
+    groups &= np.where(changed, -ratio, 0.0).sum(axis=1) >= least * changed.sum(axis=1)
+    if change.groups is not None:
+        groups &= change.groups
+    if change.together and change.groups is not None:
+        groups = change.groups & (gains[change.groups].mean() >= ALL_GAIN)
+    if change.parameters > 1:
         # A place has enough freedom to take up a part of any error.
         groups &= (~matters | ((after <= limit) & (ratio <= -ALL_GAIN))).all(axis=1)
-    if one.place and groups.sum() > max(FEW * len(groups), 1):
-        return []
-    if not groups.any():
-        return []
-    cost = PENALTY * (one.parameters * int(groups.sum()) + 1) - float(gains[groups].sum()) / len(gains)
-    return [(cost, groups, one)]
+    if not groups.any() or (change.place and groups.sum() > max(FEW * len(groups), 1)):
+        return None
+    cost = PENALTY * (change.parameters * int(groups.sum()) + 1) - float(gains[groups].sum()) / len(gains)
+    return cost, groups
 
 
-def _sentence(view: Compared, best: Explanation, groups: np.ndarray) -> str:
+def _sentence(view: Compared, groups: np.ndarray, change: Change, sizes: np.ndarray) -> str:
     chosen = np.flatnonzero(groups)
-    errors = view.sizes(view.errors(), bias=False)[chosen]
     unit, factor = view.kind.shown
-    largest = [factor * float(np.nanmedian(np.nanmax(x, axis=1))) for x in (errors, best.sizes[chosen])]
-    sizes = [f"{significant(size, 2)}{unit}" for size in largest]
+    both = (x[chosen] for x in (view.sizes(bias=False), sizes))
+    largest = [f"{significant(factor * float(np.nanmedian(np.nanmax(x, axis=1))), 2)}{unit}" for x in both]
     where = ""
-    if best.own:
-        names = [f"{view.ids[k]}{f' ({best.parts[k]})' if best.parts else ''}" for k in chosen]
+    if change.own:
+        names = [f"{view.ids[k]}{f' ({change.parts[k]})' if change.parts else ''}" for k in chosen]
         noun = f"{view.noun}s" if len(chosen) > 1 else view.noun
         where = f" of {noun} {listed(names, 6)}"
-        if len(chosen) == len(groups) and len(chosen) > 1 and not best.parts:
+        if len(chosen) == len(groups) and len(chosen) > 1 and not change.parts:
             where = f" of all {len(chosen)} {noun}"
-    return f"errors against truth{where} are typically {sizes[0]}, and {sizes[1]} with {best.change}: {best.cause}"
+    return (
+        f"errors against truth{where} are typically {largest[0]}, and {largest[1]} with {change.words}: {change.cause}"
+    )

@@ -1,14 +1,20 @@
-"""The readings of a table by stream, and their differences from the true values and from a local line."""
+"""The readings of a table by stream, and their differences from the true values and from a local line.
+
+Checks of these: readings that repeat the one before; quantisation steps, the smallest spacing of which nearly all
+differences are multiples; the autocorrelation time of errors, against truth or about a local line.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
 from trackwright.trackers.recordings.columns import stable_order
-from trackwright.trackers.recordings.kinds import KINDS, wrapped
+from trackwright.trackers.recordings.kinds import KINDS, unit_of, wrapped
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackwright.trackers.recordings.folder import RecordingFolder
@@ -21,6 +27,37 @@ LINE_S = 2.0
 
 LEAST_ROWS = 5
 """Least number of readings of a line."""
+
+FEW, MANY = 0.01, 0.2
+"""Share of repeated readings that is reported, and that is a warning."""
+
+MOST_DIFFERENCES = 20_000
+"""Readings of a column whose differences are looked at."""
+
+MULTIPLES = 0.95
+"""Least share of the differences that are multiples of a step."""
+
+NEAR = 0.02
+"""Distance from a multiple, in steps: one in 25 differences of a continuous value is as near."""
+
+CANDIDATES = np.array([0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3])
+"""Quantiles of the differences that are tried as steps."""
+
+COARSE = 0.1
+"""Least step that is reported, relative to the scatter of the readings: a finer one adds nothing to their noise."""
+
+_LEAST_VALUES = 20
+
+LEAST_PAIRS = 50
+"""Least number of pairs of errors at a lag."""
+
+MOST_TIMES = 10_000
+"""Pairs whose median interval is that of a lag."""
+
+BOUND = 4.0
+"""Robust standard deviations at which errors are cut off: outliers would hide the correlation of the others."""
+
+_LEVEL = math.exp(-1.0)
 
 
 class Readings(NamedTuple):
@@ -40,28 +77,23 @@ class Readings(NamedTuple):
 def readings(recording: RecordingFolder, name: str) -> Readings:
     """The readings of a table with measurements; of more than `MOST_ROWS`, equally many first ones of each stream."""
     rows, kind = recording.rows(name), KINDS[name]
-    columns = kind.layout(recording.tables[name].columns).values
-    ids = tuple(kind.places(recording.rig))
-    sensor = kind.numbers(rows, ids)
+    measured = kind.measured(recording.rig, rows)
     stream = rows.of_each(np.arange(len(rows.tags)))
-    for number in sensor.T:
-        stream = stream * len(ids) + number
+    for number in measured.sensors.number.T:
+        stream = stream * len(measured.ids) + number
     order = stable_order(stream)
     if len(order) > MOST_ROWS:
         counts = np.bincount(stream)
         within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
         order = order[within < MOST_ROWS // np.count_nonzero(counts)]
-    stream, times = stream[order], rows.times[order]
-    values = rows.floats(columns)[order]
-    errors = np.full(values.shape, np.nan)
+    times, measured = rows.times[order], measured.of_rows(order)
+    errors = np.full(measured.values.shape, np.nan)
     if len(recording.paths.times) and kind.averaged and kind.predicted is not None:
         # The order is one of tags too.
         tag = np.searchsorted(rows.starts, order, side="right") - 1
         starts = np.searchsorted(tag, np.arange(len(rows.tags) + 1))
-        positions, _ = recording.paths.at(rows.tags, starts, times)
-        sensors = kind.sensors_of(recording.rig, ids, sensor[order], len(columns))
-        errors = wrapped(values - kind.predicted(positions, sensors), columns)
-    return Readings(columns, stream, times, values, errors)
+        errors = measured.errors(recording.paths.at(rows.tags, starts, times)[0])
+    return Readings(measured.columns, stream[order], times, measured.values, errors)
 
 
 def about_local_line(read: Readings) -> Float[np.ndarray, "N m"]:
@@ -103,3 +135,138 @@ def robust_std(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
     return np.array(
         [1.4826 * float(np.median(np.abs(c[np.isfinite(c)]))) if np.isfinite(c).any() else 0.0 for c in x.T]
     )
+
+
+def check_repeats(name: str, read: Readings) -> list[CheckResult]:
+    """The share of a table's readings that repeat the one before, which a filter takes for new ones."""
+    share = repeated_share(read)
+    if not share >= FEW:
+        return []
+    message = (
+        f"repeated readings: {100 * share:.2g} % of the rows equal the row before of the same "
+        f"{' and '.join(KINDS[name].layout(()).ids)}"
+    )
+    level: Level = "warning" if share >= MANY else "info"
+    return [CheckResult(level, name, message + ("; expected one row per measurement" if share >= MANY else ""))]
+
+
+def repeated_share(read: Readings) -> float:
+    """The share of the readings with a predecessor in their stream that equal it in all columns; NaN without any."""
+    seen = np.isfinite(read.values).any(axis=1)
+    values, stream = read.values[seen], read.stream[seen]
+    follows = stream[1:] == stream[:-1]
+    if not follows.any():
+        return float("nan")
+    same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    return float(np.mean(same[follows].all(axis=1)))
+
+
+def check_quantisation(name: str, read: Readings, scatter: np.ndarray) -> list[CheckResult]:
+    """The quantisation steps of a table's columns that are coarse beside the `scatter` (m,) of their readings."""
+    by_step: dict[float, list[str]] = {}
+    for k, column in enumerate(read.columns):
+        step = quantisation_step(read, k)
+        if step is not None and step >= COARSE * scatter[k]:
+            by_step.setdefault(float(f"{step:.3g}"), []).append(column)
+    return [CheckResult("info", name, _message(step, columns)) for step, columns in by_step.items()]
+
+
+def _message(step: float, columns: list[str]) -> str:
+    unit = unit_of(columns[0])
+    degrees = f" ({math.degrees(step):.3g}°)" if unit == "rad" else ""
+    return (
+        f"quantised: {', '.join(columns)} in steps of {step:.3g} {unit}{degrees}; "
+        f"their standard deviation is at least step/√12 = {step / math.sqrt(12):.2g} {unit}"
+    )
+
+
+def quantisation_step(read: Readings, column: int) -> float | None:
+    """The quantisation step of a column, in its unit; None where its values are not multiples of one."""
+    x, stream = read.values[:MOST_DIFFERENCES, column], read.stream[:MOST_DIFFERENCES]
+    seen = np.isfinite(x)
+    x, stream = x[seen], stream[seen]
+    # The offsets of streams may differ, as their wraps may.
+    differences = np.abs(wrapped(np.diff(x)[:, None], (read.columns[column],))[:, 0][stream[1:] == stream[:-1]])
+    resolution = 1e-12 * (1.0 + np.abs(x).max(initial=0.0))
+    differences = differences[differences > resolution]
+    if len(differences) < _LEAST_VALUES:
+        return None
+    spacings = np.diff(np.sort(x[stream == np.bincount(stream).argmax()]))
+    candidates = np.concatenate([spacings[spacings > resolution], differences])
+    # The coarsest first: a few values off the steps, as means of two, are multiples of half a step.
+    for candidate in np.unique(np.quantile(candidates, CANDIDATES, method="lower"))[::-1]:
+        multiples = np.round(differences / candidate)
+        good = (np.abs(differences / candidate - multiples) < NEAR) & (multiples > 0)
+        if good.mean() >= MULTIPLES:
+            return float(differences[good].sum() / multiples[good].sum())
+    return None
+
+
+class Correlation(NamedTuple):
+    """`time`, s: at which the autocorrelation falls to 1/e. `interval`, s: between readings of a stream.
+
+    `resolved`: it falls there after the first interval. `ended`: within the recording; else `time` is the longest lag.
+    `sigma`: the robust standard deviation about the mean of each stream.
+    """
+
+    time: float
+    interval: float
+    resolved: bool
+    ended: bool
+    sigma: float
+
+
+def check_correlation(name: str, read: Readings, errors: np.ndarray, true: bool) -> list[CheckResult]:
+    """The autocorrelation time of each column's `errors` (N, m): against truth, or about a local line."""
+    results = []
+    for k, column in enumerate(read.columns):
+        found = autocorrelation(read, errors[:, k])
+        if found is None or (not true and not found.resolved):
+            continue
+        unit = unit_of(column)
+        what = f"errors of {column} against truth" if true else f"{column} about a line through {LINE_S:g} s"
+        line = f"{what}: standard deviation {found.sigma:.2g} {unit}, {_duration(found)}"
+        if found.resolved:
+            line += f"; effective sample size: 1 in {float(f'{2 * found.time / found.interval:.2g}'):g} readings"
+            line += "" if true else " at most; slower errors only show against truth"
+        results.append(CheckResult("info", name, line))
+    return results
+
+
+def _duration(found: Correlation) -> str:
+    if not found.resolved:
+        return f"uncorrelated after {found.interval:.2g} s"
+    return f"correlated for {'' if found.ended else 'more than '}{found.time:.2g} s"
+
+
+def autocorrelation(read: Readings, errors: np.ndarray) -> Correlation | None:
+    """The autocorrelation of errors (N,) along the streams; None for too few of them, or constant ones."""
+    seen = np.isfinite(errors)
+    # Of readings with one time the first: copies would count as readings without an interval.
+    seen[1:] &= (np.diff(read.times) > 0) | (np.diff(read.stream) != 0)
+    stream, times, x = read.stream[seen], read.times[seen], errors[seen]
+    if len(x) < LEAST_PAIRS:
+        return None
+    _, number, counts = np.unique(stream, return_inverse=True, return_counts=True)
+    x = x - (np.bincount(number, x) / counts)[number]
+    sigma = float(robust_std(x[:, None])[0])
+    if sigma == 0.0:
+        return None
+    x = np.clip(x, -BOUND * sigma, BOUND * sigma)
+    variance = float(np.mean(x * x))
+    before, at, interval, lag = 1.0, 0.0, math.nan, 1
+    longest = counts.max() // 4
+    while lag <= longest:
+        pairs = stream[lag:] == stream[:-lag]
+        count = int(np.count_nonzero(pairs))
+        if count < LEAST_PAIRS:
+            break
+        some = slice(None, None, 1 + len(pairs) // MOST_TIMES)
+        later = float(np.median((times[lag:][some] - times[:-lag][some])[pairs[some]]))
+        interval = later if lag == 1 else interval
+        value = float(np.einsum("n,n->", x[lag:] * pairs, x[:-lag])) / count / variance
+        if value < _LEVEL:
+            fallen = at + (later - at) * (before - _LEVEL) / (before - value)
+            return Correlation(fallen, interval, lag > 1, True, sigma)
+        before, at, lag = value, later, max(lag + 1, int(1.25 * lag))
+    return None if math.isnan(interval) else Correlation(at, interval, True, False, sigma)

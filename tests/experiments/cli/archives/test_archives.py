@@ -22,7 +22,7 @@ from trackwright.experiments.jobs.executors import WorkerExecutor
 from trackwright.experiments.pages.plots import track_folder
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.evaluation.evaluate import evaluate
-from trackwright.trackers.recordings.beside import held
+from trackwright.trackers.recordings.atomic import held
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 COUNT = 30

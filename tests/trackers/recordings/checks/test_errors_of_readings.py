@@ -8,10 +8,14 @@ import pytest
 
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.checks import check
-from trackwright.trackers.recordings.checks.correlation import autocorrelation
-from trackwright.trackers.recordings.checks.quantisation import quantisation_step
-from trackwright.trackers.recordings.checks.readings import Readings, about_local_line, readings
-from trackwright.trackers.recordings.checks.repeats import repeated_share
+from trackwright.trackers.recordings.checks.readings import (
+    Readings,
+    about_local_line,
+    autocorrelation,
+    quantisation_step,
+    readings,
+    repeated_share,
+)
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 STEP_S = 0.1

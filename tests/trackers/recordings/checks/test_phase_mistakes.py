@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tests.trackers.recordings.checks.made import about_z, with_columns
 from trackwright.sim import worlds
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.recordings.checks import check, quick_check
@@ -23,16 +24,12 @@ def sound():
     return worlds.station(n=2, seed=2, rows=80, sigma_p=SIGMA_P).folder()
 
 
-def _table(name: str, **columns: pl.Expr) -> Callable[[RecordingFolder], RecordingFolder]:
-    return lambda folder: replace(folder, tables={**folder.tables, name: folder.tables[name].with_columns(**columns)})
-
-
 def _each(change: Callable[[pl.Expr], pl.Expr]) -> Callable[[RecordingFolder], RecordingFolder]:
-    return _table("phases", **{name: change(pl.col(name)) for name in PHASES})
+    return with_columns("phases", **{name: change(pl.col(name)) for name in PHASES})
 
 
 def _columns(order: list[str]) -> Callable[[RecordingFolder], RecordingFolder]:
-    return _table("phases", **{name: pl.col(other) for name, other in zip(PHASES, order, strict=True)})
+    return with_columns("phases", **{name: pl.col(other) for name, other in zip(PHASES, order, strict=True)})
 
 
 def _stations(
@@ -53,13 +50,6 @@ def _rotation(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Station],
     return lambda station: replace(station, rotation=change(np.asarray(station.rotation)))
 
 
-def _about_z(q: np.ndarray, degrees: float = 40.0) -> np.ndarray:
-    """The attitude q turned about the world's z."""
-    c, s = np.cos(np.radians(degrees) / 2), np.sin(np.radians(degrees) / 2)
-    w, x, y, z = q
-    return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
-
-
 SWAPPED = [PHASES[{1: 4, 4: 1}.get(k, k)] for k in range(8)]
 MISTAKES = {
     "the sign": (_each(lambda phase: -phase), "sign of the phases flipped"),
@@ -78,8 +68,8 @@ MISTAKES = {
     "antennas seen from behind": (_stations(_antennas(lambda a: a * [-1.0, 1.0])), "x of antennas_m flipped"),
     "quaternions as x, y, z, w": (_stations(_rotation(lambda q: np.roll(q, -1))), "x, y, z, w"),
     "quaternions inverted": (_stations(_rotation(lambda q: q * [1, -1, -1, -1]), ("2", "3")), "inverted"),
-    "one station turned": (_stations(_rotation(_about_z), ("2",)), "station 2 (by -40°)"),
-    "truth of another origin": (_table("truth", x_m=pl.col("x_m") + 1.5), "truth shifted by (-1.5"),
+    "one station turned": (_stations(_rotation(lambda q: about_z(q, 40.0)), ("2",)), "station 2 (by -40°)"),
+    "truth of another origin": (with_columns("truth", x_m=pl.col("x_m") + 1.5), "truth shifted by (-1.5"),
 }
 
 

@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 import polars as pl
+from jaxtyping import Float
 
+from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.recordings.checks.changes import SignedAxes, signed_axes
 from trackwright.trackers.recordings.checks.check_result import CheckResult
-from trackwright.trackers.recordings.checks.explanations import SignedAxes, signed_axes
-from trackwright.trackers.recordings.checks.imu_rows import Attitude, ImuRows, bent, imu_rows, spaced, true_attitude
-from trackwright.trackers.recordings.kinds import QUATERNION
+from trackwright.trackers.recordings.kinds import QUATERNION, layout
 
 MOST_TAGS = 12
 """Tags whose IMU is checked."""
@@ -44,6 +45,9 @@ LATENCY_S = 1.0
 SAME_TURN, SAME_LIFT = 0.7, 0.85
 """Least correlations of sizes of turn rates and of vertical accelerations from which the delay of an IMU is known."""
 
+BETTER_TURN, BETTER_LIFT = 0.05, 0.1
+"""Least gains of these correlations from which an IMU comes late."""
+
 REACH_S, LEAST_LIFT = 0.3, 0.1
 """Time before and after over which vertical accelerations are averaged, s, and their least standard deviation, m/s²."""
 
@@ -61,6 +65,15 @@ READ_AS = (
 SMALL_TURN = np.radians(20.0)
 """Angle of a mounting, rad, up to which it is no mistake."""
 
+MOST_ROWS = 30_000
+"""Rows of an IMU that are looked at, the first ones."""
+
+GAP_S = 0.25
+"""Time between two rows, s, above which no window lies across them."""
+
+RATE_S = 0.1
+"""Half the time over which the rate of a true attitude is taken, s."""
+
 
 def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) -> list[CheckResult]:
     """Signs, axes, mounting and clock of the IMU of the first tags; an attitude of the sensor's own excuses it."""
@@ -72,7 +85,9 @@ def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) ->
         rows = imu_rows(table, tag)
         truth = tables["truth"].filter(pl.col("tag") == tag) if against_truth and "truth" in tables else None
         if rows is not None:
-            found = [] if truth is None else _against_attitude(rows, truth) or _against_heights(rows, truth)
+            found = None if truth is None else _against_attitude(rows, truth)
+            if found is None and truth is not None:
+                found = _against_heights(rows, truth)
             found = found or [*_by_gravity(rows), *_mounting(rows)]
             results += [CheckResult(one.level, one.where, f"tag {tag}: {one.message}") for one in found]
     return results
@@ -93,9 +108,11 @@ def _by_gravity(rows: ImuRows) -> list[CheckResult]:
     change, middle, turned = change[known], middle[known], turned[known]
     if len(turned) < LEAST_WINDOWS or np.sqrt(np.mean(turned**2)) < LEAST_TURN:
         return []
-    tried = list(signed_axes("the turn rates"))
+    given = _correlation(change, -np.cross(turned, middle))
+    if given > 1.0 - BETTER:
+        return []
+    tried = signed_axes("the turn rates")
     fits = [(_correlation(change, -np.cross(turned @ axes.matrix.T, middle)), axes) for axes in tried]
-    given = fits[0][0]
     best, axes = max(fits, key=lambda fit: fit[0] - SIMPLER * fit[1].changes)
     if best < FIT or best - given < BETTER:
         return []
@@ -119,31 +136,24 @@ def _mounting(rows: ImuRows) -> list[CheckResult]:
     return [CheckResult("warning", "imu", message)]
 
 
-class _Vectors(NamedTuple):
-    """What the IMU measures and what truth implies of it (n, 3), by name."""
-
-    name: str
-    measured: np.ndarray
-    true: np.ndarray
-
-
-def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
+def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult] | None:
+    """The mistakes that the true attitude shows; None where it tells nothing of the clock."""
     attitude = true_attitude(truth)
     if attitude is None:
-        return []
+        return None
     times, rates = attitude.rates()
     if len(times) < LEAST_WINDOWS or np.sqrt(np.mean(rates**2)) < LEAST_TURN:
-        return []
+        return None
     sizes = np.linalg.norm(rates, axis=1)
-    delay, fit, at_once = _delay(lambda t: np.linalg.norm(_measured_rates(rows, t), axis=1), times, sizes)
+    delay, fit = _delay(lambda t: np.linalg.norm(_measured_rates(rows, t), axis=1), times, sizes, BETTER_TURN)
     if fit < SAME_TURN:
-        return []
-    if abs(delay) >= LEAST_DELAY_S and fit - at_once > 0.05:
+        return None
+    if abs(delay) >= LEAST_DELAY_S:
         return [_late(delay, "attitude")]
     return _other_quaternions(rows, attitude) or [
         CheckResult("error" if wrong else "warning", "imu", line)
-        for vectors in _vectors(rows, attitude, times, rates)
-        for wrong, line in _axes(vectors)
+        for name, measured, true in _vectors(rows, attitude, times, rates)
+        for wrong, line in _axes(name, measured, true)
     ]
 
 
@@ -156,10 +166,9 @@ def _against_heights(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
     at, true = at[np.isfinite(true)], true[np.isfinite(true)]
     if len(at) < LEAST_WINDOWS or np.std(true) < LEAST_LIFT:
         return []
-    delay, fit, at_once = _delay(lambda t: bent(rows.times, rows.lifted, t, REACH_S)[:, 0], at, true)
+    delay, fit = _delay(lambda t: bent(rows.times, rows.lifted, t, REACH_S)[:, 0], at, true, BETTER_LIFT)
     # Smoothed heights are a tenth of a second off.
-    wrong = fit >= SAME_LIFT and abs(delay) >= 2 * LEAST_DELAY_S and fit - at_once > 0.1
-    return [_late(delay, "heights")] if wrong else []
+    return [_late(delay, "heights")] if fit >= SAME_LIFT and abs(delay) >= 2 * LEAST_DELAY_S else []
 
 
 def _late(delay: float, what: str) -> CheckResult:
@@ -175,45 +184,53 @@ def _measured_rates(rows: ImuRows, times: np.ndarray) -> np.ndarray:
 
 
 def _delay(
-    measured: Callable[[np.ndarray], np.ndarray], times: np.ndarray, true: np.ndarray
-) -> tuple[float, float, float]:
-    """Seconds by which an IMU comes late, and the correlation of what it measures with that delay and without."""
+    measured: Callable[[np.ndarray], np.ndarray], times: np.ndarray, true: np.ndarray, gain: float
+) -> tuple[float, float]:
+    """Seconds by which an IMU comes late, and the correlation of what it measures; 0 unless that gains so much."""
     part = slice(None, None, -(-len(times) // 2000))
     times, true = times[part], np.clip(true[part], *np.quantile(true, (0.02, 0.98)))
-    fits = {}
-    for delay in np.arange(-LONGEST_DELAY_S, LONGEST_DELAY_S + STEP_S / 2, STEP_S):
+
+    def fit(delay: float) -> float:
         x = measured(times + delay)
         known = np.isfinite(x)
         enough = known.sum() > max(len(x) / 2, LEAST_WINDOWS)
-        fits[round(float(delay), 3)] = _correlation(x[known], true[known], centred=True) if enough else -1.0
+        return _correlation(x[known], true[known], centred=True) if enough else -1.0
+
+    at_once = fit(0.0)
+    if at_once >= 1.0 - gain:
+        return 0.0, at_once
+    fits = {round(float(d), 3): fit(d) for d in np.arange(-LONGEST_DELAY_S, LONGEST_DELAY_S + STEP_S / 2, STEP_S)}
     best = max(fits, key=lambda delay: fits[delay])
-    return best, fits[best], fits[0.0]
+    return best if fits[best] - at_once > gain else 0.0, fits[best]
 
 
-def _vectors(rows: ImuRows, attitude: Attitude, times: np.ndarray, rates: np.ndarray) -> Iterator[_Vectors]:
+def _vectors(
+    rows: ImuRows, attitude: Attitude, times: np.ndarray, rates: np.ndarray
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """What the IMU measures and what truth implies of it (n, 3), by name."""
     measured = _measured_rates(rows, times)
     known = np.isfinite(measured).all(axis=1)
-    yield _Vectors("turn rates", measured[known], rates[known])
+    yield "turn rates", measured[known], rates[known]
     at = spaced(times, 0.5)
     force = rows.between(rows.pushed, at - 0.5, at + 0.5)
     known = np.isfinite(force).all(axis=1)
     if known.sum() >= LEAST_WINDOWS:
-        yield _Vectors("accelerations", force[known], 9.81 * attitude.up(at)[known])
+        yield "accelerations", force[known], 9.81 * attitude.up(at)[known]
 
 
-def _axes(vectors: _Vectors) -> Iterator[tuple[bool, str]]:
+def _axes(name: str, measured: np.ndarray, true: np.ndarray) -> Iterator[tuple[bool, str]]:
     """Other axes of the measured vectors than the true ones, in words, and whether they make a mirrored frame."""
-    given = _error(vectors.measured, vectors.true)
-    error, axes = _best_axes(vectors.measured, vectors.true, f"the {vectors.name}")
-    left, _, right = np.linalg.svd(vectors.measured.T @ vectors.true)
+    given = _error(measured, true)
+    error, axes = _best_axes(measured, true, f"the {name}")
+    left, _, right = np.linalg.svd(measured.T @ true)
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     angle = float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
-    turned = _error(vectors.measured, vectors.true @ turn.T)
+    turned = _error(measured, true @ turn.T)
     if given < WORSE * min(error, turned):
         return
     if error < WORSE * turned:
-        yield axes.mirrored, f"{vectors.name} fit the truth's attitude only with {axes.words}; correct the axes"
-    elif angle > SMALL_TURN and vectors.name == "turn rates":
+        yield axes.mirrored, f"{name} fit the truth's attitude only with {axes.words}; correct the axes"
+    elif angle > SMALL_TURN and name == "turn rates":
         yield False, f"axes are turned by {np.degrees(angle):.0f}° against the body axes of the truth's attitude"
 
 
@@ -251,3 +268,95 @@ def _correlation(x: np.ndarray, y: np.ndarray, centred: bool = False) -> float:
         x, y = x - x.mean(), y - y.mean()
     scale = float(np.sqrt(np.sum(x**2) * np.sum(y**2)))
     return float(np.sum(x * y)) / scale if scale > 0 else 0.0
+
+
+def between(
+    times: Float[np.ndarray, " N"], x: Float[np.ndarray, "N k"], start: Float[np.ndarray, " n"], end: np.ndarray
+) -> Float[np.ndarray, "n k"]:
+    """The changes of a series `x` from `start` to `end` (n,) s; NaN outside its times and across gaps."""
+    found = np.stack([np.interp(end, times, c) - np.interp(start, times, c) for c in x.T], axis=1)
+    gaps = np.concatenate([[0], np.cumsum(np.diff(times) > GAP_S)])
+    first, last = np.searchsorted(times, start, side="right") - 1, np.searchsorted(times, end)
+    inside = (first >= 0) & (last < len(times))
+    inside &= gaps[np.maximum(first, 0)] == gaps[np.minimum(last, len(gaps) - 1)]
+    found[~inside] = np.nan
+    return found
+
+
+def bent(
+    times: Float[np.ndarray, " N"], x: Float[np.ndarray, "N k"], at: Float[np.ndarray, " n"], reach: float
+) -> Float[np.ndarray, "n k"]:
+    """The second derivative of a series, as its mean over `reach` s before and after `at` with triangular weights."""
+    return (between(times, x, at, at + reach) - between(times, x, at - reach, at)) / reach**2
+
+
+def spaced(times: Float[np.ndarray, " N"], step: float) -> Float[np.ndarray, " n"]:
+    """Times, s, that are a multiple of `step` apart, near those given: no more than these, however long the gaps."""
+    return np.unique(np.floor(times / step)) * step
+
+
+class ImuRows(NamedTuple):
+    """`times` (N,) s, and integrals over time: of specific force (N, 3) m/s and of the turn rate (N, 3) rad.
+
+    `lifted` (N, 1) m: the second integral of the size of the specific force, less its mean: nearly the height.
+    """
+
+    times: Float[np.ndarray, " N"]
+    pushed: Float[np.ndarray, "N 3"]
+    turned: Float[np.ndarray, "N 3"]
+    lifted: Float[np.ndarray, "N 1"]
+
+    def between(self, which: Float[np.ndarray, "N k"], start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "n k"]:
+        """As `between`, of one of the integrals."""
+        return between(self.times, which, start, end)
+
+
+def imu_rows(table: pl.DataFrame, tag: str) -> ImuRows | None:
+    """The whole rows of a tag; None with fewer than ten."""
+    columns = layout("imu", table.columns).values
+    rows = table.filter(pl.col("tag") == tag).select("t_s", *columns).drop_nulls().unique("t_s", keep="first")
+    rows = rows.sort("t_s").head(MOST_ROWS)
+    if len(rows) < 10:
+        return None
+    t, x = rows["t_s"].to_numpy(), rows.select(columns).to_numpy()
+    sums = _integral(t, x)
+    size = np.linalg.norm(x[:, :3], axis=1, keepdims=True)
+    return ImuRows(t, sums[:, :3], sums[:, 3:], _integral(t, _integral(t, size - size.mean())))
+
+
+def _integral(t: Float[np.ndarray, " N"], x: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N k"]:
+    areas = (x[1:] + x[:-1]) / 2 * np.diff(t)[:, None]
+    return np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(areas, axis=0)])
+
+
+class Attitude(NamedTuple):
+    """The true attitude of a tag: `times` (N,) s, `quaternions` (N, 4) w, x, y, z, from body to world."""
+
+    times: Float[np.ndarray, " N"]
+    quaternions: Float[np.ndarray, "N 4"]
+
+    def rates(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+        """Turn rates (n, 3), rad/s in body axes, and the times (n,), s, about which they are taken."""
+        after = np.minimum(np.searchsorted(self.times, self.times + 2 * RATE_S * 0.999), len(self.times) - 1)
+        span = self.times[after] - self.times
+        known = (span > 0) & (span < GAP_S)
+        a, b = self.quaternions[known], self.quaternions[after[known]]
+        scalar = np.einsum("ni,ni->n", a, b)
+        vector = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - np.cross(a[:, 1:], b[:, 1:])
+        size = np.linalg.norm(vector, axis=1)
+        turn = 2.0 * np.arctan2(size, np.abs(scalar)) * np.where(scalar < 0, -1.0, 1.0) / np.maximum(size, 1e-12)
+        return (self.times + span / 2)[known], turn[:, None] * vector / span[known, None]
+
+    def up(self, times: np.ndarray) -> Float[np.ndarray, "n 3"]:
+        """The world's z in body axes (n, 3), of the rows before `times`."""
+        row = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
+        return np.asarray(rotation_matrices(self.quaternions[row])[:, 2, :])
+
+
+def true_attitude(truth: pl.DataFrame) -> Attitude | None:
+    """The attitude in the truth of one tag; None without quaternions."""
+    if "qw" not in truth.columns:
+        return None
+    own = truth.select("t_s", *QUATERNION).drop_nulls().unique("t_s", keep="first").sort("t_s").head(MOST_ROWS)
+    q = own.select(QUATERNION).to_numpy()
+    return Attitude(own["t_s"].to_numpy(), q / np.linalg.norm(q, axis=1, keepdims=True)) if len(own) > 10 else None

@@ -1,0 +1,363 @@
+"""Changes of the readings, the truth or the rig whose numbers are fitted: offsets, turns, places, delays, ids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trackwright.trackers.recordings.checks.changes import LEAST_MOVE_M, Change, frame_cause, resolving, transform_text
+from trackwright.trackers.recordings.checks.compared import Compared, robust_fit
+from trackwright.trackers.recordings.checks.readings import known_median
+from trackwright.trackers.recordings.kinds import wrapped
+
+LEAST_OFFSET_M, LEAST_SCALE, LEAST_TURN = 1.0, 0.05, np.radians(15.0)
+"""Smallest offset of ranges, logarithm of a ratio and turn of a station that count as mistakes."""
+
+ALIKE = 1.2
+"""Ratio of errors up to which two places explain the readings alike, and that nearer to rig.toml's is named."""
+
+LEAST_EXTENT_M = 1.0
+"""Extent of the true positions, m, from which the place of an anchor or station is fitted."""
+
+FEW, COARSE = 240, 600
+"""Readings for the first search of a frame, and for that of a delay."""
+
+TURNS = 5
+"""Turns of the truth from which a frame is fitted: those with the smallest errors of 24."""
+
+LONGEST_DELAY_S = 60.0
+LATENCY_S = 1.0
+"""Delays of measurements up to here are a property of the sensor."""
+
+LEAST_SHIFT_M, LEAST_YAW = 0.4, np.radians(4.0)
+FARTHEST_M = 200.0
+"""Shift of the truth, m, up to which phases are compared with it: far away on the boresight all are equal."""
+
+LEAST_MOTION_M = 0.5
+CLEAR = 1.5
+"""Sum of the log ratios of errors from which two of them count as swapped."""
+
+MOST_SWAPPED = 32
+"""Anchors, stations or tags that are compared with each other's places."""
+
+
+def fitted_changes(view: Compared, large: Bool[np.ndarray, " G"]) -> Iterator[Change]:
+    """The changes with numbers fitted to the readings; `large` (G,): the groups whose errors need an explanation."""
+    kind = view.kind
+    if kind.sensors and kind.unit == "m":
+        yield _offset(view)
+        if kind.distance:
+            yield _scale(view)
+    if kind.angles:
+        yield from _azimuths_turned(view)
+    if kind.numbered:
+        yield _wavelength(view)
+        yield _station_turned(view)
+    if kind.sensors:
+        yield from _moved(view, large)
+    yield from _shifted(view)
+    yield from _turned(view)
+    yield from _delayed(view)
+    yield from _swapped_sensors(view)
+    yield from _swapped_tags(view)
+
+
+def _offset(view: Compared) -> Change:
+    offset = _medians(view, view.errors())
+    return Change(
+        f"a constant subtracted from the {view.table}",
+        f"an offset of the {view.table}, as of an antenna delay that is not calibrated; calibrate the anchors",
+        {"values": view.values - offset[view.group]}, 1, True, np.abs(offset[:, 0]) >= LEAST_OFFSET_M,
+        parts=tuple(f"{x:+.2f} m" for x in offset[:, 0]),
+    )  # fmt: skip
+
+
+def _scale(view: Compared) -> Change:
+    ratio = _medians(view, view.values / np.maximum(view.predicted(), 0.1))
+    return Change(
+        f"the {view.table} divided by a constant",
+        f"a scale error of the {view.table}; check their unit and the clock of the device",
+        {"values": view.values / np.where(ratio == 0, 1.0, ratio)[view.group]}, 1, True,
+        np.abs(np.log(np.maximum(np.abs(ratio[:, 0]), 1e-6))) > LEAST_SCALE,
+        parts=tuple(f"{x:.3f}" for x in ratio[:, 0]),
+    )  # fmt: skip
+
+
+def _medians(view: Compared, x: np.ndarray) -> np.ndarray:
+    """The median of each group and column (G, m)."""
+    return np.stack([known_median(x[view.group == k]) for k in range(len(view.ids))])
+
+
+def _azimuths_turned(view: Compared) -> Iterator[Change]:
+    azimuth, elevation = view.values.T
+    for sign, name in ((1.0, "turned"), (-1.0, "turned and its sign flipped")):
+        turn = _circular_medians(view, sign * azimuth - view.predicted()[:, 0])
+        yield Change(
+            f"the azimuth {name}", "another orientation than rig.toml's, or another zero of the azimuth; correct "
+            "rotation_wxyz", {"values": np.stack([sign * azimuth - turn[view.group], elevation], axis=1)}, 1, True,
+            np.abs(turn) >= LEAST_TURN, parts=tuple(f"by {x:.0f}°" for x in np.degrees(turn)),
+        )  # fmt: skip
+
+
+def _circular_medians(view: Compared, angles: np.ndarray) -> np.ndarray:
+    """The median of angles of each group (G,), about their circular mean."""
+    found = np.zeros(len(view.ids))
+    for k in range(len(found)):
+        own = angles[(view.group == k) & np.isfinite(angles)]
+        if len(own):
+            centre = np.angle(np.mean(np.exp(1j * own)))
+            found[k] = centre + np.median(_half_turns(own - centre))
+    return _half_turns(found)
+
+
+def _half_turns(angles: np.ndarray) -> np.ndarray:
+    """Angles in [−π, π)."""
+    return wrapped(angles[:, None], ("turn_rad",))[:, 0]
+
+
+def _wavelength(view: Compared) -> Change:
+    """The wavelength of each station that makes its errors smallest."""
+    wavelengths = view.sensors.wavelengths
+    logs = _searched(
+        view, lambda logs: {"wavelengths": wavelengths * np.exp(logs)}, np.linspace(np.log(0.25), np.log(4.0), 139)
+    )
+    return Change(
+        "another wavelength", "a wrong wavelength_m, or antennas_m in another scale; correct rig.toml",
+        {"wavelengths": wavelengths * np.exp(logs)}, 1, True,
+        (np.abs(logs) >= LEAST_SCALE) & resolving(view, np.exp(-logs)),
+        parts=tuple(f"{x:.4g} m" for x in np.exp(logs) * wavelengths),
+    )  # fmt: skip
+
+
+def _station_turned(view: Compared) -> Change:
+    """Each station turned about the vertical by the angle that makes its errors smallest."""
+
+    def turned(yaw: np.ndarray) -> dict[str, np.ndarray]:
+        return {"axes": _about_vertical(yaw) @ view.sensors.axes}
+
+    turns = _half_turns(_searched(view, turned, np.radians(np.arange(-180.0, 180.0, 3.0))))
+    return Change(
+        "the station turned about the vertical", "another orientation than rig.toml's; correct rotation_wxyz or "
+        "yaw_deg", turned(turns), 1, True, np.abs(turns) >= LEAST_TURN,
+        parts=tuple(f"by {x:.0f}°" for x in np.degrees(turns)),
+    )  # fmt: skip
+
+
+def _about_vertical(yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 3"]:
+    """The matrices of turns about z, rad."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    found = np.tile(np.eye(3), (len(yaw), 1, 1))
+    found[:, 0, 0], found[:, 0, 1], found[:, 1, 0], found[:, 1, 1] = c, -s, s, c
+    return found
+
+
+def _searched(
+    view: Compared, changed: Callable[[np.ndarray], dict[str, np.ndarray]], grid: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " G"]:
+    """The number of each station with the smallest errors: the best of a grid, then of a finer one round it."""
+    best, step = np.zeros(len(view.ids)), float(grid[1] - grid[0])
+    for offsets in (grid, np.linspace(-step, step, 9)):
+        sizes = (view.changed(**changed(best + x)).sizes() for x in offsets)
+        best = best + offsets[np.argmin(np.stack([np.nansum(np.log(x + 1e-3), axis=1) for x in sizes]), axis=0)]
+    return best
+
+
+def _moved(view: Compared, large: np.ndarray) -> Iterator[Change]:
+    """The place of each group with large errors fitted to its readings, unless the tags hardly move."""
+    given = view.sensors.places
+    places, fitted = given.copy(), np.zeros(len(given), bool)
+    for k in np.flatnonzero(large).tolist():
+        part = view.of_rows(view.group == k)
+        if np.linalg.norm(np.ptp(part.positions, axis=0)) < LEAST_EXTENT_M:
+            continue
+
+        def errors(place: np.ndarray, part: Compared = part, k: int = k) -> np.ndarray:
+            return part.changed(places=np.where(np.arange(len(given))[:, None] == k, place, given)).errors()
+
+        starts = (given[k], given.mean(axis=0), 2 * part.positions.mean(axis=0) - given[k])
+        place, size = min((robust_fit(errors, start) for start in starts), key=lambda fit: fit[1])
+        sides = (place, _mirrored(place, part.positions))
+        alike = [side for side in sides if np.nanmedian(np.abs(errors(side))) <= ALIKE * size]
+        places[k] = min(alike or sides[:1], key=lambda side: float(np.linalg.norm(side - given[k])))
+        fitted[k] = True
+    if fitted.any():
+        yield Change(
+            "another position", "a wrong position in rig.toml; measure it again", {"places": places}, 3, True,
+            fitted & (np.linalg.norm(places - given, axis=1) > LEAST_MOVE_M), place=True,
+            parts=tuple(f"at {_metres(place)}" for place in places),
+        )  # fmt: skip
+
+
+def _mirrored(place: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """The place (3,) on the other side of the plane nearest to all positions (n, 3), from which ranges are the same."""
+    centre = positions.mean(axis=0)
+    normal = np.linalg.svd(positions - centre, full_matrices=False)[2][2]
+    mirrored: np.ndarray = place - 2.0 * float((place - centre) @ normal) * normal
+    return mirrored
+
+
+def _metres(vector: np.ndarray) -> str:
+    return f"({', '.join(f'{x + 0.0:.2f}' for x in np.round(vector, 2))}) m"
+
+
+def _shifted(view: Compared) -> Iterator[Change]:
+    centre = view.positions.mean(axis=0)
+    target = _middle(view, centre)
+    starts = [np.zeros(3), target - centre, np.append((target - centre)[:2], 0.0)]
+    shift = _fitted(view, lambda shift, part: part.positions + shift, starts)
+    if LEAST_SHIFT_M <= np.linalg.norm(shift) <= _farthest(view):
+        yield Change(
+            f"the truth shifted by {_metres(shift)}",
+            frame_cause(view, "has another origin than", np.append(shift, 0.0)),
+            {"positions": view.positions + shift}, 3,
+            harmless=view.kind.position and bool(np.linalg.norm(shift[:2]) < LEAST_SHIFT_M),
+        )  # fmt: skip
+
+
+def _turned(view: Compared) -> Iterator[Change]:
+    """The truth turned about z, mirrored or not, and shifted."""
+    centre = view.positions.mean(axis=0)
+    target = np.append(_middle(view, centre)[:2], centre[2])
+    for mirrored in (False, True):
+
+        def placed(x: np.ndarray, positions: np.ndarray, mirrored: bool = mirrored) -> np.ndarray:
+            away = (positions - centre) * np.array([1.0, -1.0 if mirrored else 1.0, 1.0])
+            turned: np.ndarray = x[1:] + away @ _about_vertical(x[:1])[0].T
+            return turned
+
+        starts = [np.append(yaw, c) for yaw in np.arange(24) * np.pi / 12 for c in (centre, target)]
+        x = _fitted(view, lambda x, part, placed=placed: placed(x, part.positions), starts, TURNS)  # type: ignore[misc]
+        yaw = float(_half_turns(x[:1])[0])
+        if (not mirrored and abs(yaw) < LEAST_YAW) or np.linalg.norm(x[1:] - centre) > _farthest(view):
+            continue
+        origin = placed(x, np.zeros((1, 3)))[0]
+        words = f"{'mirrored (y flipped), then ' if mirrored else ''}turned by {np.degrees(yaw):.1f}° about z"
+        if np.linalg.norm(origin) >= LEAST_SHIFT_M:
+            words += f" and shifted by {_metres(origin)}"
+        cause = frame_cause(view, "is turned against", np.append(origin, np.degrees(yaw)))
+        yield Change(
+            f"the truth {words}", frame_cause(view, "is mirrored against") if mirrored else cause,
+            {"positions": placed(x, view.positions)}, 5 if mirrored else 4,
+        )  # fmt: skip
+
+
+def _fitted(
+    view: Compared,
+    positions: Callable[[np.ndarray, Compared], np.ndarray],
+    starts: Sequence[np.ndarray],
+    most: int | None = None,
+) -> np.ndarray:
+    """The numbers whose `positions` fit the readings best, from starts, or the best `most` of them."""
+
+    def errors(x: np.ndarray, part: Compared = view) -> np.ndarray:
+        return part.changed(positions=positions(x, part)).errors()
+
+    few = view.thinned(FEW)
+    if most is not None:
+        starts = sorted(starts, key=lambda x: float(np.nanmean(np.log1p(np.abs(errors(x, few))))))[:most]
+    rough = min((robust_fit(lambda x: errors(x, few), start, 8) for start in starts), key=lambda fit: fit[1])[0]
+    return robust_fit(errors, rough, 4)[0]
+
+
+def _middle(view: Compared, centre: np.ndarray) -> np.ndarray:
+    """The mean (3,) of fixes, or of anchors or stations; the `centre` of the truth along an axis without a fix."""
+    if not view.kind.position:
+        return np.asarray(view.sensors.places.mean(axis=0))
+    known = np.isfinite(view.values)
+    sums = np.where(known, view.values, 0.0).sum(axis=0)
+    return np.where(known.any(axis=0), sums / np.maximum(known.sum(axis=0), 1), centre)
+
+
+def _farthest(view: Compared) -> float:
+    return FARTHEST_M if view.kind.numbered else np.inf
+
+
+def _delayed(view: Compared) -> Iterator[Change]:
+    """The truth of some seconds before or after."""
+    extent = max(np.linalg.norm(np.ptp(view.positions[view.tag == k], axis=0)) for k in np.unique(view.tag))
+    span = float(np.ptp(view.times))
+    if extent < LEAST_MOTION_M or span < 2.0:
+        return
+    longest, few = min(LONGEST_DELAY_S, 0.45 * span), view.thinned(COARSE)
+    best, step = 0.0, 1.0
+    grid = np.arange(-longest, longest + step, step)
+    while step > 0.02:
+        part = few if step > 0.1 else view
+        best = min(grid, key=lambda delay: float(_logs(part.later(delay).sizes()).sum()))
+        grid, step = best + step * np.arange(-1.0, 1.01, 0.25), step / 4
+    late = "late" if best > 0 else "early"
+    yield Change(
+        f"the measurements taken {abs(best):.2f} s {'earlier' if best > 0 else 'later'}",
+        f"the {view.table} come {abs(best):.2f} s {late}: their clock and that of the truth differ; "
+        f"import the truth again with --align-truth, or --transform {transform_text(0.0, 0.0, 0.0, 0.0, best)}",
+        {"positions": view.later(best).positions}, 1, harmless=-LATENCY_S / 2 < best <= LATENCY_S,
+    )  # fmt: skip
+
+
+def _swapped_sensors(view: Compared) -> Iterator[Change]:
+    """Each anchor or station at the place of another."""
+    count, sensors = len(view.ids), view.sensors
+    if len(view.kind.sensors) != 1 or not 2 <= count <= MOST_SWAPPED:
+        return
+    few = view.thinned(max(FEW, 60 * count))
+    of_others = [few.changed(places=sensors.places[[k] * count], axes=sensors.axes[[k] * count]) for k in range(count)]
+    order = _assignment(np.stack([_logs(other.sizes()) for other in of_others], axis=1))
+    if (order != np.arange(count)).any():
+        yield Change(
+            _exchange(view.noun, view.ids, order),
+            f"the ids of {view.noun}s are mixed up; correct rig.toml or the table",
+            {"places": sensors.places[order], "axes": sensors.axes[order]}, own=True,
+            groups=order != np.arange(count), together=True,
+        )  # fmt: skip
+
+
+def _swapped_tags(view: Compared) -> Iterator[Change]:
+    """Each tag on the path of another."""
+    used = np.array([k for k in np.unique(view.tag) if view.tags[k] in view.paths.number])
+    if not 2 <= len(used) <= MOST_SWAPPED:
+        return
+    few = view.thinned(max(FEW, 60 * len(used)))
+    costs = np.zeros((len(used), len(used)))
+    for j, other in enumerate(used):
+        errors = np.abs(few.later(0.0, np.full(len(view.tags), other)).errors())
+        for i, tag in enumerate(used):
+            costs[i, j] = _logs(known_median(errors[few.tag == tag])[None])[0]
+    order = _assignment(costs)
+    if (order != np.arange(len(used))).any():
+        of = np.arange(len(view.tags))
+        of[used] = used[order]
+        yield Change(
+            _exchange("tag", [view.tags[k] for k in used], order),
+            "the ids of tags are mixed up between truth and measurements; correct one table",
+            {"positions": view.later(0.0, of).positions}, 1,
+        )  # fmt: skip
+
+
+def _logs(sizes: np.ndarray) -> np.ndarray:
+    """The sum over columns (G,) of the logarithms of sizes, large where one is unknown."""
+    total: np.ndarray = np.log(np.where(np.isfinite(sizes), np.maximum(sizes, 1e-3), 1e3)).sum(axis=1)
+    return total
+
+
+def _assignment(costs: np.ndarray) -> np.ndarray:
+    """The column of each row (n,), no two equal, that makes the sum small: only exchanges that clearly do."""
+    from scipy.optimize import linear_sum_assignment  # a quarter of a second, and few recordings come here
+
+    order = linear_sum_assignment(costs)[1]
+    found = np.arange(len(costs))
+    for first in found.tolist():
+        exchanged, last = [first], first
+        while (last := int(order[last])) != first:
+            exchanged.append(last)
+        if costs[exchanged, exchanged].sum() - costs[exchanged, order[exchanged]].sum() > CLEAR:
+            found[exchanged] = order[exchanged]
+    return found
+
+
+def _exchange(noun: str, ids: Sequence[str], order: np.ndarray) -> str:
+    moved = [k for k in range(len(ids)) if order[k] != k]
+    if len(moved) == 2:
+        return f"{noun}s {ids[moved[0]]} and {ids[moved[1]]} swapped"
+    return f"{noun}s exchanged ({', '.join(f'{ids[k]} for {ids[order[k]]}' for k in moved)})"
