@@ -39,7 +39,7 @@ PREFERENCE: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """The trackers by kind of readings, in the order in which these are tried where none is named.
 
-`python -m trackwright.experiments.lab.validation.choice` finds the order within a kind by the errors on recordings on
+`python -m trackwright.experiments.lab.validation choice` finds the order within a kind by the errors on recordings on
 which the levels of neither tracker were fitted, which are named above; docs/which-tracker.md has its figures.
 """
 

@@ -13,7 +13,8 @@ from typing import Any
 
 from trackwright.trackers.core.errors import UnusableInput
 
-REPOSITORY = Path(__file__).parents[2]
+REPOSITORY = Path(__file__).resolve().parents[2]
+"""The checkout: the folder `trackwright` in it holds links."""
 
 
 def recordings_folder() -> Path | None:

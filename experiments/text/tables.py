@@ -6,10 +6,14 @@ import io
 import shutil
 import sys
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from rich import box
 from rich.console import Console, RenderableType
 from rich.table import Table
+
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write
 
 UNLIMITED = 100_000
 """Characters a line where a table is not to be wrapped."""
@@ -59,6 +63,20 @@ def markdown(rows: Sequence[Sequence[str]], numbers: Iterable[int] = ()) -> str:
     right = set(numbers)
     rule = ["---:" if k in right else "---" for k in range(len(rows[0]))]
     return "".join(f"| {' | '.join(row)} |\n" for row in (rows[0], rule, *rows[1:]))
+
+
+def replace_tables(page: Path, name: str, text: str) -> None:
+    """Replace what a page has between the marks of the tables of this name."""
+    begin, end = f"<!-- tables of {name} -->", "<!-- end of the tables -->"
+    before, _, rest = page.read_text("utf-8").partition(begin)
+    new = f"{before}{begin}\n\n{text}\n{end}{rest.partition(end)[2]}"
+    atomic_write(page, lambda path: path.write_text(new, "utf-8"))
+
+
+def require_page(page: Path) -> None:
+    """Raises UnusableInput for a page that is none: before hours are spent on its tables."""
+    if not page.is_file():
+        raise UnusableInput(f"{page}: no such page; expected one with the marks of tables, as docs/performance.md")
 
 
 def width_of(table: Table) -> int:

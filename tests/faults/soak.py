@@ -26,8 +26,9 @@ from scipy.stats import theilslopes
 from tests.faults.jobs import LIMIT_S, Job, jobs
 from tests.in_process import trackwright
 from trackwright.experiments.cli.runtime import keep_programs
-from trackwright.experiments.lab.bench.timing import replace_tables, write_json
+from trackwright.experiments.lab.cases import write_json
 from trackwright.experiments.pages.plots.style import BLUE, VERMILION, figure_file
+from trackwright.experiments.text.tables import replace_tables
 
 FRESH = 10
 """Rounds in the one process for a round of fresh processes, which takes as long as some tens of these."""

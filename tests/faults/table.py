@@ -25,7 +25,8 @@ import numpy as np
 
 from tests.faults import callers, disks, networks, workers
 from tests.faults.seen import Seen, UntriedError
-from trackwright.experiments.lab.bench.timing import commit, replace_tables, write_json
+from trackwright.experiments.lab.cases import commit, write_json
+from trackwright.experiments.text.tables import replace_tables
 from trackwright.trackers.programs.program_cache import cache_programs
 
 RESULTS = Path(__file__).parent / "results.json"

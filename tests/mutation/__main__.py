@@ -26,6 +26,7 @@ from typing import Any
 from tests.mutation.calls import FOLDER
 from tests.mutation.operators import Mutation
 from tests.mutation.selection import ROOT, Calls, concerned, declared_equivalent, drawn, found_again, reason_of
+from trackwright.experiments.lab.cases import write_json
 
 RESULTS = Path(__file__).parent / "results.json"
 TIMED_OUT = ("timed out", "")
@@ -70,9 +71,10 @@ class Scratch:
             ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, check=True, capture_output=True, text=True
         )
         for name in listed.stdout.splitlines():
-            if (ROOT / name).is_file():
+            if (ROOT / name).exists():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(ROOT / name, folder / name)
+                # The links of `trackwright` stay links, to the folders of the copy.
+                shutil.copyfile(ROOT / name, folder / name, follow_symlinks=False)
         cache = os.environ.get("JAX_COMPILATION_CACHE_DIR", f"{tempfile.gettempdir()}/trackwright-mutation-cache")
         self.environment = {
             **os.environ,
@@ -92,17 +94,8 @@ class Scratch:
         print("recording which tests call which functions ...", flush=True)
         with tempfile.TemporaryDirectory() as calls:
             environment = {**self.environment, FOLDER: calls, "TRACKWRIGHT_CACHE": "off"}
-            command = [
-                sys.executable,
-                "-m",
-                "pytest",
-                "--tb=no",
-                "-p",
-                "no:cacheprovider",
-                "-p",
-                "tests.mutation.calls",
-            ]
-            subprocess.run(command, cwd=self.folder, env=environment, check=False)
+            command = f"{sys.executable} -m pytest --tb=no -p no:cacheprovider -p tests.mutation.calls"
+            subprocess.run(command.split(), cwd=self.folder, env=environment, check=False)
             return Calls.read(Path(calls))
 
     def outcome(self, number: int, mutation: Mutation, limit: float) -> Outcome:
@@ -223,8 +216,7 @@ def _write(path: Path, document: dict[str, Any], outcomes: dict[int, Outcome]) -
     """The file of results: the command and the commit of the draw, and each outcome with the commit it was tested at."""
     heading = {name: document[name] for name in ("command", "commit")}
     about = {"date": datetime.now(UTC).isoformat(timespec="seconds"), **heading, "python": platform.python_version()}
-    content = {**about, "mutations": [asdict(outcomes[k]) for k in sorted(outcomes)]}
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    write_json(path, {**about, "mutations": [asdict(outcomes[k]) for k in sorted(outcomes)]})
 
 
 def _commit() -> str:

@@ -19,7 +19,10 @@ from typing import Any
 import jax
 import pytest
 
-ROOT = str(Path(__file__).parents[2])
+ROOT = Path(__file__).parents[2]
+PRODUCT = str(ROOT / "trackwright")
+"""The folder of links by which the product is imported."""
+
 FOLDER = "MUTATION_CALLS"
 AT_IMPORT = ""
 
@@ -29,7 +32,7 @@ _now = _called[AT_IMPORT]
 
 
 def _note(frame: FrameType, event: str, _: Any) -> None:
-    if event == "call" and frame.f_code.co_filename.startswith(ROOT):
+    if event == "call" and frame.f_code.co_filename.startswith(PRODUCT):
         _now.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
 
 
@@ -61,6 +64,6 @@ def pytest_sessionfinish() -> None:
     sys.setprofile(None)
     threading.setprofile(None)
     if FOLDER in os.environ:
-        calls = {file: sorted((name[len(ROOT) + 1 :], line) for name, line in of) for file, of in _called.items()}
+        calls = {file: sorted((name[len(PRODUCT) + 1 :], line) for name, line in of) for file, of in _called.items()}
         content = {"calls": calls, "seconds": _seconds}
         (Path(os.environ[FOLDER]) / f"{os.getpid()}.json").write_text(json.dumps(content), "utf-8")

@@ -11,39 +11,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 OPERATORS = {
-    ast.Add: "-",
-    ast.Sub: "+",
-    ast.Mult: "/",
-    ast.Div: "*",
-    ast.BitAnd: "|",
-    ast.BitOr: "&",
-    ast.Lt: "<=",
-    ast.LtE: "<",
-    ast.Gt: ">=",
-    ast.GtE: ">",
-    ast.Eq: "!=",
-    ast.NotEq: "==",
-    ast.And: "or",
-    ast.Or: "and",
+    ast.Add: ("+", "-"),
+    ast.Sub: ("-", "+"),
+    ast.Mult: ("*", "/"),
+    ast.Div: ("/", "*"),
+    ast.BitAnd: ("&", "|"),
+    ast.BitOr: ("|", "&"),
+    ast.Lt: ("<", "<="),
+    ast.LtE: ("<=", "<"),
+    ast.Gt: (">", ">="),
+    ast.GtE: (">=", ">"),
+    ast.Eq: ("==", "!="),
+    ast.NotEq: ("!=", "=="),
+    ast.And: ("and", "or"),
+    ast.Or: ("or", "and"),
 }
-"""The operator in the place of another."""
-
-SYMBOLS = {
-    ast.Add: "+",
-    ast.Sub: "-",
-    ast.Mult: "*",
-    ast.Div: "/",
-    ast.BitAnd: "&",
-    ast.BitOr: "|",
-    ast.Lt: "<",
-    ast.LtE: "<=",
-    ast.Gt: ">",
-    ast.GtE: ">=",
-    ast.Eq: "==",
-    ast.NotEq: "!=",
-    ast.And: "and",
-    ast.Or: "or",
-}
+"""The symbol of an operator, and the one in its place."""
 
 PAIRS = [
     ("minimum", "maximum"), ("min", "max"), ("argmin", "argmax"), ("nanmin", "nanmax"), ("fmin", "fmax"),
@@ -177,11 +160,10 @@ def _binary(node: ast.BinOp, lines: list[str]) -> Iterator[Edit]:
 
 def _operator(left: ast.expr, op: ast.AST, right: ast.expr, lines: list[str]) -> Iterator[Edit]:
     """The operator's edit, where it stands on one line with both operands' nearer ends."""
-    new = OPERATORS.get(type(op))
-    if new is None or left.end_lineno != right.lineno or left.end_col_offset is None:
+    if type(op) not in OPERATORS or left.end_lineno != right.lineno or left.end_col_offset is None:
         return
     between = lines[right.lineno - 1].encode()[left.end_col_offset : right.col_offset].decode()
-    symbol = SYMBOLS[type(op)]
+    symbol, new = OPERATORS[type(op)]
     at = between.find(symbol)
     if at >= 0:
         start = left.end_col_offset + at

@@ -122,19 +122,10 @@ def test_the_tests_that_call_a_function_are_its_own_first_and_then_the_quickest(
 
 def test_calls_are_recorded_by_test_file(tmp_path):
     file = "tests/trackers/core/data/test_chi_square.py"
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-n0",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "tests.mutation.calls",
-        file,
-    ]
-    subprocess.run(command, cwd=ROOT, env={**os.environ, FOLDER: str(tmp_path)}, check=True, capture_output=True)
+    command = f"{sys.executable} -m pytest -q -n0 -p no:cacheprovider -p tests.mutation.calls {file}"
+    subprocess.run(
+        command.split(), cwd=ROOT, env={**os.environ, FOLDER: str(tmp_path)}, check=True, capture_output=True
+    )
     calls = Calls.read(tmp_path)
     assert list(calls.by_file) == [file]
     assert {name for name, _ in calls.by_file[file]} >= {"trackers/core/data/chi_square.py"}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from importlib import import_module
 from pathlib import Path
 
-from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, apart, timed_command
+from trackwright.experiments.lab.bench.timing import apart, timed_command
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
 from trackwright.experiments.lab.subprocesses import REPOSITORY
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -22,48 +22,34 @@ TRACK = ("track", "ARCHIVE", "--tracker", TRACKER, "--no-figures", "--no-report"
 COMMANDS = {"track": TRACK, "track again": TRACK, "evaluate": ("evaluate", "OUT")}
 """The commands in their order; the second `track` finds everything finished but the broken ones."""
 
-PERCENTILES = ("median", "p90", "p95", "p99", "sigma_factor")
-"""Beginnings of the names of the metrics from histograms."""
 
-
-def archives(*sizes: int, bench: Bench = DEFAULTS) -> int:
+def archives(*sizes: int, output: Output = DEFAULTS) -> int:
     """Archives of thousands of recordings, tracked and evaluated: processor time, and memory at its peak.
 
     Each recording is a simulated vehicle for four seconds, fixes with truth: so short that what a recording costs
     beside its rows shows. Three in a hundred are broken instead, at random and in many ways, by the generator of the
-    tests (`tests/faults/recordings.py`). The percentiles of all rows, which come from histograms, are compared with
-    exact ones. 1 if a command fails, or a percentile deviates by more than a bin.
+    tests (`tests/faults/recordings.py`). 1 if a command fails.
 
     Args:
         sizes: numbers of recordings; by default 100, 1000 and 10000.
     """
-    rows, percentiles, wrong = [], [], False
-    for size in sizes or ((35,) if bench.small else (100, 1000, 10_000)):
+    rows = []
+    for size in sizes or ((35,) if output.small else (100, 1000, 10_000)):
         with tempfile.TemporaryDirectory(prefix="archives-") as name:
             folder = Path(name)
             # In other processes: the peak of a child is at least that of this one.
-            made = _checked(apart("archives:write_archive", size, name, limit_s=LIMIT_S))
+            made = apart("bench.archives:write_archive", size, name, limit_s=LIMIT_S)
+            if "failed" in made:
+                raise UnusableInput(f"bench: archives: {made['failed']}")
             for command, words in COMMANDS.items():
                 run = of_a_command(words, folder)
-                wrong |= run["code"] > 1
                 rows.append({
                     "recordings": size, "broken": made["broken"], "command": command, "processor s": run["cpu_s"],
                     "ms a recording": 1e3 * run["cpu_s"] / size, "wall s": run["wall_s"], "peak MB": run["peak_mb"],
-                    "lines printed": run["lines"],
+                    "lines printed": run["lines"], "exit code": run["code"],
                 })  # fmt: skip
-            found = _checked(apart("archives:deviations", name, limit_s=LIMIT_S))
-        wrong |= found["percentiles, %"] > found["a bin, %"]
-        percentiles.append({"recordings": size, **found})
-    title = "largest deviations of the metrics of all rows, whose percentiles come from histograms"
-    bench.publish("archives", Table(rows, "commands"), Table(percentiles, title))
-    return int(wrong)
-
-
-def _checked(found: Row) -> Row:
-    """The result of a process; raises UnusableInput where it failed."""
-    if "failed" in found:
-        raise UnusableInput(f"bench: archives: {found['failed']}")
-    return found
+    output.publish("bench archives", Table(rows))
+    return int(any(row["exit code"] > 1 for row in rows))
 
 
 def of_a_command(words: tuple[str, ...], folder: Path) -> Row:
@@ -102,25 +88,3 @@ def write_archive(size: int, folder: str) -> Row:
             own = {table: frames[tag].with_columns(tag=pl.lit("agv")) for table, frames in by_tag.items()}
             write_recording(RecordingFolder(name, None, Rig(name), own), day / name)
     return {"broken": broken}
-
-
-def deviations(folder: str) -> Row:
-    """The largest relative deviations of the metrics of all rows from those of all rows at once, with their names."""
-    from trackwright.experiments.cli.archives.tables import read_results
-    from trackwright.trackers.evaluation.evaluate import evaluate
-    from trackwright.trackers.evaluation.scores import BIN_WIDTH
-    from trackwright.trackers.recordings.folder import read_truth
-    from trackwright.trackers.recordings.tracks_table import EVALUATION, read_tracks
-
-    out = Path(folder) / "out"
-    recordings = [read_truth(path) for path, refused in read_results(out).items() if not refused]
-    exact = evaluate(read_tracks(out), recordings).overall
-    found = json.loads((out / EVALUATION).read_bytes())["overall"]
-    relative = {name: abs(found[name] / value - 1) for name, value in exact.items() if value}
-    of_bins = [name for name in relative if name.startswith(PERCENTILES)]
-    others = [name for name in relative if name not in of_bins]
-    worst = {
-        kind: max(names, key=relative.__getitem__) for kind, names in (("percentiles", of_bins), ("others", others))
-    }
-    largest = {f"{kind}, %": 100 * relative[name] for kind, name in worst.items()}
-    return {**largest, "a bin, %": 100 * BIN_WIDTH, **{f"{kind}, worst": name for kind, name in worst.items()}}

@@ -1,4 +1,4 @@
-"""The beam tracker beside a textbook version, dynamax and cuthbert, which take turns in one process.
+"""The beam tracker and its fit beside a textbook version, dynamax, cuthbert and scipy, which take turns in one process.
 
 All filter the same raw phases. The textbook has all wrapped phase differences (28 of 8 antennas), their singular
 covariance with a jitter, a Cholesky factor and two solves per step, and the Joseph form: equations (5) to (17) of Will
@@ -7,15 +7,19 @@ et al. 2020 line by line. The libraries (extra: peers) are used as documented, o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import minimize
 
-from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.lab.bench.timing import Version, apart_each, clocked, compared, turns
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
 from trackwright.trackers.aoa.beam import Beam, beam_tracker
 from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackwright.trackers.core.data.recording import Batch
@@ -26,8 +30,9 @@ from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
+from trackwright.tuning.fitting import fit
 from trackwright.tuning.objectives import NegativeLogLikelihood
-from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
 from trackwright.tuning.problem import Problem
 
 TRAJECTORIES, ROWS = 4096, 200
@@ -45,7 +50,7 @@ JITTER = 1e-3
 """Added to the variance of every difference, rad²; makes the Cholesky factor exist in single precision."""
 
 
-def beam(*, peers: bool = False, bench: Bench = DEFAULTS) -> int:
+def beam(*, peers: bool = False, output: Output = DEFAULTS) -> int:
     """Speed of the beam tracker beside a textbook version and other libraries, with and without flags for XLA.
 
     Each of both settings runs in its own process, in which all versions take turns: ratios, taken within a round, are
@@ -57,9 +62,9 @@ def beam(*, peers: bool = False, bench: Bench = DEFAULTS) -> int:
     rows = []
     for flags in (False, True):
         others = ("textbook", *(("dynamax", "cuthbert") if peers else ()))
-        found = apart_each("beam:beside", others, bench.small, LIMIT_S, flags)
+        found = apart_each("bench.beam:beside", others, output.small, LIMIT_S, flags)
         rows += [{"XLA's flags": "command line" if flags else "none", **row} for row in found]
-    bench.publish("beam", Table(rows, note="Errors: RMS of the last azimuth, degrees."))
+    output.publish("bench beam", Table(rows, note="Errors: RMS of the last azimuth, degrees."))
     return int(any("failed" in row for row in rows))
 
 
@@ -302,3 +307,94 @@ VERSIONS: dict[str, Callable[[], Callable[..., Any]]] = {
     "dynamax": with_dynamax,
     "cuthbert": with_cuthbert,
 }
+
+FIT_LIMIT_S = 5.0
+"""Limit of the time of a compiled fit."""
+
+CORNERS = ((10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0))
+DYNAMAX_SLICE, DYNAMAX_STEPS = (16, 50), 20
+
+
+def tuning(*, peers: bool = False, output: Output = DEFAULTS) -> int:
+    """Computing time of a fit of σ_a and σ_p of the beam tracker, from starts wrong by a factor of ten.
+
+    4,096 trajectories of 200 rows, after a fit that compiles. Beside it, in the same process, scipy's L-BFGS-B on
+    finite differences of the same jitted objective, and a gradient of the likelihood of dynamax's filter, on a small
+    slice because larger batches of its solves deadlock. 1 if a fit takes too long.
+
+    Args:
+        peers: also dynamax (extra: peers).
+    """
+    set_flags()
+    size = (16, 20) if output.small else (TRAJECTORIES, ROWS)
+    world, corners = simulate(*size), CORNERS[:1] if output.small else CORNERS
+    versions: dict[str, Callable[[World], Callable[[Any], Row]]] = {
+        "tuning.fit": with_fit,
+        "scipy L-BFGS-B": with_scipy,
+    }
+    rows = shown(row for name, build in versions.items() for row in of_fits(name, build(world), corners))
+    slowest = max(row["seconds"] for row in rows if row["version"] == "tuning.fit")
+    tables = [Table(rows, "fits", f"The slowest of {len(corners)} fits took {slowest:.2f} s; limit {FIT_LIMIT_S:g} s.")]
+    if peers:
+        seconds, share = dynamax_gradient(world), world.angles[:, 0].size / np.prod(DYNAMAX_SLICE)
+        tables.append(
+            Table([{"of a slice, s": seconds, "of all, s": seconds * share}], "a gradient of dynamax's likelihood")
+        )
+    output.publish("bench tuning", *tables)
+    return int(slowest > FIT_LIMIT_S)
+
+
+def of_fits(name: str, run: Callable[[Any], Row], corners: Any) -> Iterator[Row]:
+    """Timed fits from every start, after one that compiles."""
+    (first, _), _ = clocked(lambda: run(corners[0]))
+    for corner in corners:
+        (seconds, processor), found = clocked(partial(run, corner))
+        times = {"first call s": first, "seconds": seconds, "processor s": processor}
+        yield {"version": name, "wrong by": str(corner), **times, **found}
+
+
+def wrong(corner: Any) -> Any:
+    """The benchmark's tracker with both noise levels multiplied by these factors."""
+    tracker = trackers()[1]
+    parameters = select_parameters(tracker, TUNED)
+    return with_parameters(tracker, parameters, flatten(parameters) + np.log(corner))
+
+
+def with_fit(world: World) -> Callable[[Any], Row]:
+    """Fits by `tuning.fit`."""
+
+    def run(corner: Any) -> Row:
+        found = fit(wrong(corner), world.batch, NegativeLogLikelihood(), TUNED)
+        evaluations = found.filter_runs / world.angles.shape[2]
+        values = {name: float(x) for name, x in found.values.items()}
+        errors = {f"{name}, standard error": float(x) for name, x in found.standard_errors.items()}
+        return {"evaluations": evaluations, "value": found.value, **values, **errors}
+
+    return run
+
+
+def with_scipy(world: World) -> Callable[[Any], Row]:
+    """Fits by scipy's L-BFGS-B with finite differences; their step suits single precision."""
+    tracker = trackers()[1]
+    parameters = select_parameters(tracker, TUNED)
+    problem = Problem(tracker, [world.batch], NegativeLogLikelihood(), parameters)
+
+    def run(corner: Any) -> Row:
+        start = flatten(parameters) + np.log(corner)
+        found = minimize(lambda v: float(problem.values(v)[0]), start, method="L-BFGS-B", options={"eps": 1e-3})
+        return {"evaluations": float(found.nfev), "value": float(found.fun)}
+
+    return run
+
+
+def dynamax_gradient(world: World) -> float:
+    """Seconds of the gradient of the negative log-likelihood of dynamax's filter on a slice: median of warm calls."""
+    part = world.part(*DYNAMAX_SLICE)
+
+    def objective(v: Any) -> Any:
+        levels: Any = jnp.exp(v)
+        return -jnp.mean(with_dynamax(levels[0], levels[1])(*part)[2]) / part[0].shape[1]
+
+    gradient, at = jax.jit(jax.value_and_grad(objective)), jnp.log(jnp.array([10 * SIGMA_A, 10 * SIGMA_P], jnp.float32))
+    jax.block_until_ready(gradient(at))
+    return float(np.median(turns([lambda: jax.block_until_ready(gradient(at))], DYNAMAX_STEPS)[:, 0, 0]))

@@ -25,16 +25,8 @@ from trackwright.experiments.cli.tuning_job import data_in_turn
 from trackwright.experiments.jobs.executors import cluster_client, cluster_executor, finished
 from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
 from trackwright.experiments.lab.bench.cluster_scale import declared, tcp_bytes
-from trackwright.experiments.lab.bench.timing import (
-    DEFAULTS,
-    Bench,
-    Row,
-    Table,
-    clocked,
-    last_line,
-    shown,
-    timed_command,
-)
+from trackwright.experiments.lab.bench.timing import clocked, last_line, timed_command
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
 from trackwright.experiments.lab.subprocesses import REPOSITORY
 from trackwright.experiments.monte_carlo import Study, run_study
 from trackwright.experiments.pages.reports.study_text import to_json
@@ -55,7 +47,7 @@ PLACES = {
 """The cluster of each run, and whether a worker is killed by SIGKILL on the way."""
 
 
-def cluster(*, runs: int = 100_000, bench: Bench = DEFAULTS) -> int:
+def cluster(*, runs: int = 100_000, output: Output = DEFAULTS) -> int:
     """A study on threads, on one and two worker processes, and on two of which one is killed; 1 if the bits differ.
 
     Trajectories a second are counted from the moment when a quarter of the chunks is stored, since each worker begins
@@ -67,7 +59,7 @@ def cluster(*, runs: int = 100_000, bench: Bench = DEFAULTS) -> int:
     """
     set_flags()
     with tempfile.TemporaryDirectory() as name:
-        folder, study = Path(name), declared(Path(name), 20_000 if bench.small else runs)
+        folder, study = Path(name), declared(Path(name), 20_000 if output.small else runs)
         rows = shown({"": where, **of_a_study(study, folder / where, *how)} for where, how in PLACES.items())
         content = max((folder / "threads" / "chunks").glob("*.npz"), key=lambda path: path.stat().st_size).read_bytes()
     with cluster_executor(f"local:{WORKERS}") as executor:
@@ -77,7 +69,7 @@ def cluster(*, runs: int = 100_000, bench: Bench = DEFAULTS) -> int:
     chunk = {"chunk kB": len(content) / 1e3, "caller, processor ms": 1e3 * caller / PARTS,
              "a worker, ms": 1e3 * wall * WORKERS / PARTS, "round trip ms": 1e3 * float(np.median(trips))}  # fmt: skip
     studied = f"a study of {study.runs:,} trajectories in {study.chunks * len(study.conditions)} chunks"
-    bench.publish("cluster", Table(rows, studied), Table([chunk], "a chunk, beside computing"))
+    output.publish("bench cluster", Table(rows, studied), Table([chunk], "a chunk, beside computing"))
     return int(len({row["SHA-256"] for row in rows}) > 1)
 
 
@@ -134,7 +126,7 @@ EVALUATIONS = 10
 
 
 def cluster_fit(
-    *, recordings: int = 32, tags: int = 128, rows: int = 500, steps: int = 8, bench: Bench = DEFAULTS
+    *, recordings: int = 32, tags: int = 128, rows: int = 500, steps: int = 8, output: Output = DEFAULTS
 ) -> int:
     """A fit whose rows are held by worker processes, beside threads, with a worker killed in mid-fit.
 
@@ -151,7 +143,7 @@ def cluster_fit(
         steps: of the optimiser.
     """
     set_flags()
-    if bench.small:
+    if output.small:
         recordings, tags, rows = 4, 4, 50
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
@@ -166,7 +158,7 @@ def cluster_fit(
         f"a fit of {recordings * tags:,} trajectories, {recordings * tags * rows / 1e6:.2f} million rows, {steps} steps"
     )
     evaluation = f"an evaluation at one vector (median of {EVALUATIONS}; Dask may move a chunk besides)"
-    bench.publish("cluster-fit", Table(found, size), Table([travels], evaluation))
+    output.publish("bench cluster-fit", Table(found, size), Table([travels], evaluation))
     return int(len({row["SHA-256"] for row in found}) > 1)
 
 

@@ -24,7 +24,8 @@ import psutil
 
 from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.jobs.executors import cluster_executor, finished
-from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked
+from trackwright.experiments.lab.bench.timing import clocked
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
 from trackwright.experiments.lab.subprocesses import REPOSITORY
 from trackwright.experiments.monte_carlo import Study, load_study
 from trackwright.experiments.monte_carlo.chunk_store import ChunkStore
@@ -74,7 +75,7 @@ BYTES_SENT = 120
 """Offset of bytes sent and acknowledged in the kernel's struct tcp_info; bytes received follow."""
 
 
-def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, bench: Bench = DEFAULTS) -> int:
+def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, output: Output = DEFAULTS) -> int:
     """A scheduler with a thousand workers of Dask's, many in a process, and parts that compute nothing.
 
     Each part takes the declaration of a study and returns as many bytes as its largest chunks: processor seconds of
@@ -86,19 +87,19 @@ def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, 
         parts: that are computed by so many workers.
     """
     set_flags()
-    if bench.small:
+    if output.small:
         workers, parts = (PROCESSES,), 20
     with tempfile.TemporaryDirectory() as folder:
         study = declared(Path(folder), 1_000_000_000)
         chunk = of_a_chunk(study, Path(folder) / "study")
         portable = PortableStudy.of(study)
-        clusters = [of_a_cluster(portable, chunk["chunk_bytes"], n, parts, bench.small) for n in workers]
+        clusters = [of_a_cluster(portable, chunk["chunk_bytes"], n, parts, output.small) for n in workers]
     columns = {f"{one['workers']:,} workers": chunk | one for one in clusters}
     rows = [
         {"": title, **{name: scale * one[key] for name, one in columns.items()}}
         for key, (title, scale) in COSTS.items()
     ]
-    bench.publish("cluster-scale", Table(rows), chunk=chunk, clusters=clusters)
+    output.publish("bench cluster-scale", Table(rows), chunk=chunk, clusters=clusters)
     return 0
 
 
@@ -259,7 +260,7 @@ def cluster_plan(
     price: float | None = None,
     conditions: int = 1,
     measured: Path = MEASURED,
-    bench: Bench = DEFAULTS,
+    output: Output = DEFAULTS,
 ) -> int:
     """What a large study takes on a cluster: chunks, hours, bytes, and with a price the cost. Nothing is run.
 
@@ -280,5 +281,5 @@ def cluster_plan(
     first, chunk = f"{runs:,.0f} trajectories", found["chunk"]
     rows = [{first: title, **{f"{n:,} workers": one[title] for n, one in plans.items()}} for title in plans[workers[0]]]
     note = f"Rates of {measured.name}: world {chunk['world']}, tracker {chunk['tracker']}."
-    bench.publish("cluster-plan", Table(rows, note=note))
+    output.publish("bench cluster-plan", Table(rows, note=note))
     return 0

@@ -11,7 +11,8 @@ import numpy as np
 
 from trackwright.experiments.lab.bench import particles
 from trackwright.experiments.lab.bench.beam import TUNED, finished, simulate, trackers
-from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, turns
+from trackwright.experiments.lab.bench.timing import turns
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import flatten, select_parameters
@@ -36,7 +37,7 @@ class Size(NamedTuple):
 SMALL = Size(2, 8, 5, 8, 4, 1024)
 
 
-def gpu(*, bench: Bench = DEFAULTS) -> int:
+def gpu(*, output: Output = DEFAULTS) -> int:
     """Speed on one GPU and on all GPUs of this host, beside reading the recordings once; they stay on the device.
 
     The likelihood of a beam tracker and its gradient over two tunables, beside the time that reading the recordings
@@ -50,9 +51,9 @@ def gpu(*, bench: Bench = DEFAULTS) -> int:
     devices = jax.local_devices()
     counts = sorted({1, len(devices)})
     rows = [
-        row for count in counts for row in on(devices[:count], SMALL if bench.small else Size(), bench.rounds(ROUNDS))
+        row for count in counts for row in on(devices[:count], SMALL if output.small else Size(), output.rounds(ROUNDS))
     ]
-    bench.publish("gpu", Table(rows), device=devices[0].device_kind)
+    output.publish("bench gpu", Table(rows), device=devices[0].device_kind)
     return 0
 
 

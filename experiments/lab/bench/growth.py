@@ -1,139 +1,77 @@
 """Time and memory against the size of a problem: every point in a process of its own.
 
 A point is the first call, which traces and compiles without a cache, medians of warm runs, and the peak of the process
-over that before the first call. Versions that are slow run up to the sizes that they finish in seconds. The problems
-are in `growth_cases.py`, which the processes of the points import alone: their peak is at least that of this one.
+over that before the first call. Versions that are slow run up to the sizes that they finish in seconds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, apart
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.experiments.lab.bench import beam, particles
+from trackwright.experiments.lab.bench.beam import filtering, finished
+from trackwright.experiments.lab.bench.loops import filtered, model_of, with_filterpy
+from trackwright.experiments.lab.bench.timing import apart, cold_and_warm
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
+from trackwright.experiments.lab.validation.track_loss import kidnapped_walk
+from trackwright.sim import worlds
+from trackwright.trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_tracker
+from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.model import covariance
+from trackwright.trackers.core.model.motion import ConstantVelocity
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.parts.start_nearby import NearbyStart
+from trackwright.tuning.objectives import NegativeLogLikelihood
+from trackwright.tuning.parameters import flatten, select_parameters
+from trackwright.tuning.problem import Problem
 
+Run = tuple[Callable[[], Any], int]
+"""What is timed, and its number of rows."""
+
+ROWS, TRAJECTORIES, BEAMS, SMOOTHED_ROWS, INERTIAL_ROWS = 200, 64, 16, 50, 100
 ALL = 10**9
 
 
-class Series(NamedTuple):
-    """A problem that grows: `versions` with the largest size of each, and `rounds` of warm runs.
-
-    `build`: a function of `growth_cases.py` with its first arguments, by default that of the name of the series.
-    """
-
-    about: str
-    sizes: tuple[int, ...]
-    versions: Mapping[str, int] = {"ours": ALL}
-    build: tuple[str | int, ...] = ()
-    rounds: int = 3
-    limit_s: float = 120.0
-
-
-SERIES = {
-    "rows": Series(
-        "beam tracker, 16 trajectories", (20, 64, 200, 640, 2000),
-        {"ours": ALL, "textbook": ALL, "dynamax": 200, "cuthbert": 640},
-    ),
-    "trajectories": Series(
-        "beam tracker, 200 rows", (32, 128, 512, 2048, 4096), {"ours": ALL, "textbook": 128, "cuthbert": 128}
-    ),
-    "states": Series(
-        "planar ranges, one a row, 64 trajectories of 200 rows; a NumPy loop and filterpy of one", (4, 8, 12, 20, 36),
-        {"ours": ALL, "NumPy": ALL, "filterpy": ALL},
-    ),
-    "anchors": Series(
-        "planar ranges to all anchors in every row, 4 states, 64 trajectories of 200 rows", (3, 6, 12, 25, 50)
-    ),
-    "particles": Series(
-        "particle filter on a line, 256 trajectories of 200 rows; `particles` of 4", (100, 300, 1000, 3000, 10_000),
-        {"ours": ALL, "textbook": 1000, "particles": 1000},
-    ),
-    "tunables": Series(
-        "likelihood and gradient of the planar tracker of ranges, 64 trajectories of 200 rows", (1, 4, 8, 16, 64)
-    ),
-}  # fmt: skip
-SMOOTHED = ("uwb", "fix-kf", "fix-singer", "imm", "uwb-imu")
-
-
-def growth(*series: str, bench: Bench = DEFAULTS) -> int:
+def growth(*series: str, output: Output = DEFAULTS) -> int:
     """Time and memory against the size of the problem, beside peers (extra: peers) and NumPy loops.
 
     Slopes are fitted to the logarithms of processor time and size. 1 if a point fails.
 
     Args:
-        series: rows, trajectories, states, anchors, particles, tunables; by default all.
+        series: rows, trajectories, states, anchors, particles, tunables, which are the default; bearings, inertial,
+            form-4, form-12 (states, whose covariances are scalars or matrices), smoothed-TRACKER.
     """
-    unknown = [name for name in series if name not in SERIES]
-    if unknown:
-        raise UnusableInput(f"bench: unknown series {', '.join(unknown)}; expected {', '.join(SERIES)}")
-    return measured("growth", {name: SERIES[name] for name in series or SERIES}, bench)
-
-
-def lanes(
-    *,
-    lanes: tuple[int, ...] = (),
-    states: tuple[int, ...] = (4, 8, 12, 15),
-    smoothed: bool = False,
-    trackers: tuple[str, ...] = SMOOTHED,
-    bench: Bench = DEFAULTS,
-) -> int:
-    """Time per row against the number of trajectories: covariances as scalars and as matrices, or smoothers.
-
-    Ranges in the plane, 200 rows; `FEW` in trackers/core/model/covariance.py chooses the form. With `--smoothed`
-    trackers of simulated recordings, 50 times, filtered and smoothed, with the call of `run`. 1 if a point fails.
-
-    Args:
-        lanes: numbers of trajectories.
-        states: numbers of components of the state.
-        smoothed: trackers, filtered and smoothed, instead of the two forms of covariances.
-        trackers: the trackers of `--smoothed`.
-    """
-    if smoothed:
-        sizes, versions = lanes or (1, 4, 8, 9, 16, 32, 64, 128, 512, 2000), {"filtered": ALL, "smoothed": ALL}
-        series = {name: Series("", sizes, versions, ("smoothed", name), 5, 240.0) for name in trackers}
-    else:
-        sizes, versions = lanes or (1, 2, 4, 8, 64, 512), {"scalars": ALL, "matrices": ALL}
-        series = {f"{n} states": Series("", sizes, versions, ("form", n), 15, 240.0) for n in states}
-    return measured("lanes", series, bench)
-
-
-def bearings(*, bench: Bench = DEFAULTS) -> int:
-    """The cost of drifting biases in the tracker of bearings: 12 states beside a constant velocity of 4.
-
-    Walks of a minute seen by four stations, 480 bearings each. 1 if a point fails.
-    """
-    versions = {"constant velocity": ALL, "drifting biases": ALL}
-    series = Series("walks seen by four stations, 480 bearings each", (1, 64, 512), versions, (), 15, 240.0)
-    return measured("bearings", {"bearings": series}, bench)
-
-
-def inertial(*, bench: Bench = DEFAULTS) -> int:
-    """Compiling the filter of ranges and an IMU, of 23 states, and its gradient of two noise levels.
-
-    1 if a point fails.
-    """
-    series = Series("uwb-imu with one heading, 100 rows", (1, 512), {"filter": ALL, "gradient": ALL}, limit_s=400.0)
-    return measured("inertial", {"inertial": series}, bench)
-
-
-def measured(case: str, series: Mapping[str, Series], bench: Bench) -> int:
-    """Measure the points of all series and publish a table of each."""
     tables = []
-    for name, one in series.items():
-        points = [(version, size) for version, largest in one.versions.items()
-                  for size in one.sizes[: 2 if bench.small else None] if size <= largest]  # fmt: skip
-        build, rounds = one.build or (name,), bench.rounds(one.rounds)
+    for name in chosen(series, SERIES, USUAL):
+        one = SERIES[name]
         rows = [
             {"size": size, "version": version}
-            | apart("growth_cases:point", build, version, size, rounds, limit_s=one.limit_s)
-            for version, size in points
+            | apart("bench.growth:point", name, version, size, output.rounds(one.rounds), limit_s=one.limit_s)
+            for version, largest in one.versions.items()
+            for size in one.sizes[: 2 if output.small else None]
+            if size <= largest
         ]
-        tables.append(Table(rows, f"{name}: {one.about}".removesuffix(": "), slopes(rows, one.versions)))
-    bench.publish(case, *tables)
+        tables.append(Table(rows, f"{name}: {one.about}", slopes(rows, one.versions)))
+    output.publish("bench growth", *tables)
     return int(any("failed" in row for table in tables for row in table.rows))
+
+
+def point(series: str, version: str, size: int, rounds: int) -> Row:
+    """Times and memory of a version of one problem at one size, in this process."""
+    run, rows = SERIES[series].build(version, size)
+    return cold_and_warm(run, rows, rounds)
 
 
 def slopes(rows: Sequence[Row], versions: Mapping[str, int]) -> str:
@@ -146,3 +84,165 @@ def slopes(rows: Sequence[Row], versions: Mapping[str, int]) -> str:
             x, y = np.log(np.array(points, float)).T
             found.append(f"{version} {np.polyfit(x, y, 1)[0]:.2f}")
     return f"Slope of processor time: {', '.join(found) or 'too few sizes'}."
+
+
+def ranging(anchors: int, slots: int, biases: int, trajectories: int) -> tuple[Tracker, list[Recording]]:
+    """A planar tracker of ranges and its recordings: circles of 3 m among anchors on a circle of 8 m."""
+    rng = np.random.default_rng(0)
+    around = np.arange(anchors) * (2 * np.pi / anchors)
+    places = np.stack([8 * np.cos(around), 8 * np.sin(around), np.full(anchors, 2.0)], axis=1)
+    times = 0.05 * np.arange(ROWS)
+    number = (np.arange(ROWS)[:, None] * slots + np.arange(slots)) % anchors
+    recordings = []
+    for k in range(trajectories):
+        angle = times + rng.uniform(0, 2 * np.pi)
+        position = np.stack([3 * np.cos(angle), 3 * np.sin(angle), np.ones(ROWS)], axis=1)
+        distance = np.sqrt(((places[number] - position[:, None]) ** 2).sum(axis=-1))
+        values = distance + 0.1 * rng.normal(size=distance.shape)
+        inputs = {
+            "anchors": places[number].reshape(ROWS, -1),
+            "anchor": number.astype(float),
+            "height": np.ones(ROWS),
+            "nearby": np.column_stack([position, np.ones(ROWS)]),
+        }
+        readings = {RANGES: Readings(values, np.ones(values.shape, bool))}
+        recordings.append(Recording(times, readings, inputs, name=str(k)))
+    tracker = Tracker(
+        DriftingBiases(biases, 1.0, 1.0, 5.0, 0.03, 1000.0, 100.0),
+        {RANGES: RangeSensor(slots, anchors, 0.1, 3.0, 3.0)},
+        BiasedStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(0.03, "m"), True, biases),
+        track_loss=TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf),
+    )
+    return tracker, recordings
+
+
+def ranges(version: str, biases: int, slots: int) -> Run:
+    """The tracker of ranges with a bias per anchor, or the loop of one trajectory in NumPy or with filterpy."""
+    tracker, recordings = ranging(max(biases, slots, 4), slots, biases, TRAJECTORIES if version == "ours" else 1)
+    if version == "ours":
+        return filtering(tracker, stack(recordings)), TRAJECTORIES * ROWS
+    model = model_of(tracker, recordings[0], planar=True)
+    assert model is not None
+    state = np.zeros(4 + biases)
+    state[:2] = recordings[0].inputs["nearby"][0, :2]
+    P = np.diag([1.0] * 4 + [0.03**2] * biases)
+    dts = np.diff(recordings[0].times, prepend=0.0)
+    loop = with_filterpy if version == "filterpy" else filtered
+    return (lambda: loop(model, state, P, dts, 1)), ROWS - 1
+
+
+def form(states: int, version: str, size: int) -> Run:
+    """The tracker of ranges with so many states, its covariances as scalars or as matrices."""
+    covariance.FEW = size if version == "matrices" else 0
+    tracker, recordings = ranging(max(states - 4, 4), 1, states - 4, size)
+    return filtering(tracker, stack(recordings)), size * ROWS
+
+
+def smoothed(name: str, version: str, size: int) -> Run:
+    """A tracker of simulated recordings, filtered, or smoothed once it was filtered; calls of `run` included."""
+    simulate: Any = {"uwb": worlds.ranges, "uwb-imu": worlds.tool}.get(name, worlds.agv)
+    (batch,) = TRACKERS[name].batches([simulate(n=size, rows=SMOOTHED_ROWS).folder()], name)
+    recordings = [t.recording for t in batch.trajectories]
+    tracker: Any = batch.tracker
+    if version == "smoothed":
+        tracker.run(recordings)
+        tracker = Smoothed(tracker)
+    return (lambda: tracker.run(recordings)), sum(map(len, recordings))
+
+
+def gradient(tracker: Any, recordings: Sequence[Recording], tune: Sequence[str]) -> Callable[[], Any]:
+    """A run of likelihood and gradient of the numbers that these patterns name."""
+    parameters = select_parameters(tracker, tune)
+    problem = Problem(tracker, [stack(recordings)], NegativeLogLikelihood(), parameters, CHUNK)
+    vector = flatten(parameters)
+    return lambda: problem.evaluate(vector)[:2]
+
+
+def tunables(version: str, size: int) -> Run:
+    """Likelihood and gradient of so many sensor biases."""
+    return gradient(*ranging(size, 1, 0, TRAJECTORIES), ("sensors.*.bias",)), TRAJECTORIES * ROWS
+
+
+def inertial(version: str, size: int) -> Run:
+    """One of the filters of the mixture `uwb-imu`, or its likelihood and gradient of two noise levels."""
+    (batch,) = TRACKERS["uwb-imu"].batches([worlds.tool(n=size, rows=INERTIAL_ROWS).folder()], "uwb-imu")
+    recordings = [t.recording for t in batch.trajectories]
+    tracker: Any = batch.tracker
+    tracker = dataclasses.replace(tracker, filter=tracker.filter.kalman)
+    if version == "gradient":
+        run = gradient(tracker, recordings, ("motion.noise.sigma_accel", "sensors.*.sigma_r"))
+    else:
+        run = finished(filtering(tracker, stack(recordings)))
+    return run, sum(map(len, recordings))
+
+
+def bearings(version: str, size: int) -> Run:
+    """Walks as `experiments.lab.validation.track_loss` simulates them, with drifting biases in the state or without."""
+    batch = stack([kidnapped_walk(seed, "bearings").recording for seed in range(size)])
+    tracker = bearing_tracker(4, planar=True)
+    if version == "constant velocity":
+        start = NearbyStart(Scale(1.5, "m"), Scale(1.0, "m/s"), planar=True, velocities=2)
+        sensors = {BEARINGS: BearingSensor(0.1, 0.1, 4.0)}
+        tracker = Tracker(ConstantVelocity(0.5, 2), sensors, start, track_loss=tracker.track_loss)
+    return finished(filtering(tracker, batch)), batch.dt.size
+
+
+class Series(NamedTuple):
+    """A problem that grows: `versions` with the largest size of each, and `rounds` of warm runs."""
+
+    about: str
+    build: Callable[[str, int], Run]
+    sizes: tuple[int, ...]
+    versions: Mapping[str, int] = {"ours": ALL}
+    rounds: int = 3
+    limit_s: float = 120.0
+
+
+SERIES = {
+    "rows": Series(
+        f"beam tracker, {BEAMS} trajectories", lambda version, size: beam.version(version, BEAMS, size),
+        (20, 64, 200, 640, 2000), {"ours": ALL, "textbook": ALL, "dynamax": 200, "cuthbert": 640},
+    ),
+    "trajectories": Series(
+        "beam tracker, 200 rows", lambda version, size: beam.version(version, size, ROWS),
+        (32, 128, 512, 2048, 4096), {"ours": ALL, "textbook": 128, "cuthbert": 128},
+    ),
+    "states": Series(
+        "planar ranges, one a row, 64 trajectories of 200 rows; a NumPy loop and filterpy of one",
+        lambda version, size: ranges(version, biases=size - 4, slots=1),
+        (4, 8, 12, 20, 36), {"ours": ALL, "NumPy": ALL, "filterpy": ALL},
+    ),
+    "anchors": Series(
+        "planar ranges to all anchors in every row, 4 states, 64 trajectories of 200 rows",
+        lambda version, size: ranges(version, biases=0, slots=size), (3, 6, 12, 25, 50),
+    ),
+    "particles": Series(
+        "particle filter on a line, 256 trajectories of 200 rows; `particles` of 4", particles.version,
+        (100, 300, 1000, 3000, 10_000), {"ours": ALL, "textbook": 1000, "particles": 1000},
+    ),
+    "tunables": Series(
+        "likelihood and gradient of the planar tracker of ranges, 64 trajectories of 200 rows", tunables,
+        (1, 4, 8, 16, 64),
+    ),
+    "bearings": Series(
+        "walks seen by four stations, 480 bearings each", bearings, (1, 64, 512),
+        {"constant velocity": ALL, "drifting biases": ALL}, 15, 240.0,
+    ),
+    "inertial": Series(
+        "uwb-imu with one heading, 100 rows", inertial, (1, 512), {"filter": ALL, "gradient": ALL}, limit_s=400.0
+    ),
+    **{
+        f"form-{n}": Series(
+            f"{n} states, planar ranges", partial(form, n), (1, 8, 64, 512), {"scalars": ALL, "matrices": ALL}, 15, 240
+        )
+        for n in (4, 12)
+    },
+    **{
+        f"smoothed-{name}": Series(
+            f"{name}, {SMOOTHED_ROWS} times, with the call of `run`", partial(smoothed, name),
+            (1, 8, 9, 64, 512, 2000), {"filtered": ALL, "smoothed": ALL}, 5, 240.0,
+        )
+        for name in ("uwb", "fix-kf", "fix-singer", "imm", "uwb-imu")
+    },
+}  # fmt: skip
+USUAL = ("rows", "trajectories", "states", "anchors", "particles", "tunables")

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.experiments.lab.bench.beam import filtering
-from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, Version, apart_each, compared
+from trackwright.experiments.lab.bench.timing import Version, apart_each, compared
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
 from trackwright.sim.line import THESIS_KNOTS, simulate_line
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model.polyline import Polyline
@@ -43,7 +44,7 @@ Run = Callable[[], np.ndarray]
 """A run of a filter, which returns positions (n, T, 2), m."""
 
 
-def particles(*, peers: bool = False, bench: Bench = DEFAULTS) -> int:
+def particles(*, peers: bool = False, output: Output = DEFAULTS) -> int:
     """Speed of the particle filter on a line beside the textbook's and other libraries.
 
     Each takes turns with ours in a process of its own; ratios are taken within a round. 1 if a speed-up is too
@@ -52,10 +53,10 @@ def particles(*, peers: bool = False, bench: Bench = DEFAULTS) -> int:
     Args:
         peers: also `particles` and cuthbert (extra: peers).
     """
-    rows = apart_each("particles:beside", FLOORS if peers else ("textbook",), bench.small, LIMIT_S)
-    bench.publish("particles", Table(rows, note=f"Errors: RMSE, m. Floors of the speed-up: {FLOORS}."))
+    rows = apart_each("bench.particles:beside", FLOORS if peers else ("textbook",), output.small, LIMIT_S)
+    output.publish("bench particles", Table(rows, note=f"Errors: RMSE, m. Floors of the speed-up: {FLOORS}."))
     slow = [row["version"] for row in rows if row.get("ours × faster", 0.0) < FLOORS.get(row["version"], 0.0)]
-    return int(bool(slow) and not bench.small)
+    return int(bool(slow) and not output.small)
 
 
 def beside(other: str, small: bool) -> Row:

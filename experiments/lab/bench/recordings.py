@@ -13,7 +13,8 @@ import numpy as np
 
 from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.lab.bench.loops import filtered, model_of, vector, with_filterpy
-from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown, turns
+from trackwright.experiments.lab.bench.timing import clocked, turns
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
 from trackwright.experiments.lab.subprocesses import required_recordings
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.core.run.smoother import Smoothed
@@ -46,7 +47,7 @@ def recordings(
     recordings: tuple[str, ...] = RECORDINGS,
     trackers: tuple[str, ...] = (),
     smooth: bool = False,
-    bench: Bench = DEFAULTS,
+    output: Output = DEFAULTS,
 ) -> int:
     """Running time per row of every tracker that fits a real recording, beside the same filter in NumPy and filterpy.
 
@@ -61,9 +62,9 @@ def recordings(
     """
     set_flags()
     root = required_recordings()
-    rounds, chosen = bench.rounds(ROUNDS), recordings[:1] if bench.small else recordings
+    rounds, chosen = output.rounds(ROUNDS), recordings[:1] if output.small else recordings
     rows = shown(row for name in chosen for row in measured(root / name, trackers, smooth, rounds))
-    bench.publish("recordings", Table(rows))
+    output.publish("bench recordings", Table(rows))
     others = [f"{row['tracker']} on {row['recording']}" for row in rows if (row["difference m"] or 0.0) > AGREEMENT_M]
     if others:
         print(

@@ -10,7 +10,8 @@ import jax
 import numpy as np
 
 from trackwright.experiments.cli.runtime import set_flags
-from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, clocked, shown
+from trackwright.experiments.lab.bench.timing import clocked
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
 from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World
 from trackwright.sim.worlds import WORLDS as MAKE
@@ -40,7 +41,7 @@ WORLDS: dict[str, tuple[str, ...]] = {
 """The trackers that read each world's tables."""
 
 
-def studies(*, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), bench: Bench = DEFAULTS) -> int:
+def studies(*, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), output: Output = DEFAULTS) -> int:
     """A study's chunk beside the tracker alone, for every world: simulated, prepared, run and scored.
 
     The tracker alone is `tracker.run` on the same stacked rows, beside its compiled program on arrays that are in
@@ -52,15 +53,16 @@ def studies(*, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), bench
         tracker: trackers, all of each world by default.
     """
     set_flags()
-    pairs = [(w, t) for w, every in WORLDS.items() for t in every if w in (world or WORLDS) and t in (tracker or every)]
+    trackers = chosen(tracker, dict.fromkeys(t for every in WORLDS.values() for t in every))
+    pairs = [(w, t) for w in chosen(world, WORLDS) for t in WORLDS[w] if t in trackers]
     rows = shown(of_a_chunk(*pair, bench) for pair in pairs)
-    bench.publish("studies", Table(rows))
+    output.publish("bench studies", Table(rows))
     return int(any(row["run/whole"] < LEAST_SHARE for row in rows))
 
 
-def of_a_chunk(world: str, tracker: str, bench: Bench) -> Row:
+def of_a_chunk(world: str, tracker: str, output: Output) -> Row:
     """Processor time per row of the parts and of the whole chunk, and the share of the rate of the tracker alone."""
-    count = 4 if bench.small else FEWER.get(tracker, TRAJECTORIES)
+    count = 4 if output.small else FEWER.get(tracker, TRAJECTORIES)
     study = Study(
         "speed",
         "",
@@ -84,7 +86,7 @@ def of_a_chunk(world: str, tracker: str, bench: Bench) -> Row:
         rows = int(sum(np.asarray(batch.valid).sum() for _, batch in stacked))
         return simulate, prepare, bare, run, whole - simulate - prepare - run, whole
 
-    warm = np.array([one_round() for _ in range(bench.rounds(ROUNDS) + 1)])[1:]
+    warm = np.array([one_round() for _ in range(output.rounds(ROUNDS) + 1)])[1:]
     parts = (f"{part} µs/row" for part in ("simulate", "prepare", "program", "run", "score", "whole"))
     return {
         "world": world,

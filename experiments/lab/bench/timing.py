@@ -1,39 +1,23 @@
-"""One timer, one fresh process, one writer: what every benchmark measures with, and where its results go."""
+"""One timer and one fresh process: what every benchmark measures with."""
 
 from __future__ import annotations
 
 import json
 import os
-import platform
 import resource
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.cli.options import OPTIONS
 from trackwright.experiments.cli.runtime import set_flags
-from trackwright.experiments.lab.subprocesses import REPOSITORY, new_interpreter
-from trackwright.experiments.text.tables import aligned, markdown
-from trackwright.trackers.recordings.atomic import atomic_write, json_text
-
-FOLDER = "trackwright.experiments.lab.bench"
-PACKAGES = ("jax", "jaxlib", "numpy", "polars", "distributed", "dynamax", "cuthbert", "filterpy", "particles")
-"""Packages whose versions are written down where they are installed."""
-
-LINE = 400
-"""Most characters of a result file's line that holds a whole list or row."""
-
-Row = dict[str, Any]
-"""A row of a table: values by the titles of their columns."""
+from trackwright.experiments.lab.cases import Row, function_of
+from trackwright.experiments.lab.subprocesses import new_interpreter
+from trackwright.trackers.recordings.atomic import json_text
 
 
 def clocked(run: Callable[[], Any]) -> tuple[tuple[float, float], Any]:
@@ -102,13 +86,13 @@ def compared(versions: Mapping[str, Version], rounds: int) -> list[Row]:
 
 
 def apart(target: str, *arguments: Any, limit_s: float, flags: bool = True) -> Row:
-    """What a function of this folder, as `growth_cases:point`, returns in a new interpreter, or why not under `failed`.
+    """What a function of the laboratory returns in a new interpreter, or why not under `failed`.
 
-    `flags`: with those of the command line instead of XLA's own. The function's module is imported there alone, since
-    the peak of a process is at least that of the one which started it.
+    `target`: as `bench.growth:point`. `flags`: with those of the command line instead of XLA's own. The peak of a
+    process is at least that of the one which started it.
     """
     print(f"measuring: {target} {' '.join(map(str, arguments))} …", file=sys.stderr, flush=True)
-    program = f"from {FOLDER}.timing import answer; answer({target!r}, {arguments!r}, {flags})"
+    program = f"from {__name__} import answer; answer({target!r}, {arguments!r}, {flags})"
     try:
         done = new_interpreter(["-c", program], limit_s)
     except subprocess.TimeoutExpired:
@@ -138,13 +122,6 @@ def answer(target: str, arguments: Sequence[Any], flags: bool) -> None:
     print(json_text(function_of(target)(*arguments)))
 
 
-def function_of(target: str) -> Callable[..., Any]:
-    """The function of a module of this folder, as `growth_cases:point`."""
-    module, _, name = target.partition(":")
-    function: Callable[..., Any] = getattr(import_module(f"{FOLDER}.{module}"), name)
-    return function
-
-
 def timed_command(
     words: Sequence[str | Path], folder: Path, log: Path, environment: Mapping[str, str] | None = None,
     watch: Callable[[int], None] | None = None,
@@ -169,161 +146,3 @@ def timed_command(
 def last_line(log: Path) -> str:
     """The last line of what a command printed."""
     return (log.read_text("utf-8", "replace").strip().splitlines() or ["no message"])[-1]
-
-
-def machine() -> Row:
-    """The processor and its load."""
-    lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines() if Path("/proc/cpuinfo").exists() else []
-    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return {
-        "cpu": models[0] if models else platform.processor(),
-        "cores": len(os.sched_getaffinity(0)),
-        "platform": platform.platform(),
-        "python": platform.python_version(),
-        "load_average": os.getloadavg(),
-    }
-
-
-def commit(folder: Path) -> str:
-    """The commit that is checked out there, `unknown` without git."""
-    done = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], cwd=folder, capture_output=True, text=True, check=False
-    )
-    return done.stdout.strip() or "unknown"
-
-
-def packages() -> dict[str, str]:
-    """The versions of `PACKAGES`, of those that are installed."""
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-class Table(NamedTuple):
-    """Rows of one table, with a title, and a line or more below it."""
-
-    rows: Sequence[Row]
-    title: str = ""
-    note: str = ""
-
-
-@OPTIONS
-@dataclass(frozen=True, kw_only=True)
-class Bench:
-    """How a benchmark runs, and where its results go.
-
-    Args:
-        small: the smallest sizes and a single round, to see that everything runs.
-        out: the JSON file to write (default: out/bench-NAME.json).
-        page: the page whose tables of this benchmark are replaced, as docs/performance.md.
-    """
-
-    small: bool = False
-    out: Path | None = None
-    page: Path | None = None
-    began: datetime = field(default_factory=lambda: datetime.now(UTC), init=False)
-    host: Row = field(default_factory=machine, init=False)
-
-    def rounds(self, count: int) -> int:
-        """The number of rounds."""
-        return 1 if self.small else count
-
-    def publish(self, name: str, *tables: Table, **about: Any) -> None:
-        """Write the results of a benchmark as JSON, print their tables, and replace those of the page.
-
-        `about`: what else the JSON file has.
-        """
-        command = ["python", "-m", FOLDER, name, *sys.argv[1:]]
-        rows = {"rows": tables[0].rows} if len(tables) == 1 else {"tables": {t.title: t.rows for t in tables}}
-        out = self.out or Path("out") / f"bench-{name}.json"
-        write_json(
-            out,
-            {
-                "date": self.began.isoformat(timespec="seconds"),
-                "command": command,
-                "commit": commit(REPOSITORY),
-                "machine": self.host,
-                "packages": packages(),
-                **about,
-                **rows,
-                "took_s": (datetime.now(UTC) - self.began).total_seconds(),
-            },
-        )
-        heading = f"{self.host['cpu']}, {self.host['cores']} cores, {self.began:%Y-%m-%d}, `{' '.join(command)}`."
-        print(f"{heading} Load {self.host['load_average'][0]:.1f}.\n")
-        for table in tables:
-            text = aligned(cells(table.rows), numeric(table.rows))
-            print("\n".join(filter(None, [table.title, text, table.note])), end="\n\n")
-        print(f"Written: {out}")
-        if self.page is not None:
-            parts = [
-                [f"### {t.title}" if t.title else "", markdown(cells(t.rows), numeric(t.rows)).strip(), t.note]
-                for t in tables
-            ]
-            text = "\n\n".join(filter(None, [heading, *(part for table in parts for part in table)]))
-            replace_tables(self.page, f"{FOLDER} {name}", f"{text}\n")
-
-
-DEFAULTS = Bench()
-
-
-def shown(rows: Iterable[Row]) -> list[Row]:
-    """The rows, each printed to the terminal once it is measured."""
-    found = []
-    for row in rows:
-        found.append(row)
-        print("  ".join(f"{k} {cell(v)}" for k, v in row.items() if v is not None), file=sys.stderr, flush=True)
-    return found
-
-
-def cell(value: Any) -> str:
-    """A number or a text of a table; nothing for None."""
-    if not isinstance(value, float):
-        return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value).replace("|", "/")
-    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-
-
-def cells(rows: Sequence[Row]) -> list[list[str]]:
-    """The titles of the columns and the texts of the rows; a row may lack columns."""
-    titles = list(dict.fromkeys(title for row in rows for title in row))
-    return [titles, *([cell(row.get(title)) for title in titles] for row in rows)]
-
-
-def numeric(rows: Sequence[Row]) -> list[int]:
-    """The numbers of the columns that have no texts."""
-    titles = cells(rows)[0]
-    return [k for k, title in enumerate(titles) if not any(isinstance(row.get(title), str) for row in rows)]
-
-
-def write_json(out: Path, results: Mapping[str, Any]) -> None:
-    """Write the results, a row a line, creating the folder if missing."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    text = compact(json.loads(json_text(results)), top=True)
-    atomic_write(out, lambda path: path.write_text(f"{text}\n", "utf-8"))
-
-
-def compact(value: Any, indent: str = "", top: bool = False) -> str:
-    """JSON in which a row has a line, and so has every other value that fits into one."""
-    line, deeper = json.dumps(value, ensure_ascii=False), indent + "  "
-    if not value or not isinstance(value, dict | list):
-        return line
-    if isinstance(value, dict):
-        each = [f"{json.dumps(k, ensure_ascii=False)}: {compact(v, deeper)}" for k, v in value.items()]
-    else:
-        each = [compact(v, deeper) for v in value]
-    rows = isinstance(value, list) and isinstance(value[0], dict)
-    if not (top or rows or len(indent) + len(line) > LINE or any("\n" in part for part in each)):
-        return line
-    begin, end = "{}" if isinstance(value, dict) else "[]"
-    return f"{begin}\n{deeper}" + f",\n{deeper}".join(each) + f"\n{indent}{end}"
-
-
-def replace_tables(page: Path, name: str, text: str) -> None:
-    """Replace what a page has between the marks of the tables of this name."""
-    begin, end = f"<!-- tables of {name} -->", "<!-- end of the tables -->"
-    before, _, rest = page.read_text("utf-8").partition(begin)
-    page.write_text(f"{before}{begin}\n\n{text}\n{end}{rest.partition(end)[2]}", "utf-8")

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import median
 
-from trackwright.experiments.lab.bench.timing import DEFAULTS, Bench, Row, Table, commit, last_line, timed_command
+from trackwright.experiments.lab.bench.timing import last_line, timed_command
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, commit
 from trackwright.experiments.lab.subprocesses import REPOSITORY, required_recordings
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -41,7 +42,7 @@ SETTINGS = ("JAX_", "XLA_", "TRACKWRIGHT_CACHE")
 """Environment variables that begin so are not handed on: they would move the cache or change the programs."""
 
 
-def waiting(*names: str, against: Path | None = None, warm: int = 3, bench: Bench = DEFAULTS) -> int:
+def waiting(*names: str, against: Path | None = None, warm: int = 3, output: Output = DEFAULTS) -> int:
     """Time that a user waits for whole commands: in fresh processes, with an empty and a filled cache of programs.
 
     Another checkout, for instance of an earlier version, takes turns with this one. Processor time is the measure,
@@ -52,13 +53,10 @@ def waiting(*names: str, against: Path | None = None, warm: int = 3, bench: Benc
         against: the folder of another checkout, which takes turns with this one.
         warm: runs of each command with a filled cache, whose median is taken.
     """
-    unknown = [name for name in names if name not in COMMANDS]
-    if unknown:
-        raise UnusableInput(f"bench: {', '.join(unknown)}: unknown; expected names among {', '.join(COMMANDS)}")
+    commands = chosen(names, COMMANDS, ("help", "refusal") if output.small else ())
     checkouts = [REPOSITORY] if against is None else [against.resolve(), REPOSITORY]
-    chosen = names or (("help", "refusal") if bench.small else tuple(COMMANDS))
-    rows = [row for name in chosen for row in of_a_command(name, checkouts, bench.rounds(warm))]
-    bench.publish("waiting", Table(rows, note="Phases in processor seconds."))
+    rows = [row for name in commands for row in of_a_command(name, checkouts, output.rounds(warm))]
+    output.publish("bench waiting", Table(rows, note="Phases in processor seconds."))
     return 0
 
 

@@ -1,17 +1,23 @@
-"""What declarations of studies share: printed numbers as data, and plots."""
+"""What declarations of studies share: printed numbers as data, plots, and trackers of several studies."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.pages.plots.style import HEIGHT, WIDTH, write_svg
+from trackwright.trackers.baselines.windows import MovingWindow
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.trajectories import Trajectory
 
 UNITS = {"cm": 100.0, "mm": 1e3, "cm²": 1e4, "deg": 180 / np.pi, "%": 100.0}
 """Factors from SI units and from fractions."""
@@ -53,3 +59,43 @@ def plot(
 ) -> Callable[[mc.Results, Path], list[str]]:
     """The `draw` of a study with one figure, drawn by `panels(results, figure)`; sizes in inches."""
     return lambda results, folder: [write_svg(folder, name, partial(panels, results), width, height)]
+
+
+CONSTANT = MappingProxyType({"motion.time_constant": 1000.0, "motion.length": 1e4, "start.sigma_shared": 1e-3})
+"""Levels of `uwb` for biases that neither time nor the way changes, and that the anchors do not share."""
+
+CONSTANT_BIASES = CONSTANT | {
+    "motion.sigma_a": 0.3,
+    "motion.memory": 5.0,
+    "motion.sigma_bias": 0.025,
+    "start.sigma_bias": 0.025,
+    "sensors.ranges.sigma_r": 0.12,
+    "sensors.ranges.positive_skew": 3.0,
+    "sensors.ranges.dof": 3.0,
+    "sensors.ranges.bias": [0.015] * 8,
+}
+"""Levels for constant biases of centimetres, and ranges that are too long more often than too short."""
+
+CONSTANT_INERTIAL = MappingProxyType({"motion.noise.sigma_range_walk": 0.005})
+"""The same of `uwb-imu`: range biases that hardly change."""
+
+CONSTANT_BIASES_INERTIAL = CONSTANT_INERTIAL | {"start.sigma_bias": 0.05, "sensors.ranges.bias": [0.03] * 4}
+
+
+def built(
+    base: str,
+    about: str,
+    build: Callable[[Trajectory, bool], AbstractTracker],
+    tunables: Mapping[str, Any] = MappingProxyType({}),
+) -> mc.TrackerConfig:
+    """The tracker `base` of the catalogue as `build(trajectory, planar)` makes it, with these tunables."""
+    return mc.TrackerConfig(replace(spec_of(base), about=about, build=build), tunables)
+
+
+def window(rows: int) -> mc.TrackerConfig:
+    """The mean of the last `rows` fixes, per axis."""
+    about = f"mean of the last {rows} fixes"
+    return built("moving-average", about, lambda trajectory, planar: MovingWindow(rows, False, planar))
+
+
+RAW = built("moving-average", "the fixes as they are", lambda trajectory, planar: MovingWindow(1, False, planar))

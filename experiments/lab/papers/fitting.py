@@ -12,7 +12,7 @@ import importlib
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,24 +43,31 @@ class Fitted(NamedTuple):
 class Fit:
     """A fit of a study's parameters: of every group in `to` our numbers equal the printed ones, in geometric mean.
 
-    `study(numbers, runs, seed)`: the study with values of the parameters. `free`: they, by name. `left`: the degrees of
-    freedom left, in words. `rounds`: most steps of the search.
+    `free`: the parameters, numbers of the study's worlds, or tracker and tunable by `tunables`. `left`: the degrees of
+    freedom left, in words. `rounds`: most steps of the search. `seed`: other than the study's.
     """
 
-    study: Callable[[dict[str, float], int, int], mc.Study]
+    study: mc.Study
     free: Mapping[str, Fitted]
     to: Sequence[Sequence[Printed]]
     left: str
     runs: int
     rounds: int = 3
     seed: int = 0
+    tunables: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
-    def ratios(self, numbers: dict[str, float]) -> np.ndarray:
+    def ratios(self, numbers: Mapping[str, float]) -> np.ndarray:
         """Our numbers over the printed ones, a geometric mean for each group."""
-        study, every = self.study(numbers, self.runs, self.seed), [one for group in self.to for one in group]
-        worlds = {world: study.worlds[world] for one in every for world in one.worlds}
-        trackers = {one.tracker: study.trackers[one.tracker] for one in every}
-        results = unsaved(replace(study, worlds=worlds, trackers=trackers, metrics=()))
+        every = [one for group in self.to for one in group]
+        worlds = {world: self.study.worlds[world] for one in every for world in one.worlds}
+        trackers = {one.tracker: self.study.trackers[one.tracker] for one in every}
+        for name, world in worlds.items():
+            worlds[name] = replace(world, numbers={k: numbers.get(k, value) for k, value in world.numbers.items()})
+        for name, config in trackers.items():
+            own = {tunable: numbers[k] for k, (tracker, tunable) in self.tunables.items() if tracker == name}
+            trackers[name] = replace(config, tunables={**config.tunables, **own})
+        few = replace(self.study, worlds=worlds, trackers=trackers, metrics=(), runs=self.runs, seed=self.seed)
+        results = unsaved(few)
         return np.exp([np.mean([np.log(p.ours(results).value / p.number) for p in group]) for group in self.to])
 
     def __call__(self) -> tuple[str, dict[str, Fitted]]:

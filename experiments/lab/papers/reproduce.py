@@ -1,7 +1,7 @@
 """All reproductions of the four papers: `python -m trackwright.experiments.lab.papers.reproduce` (`make papers`).
 
-Every study is run as `trackwright study NAME --out out/papers/NAME` and resumes if interrupted. The results are written
-to docs/results.md; every number there is read from a results.json.
+Every study is run as `trackwright study NAME --out out/papers/NAME` and resumes if interrupted. The results are the
+tables of docs/results.md; every number there is read from a results.json.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import platform
-import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -19,24 +18,24 @@ from trackwright.experiments.cli.main import run_alone
 from trackwright.experiments.lab.subprocesses import new_interpreter
 from trackwright.experiments.monte_carlo import Value
 from trackwright.experiments.monte_carlo.sources import available_studies, load_study
-from trackwright.experiments.text.tables import markdown
+from trackwright.experiments.text.tables import markdown, replace_tables, require_page
 from trackwright.experiments.text.terminal import notice, progress
 from trackwright.experiments.text.wording import Unit, headline, ratio_text, with_interval
-from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import atomic_write
 
 LIMIT_S = 1800.0
+MODULE = "trackwright.experiments.lab.papers.reproduce"
 RESULTS = Path("docs/results.md")
 HEAD = ("result", "printed", "ours", "ratio", "origin", "within tolerance")
 
 
 def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
-    """Run all studies with expected results and write the page of their results; 1 if a study fails.
+    """Run all studies with expected results and write the tables of their page; 1 if a study fails.
 
     Args:
         out: the folder of the studies.
-        results: the page to write.
+        results: the page.
     """
+    require_page(results)
     chosen = [study for study in map(load_study, available_studies()) if study.expected is not None]
     every, failed, seconds = [], [], 0.0
     with progress("papers", len(chosen)) as advance:
@@ -57,36 +56,17 @@ def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
     if failed:
         notice(f"{results} is unchanged: {', '.join(failed)} failed")
         return 1
-    text = page(every, seconds)
-    try:
-        print(f"wrote {atomic_write(results, lambda path: path.write_text(text, 'utf-8'))}")
-    except UnusableInput as problem:
-        print(f"papers: {problem}", file=sys.stderr)
-        return 2
+    replace_tables(results, MODULE, tables(every, seconds))
+    print(f"wrote {results}")
     return 0
 
 
-def page(found: Sequence[dict[str, Any]], seconds: float) -> str:
-    """The page of all studies, from their results.json."""
+def tables(found: Sequence[dict[str, Any]], seconds: float) -> str:
+    """The sections of all studies, from their results.json."""
     machine = f"{os.cpu_count()} cores, {platform.machine()}, jax {version('jax')}, Python {platform.python_version()}"
     claims = [claim for one in found for claim in one["claims"]]
-    return f"""# Printed and reproduced results
-
-**{_headline(claims)}**
-
-Written by `make papers` ({machine}; {seconds / 60:.0f} minutes of computing). Every number is read from the
-results of a study, which `trackwright study NAME` runs again; where a number is read from a file instead, the file
-and the command that writes it are named. The study's report has all metrics and plots. Brackets are 95 % intervals over
-the study's runs.
-
-- *Fitted*: parameters that the paper does not print were adjusted to the printed number (see the README of the paper's
-  folder in `experiments/lab/papers`), or a choice was made after seeing it.
-- *Derived*: the number follows from others by a formula or by symmetry, or is printed twice; it is shown and not
-  counted again. A conclusion is derived if a number that it rests on is fitted or derived.
-- *Predicted*: neither. A number counts as within tolerance up to 10 % from the printed one.
-  Shares above one half are compared by the rest, "(rest)": 98.3 % and 93.7 % differ as 1.7 % and 6.3 % do.
-
-{chr(10).join(map(part, found))}"""
+    heading = f"**{_headline(claims)}**\n\n{machine}; {seconds / 60:.0f} minutes of computing.\n"
+    return "\n".join([heading, *map(part, found)])
 
 
 def part(found: dict[str, Any]) -> str:
@@ -123,4 +103,4 @@ def _row(claim: dict[str, Any]) -> tuple[str, ...]:
 
 
 if __name__ == "__main__":
-    run_alone(main, "python -m trackwright.experiments.lab.papers.reproduce")
+    run_alone(main, f"python -m {MODULE}")

@@ -20,9 +20,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import plot
+from trackwright.experiments.lab.papers.declared import CONSTANT, plot
 from trackwright.experiments.lab.papers.fitting import Fitted
-from trackwright.experiments.lab.papers.trackers import CONSTANT
 from trackwright.experiments.lab.questions import _designs as of
 from trackwright.experiments.lab.questions._designs import LAYOUTS, SIGMA_R
 from trackwright.experiments.pages.plots.style import BLACK, VERMILION

@@ -23,8 +23,7 @@ from matplotlib.ticker import PercentFormatter
 from scipy.stats import norm
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import plot
-from trackwright.experiments.lab.papers.trackers import CONSTANT, CONSTANT_INERTIAL
+from trackwright.experiments.lab.papers.declared import CONSTANT, CONSTANT_INERTIAL, plot
 from trackwright.experiments.monte_carlo.results import resampled
 from trackwright.experiments.pages.plots.style import BLUE, GREY, ORANGE, VERMILION, plain
 from trackwright.sim.corruptions import white_noise

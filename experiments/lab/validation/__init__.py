@@ -1,1 +1,1 @@
-"""Real recordings, recovery of simulated noise levels, tuning against the sweep, and the demo."""
+"""Accuracy on real recordings, limits of precision, coverage: `python -m trackwright.experiments.lab.validation`."""

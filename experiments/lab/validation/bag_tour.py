@@ -1,8 +1,4 @@
-"""The page docs/ten-minutes.md, done: two bags of a simulated cart, then each of its commands, with the time it takes.
-
-`python -m trackwright.experiments.lab.validation.bag_tour [--bags-only]`: the bags, the files and the results go to
-out/bag-tour.
-"""
+"""The page docs/ten-minutes.md, done: two bags of a simulated cart, then each of its commands, and their times."""
 
 from __future__ import annotations
 
@@ -17,14 +13,13 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.cli.main import run_alone
-from trackwright.experiments.lab.subprocesses import command
-from trackwright.experiments.text.tables import aligned
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Table
+from trackwright.experiments.lab.subprocesses import REPOSITORY, command
 from trackwright.sim.worlds import ranges as simulated_ranges
 from trackwright.trackers.exchange.ros_reader import rosbags_module
 
 OUT = Path("out/bag-tour")
-PAGE = Path(__file__).parents[3] / "docs" / "ten-minutes.md"
+PAGE = REPOSITORY / "docs" / "ten-minutes.md"
 START = 1_770_000_000
 TYPES = {
     "uwb_msgs/msg/Range": "string anchor\nuint32 distance_mm\n",
@@ -34,8 +29,8 @@ DRIVES = {"drive-1": 11, "drive-2": 12}
 """Seeds of the drives."""
 
 
-def tour(*, bags_only: bool = False) -> int:
-    """Write the bags of the ten-minute page, run its commands and print their times.
+def bag_tour(*, bags_only: bool = False, output: Output = DEFAULTS) -> int:
+    """The ten-minute page, done: bags, files and results in out/bag-tour, and the times of its commands.
 
     Args:
         bags_only: write the bags and the files of the page alone, to follow the page by hand.
@@ -50,13 +45,12 @@ def tour(*, bags_only: bool = False) -> int:
     print(f"wrote {', '.join(str(path) for path in sorted(OUT.iterdir()))}")
     if bags_only:
         return 0
-    rows, began = [], time.monotonic()
+    rows = []
     for line in commands_of(page):
-        begin = time.monotonic()
+        began = time.monotonic()
         command(*line[1:], folder=OUT)
-        rows.append([f"{time.monotonic() - begin:.1f}", shlex.join(line[:3])])
-    print("\n" + aligned([["s", "command"], *rows], numbers=[0]))
-    print(f"{len(rows)} commands in {time.monotonic() - began:.0f} s")
+        rows.append({"command": f"`{shlex.join(line[:3])}`", "s": time.monotonic() - began})
+    output.publish("validation bag-tour", Table(rows, note=f"All: {sum(row['s'] for row in rows):.0f} s."))
     return 0
 
 
@@ -107,7 +101,3 @@ def _messages(types: Any, tables: Any) -> Iterator[tuple[str, int, Any]]:
         stamp, head = header(row["t_s"])
         place = np.nan_to_num([row["x_m"], row["y_m"], row["z_m"]]).tolist()
         yield "/mocap/cart", stamp, stamped(head, pose(point(*place), turn))
-
-
-if __name__ == "__main__":
-    run_alone(tour, "python -m trackwright.experiments.lab.validation.bag_tour")

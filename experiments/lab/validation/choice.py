@@ -1,33 +1,24 @@
-"""Which tracker suits which readings, on real recordings: `python -m trackwright.experiments.lab.validation.choice`.
+"""Which tracker suits which readings, on real recordings, and the order of `trackers.catalogue.PREFERENCE`.
 
-Every tracker runs with its default levels on every recording with truth that it fits. The command writes the figures
-and the order that they imply to docs/which-tracker.md, and ends with exit code 1 where `trackers.catalogue.PREFERENCE`
-has another order. The recordings are not part of this repository: TRACKWRIGHT_RECORDINGS names their folder, default
-`../shared/recordings`.
+Every tracker runs with its default levels on every recording with truth that it fits. The recordings are not part of
+this repository: TRACKWRIGHT_RECORDINGS names their folder, default `../shared/recordings`.
 """
 
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.cli.main import run_alone
-from trackwright.experiments.cli.runtime import keep_programs, set_flags
-from trackwright.experiments.lab.bench.timing import replace_tables
-from trackwright.experiments.lab.subprocesses import REPOSITORY, required_recordings
+from trackwright.experiments.cli.runtime import keep_programs
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
+from trackwright.experiments.lab.subprocesses import required_recordings
 from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS
-from trackwright.experiments.text.tables import markdown
 from trackwright.trackers.catalogue import PREFERENCE, TRACKERS, build
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
-
-PAGE = REPOSITORY / "docs" / "which-tracker.md"
-MODULE = "trackwright.experiments.lab.validation.choice"
 
 CLEAR = 0.95
 """Ratio of the errors of two trackers below which the first is better; above it the simpler one is preferred."""
@@ -45,17 +36,6 @@ SIMPLEST_FIRST = (
 )
 # fmt: on
 """Every tracker of the catalogue, the simplest first: of two with equal errors the earlier one is preferred."""
-
-
-INTRODUCTION = """`python -m {module}`, {seconds:.0f} s: every tracker on every real recording that it fits,
-with its default levels. Each cell: horizontal RMSE, or that of the direction, and the share of the truth inside the
-95 % ellipse.
-
-A tracker is preferred to a simpler one where the geometric mean of the ratios of their errors is below {clear:g}. A
-recording decides between two trackers unless default levels of one of them were fitted on its truth (marked by \\*), or
-one has estimates for less than {least:.0f} % of its rows. All other levels were set by hand with these recordings at
-hand. Trackers without a known path do not use that of ngbui-line.
-"""
 
 
 class Figure(NamedTuple):
@@ -80,22 +60,21 @@ class Beside(NamedTuple):
     recordings: tuple[str, ...]
 
 
-def main(*, page: Path | None = None) -> int:
-    """Measure every tracker on every recording that it fits, write the tables, and return 1 where the order differs.
+def choice(*, output: Output = DEFAULTS) -> int:
+    """Every tracker on every real recording that it fits, and the order that follows from their errors.
 
-    Args:
-        page: the page whose tables are replaced; default docs/which-tracker.md.
+    1 where the catalogue has another order. With `--small` the first two recordings alone.
     """
-    set_flags()
     keep_programs()
-    root = required_recordings()
-    began = time.monotonic()
+    folders = [path.parent for path in sorted(required_recordings().glob("*/rig.toml"))]
     figures = []
-    for folder in read_recordings([path.parent for path in sorted(root.glob("*/rig.toml"))]):
-        for figure in figures_of(folder):
-            print(f"{figure.recording:20}{figure.tracker:28}{_cell(figure)}", flush=True)
-            figures.append(figure)
-    replace_tables(page or PAGE, MODULE, written(figures, time.monotonic() - began))
+    for folder in read_recordings(folders[: 2 if output.small else None]):
+        for one in figures_of(folder):
+            shown([{"recording": one.recording, "tracker": one.tracker, "": _cell(one)}])
+            figures.append(one)
+    output.publish("validation choice", *tables(figures))
+    if output.small:
+        return 0
     other = [kind for kind, names in PREFERENCE.items() if order_of(figures, names) != names]
     for kind in other:
         found = ", ".join(order_of(figures, PREFERENCE[kind]))
@@ -143,31 +122,37 @@ def order_of(figures: Sequence[Figure], names: Sequence[str]) -> tuple[str, ...]
     return tuple(found)
 
 
-def written(figures: Sequence[Figure], seconds: float) -> str:
-    """The tables of all kinds of readings of which there are recordings, in Markdown."""
-    parts = [INTRODUCTION.format(module=MODULE, seconds=seconds, least=100 * LEAST_SHARE, clear=CLEAR)]
+def tables(figures: Sequence[Figure]) -> list[Table]:
+    """The figures of all kinds of readings of which there are recordings, each with the first choice beside others."""
+    found = []
     for kind, names in PREFERENCE.items():
         own = {(one.recording, one.tracker): one for one in figures if one.tracker in names}
         if own:
-            parts.append(_section(kind, order_of(figures, names), own, figures))
-    return "\n".join(parts)
+            order = order_of(figures, names)
+            listed = ", ".join(f"`{name}`" for name in order)
+            title = kind[0].upper() + kind[1:]
+            found.append(Table(_by_recording(own, order), title, f"Order: {listed}."))
+            if len(order) > 1:
+                found.append(Table(_beside_others(figures, order), f"{title}: `{order[0]}` beside the others"))
+    return found
 
 
-def _section(kind: str, order: Sequence[str], own: Mapping[tuple[str, str], Figure], figures: Sequence[Figure]) -> str:
-    """The figures of a kind of readings, and the first choice beside each other tracker."""
-    rows = [["recording", *(f"`{name}`" for name in order)]]
-    for recording in dict.fromkeys(name for name, _ in own):
-        cells = [own.get((recording, name)) for name in order]
-        rows.append([recording, *("" if one is None else _cell(one) for one in cells)])
-    parts = [f"### {kind[0].upper()}{kind[1:]}\n", f"Order: {', '.join(f'`{name}`' for name in order)}.\n"]
-    parts.append(markdown(rows, range(1, len(order) + 1)))
-    if len(order) > 1:
-        rows = [[f"`{order[0]}` beside", "ratio of errors", "recordings that decide"]]
-        for name in order[1:]:
-            ratio, names = beside(figures, order[0], name)
-            rows.append([f"`{name}`", f"{ratio:.2f}" if names else "", ", ".join(names) or "none: the simpler one"])
-        parts.append(markdown(rows, [1]))
-    return "\n".join(parts)
+def _by_recording(own: Mapping[tuple[str, str], Figure], order: Sequence[str]) -> list[Row]:
+    recordings = dict.fromkeys(recording for recording, _ in own)
+    return [
+        {"recording": r, **{f"`{name}`": _cell(own[r, name]) if (r, name) in own else "" for name in order}}
+        for r in recordings
+    ]
+
+
+def _beside_others(figures: Sequence[Figure], order: Sequence[str]) -> list[Row]:
+    rows = []
+    for name in order[1:]:
+        ratio, names = beside(figures, order[0], name)
+        decide = ", ".join(names) or "none: the simpler one"
+        shown = f"{ratio:.2f}" if names else ""
+        rows.append({"beside": f"`{name}`", "ratio of errors": shown, "recordings that decide": decide})
+    return rows
 
 
 def _cell(one: Figure) -> str:
@@ -176,7 +161,3 @@ def _cell(one: Figure) -> str:
     inside = "" if one.inside is None else f", {100 * one.inside:.0f} %"
     rows = f" ({100 * one.share:.0f} % of the rows)" if one.share < 0.985 else ""
     return f"{error}{inside}{rows}{'*' if one.fitted else ''}"
-
-
-if __name__ == "__main__":
-    run_alone(main, f"python -m {MODULE}")

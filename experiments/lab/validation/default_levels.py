@@ -1,11 +1,7 @@
-"""Default noise levels from recordings with truth.
+"""Default noise levels of `bearings` and `uwb` from recordings with truth.
 
-`python -m trackwright.experiments.lab.validation.default_levels KIND`: KIND is one of `bearings`,
-`bearings-calibrated` and `uwb`. The command minimises the mean over recordings of the negative log-likelihood of the
-true horizontal position (`state-nll`), by Nelder and Mead's simplex: the objective of a filter with Student's t has
-kinks at which a search by gradient ends. It prints the levels found beside the present defaults, with the objective
-of both. The recordings are not part of this repository: TRACKWRIGHT_RECORDINGS names their folder, default
-`../shared/recordings`.
+The objective is the mean over recordings of the negative log-likelihood of the true horizontal position (`state-nll`),
+minimised by Nelder and Mead's simplex: that of a filter with Student's t has kinks at which a search by gradient ends.
 """
 
 from __future__ import annotations
@@ -19,15 +15,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from trackwright.experiments.cli.main import run_alone
-from trackwright.experiments.cli.runtime import keep_programs, set_flags
-from trackwright.experiments.lab.subprocesses import required_recordings
-from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS
-from trackwright.experiments.text.tables import aligned
+from trackwright.experiments.cli.runtime import keep_programs
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Table
+from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS, recorded
 from trackwright.trackers.aoa.fusion import CALIBRATED, bearing_tracker
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.uwb_imu.fusion import range_tracker
 from trackwright.tuning.calibrating import calibrate
@@ -126,30 +120,32 @@ class Objective:
         return self.levels.builder(count, group.planar, **{**self.levels.now, **values})
 
 
-def main(kind: Kind, *, evaluations: int = 400) -> int:
-    """Set default noise levels and print them beside the present ones.
+def default_levels(kind: Kind, *, evaluations: int = 400, output: Output = DEFAULTS) -> int:
+    """Set default noise levels and show them beside the present ones, with the objective of both.
 
     Args:
         kind: the levels to set.
         evaluations: most runs of the filter over the recordings.
     """
-    set_flags()
     keep_programs()
-    levels, root = KINDS[kind], required_recordings()
-    folders = read_recordings([root / name for name in SEEN_BY_DEFAULTS[levels.tracker]])
+    levels = KINDS[kind]
+    folders = recorded(SEEN_BY_DEFAULTS[levels.tracker])
     objective = Objective(levels, known_and_new(folders) if levels.calibrated else folders)
     start = objective.start()
     steps = FIRST_STEP * np.diag(np.resize([1.0, -1.0], len(start)))
     options = {"maxfev": evaluations, "initial_simplex": np.vstack([start, start + steps]), "adaptive": True}
     found = minimize(objective, start, method="Nelder-Mead", options=options).x
-    before, after = objective.values(start), objective.values(found)
-    rows = [("level", "present", "found")]
-    rows += [(name, _shown(before[name]), _shown(after[name])) for name in levels.names]
+    before, after = (
+        {name: ", ".join(f"{x:.3g}" for x in np.ravel(level)) for name, level in objective.values(at).items()}
+        for at in (start, found)
+    )
     own, new = objective.by_recording(start), objective.by_recording(found)
-    rows += [("", "", ""), ("nats a row", "", "")]
-    rows += [(name, f"{own[name]:.3f}", f"{new[name]:.3f}") for name in own]
-    rows.append(("mean", f"{objective(start):.4f}", f"{objective(found):.4f}"))
-    print(aligned(rows, (1, 2)))
+    own["mean"], new["mean"] = objective(start), objective(found)
+    output.publish(
+        "validation default-levels",
+        Table([{"level": name, "present": before[name], "found": after[name]} for name in levels.names], "levels"),
+        Table([{"recording": name, "present": own[name], "found": new[name]} for name in own], "nats a row"),
+    )
     return 0
 
 
@@ -163,11 +159,3 @@ def known_and_new(folders: Sequence[RecordingFolder]) -> list[RecordingFolder]:
         for one in folders
     ]
     return [*(one.calibrated(on_all) for one in folders), *new]
-
-
-def _shown(value: Any) -> str:
-    return ", ".join(f"{x:.3g}" for x in np.ravel(value))
-
-
-if __name__ == "__main__":
-    run_alone(main, "python -m trackwright.experiments.lab.validation.default_levels")

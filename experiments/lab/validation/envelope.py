@@ -1,23 +1,16 @@
 """Where single precision can be trusted.
 
-`python -m trackwright.experiments.lab.validation.envelope --page docs/envelope.md` writes the page.
-
 Every tracker runs in single and in double precision, on 256 tags together and on 32 one by one, for readings with
-standard deviations from 1e-6 to 1e6, times from 0 to 1e6 s between them, and rooms from 1 cm to 100 km. Both are
-compared with each other and with the truth, in standard deviations that they report. Double precision is compared with
-other methods (`envelope_oracles.py`) where there is one. The exit code is 1 where single precision is wrong, and double
-is not.
+standard deviations from 1e-6 to 1e6, times from 0 to 1e6 s between them, and rooms from 1 cm to 100 km
+(`envelope_worlds.py`). Both are compared with each other and with the truth, in standard deviations that they report.
+Double precision is compared with other methods (`envelope_oracles.py`) where there is one.
 """
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime
 from fnmatch import fnmatch
 from itertools import product
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -25,12 +18,9 @@ import jax
 import numpy as np
 from scipy.stats import binom
 
-from trackwright.experiments.cli.main import run_alone
-from trackwright.experiments.cli.runtime import set_flags
-from trackwright.experiments.lab.bench.timing import replace_tables
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
 from trackwright.experiments.lab.validation.envelope_oracles import METHODS, difference
 from trackwright.experiments.lab.validation.envelope_worlds import Cell, Walks, recorded
-from trackwright.experiments.text.tables import markdown
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.data.estimates import STATUS_WORDS, Status
 from trackwright.trackers.core.errors import UnusableInput
@@ -40,7 +30,6 @@ from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectory
 
-MODULE = "trackwright.experiments.lab.validation.envelope"
 SIGMAS = (1e-6, 1e-3, 1.0, 1e3, 1e6)
 STEPS = (0.0, 1e-3, 1.0, 1e3, 1e6)
 ROOMS = (0.01, 10.0, 1e3, 1e5)
@@ -56,10 +45,6 @@ CHANCE = 1e-4
 """Probability of so many more tracks off in single than in double precision, below which it is not by chance."""
 
 NONSENSE = "SILENT NONSENSE"
-
-
-COLUMNS = ("tracker", "cells", "agree", "coarser", "differ", "no estimate", "off the model", "silently wrong",
-           "largest σ", "tracks that part", "tracks off: single, double", "checked by", "off by σ")  # fmt: skip
 
 
 class Subject(NamedTuple):
@@ -91,42 +76,31 @@ SUBJECTS: dict[str, Subject] = {
 }
 
 
-def main(trackers: tuple[str, ...] = (), *, seed: int = 0, tags: int = TAGS, page: Path | None = None) -> int:
-    """Try every cell, print the tables, and write them into a page; 1 for a cell that is silently wrong.
+def envelope(*trackers: str, seed: int = 0, tags: int = TAGS, output: Output = DEFAULTS) -> int:
+    """Single beside double precision over noise, time steps and sizes of rooms; 1 where single is silently wrong.
+
+    A cell is wrong where single precision is, and double is not. With `--small` few tags, in rooms of 10 m.
 
     Args:
         trackers: their names; by default all that are tried.
         seed: of the recordings.
         tags: tracked together, at most.
-        page: the page whose tables are replaced, as docs/envelope.md.
     """
-    unknown = [name for name in trackers if name not in SUBJECTS]
-    if unknown:
-        raise UnusableInput(f"envelope: no {', '.join(unknown)}; expected {', '.join(SUBJECTS)}")
-    set_flags()
-    began, parts, summary, wrong = time.monotonic(), list[str](), list[list[str]](), 0
-    for name in trackers or SUBJECTS:
-        found, off = envelope(name, seed, tags)
-        wrong += sum(v.words.startswith(NONSENSE) for v in found.values())
-        parts.append(table(name, found))
-        summary.append(summarised(name, found, off))
-        print(parts[-1], flush=True)
-    versions = f"Python {sys.version.split()[0]}, JAX {jax.__version__}, NumPy {np.__version__}"
-    command = " ".join(["python", "-m", MODULE, *sys.argv[1:]])
-    heading = f"{datetime.now(UTC):%Y-%m-%d}, seed {seed}, {versions}, {time.monotonic() - began:.0f} s: `{command}`.\n"
-    text = "\n".join([heading, markdown([COLUMNS, *summary]), *parts])
-    print(markdown([COLUMNS, *summary]))
-    if page is not None:
-        replace_tables(page, MODULE, text)
+    summary, tables, wrong = list[Row](), list[Table](), 0
+    cells = [Cell(*one) for one in product(SIGMAS, STEPS, (10.0,) if output.small else ROOMS)]
+    for name in chosen(trackers, SUBJECTS):
+        found, off = verdicts(name, cells, seed, 12 if output.small else tags)
+        summary += shown([summarised(name, found, off)])
+        tables.append(Table(table(found), f"`{name}`"))
+        wrong += summary[-1]["silently wrong"]
+    output.publish("validation envelope", Table(summary), *tables)
     return int(wrong > 0)
 
 
-def envelope(
-    name: str, seed: int = 0, tags: int = TAGS, cells: Sequence[Cell] = ()
-) -> tuple[dict[Cell, Verdict], float]:
+def verdicts(name: str, cells: Sequence[Cell], seed: int = 0, tags: int = TAGS) -> tuple[dict[Cell, Verdict], float]:
     """The verdict on every cell, and the largest difference of double precision from another method, in sigmas."""
     found, off = dict[Cell, Verdict](), list[float]()
-    for cell in cells or [Cell(*one) for one in product(SIGMAS, STEPS, ROOMS)]:
+    for cell in cells:
         several, another = tried(name, cell, min(tags, SUBJECTS[name].tags), seed)
         found[cell] = several
         if SUBJECTS[name].tags > ALONE:
@@ -247,11 +221,13 @@ def judged(single: Run, double: Run) -> Verdict:
     return Verdict(words, float(np.max(apart[~parted])), int(parted.sum()), off)
 
 
-def table(name: str, found: Mapping[Cell, Verdict]) -> str:
-    """The verdicts of a tracker over noise and room, the worst over time steps, in Markdown."""
-    heading = ["σ of a reading", *(f"{room:g} m" for room in ROOMS)]
-    rows = [[f"{sigma:g}", *("; ".join(_entry(found, sigma, room)) for room in ROOMS)] for sigma in SIGMAS]
-    return f"### `{name}`\n\n{markdown([heading, *rows])}"
+def table(found: Mapping[Cell, Verdict]) -> list[Row]:
+    """The verdicts of a tracker over noise and room, the worst over time steps."""
+    rooms = dict.fromkeys(cell.room for cell in found)
+    return [
+        {"σ of a reading": f"{sigma:g}", **{f"{room:g} m": "; ".join(_entry(found, sigma, room)) for room in rooms}}
+        for sigma in dict.fromkeys(cell.sigma for cell in found)
+    ]
 
 
 def _entry(found: Mapping[Cell, Verdict], sigma: float, room: float) -> Iterator[str]:
@@ -267,21 +243,18 @@ def _entry(found: Mapping[Cell, Verdict], sigma: float, room: float) -> Iterator
         yield f"{words}{number}{''.join(f', {text}' for text in tracks)}{where}"
 
 
-def summarised(name: str, found: Mapping[Cell, Verdict], off: float) -> list[str]:
+def summarised(name: str, found: Mapping[Cell, Verdict], off: float) -> Row:
     """The row of a tracker in the table of all: cells by verdict, and how double precision was checked."""
     words = [v.words for v in found.values()]
-    counts = [words.count(one) for one in ("agrees", "coarser", "differs")]
-    wrong, model = sum(w.startswith(NONSENSE) for w in words), words.count("off the model")
+    agree, coarser, differ, model = (words.count(one) for one in ("agrees", "coarser", "differs", "off the model"))
+    wrong = sum(w.startswith(NONSENSE) for w in words)
     worst = max((v.difference for v in found.values() if v.words in ("agrees", "coarser")), default=np.nan)
     tracks = np.sum([v.off for v in found.values()], axis=0)
-    checked = METHODS.get(name, "none: the same tracker in double precision")
-    shown = f"{off:.1g}" if np.isfinite(off) else ""
-    none = len(words) - sum(counts) - wrong - model
-    numbers = (len(words), *counts, none, model, wrong)
-    parted = sum(v.parted for v in found.values())
-    off_by_both = f"{tracks[0]:,}, {tracks[1]:,}"
-    return [f"`{name}`", *map(str, numbers), f"{worst:.1g}", f"{parted:,}", off_by_both, checked, shown]
-
-
-if __name__ == "__main__":
-    run_alone(main, f"python -m {MODULE}")
+    return {
+        "tracker": f"`{name}`", "cells": len(words), "agree": agree, "coarser": coarser, "differ": differ,
+        "no estimate": len(words) - agree - coarser - differ - wrong - model, "off the model": model,
+        "silently wrong": wrong, "largest σ": f"{worst:.1g}", "tracks that part": sum(v.parted for v in found.values()),
+        "tracks off: single, double": f"{tracks[0]:,}, {tracks[1]:,}",
+        "checked by": METHODS.get(name, "none: the same tracker in double precision"),
+        "off by σ": f"{off:.1g}" if np.isfinite(off) else "",
+    }  # fmt: skip

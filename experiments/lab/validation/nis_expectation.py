@@ -1,12 +1,11 @@
 """NIS against its expectation in worlds of each tracker's own model.
 
-`python -m trackwright.experiments.lab.validation.nis_expectation [TRACKER …]`. Five worlds of each tracker of the
-catalogue with a NIS, `TAGS` tags each, by `own_worlds.py` with the times and the geometry of a simulated recording.
-Printed: NIS per degree of freedom in each world, 1 expected whatever the noise, and the share of the means over
-`WINDOW` rows inside the 95 % band of `tuning.diagnostics.nis_band`. Rows count from `SETTLED` s on: the prior of a
-start is wider than a linearisation is exact, and that of phases is drawn within one lobe of the array. `cascade`,
-`mhk` and `mhk-stamped` read what other estimators make of the readings, errors that no model of their own has: they
-run on simulated worlds as these are. Trackers without covariance have no NIS.
+Five worlds of each tracker of the catalogue with a NIS, `TAGS` tags each, by `own_worlds.py` with the times and the
+geometry of a simulated recording: NIS per degree of freedom in each world, 1 expected whatever the noise, and the share
+of the means over `WINDOW` rows inside the 95 % band of `tuning.diagnostics.nis_band`. Rows count from `SETTLED` s on:
+the prior of a start is wider than a linearisation is exact, and that of phases is drawn within one lobe of the array.
+`cascade`, `mhk` and `mhk-stamped` read what other estimators make of the readings, errors that no model of their own
+has: they run on simulated worlds as these are. Trackers without covariance have no NIS.
 """
 
 from __future__ import annotations
@@ -19,11 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import trackwright as tw
-from trackwright.experiments.cli.main import run_alone
-from trackwright.experiments.cli.runtime import set_flags
-from trackwright.experiments.lab.validation.own_worlds import own_world
-from trackwright.experiments.text.tables import markdown
-from trackwright.experiments.text.terminal import progress
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
+from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, own_world
 from trackwright.sim import SimulatedWorld, work_station, worlds
 from trackwright.trackers.baselines.fixes import floor_tracker
 from trackwright.trackers.parts.walls import Walls
@@ -31,7 +27,6 @@ from trackwright.tuning.diagnostics import nis_band
 from trackwright.tuning.pit_uniformity import student_t_dof_of
 
 TAGS, WORLDS, SETTLED, WINDOW = 24, 5, 5.0, 50
-NEVER_LOST = tw.TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 FAR = 200.0 * np.array([[-1, -1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, 1, -1, -1]])
 """Walls that no tag reaches, m."""
 
@@ -111,27 +106,23 @@ def means(found: tw.Estimates, tracker: tw.AbstractTracker) -> tuple[float, floa
     return ratio, float(np.mean(inside))
 
 
-def main(trackers: tuple[str, ...] = ()) -> int:
-    """Print NIS per degree of freedom in five worlds of each tracker's own model, 1 expected.
+def nis_expectation(*trackers: str, output: Output = DEFAULTS) -> int:
+    """NIS per degree of freedom in five worlds of each tracker's own model, 1 expected.
 
     Args:
         trackers: names of the catalogue; all with a NIS where none is named.
     """
-    set_flags()
-    rows, names = (
-        [("tracker", "world", "NIS/dof in five worlds", "means inside the 95 % band")],
-        trackers or tuple(CASES),
-    )
-    with progress("NIS", len(names)) as advance:
-        for name in names:
-            found = [means(run, tracker) for tracker, run in (estimates(name, seed) for seed in range(WORLDS))]
-            kind = "simulated" if CASES[name](0).narrower is None else "own model"
-            ratios, inside = ", ".join(f"{ratio:.2f}" for ratio, _ in found), np.mean([share for _, share in found])
-            rows.append((f"`{name}`", kind, ratios, f"{100 * inside:.0f} %"))
-            advance(1, name)
-    print(markdown(rows, numbers=[3]), end="")
+    rows = shown(of_a_tracker(name, output.rounds(WORLDS)) for name in chosen(trackers, CASES))
+    output.publish("validation nis-expectation", Table(rows))
     return 0
 
 
-if __name__ == "__main__":
-    run_alone(main, "python -m trackwright.experiments.lab.validation.nis_expectation")
+def of_a_tracker(name: str, worlds: int) -> Row:
+    """The row of a tracker over so many worlds."""
+    found = [means(run, tracker) for tracker, run in (estimates(name, seed) for seed in range(worlds))]
+    return {
+        "tracker": f"`{name}`",
+        "world": "simulated" if CASES[name](0).narrower is None else "own model",
+        "NIS/dof in five worlds": ", ".join(f"{ratio:.2f}" for ratio, _ in found),
+        "means inside the 95 % band": f"{100 * np.mean([share for _, share in found]):.0f} %",
+    }

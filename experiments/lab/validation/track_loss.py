@@ -1,7 +1,7 @@
-"""False alarms and delays of track loss, by simulation: `python -m trackwright.experiments.lab.validation.track_loss`.
+"""False alarms and delays of track loss, by simulation.
 
 Walks in a room of 12 by 6 m, with ranges or with bearings whose errors have Student's t distribution; halfway each tag
-is carried 6.7 m away at once. Printed are the tracks lost before that, which are false alarms, the share lost within
+is carried 6.7 m away at once. Measured are the tracks lost before that, which are false alarms, the share lost within
 5 s after it, the median delay, and the median error 1 and 3 s after it, with the score test and without. Then the
 tracks lost in worlds of `tw.simulate`, all of them false alarms. Noise levels are the trackers' defaults.
 """
@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 import trackwright as tw
-from trackwright.experiments.cli.runtime import set_flags
-from trackwright.experiments.text.tables import aligned
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Table
 from trackwright.trackers.core.model.tunable import with_values
+from trackwright.trackers.recordings.rig_file import mounted
 
 TRAJECTORIES = 500
 RATE_HZ, SECONDS, HEIGHT = 8.0, 60.0, 1.1
@@ -66,14 +66,9 @@ def kidnapped_walk(seed: int, sensor: str) -> Walk:
 
 
 def _station(corner: np.ndarray) -> tw.Station:
-    """A station in a corner that looks at the middle of the room: z along boresight, y up."""
-    z = np.append(SIZE / 2, corner[2]) - corner
-    z = z / np.linalg.norm(z)
-    y = np.array([0.0, 0.0, 1.0])
-    w, xyz = 0.5 * np.sqrt(1 + np.trace(axes := np.column_stack([np.cross(y, z), y, z]))), []
-    for i, j in ((2, 1), (0, 2), (1, 0)):
-        xyz.append((axes[i, j] - axes[j, i]) / (4 * w))
-    return tw.Station(corner, np.array([w, *xyz]))
+    """A station in a corner that looks at the middle of the room."""
+    x, y = SIZE / 2 - corner[:2]
+    return tw.Station(corner, mounted(np.arctan2(y, x), 0.0, 0.0))
 
 
 class Detection(NamedTuple):
@@ -116,25 +111,19 @@ def lost(folder: tw.RecordingFolder, tracker: str) -> tuple[int, int, int]:
     return table["tag"].n_unique(), len(table), restarted["tag"].n_unique()
 
 
-def main() -> None:
-    """Print both tables."""
-    set_flags()
-    after = [f"error after {t:g} s" for t in JUDGED_S]
-    rows = [["kidnapped walks", "test", "walks", "lost before", "detected", "delay", *after]]
+def track_loss(*, output: Output = DEFAULTS) -> int:
+    """False alarms and delays of track loss, on simulated tags that are carried away, and in worlds where none is."""
+    count, walks, worlds = 20 if output.small else TRAJECTORIES, [], []
     for sensor in ("ranges", "bearings"):
         for label, limit in (("score", None), ("none", NEVER)):
-            found = detection(sensor, TRAJECTORIES, limit)
-            delay = f"{found.delay:.2f} s" if np.isfinite(found.delay) else ""
-            errors = [f"{e:.2f} m" for e in found.errors]
-            share = f"{100 * found.detected:.1f} %"
-            rows.append([sensor, label, str(TRAJECTORIES), str(found.false_alarms), share, delay, *errors])
-    print(aligned(rows, range(2, 8)))
-    rows = [["world", "tracker", "tags", "rows", "tags lost"]]
+            found = detection(sensor, count, limit)
+            row = {"walks": sensor, "test": label, "lost before": found.false_alarms}
+            row |= {"detected %": 100 * found.detected, "delay s": found.delay if np.isfinite(found.delay) else None}
+            walks.append(row | {f"error m after {t:g} s": e for t, e in zip(JUDGED_S, found.errors, strict=True)})
     for make, tracker in ((tw.simulate.ranges, "uwb"), (tw.simulate.tool, "uwb"), (tw.simulate.tool, "uwb-imu")):
-        rows.append([make.__name__, tracker, *map(str, lost(make(n=TRAJECTORIES, seed=7).folder(), tracker))])
-    print()
-    print(aligned(rows, range(2, 5)))
-
-
-if __name__ == "__main__":
-    main()
+        tags, rows, gone = lost(make(n=count, seed=7).folder(), tracker)
+        worlds.append({"world": make.__name__, "tracker": tracker, "tags": tags, "rows": rows, "tags lost": gone})
+    output.publish(
+        "validation track-loss", Table(walks, f"{count} tags carried away"), Table(worlds, "none carried away")
+    )
+    return 0

@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict
-from functools import partial
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from trackwright.experiments.lab.verify.check_result import CheckResult
 
 
 def verify(*, json: bool = False) -> int:
@@ -24,34 +18,15 @@ def verify(*, json: bool = False) -> int:
     """
     from trackwright.experiments.cli.runtime import keep_programs
     from trackwright.experiments.lab.verify.check_result import table
+    from trackwright.experiments.lab.verify.checks import CHECKS
     from trackwright.experiments.text.terminal import progress
     from trackwright.trackers.recordings.atomic import json_text
 
     keep_programs()
-    results: list[CheckResult] = []
-    checks = _checks()
-    with progress("verify", len(checks)) as advance:
-        for check in checks:
+    results = []
+    with progress("verify", len(CHECKS)) as advance:
+        for check in CHECKS:
             results += check()
             advance(1)
     print(json_text([asdict(result) | {"passed": result.passed} for result in results]) if json else table(results))
     return 0 if all(r.passed for r in results) else 1
-
-
-def _checks() -> tuple[Callable[[], list[CheckResult]], ...]:
-    """Correct gradients against their oracles, and biased ones that must fail."""
-    from trackwright.experiments.lab.verify import deterministic_checks, particle_checks
-
-    return (
-        deterministic_checks.kalman_checks,
-        deterministic_checks.chain_checks,
-        deterministic_checks.grid_checks,
-        partial(particle_checks.corridor_checks, 25),
-        partial(particle_checks.corridor_checks, 100),
-        particle_checks.corridor_marginal_checks,
-        particle_checks.halt_checks,
-        particle_checks.corridor_order_checks,
-        particle_checks.halt_order_checks,
-        particle_checks.corridor_wrong_checks,
-        particle_checks.halt_wrong_checks,
-    )

@@ -13,14 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.lab.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START
 from trackwright.experiments.lab.verify.worlds import (
+    CORRIDOR,
     HALT_ARCLENGTH,
     HALT_DT,
     HALT_SIGMA_A,
     HALT_SIGMA_FIX,
     HALT_SPEED,
     HALT_SPREAD,
+    SIGMA_FIX,
+    SIGMA_MOVE,
+    START,
     halt_fixes,
 )
 

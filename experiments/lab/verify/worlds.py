@@ -9,14 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from trackwright.experiments.lab.verify.corridor import (
-    CORRIDOR,
-    SIGMA_FIX,
-    SIGMA_MOVE,
-    START,
-    corridor_fixes,
-    rectangle,
-)
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.filters.filter import Innovation
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
@@ -35,6 +27,15 @@ from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.motion import LineMotion, PathState
 from trackwright.trackers.parts.walls import Walls
 
+CORRIDOR = np.array([[0.0, 0.0], [6.0, 1.5]])
+"""Opposite corners of the corridor, m."""
+
+START = np.array([[0.75, 0.45], [1.35, 1.05]])
+"""Opposite corners of the rectangle, m, over which the initial position is uniform."""
+
+SIGMA_MOVE, SIGMA_FIX = 0.45, 0.8
+"""Standard deviations per axis, m: of the motion in one second, and of a fix."""
+
 CORRIDOR_TUNABLES = ("motion.sigma_v", "sensors.fixes.sigma_p")
 """The tunables of the corridor's tracker, in the order of the oracle's gradient."""
 
@@ -48,6 +49,20 @@ HALT_ARCLENGTH, HALT_SPEED, HALT_SPREAD = 2.0, 0.6, 0.1
 """Prior of the halt: mean arclength, m, mean speed, m/s, and the standard deviation of both."""
 
 NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
+
+
+def corridor_fixes(rows: int, seed: int = 3) -> np.ndarray:
+    """Fixes (rows, 2), m, at 1 Hz, of a tag that moves along the centre line from 1 m to 5 m."""
+    noise = np.random.default_rng(seed).standard_normal((rows, 2))
+    along = np.linspace(0.0, 1.0, rows)
+    return np.stack([1.0 + 4.0 * along, np.full(rows, 0.75)], axis=1) + SIGMA_FIX * noise
+
+
+def rectangle(corners: np.ndarray) -> np.ndarray:
+    """The four walls (4, 4), each x1, y1, x2, y2 in m, of the rectangle with these opposite corners (2, 2)."""
+    (left, low), (right, high) = corners
+    knots = np.array([[left, low], [right, low], [right, high], [left, high], [left, low]])
+    return np.hstack([knots[:-1], knots[1:]])
 
 
 class CorridorStart(AbstractStart):

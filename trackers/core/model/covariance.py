@@ -32,7 +32,7 @@ from trackwright.trackers.core.model.algebra import (
 from trackwright.trackers.core.model.state import State
 
 FEW = 8
-"""Most trajectories whose covariances are matrices; both forms: `python -m trackwright.experiments.lab.bench lanes`."""
+"""Most trajectories whose covariances are matrices; `experiments.lab.bench growth form-4` times both forms."""
 
 AnyCovariance = tuple[Scalar, ...] | jax.Array
 """A covariance: its upper triangle, entry by entry, or its matrix (n, n)."""

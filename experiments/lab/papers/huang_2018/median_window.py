@@ -11,9 +11,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import built
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.huang_2018.workshop import MEASURES, OF_WORLD, workshop
-from trackwright.experiments.lab.papers.trackers import built
 from trackwright.trackers.mhk.tracker import mhk_tracker
 
 WINDOWS = (1, 3, 5, 9, 13, 21)

@@ -16,9 +16,8 @@ from itertools import product
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import Printed
+from trackwright.experiments.lab.papers.declared import RAW, Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
-from trackwright.experiments.lab.papers.trackers import RAW
 from trackwright.experiments.text.wording import listed
 from trackwright.sim.agv import Route, simulate_agv
 from trackwright.sim.corruptions import gauss_markov, outliers
@@ -123,28 +122,25 @@ ROUTE_AND_TIME = ("route_max_m", "route_mean_m", "mean_m")
 OF_WORLD = ("drift", "share", "size")
 
 
-def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> mc.Study:
-    """The study with these parameters of the world and of MH-K; its seed differs from the fit's, 0."""
-    own = {"fusion.motion.sigma_a": numbers["sigma_a"], "median.speed_limit": numbers["speed_limit"]}
-    return mc.Study(
-        name="workshop",
-        about="Figures 6 and 7 of Huang et al. 2018: how far from its route a vehicle seems to be, raw and by MH-K",
-        worlds={"workshop": mc.World(workshop, {name: numbers[name] for name in OF_WORLD})},
-        trackers={
-            "mhk": mc.TrackerConfig("mhk", own),
-            "raw": RAW,
-            "median": mc.TrackerConfig("median"),
-            "mhk-stamped": mc.TrackerConfig("mhk-stamped", own),
-        },
-        runs=runs,
-        seed=seed,
-        measures=MEASURES,
-        metrics=("route_mean_m", "route_max_m", "improved", "mean_m", "rmse_m", "p95_m"),
-        expected=expected,
-    )
-
-
-STUDY = study_with(fitted("papers/huang_2018/workshop"))
+NUMBERS = fitted("papers/huang_2018/workshop")
+MHK = {"sigma_a": ("mhk", "fusion.motion.sigma_a"), "speed_limit": ("mhk", "median.speed_limit")}
+OWN = {tunable: NUMBERS[name] for name, (_, tunable) in MHK.items()}
+STUDY = mc.Study(
+    name="workshop",
+    about="Figures 6 and 7 of Huang et al. 2018: how far from its route a vehicle seems to be, raw and by MH-K",
+    worlds={"workshop": mc.World(workshop, {name: NUMBERS[name] for name in OF_WORLD})},
+    trackers={
+        "mhk": mc.TrackerConfig("mhk", OWN),
+        "raw": RAW,
+        "median": mc.TrackerConfig("median"),
+        "mhk-stamped": mc.TrackerConfig("mhk-stamped", OWN),
+    },
+    runs=200,
+    seed=1,
+    measures=MEASURES,
+    metrics=("route_mean_m", "route_max_m", "improved", "mean_m", "rmse_m", "p95_m"),
+    expected=expected,
+)
 
 SIGMAS_A = (0.02, 0.03, 0.04, 0.05, 0.07, 0.1)
 SPEED_LIMITS = (0.55, 0.6, 0.8, 1.0, 2.0, 4.0)
@@ -157,14 +153,12 @@ LEFT = "4 of 9 printed figures are predictions: variance, under 10 cm, under 15 
 
 def fit() -> tuple[str, dict[str, Fitted]]:
     """The world by least squares, then Q and speed limit of MH-K from a grid."""
-    mhk = {"sigma_a": 0.05, "speed_limit": 0.6}
-    world = Fit(lambda numbers, *rest: study_with(mhk | numbers, *rest), START, [[p] for p in OF_RAW], LEFT, 100, 6)
-    left, numbers = world()
+    left, numbers = Fit(STUDY, START, [[p] for p in OF_RAW], LEFT, 100, 6)()
     of_world, of_mhk = {name: numbers[name].value for name in OF_WORLD}, [[p] for p in OF_MHK[:2]]
-    tried = {}
+    tried, grid = {}, Fit(STUDY, {}, of_mhk, left, 100, tunables=MHK)
     for sigma_a, limit in product(SIGMAS_A, SPEED_LIMITS):
         own = of_world | {"sigma_a": sigma_a, "speed_limit": limit}
-        tried[sigma_a, limit] = float(np.sum(np.log(Fit(study_with, {}, of_mhk, left, 100).ratios(own)) ** 2))
+        tried[sigma_a, limit] = float(np.sum(np.log(grid.ratios(own)) ** 2))
     sigma_a, limit = min(tried, key=tried.__getitem__)
     chosen = {"sigma_a": Fitted(sigma_a, "m/s^2/sqrt(Hz)", BOTH), "speed_limit": Fitted(limit, "m/s", BOTH)}
     return left, numbers | chosen

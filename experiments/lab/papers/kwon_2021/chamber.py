@@ -15,9 +15,8 @@ from functools import partial
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import Printed
+from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
-from trackwright.experiments.lab.papers.trackers import CONSTANT_BIASES
 from trackwright.experiments.text.wording import listed
 from trackwright.sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -85,29 +84,26 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     yield mc.Conclusion("errors in z are larger than in x and y", larger, listed(ours, "{:.0f} mm"), mc.DERIVED)
 
 
-def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> mc.Study:
-    """The study with these parameters of the chamber; its seed differs from the fit's, 0."""
-    return mc.Study(
-        name="chamber",
-        about="Table 2 of Kwon et al. 2021: the largest deviations of a still tag in a chamber",
-        worlds={name: mc.World(corner, {"place": place, **numbers}) for name, place in PLACES.items()},
-        trackers={
-            "least squares": mc.TrackerConfig("multilateration", free_height=True),
-            "filter": mc.TrackerConfig("uwb", CONSTANT_BIASES, free_height=True),
-        },
-        runs=runs,
-        seed=seed,
-        measures={f"largest_{axis}_m": _largest(k) for k, axis in enumerate("xyz")},
-        metrics=("largest_x_m", "largest_y_m", "largest_z_m", "rmse_m"),
-        expected=expected,
-    )
-
+NUMBERS = fitted("papers/kwon_2021/chamber")
+STUDY = mc.Study(
+    name="chamber",
+    about="Table 2 of Kwon et al. 2021: the largest deviations of a still tag in a chamber",
+    worlds={name: mc.World(corner, {"place": place, **NUMBERS}) for name, place in PLACES.items()},
+    trackers={
+        "least squares": mc.TrackerConfig("multilateration", free_height=True),
+        "filter": mc.TrackerConfig("uwb", CONSTANT_BIASES, free_height=True),
+    },
+    runs=200,
+    seed=1,
+    measures={f"largest_{axis}_m": _largest(k) for k, axis in enumerate("xyz")},
+    metrics=("largest_x_m", "largest_y_m", "largest_z_m", "rmse_m"),
+    expected=expected,
+)
 
 fit = Fit(
-    study_with,
+    STUDY,
     {"sigma_bias": Fitted(0.05, "m", "x"), "height": Fitted(2.45, "m", "z")},
     [[PRINTED["x"]], [PRINTED["z"]]],
     "1 of 3 printed figures: y",
     runs=100,
 )
-STUDY = study_with(fitted("papers/kwon_2021/chamber"))

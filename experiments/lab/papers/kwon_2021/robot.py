@@ -16,10 +16,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import Printed, plot
+from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL, Printed, plot
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.kwon_2021.chamber import anchors, deviations, under
-from trackwright.experiments.lab.papers.trackers import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.pages.plots.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain
 from trackwright.experiments.text.wording import fixed_interval, listed

@@ -19,9 +19,8 @@ import polars as pl
 from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import Printed, plot
+from trackwright.experiments.lab.papers.declared import RAW, Printed, plot, window
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
-from trackwright.experiments.lab.papers.trackers import RAW, window
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.pages.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain
 from trackwright.sim.corruptions import gauss_markov
@@ -135,43 +134,41 @@ def figure_10(results: mc.Results, figure: Figure) -> None:
         plain(axes)
 
 
-def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> mc.Study:
-    """The study with these numbers of the world and of the Kalman filter; other tags than the fit's, of seed 0."""
-    kalman = {
-        "motion.sigma_a": numbers["sigma_a"],
-        "sensors.fixes.sigma_horizontal": SIGMA_RANGE,
-        "sensors.fixes.dof": 1e3,
-    }
-    proposed = {
-        "motion.noise.sigma_accel": SIGMA_ACCEL,
-        "motion.noise.sigma_accel_walk": 1e-4,
-        "sensors.ranges.sigma_r": SIGMA_RANGE,
-        # Nothing is in the way: normal noise.
-        "sensors.ranges.positive_skew": 1.0,
-        "sensors.ranges.dof": 1e3,
-        "sensors.ranges.bias": np.zeros(3),
-    }
-    return mc.Study(
-        name="table-4",
-        about="Table 4 and Figure 10 of Kwon et al. 2021: how far the estimates of a still tag spread",
-        worlds={"still": mc.World(still, {k: v for k, v in numbers.items() if k != "sigma_a"})},
-        trackers={
-            "proposed": mc.TrackerConfig("uwb-imu", proposed, every=1 / RATE_HZ),
-            "raw": RAW,
-            "moving average": window(WINDOW),
-            "Kalman": mc.TrackerConfig("fix-kf", kalman),
-        },
-        runs=runs,
-        seed=seed,
-        measures={f"spread_{axis}_m": _spread(k) for k, axis in enumerate("xy")},
-        metrics=("spread_x_m", "spread_y_m", "rmse_m", "nis_ratio"),
-        expected=expected,
-        draw=plot("figure_10.svg", figure_10, height=2 * HEIGHT),
-    )
-
+NUMBERS = fitted("papers/kwon_2021/table_4")
+KALMAN = {
+    "motion.sigma_a": NUMBERS["sigma_a"],
+    "sensors.fixes.sigma_horizontal": SIGMA_RANGE,
+    "sensors.fixes.dof": 1e3,
+}
+PROPOSED = {
+    "motion.noise.sigma_accel": SIGMA_ACCEL,
+    "motion.noise.sigma_accel_walk": 1e-4,
+    "sensors.ranges.sigma_r": SIGMA_RANGE,
+    # Nothing is in the way: normal noise.
+    "sensors.ranges.positive_skew": 1.0,
+    "sensors.ranges.dof": 1e3,
+    "sensors.ranges.bias": np.zeros(3),
+}
+STUDY = mc.Study(
+    name="table-4",
+    about="Table 4 and Figure 10 of Kwon et al. 2021: how far the estimates of a still tag spread",
+    worlds={"still": mc.World(still, {k: v for k, v in NUMBERS.items() if k != "sigma_a"})},
+    trackers={
+        "proposed": mc.TrackerConfig("uwb-imu", PROPOSED, every=1 / RATE_HZ),
+        "raw": RAW,
+        "moving average": window(WINDOW),
+        "Kalman": mc.TrackerConfig("fix-kf", KALMAN),
+    },
+    runs=200,
+    seed=1,
+    measures={f"spread_{axis}_m": _spread(k) for k, axis in enumerate("xy")},
+    metrics=("spread_x_m", "spread_y_m", "rmse_m", "nis_ratio"),
+    expected=expected,
+    draw=plot("figure_10.svg", figure_10, height=2 * HEIGHT),
+)
 
 fit = Fit(
-    study_with,
+    STUDY,
     {
         "sigma_stamp": Fitted(2.7e-11, "s", "raw x"),
         "base": Fitted(6.0, "m", "raw y"),
@@ -186,5 +183,5 @@ fit = Fit(
     f"2 of 8 printed figures: beside these five numbers the window's length, {WINDOW}, was chosen",
     runs=48,
     rounds=2,
+    tunables={"sigma_a": ("Kalman", "motion.sigma_a")},
 )
-STUDY = study_with(fitted("papers/kwon_2021/table_4"))

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.trackers import CONSTANT_BIASES
+from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES
 from trackwright.experiments.text.wording import fixed_interval
 from trackwright.sim.corruptions import Corruption
 from trackwright.sim.paths import hand_motion

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.trackers import RAW as FIXES_ALONE
-from trackwright.experiments.lab.papers.trackers import built
+from trackwright.experiments.lab.papers.declared import RAW as FIXES_ALONE
+from trackwright.experiments.lab.papers.declared import built
 from trackwright.sim.corruptions import gauss_markov, white_noise
 from trackwright.sim.line import simulate_line
 from trackwright.trackers.baselines.fixes import fix_tracker

@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import built
 from trackwright.experiments.lab.papers.fitting import fitted
-from trackwright.experiments.lab.papers.trackers import built
 from trackwright.experiments.lab.papers.will_2020.fit_array_layout import TABLE_1_DEG
 from trackwright.sim.corruptions import Corruption, lose_station, outliers
 from trackwright.sim.keys import Keys

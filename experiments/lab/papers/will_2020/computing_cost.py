@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import built
 from trackwright.experiments.lab.papers.fitting import fitted
-from trackwright.experiments.lab.papers.trackers import built
 from trackwright.experiments.lab.papers.will_2020._work_stand import beam, radius, recorded, stand
 from trackwright.experiments.text.wording import listed
 from trackwright.trackers.aoa.beam import Beam, beam_tracker

@@ -107,28 +107,23 @@ def draw(results: mc.Results, folder: Path) -> list[str]:
     ]
 
 
-def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 0) -> mc.Study:
-    """The study with stations at this radius."""
-    return mc.Study(
-        name="figure-8",
-        about="How far off are positions by three stations, by the paper's cascade and straight from phases?",
-        worlds={
-            STAND: mc.World(recorded, numbers),
-            APART: mc.World(recorded),
-            PLANE: mc.World(recorded, {**numbers, "wave": "plane"}),
-        },
-        trackers={"cascade": cascade(), "direct": direct()},
-        runs=runs,
-        seed=seed,
-        measures={"offset_m": offset},
-        metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "bound_3d_m", "nees_3d_mean", "diverged"),
-        expected=expected,
-        draw=draw,
-    )
-
-
+STUDY = mc.Study(
+    name="figure-8",
+    about="How far off are positions by three stations, by the paper's cascade and straight from phases?",
+    worlds={
+        STAND: mc.World(recorded, {"radius": radius()}),
+        APART: mc.World(recorded),
+        PLANE: mc.World(recorded, {"radius": radius(), "wave": "plane"}),
+    },
+    trackers={"cascade": cascade(), "direct": direct()},
+    runs=200,
+    measures={"offset_m": offset},
+    metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "bound_3d_m", "nees_3d_mean", "diverged"),
+    expected=expected,
+    draw=draw,
+)
 SEARCH = Fit(
-    study_with,
+    STUDY,
     {"radius": Fitted(0.29, "m", "section 4.2, 3.18 cm")},
     [PRINTED[:1]],
     "none: one number against one printed figure",
@@ -143,6 +138,3 @@ def fit() -> tuple[str, dict[str, Fitted]]:
     # As it is written: to four digits.
     found = PRINTED[0].number * SEARCH.ratios({"radius": float(f"{numbers['radius'].value:.4g}")})[0]
     return left, numbers | {"error": Fitted(found, "cm", f"what the radius gives, {SEARCH.runs} trajectories")}
-
-
-STUDY = study_with({"radius": radius()})

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from trackwright.experiments.lab.bench.cluster_scale import MEASURED, cluster_plan, plan, rates_of
-from trackwright.experiments.lab.bench.timing import Bench, cell
+from trackwright.experiments.lab.cases import Output, cell
 
 RATES = {
     "trajectories": 1000, "compute_s": 3.6, "caller_ms": 6.0, "store_ms": 30.0, "scheduler_ms": 3.6, "add_ms": 7.2,
@@ -51,8 +51,8 @@ def test_the_command_writes_the_plan_from_the_committed_rates_to_a_page(tmp_path
     page.write_text(
         "before\n<!-- tables of trackwright.experiments.lab.bench cluster-plan -->\n<!-- end of the tables -->\nafter\n"
     )
-    bench = Bench(page=page, out=tmp_path / "plan.json")
-    assert cluster_plan(runs=1e9, workers=(64, 1000), price=0.5, bench=bench) == 0
+    output = Output(page=page, out=tmp_path / "plan.json")
+    assert cluster_plan(runs=1e9, workers=(64, 1000), price=0.5, output=output) == 0
     printed, written = capsys.readouterr().out, page.read_text()
     for workers in (64, 1000):
         expected = plan(rates_of(json.loads(MEASURED.read_text("utf-8")), workers), 1e9, workers)

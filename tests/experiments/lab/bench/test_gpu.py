@@ -6,7 +6,7 @@ import jax
 import pytest
 
 from trackwright.experiments.lab.bench import gpu
-from trackwright.experiments.lab.bench.timing import Bench
+from trackwright.experiments.lab.cases import Output
 from trackwright.trackers.core.errors import UnusableInput
 
 
@@ -14,7 +14,7 @@ def test_without_a_gpu_it_writes_nothing_and_names_the_extra(tmp_path):
     if jax.default_backend() == "gpu":
         pytest.skip("this host has a GPU")
     with pytest.raises(UnusableInput, match=r"trackwright\[cuda\]"):
-        gpu.gpu(bench=Bench(out=tmp_path / "bench-gpu.json"))
+        gpu.gpu(output=Output(out=tmp_path / "bench-gpu.json"))
     assert not [*tmp_path.iterdir()]
 
 

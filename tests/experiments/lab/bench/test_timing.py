@@ -1,17 +1,13 @@
-"""One timer, one fresh process, one writer."""
+"""One timer and one fresh process."""
 
 from __future__ import annotations
 
-import json
 import time
 
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.bench import timing
 from trackwright.experiments.lab.bench.timing import (
-    Bench,
-    Table,
     Version,
     apart,
     cold_and_warm,
@@ -49,9 +45,9 @@ def test_the_first_call_is_apart_from_the_warm_ones():
 
 
 def test_a_function_in_a_new_process_answers_or_says_why_not():
-    assert apart("timing:cell", 12345, limit_s=60) == "12,345"
-    assert "status 1: " in apart("timing:cell", limit_s=60)["failed"]
-    assert "took over 0 s" in apart("timing:cell", 1, limit_s=0.01)["failed"]
+    assert apart("cases:cell", 12345, limit_s=60) == "12,345"
+    assert "status 1: " in apart("cases:cell", limit_s=60)["failed"]
+    assert "took over 0 s" in apart("cases:cell", 1, limit_s=0.01)["failed"]
 
 
 def test_a_command_is_measured_with_what_it_did(tmp_path):
@@ -63,27 +59,3 @@ def test_a_command_is_measured_with_what_it_did(tmp_path):
     assert run["peak_mb"] > 150
     assert len({*seen}) == 1
     assert last_line(log) == "done"
-
-
-def test_results_are_written_a_row_a_line_and_replace_the_tables_of_the_page(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(timing.sys, "argv", ["bench", "--page", "page.md"])
-    page, out = tmp_path / "page.md", tmp_path / "out" / "results.json"
-    page.write_text(
-        "before\n<!-- tables of trackwright.experiments.lab.bench lanes -->\nold\n<!-- end of the tables -->\nafter\n"
-    )
-    rows = [{"name": "a|b", "s": 0.12345678, "n": 12345, "none": None}, {"name": "c", "s": 4321.0}]
-    Bench(out=out, page=page).publish("lanes", Table(rows, "one", "note"), Table(rows, "two"), device="card")
-    found = json.loads(out.read_text("utf-8"))
-    assert found["tables"] == {"one": rows, "two": rows}
-    assert found["command"] == ["python", "-m", "trackwright.experiments.lab.bench", "lanes", "--page", "page.md"]
-    assert found["device"] == "card"
-    assert sum('"c"' in line for line in out.read_text("utf-8").splitlines()) == 2
-    text = page.read_text()
-    assert text.startswith("before\n<!-- tables")
-    assert text.endswith("<!-- end of the tables -->\nafter\n")
-    assert (
-        "### one\n\n| name | s | n | none |\n| --- | ---: | ---: | ---: |\n| a/b | 0.123 | 12,345 |  |\n| c | 4,321 |  |  |\n\nnote"
-        in text
-    )
-    assert "old" not in text
-    assert "4,321" in capsys.readouterr().out

@@ -11,27 +11,9 @@ from trackwright.experiments.lab.papers.fitting import Fitted, fitted, solved, u
 from trackwright.experiments.lab.papers.huang_2018 import mhk_against, workshop
 from trackwright.experiments.lab.papers.kwon_2021 import chamber, line_of_sight, robot, table_4, trilateration
 from trackwright.experiments.monte_carlo.errors import TrackedRuns
-from trackwright.experiments.monte_carlo.runner import run_study
-from trackwright.experiments.monte_carlo.sources import available_studies, load_study
-from trackwright.experiments.text.expectations import PREDICTED, Conclusion, ExpectedResult
+from trackwright.experiments.text.expectations import PREDICTED, ExpectedResult
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.mhk.tracker import STILL
-
-MINE = (
-    "chamber",
-    "line-of-sight",
-    "median-window",
-    "mhk-against",
-    "robot",
-    "table-4",
-    "trilateration",
-    "workshop",
-)
-
-
-def _results(study, runs, folder):
-    few = replace(study, runs=runs, metrics=study.metrics[:2])
-    return run_study(few, folder)
 
 
 def _run(estimates, truth, folder=None):
@@ -42,12 +24,6 @@ def _run(estimates, truth, folder=None):
     return TrackedRuns(
         times, estimates, nothing[..., None, None], truth, nothing == 0, nothing, nothing, nothing, folder
     )
-
-
-@pytest.mark.parametrize("name", MINE)
-def test_a_study_is_listed_and_can_be_run(name):
-    assert name in available_studies()
-    assert load_study(name).expected is not None
 
 
 def test_a_fit_finds_the_parameters_at_which_the_ratios_are_one():
@@ -91,8 +67,8 @@ def test_the_raw_fixes_of_the_workshop_are_as_far_off_the_route_as_its_polyline_
 
 
 @pytest.mark.slow
-def test_the_workshop_has_nine_printed_figures_of_which_four_are_predicted(tmp_path):
-    found = list(workshop.expected(_results(workshop.STUDY, 4, tmp_path)))
+def test_the_workshop_has_nine_printed_figures_of_which_four_are_predicted():
+    found = list(workshop.expected(unsaved(replace(workshop.STUDY, runs=4))))
     claims = [c for c in found if isinstance(c, ExpectedResult)]
     assert [c.origin for c in claims].count(PREDICTED) == 4
     assert [c.share for c in claims] == [c.unit == "%" for c in claims]
@@ -175,16 +151,3 @@ def test_the_hall_hides_the_anchor_along_x_alone():
     anchor = clear.tables["ranges"]["anchor"]
     assert set(anchor.filter(longer > 0.01)) == {"A2"}
     assert longer.min() >= 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MINE)
-def test_a_study_says_what_it_found(name, tmp_path):
-    study = load_study(name)
-    results = _results(study, 2, tmp_path)
-    found = list(results.study.expected(results))
-    assert found
-    assert all(np.isfinite(c.ours.value) for c in found if isinstance(c, ExpectedResult))
-    assert all(c.evidence for c in found if isinstance(c, Conclusion))
-    if study.draw is not None:
-        assert all((tmp_path / name).read_text("utf-8").startswith("<svg") for name in study.draw(results, tmp_path))

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from trackwright.experiments.lab.papers.fitting import fitted
-from trackwright.experiments.lab.papers.line_thesis import (
-    figures_3,
-    leaving_line,
-    rests_at_joins,
-    sweep_curves,
-    table_3_1,
-)
+from trackwright.experiments.lab.papers.line_thesis import leaving_line, rests_at_joins, table_3_1
 from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     AVERAGES,
     PRINTED,
@@ -31,7 +25,6 @@ from trackwright.experiments.monte_carlo import FITTED, Conclusion, ExpectedResu
 from trackwright.experiments.monte_carlo.runner import run_study
 from trackwright.sim.line import THESIS_KNOTS
 
-STUDIES = [figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1]
 NUMBERS = {"number": 2, "situation": "halts", "white": 0.2, "slow": 0.2, "tau": 1.5, "speed": 0.6, "rate_hz": 5.0}
 
 
@@ -126,11 +119,6 @@ def test_every_number_of_the_worlds_is_in_the_file_of_the_fit():
     assert all(0 < w.numbers["white"] < 1 for w in made.values())
 
 
-@pytest.mark.parametrize("module", STUDIES, ids=lambda m: m.STUDY.name)
-def test_a_study_is_called_as_its_file(module):
-    assert module.STUDY.name == module.__name__.rpartition(".")[2].replace("_", "-")
-
-
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
     best = fitted("papers/line_thesis/table_3_1")["sigma_particle"]
@@ -163,13 +151,3 @@ def test_the_table_has_its_27_figures_and_says_which_were_fitted(table):
     average = next(c for c in claims if c.quantity == "Table 3.1, average, raw")
     assert abs(average.ratio - 1) < 0.1
     assert sum(isinstance(c, Conclusion) for c in claims) == 4
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("module", STUDIES, ids=lambda m: m.STUDY.name)
-def test_a_study_runs_and_draws_what_it_says(module, tmp_path):
-    results = run_study(dataclasses.replace(module.STUDY, runs=4), tmp_path)
-    assert results is not None
-    assert module.STUDY.expected(results)
-    pictures = module.STUDY.draw(results, tmp_path) if module.STUDY.draw else []
-    assert all((tmp_path / name).read_text("utf-8").startswith("<svg") for name in pictures)

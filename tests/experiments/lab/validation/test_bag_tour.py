@@ -14,7 +14,7 @@ def files(tmp_path, monkeypatch):
     """A folder with the bags and the files of the page; it is the current one."""
     pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
     monkeypatch.setattr(bag_tour, "OUT", tmp_path / "tour")
-    assert bag_tour.tour(bags_only=True) == 0
+    assert bag_tour.bag_tour(bags_only=True) == 0
     monkeypatch.chdir(tmp_path / "tour")
     return tmp_path / "tour"
 

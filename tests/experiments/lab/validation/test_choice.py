@@ -5,22 +5,23 @@ import importlib
 import numpy as np
 import pytest
 
+from trackwright.experiments.lab.cases import Output
 from trackwright.experiments.lab.subprocesses import REPOSITORY
 from trackwright.experiments.lab.validation.choice import (
-    PAGE,
     SIMPLEST_FIRST,
     Figure,
     beside,
+    choice,
     figures_of,
-    main,
     order_of,
-    written,
+    tables,
 )
 from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import PREFERENCE, SYSTEMS, TRACKERS
 from trackwright.trackers.recordings.folder import read_recordings
 
+PAGE = REPOSITORY / "docs" / "which-tracker.md"
 RANGES = ("multilateration", "uwb", "uwb-imu")
 
 
@@ -66,11 +67,18 @@ def test_trackers_that_beat_each_other_in_a_circle_are_ordered_all_the_same():
 
 def test_the_tables_mark_what_was_fitted_and_what_was_not_estimated():
     figures = _figures([[0.3, 0.1, 0.2]], fitted={(0, "uwb")}, share={(0, "multilateration"): 0.76}.items())
-    text = written([*figures, Figure("array", "beam", np.radians(5.0), None, 1.0, False)], 60.0)
-    assert "Order: `multilateration`, `uwb`, `uwb-imu`, `trilateration`, `trilateration-compensated`." in text
-    assert "| r0 | 30.0 cm, 95 % (76 % of the rows) | 10.0 cm, 95 %* | 20.0 cm, 95 % |  |  |" in text
-    assert "| `uwb` |  | none: the simpler one |" in text
-    assert "| array | 5.0° |  |" in text
+    array = Figure("array", "beam", np.radians(5.0), None, 1.0, False)
+    phases, _, ranges, others = tables([*figures, array])
+    order = "Order: `multilateration`, `uwb`, `uwb-imu`, `trilateration`, `trilateration-compensated`."
+    assert ranges.note == order
+    cells = ("30.0 cm, 95 % (76 % of the rows)", "10.0 cm, 95 %*", "20.0 cm, 95 %", "", "")
+    assert tuple(ranges.rows[0].values()) == ("r0", *cells)
+    assert others.rows[0] == {
+        "beside": "`uwb`",
+        "ratio of errors": "",
+        "recordings that decide": "none: the simpler one",
+    }
+    assert tuple(phases.rows[0].values()) == ("array", "5.0°", "")
 
 
 def test_the_page_has_the_order_of_the_catalogue():
@@ -82,7 +90,6 @@ def test_the_page_has_the_order_of_the_catalogue():
             found[heading.removeprefix("### ").lower()] = tuple(line.split("`")[1::2])
     assert len(found) == 5
     assert found == {kind: names for kind, names in PREFERENCE.items() if kind in found}
-    assert str(PAGE).startswith(str(REPOSITORY))
 
 
 def test_every_tracker_of_the_catalogue_has_one_place_in_the_order():
@@ -107,7 +114,7 @@ def test_the_order_of_the_catalogue_is_that_of_the_recordings(recordings, tmp_pa
     assert read_recordings([path.parent for path in sorted(recordings.glob("*/rig.toml"))])
     page = tmp_path / "page.md"
     page.write_text(
-        "<!-- tables of trackwright.experiments.lab.validation.choice -->\n<!-- end of the tables -->\n", "utf-8"
+        "<!-- tables of trackwright.experiments.lab.validation choice -->\n<!-- end of the tables -->\n", "utf-8"
     )
-    assert main(page=page) == 0
+    assert choice(output=Output(page=page, out=tmp_path / "choice.json")) == 0
     assert page.read_text("utf-8").count("Order: ") == 5

@@ -7,7 +7,17 @@ from itertools import product
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.validation.envelope import NONSENSE, SUBJECTS, Run, envelope, judged, table
+from trackwright.experiments.lab.validation.envelope import (
+    NONSENSE,
+    ROOMS,
+    SIGMAS,
+    STEPS,
+    SUBJECTS,
+    Run,
+    judged,
+    table,
+    verdicts,
+)
 from trackwright.experiments.lab.validation.envelope_worlds import Cell, recorded
 from trackwright.trackers.core.data.estimates import Status
 
@@ -16,7 +26,7 @@ CORNERS = [Cell(*one) for one in product((1e-6, 1.0), (0.0, 1.0, 1e6), (10.0, 1e
 
 @pytest.mark.parametrize("name", ["fix-kf"])
 def test_no_corner_of_the_envelope_is_silent_nonsense(name):
-    found, off = envelope(name, 0, 12, CORNERS)
+    found, off = verdicts(name, CORNERS, tags=12)
     assert [str(cell) for cell, verdict in found.items() if verdict.words.startswith(NONSENSE)] == []
     assert found[Cell(1.0, 1.0, 10.0)].words == "agrees"
     assert found[Cell(1.0, 1.0, 10.0)].difference < 0.01
@@ -31,7 +41,8 @@ WRONG = {"uwb-imu": [Cell(0.001, 0.001, 0.01)]}
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_no_other_cell_of_the_envelope_is_silent_nonsense(name):
     # A grid of a room of 1 km takes half a minute in every cell.
-    found, _ = envelope(name, cells=[cell for cell in CORNERS if cell.room <= 10.0] if name == "line-grid" else ())
+    every = [Cell(*one) for one in product(SIGMAS, STEPS, ROOMS)]
+    found, _ = verdicts(name, [cell for cell in CORNERS if cell.room <= 10.0] if name == "line-grid" else every)
     assert [cell for cell, verdict in found.items() if verdict.words.startswith(NONSENSE)] == WRONG.get(name, [])
 
 
@@ -70,7 +81,7 @@ def test_a_cell_is_judged_by_double_precision_and_the_truth(single, double, word
 
 def test_a_table_has_the_worst_of_all_time_steps():
     cells = {Cell(1.0, dt, 10.0): judged(_run([[x]], 1.0), _run([[0.0]], 1.0)) for dt, x in ((0.0, 0.1), (1.0, 0.3))}
-    assert "agrees 0.3" in table("fix-kf", cells)
+    assert table(cells) == [{"σ of a reading": "1", "10 m": "agrees 0.3"}]
 
 
 @pytest.mark.parametrize("name", ["fixes", "mirrored", "path", "ranges", "imu", "bearings"])

@@ -6,9 +6,19 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackwright.experiments.lab.validation.fold_runs import Figures, Outside, farthest_outside, room
-from trackwright.experiments.lab.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, Fold
-from trackwright.experiments.lab.validation.real_recordings import all_checks, main, quoted, written
+from trackwright.experiments.lab.cases import Output
+from trackwright.experiments.lab.validation.folds import (
+    BY_DEFAULTS,
+    FOLDS,
+    OTHER_HALF,
+    OTHERS,
+    Figures,
+    Fold,
+    Outside,
+    farthest_outside,
+    room,
+)
+from trackwright.experiments.lab.validation.real_recordings import all_checks, quoted, real_recordings, tables
 from trackwright.trackers.catalogue import tracker_for
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
@@ -17,7 +27,7 @@ from trackwright.tuning.cross_calibration import halves
 INSIDE = Outside(0.0, 0.1, 1.0, 0)
 HONEST = {"rmse_m": 0.2, "rmse_3d_m": 0.3, "coverage_95": 0.95, "coverage_95_3d": 0.95, "nees_ratio": 1.0}
 HONEST |= {"nis_correlation_1s": 0.0, "nis_inflation_1s": 1.0, "nis_ratio": 1.0, "losses": 0}
-FOLD = Fold("flights", "uwb", ("a", "b"), DEFAULTS, rmse=0.25, spatial=0.5)
+FOLD = Fold("flights", "uwb", ("a", "b"), BY_DEFAULTS, rmse=0.25, spatial=0.5)
 
 
 def _figures(recording, outside=INSIDE, smoothed=False, **metrics):
@@ -76,19 +86,20 @@ def test_the_estimate_farthest_outside_the_room_is_found_by_its_straight_distanc
     assert farthest_outside(estimates[:2], corners).distance == 0.0
 
 
-def test_the_page_names_missed_limits_rooms_and_what_was_seen():
+def test_the_tables_name_missed_limits_rooms_and_what_was_seen():
     fold = FOLD._replace(calibrated_on=OTHER_HALF)
     figures = [
         _figures("a", nees_ratio=3.0, coverage_95=0.6, nis_ratio=4.0)._replace(fold=fold),
         _figures("b", Outside(1.5, 0.1, 2.0, 7))._replace(fold=fold),
     ]
-    page = written(figures, {"a": 0.123}, "the command", 60.0)
-    assert "**5 of 8 limits are met.**" in page
-    assert "| flights | 0.200 (≤ 0.25) |  | 0.300 (≤ 0.5) | **1 of 2** |  |" in page
-    assert "| a | filtered | 0.200 | 0.300 | **60.0 %** | **3.00** | 0.00 | 0.123 |" in page
-    assert "| b | flights | **1.50** | 2.0 | 0.10 | 7 |" in page
-    assert "each calibrated on the other half" in page
-    assert "- a: The readings scatter more than the tracker's model expects (NIS/dof 4, 1 expected" in page
+    summary, flights, rooms = tables(figures, {"a": 0.123})
+    assert summary.note == "**5 of 8 limits are met.**"
+    assert tuple(summary.rows[0].values()) == ("flights", "0.200 (≤ 0.25)", "", "0.300 (≤ 0.5)", "**1 of 2**", "")
+    cells = ("filtered", "0.200", "0.300", "**60.0 %**", "**3.00**", "0.00", "0.123")
+    assert tuple(flights.rows[0].values()) == ("a", *cells)
+    assert tuple(rooms.rows[1].values()) == ("b", "flights", "**1.50**", "2.0", "0.10", "7")
+    assert "each calibrated on the other half. Limits: inside 95 %: 85 to 99 %, NEES/dof 0.5 to 2." in flights.note
+    assert "- a: The readings scatter more than the tracker's model expects (NIS/dof 4, 1 expected" in flights.note
 
 
 def test_the_readme_quotes_mean_errors_of_walks_and_how_many_covariances_hold():
@@ -109,11 +120,12 @@ def test_the_readme_quotes_mean_errors_of_walks_and_how_many_covariances_hold():
 @pytest.mark.slow
 def test_the_quick_folds_write_their_page(recordings, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(recordings))
-    code = main(quick=True, page=tmp_path / "page.md")
+    page = tmp_path / "page.md"
+    page.write_text("<!-- tables of trackwright.experiments.lab.validation real-recordings -->\n", "utf-8")
+    code = real_recordings(output=Output(small=True, page=page, out=tmp_path / "figures.json"))
     missed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("missed: ")]
-    page = (tmp_path / "page.md").read_text("utf-8")
     assert code == int(bool(missed))
-    met, every = map(int, re.search(r"(\d+) of (\d+) limits are met", page).groups())
+    met, every = map(int, re.search(r"(\d+) of (\d+) limits are met", page.read_text("utf-8")).groups())
     assert every - met == len(missed)
     # The default levels miss the limit of the walks, 0.80 m, by 2 mm; no other mean error of a filter misses its limit.
     assert [line for line in missed if "RMSE" in line and "smoothed" not in line] == [

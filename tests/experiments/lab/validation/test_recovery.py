@@ -2,14 +2,16 @@
 
 import pytest
 
-from trackwright.experiments.lab.validation.recovery import main
+from trackwright.experiments.lab.cases import Output
+from trackwright.experiments.lab.validation.recovery import recovery
+from trackwright.trackers.core.errors import UnusableInput
 
 
 @pytest.mark.slow
-def test_two_hundred_fits_to_ranges_recover_the_truth_with_the_right_coverage():
-    assert main(("C",)) == 0
+def test_two_hundred_fits_to_ranges_recover_the_truth_with_the_right_coverage(tmp_path):
+    assert recovery("C", output=Output(out=tmp_path / "recovery.json")) == 0
 
 
-def test_a_system_that_does_not_exist_is_refused(capsys):
-    assert main(("E",)) == 2
-    assert "unknown system E: expected some of A, B, C, D" in capsys.readouterr().err
+def test_a_system_that_does_not_exist_is_refused():
+    with pytest.raises(UnusableInput, match="'E': unknown; expected some of A, B, C, D"):
+        recovery("E")

@@ -1,9 +1,11 @@
 """Fits on sites with one recording left out each, on simulated vehicles."""
 
 import dataclasses
+import json
 
 import pytest
 
+from trackwright.experiments.lab.cases import Output
 from trackwright.experiments.lab.validation import tuned_sites
 from trackwright.experiments.lab.validation.folds import SITES, Site
 from trackwright.sim import worlds
@@ -24,12 +26,12 @@ def root(tmp_path_factory):
 def test_each_recording_of_a_site_is_judged_with_the_values_of_the_others(root, monkeypatch, capsys):
     pair = Site("hall", "fix-kf", ("hall-1", "hall-2"))
     monkeypatch.setattr(tuned_sites, "SITES", (pair, Site("none", "uwb", ("hall-1",)), Site("other", "uwb", ("x",))))
-    monkeypatch.setattr(tuned_sites, "required_recordings", lambda: root)
-    tuned_sites.main(site=("hall", "none"))
-    said = capsys.readouterr().out
-    assert "Hall, each with values fitted to the others, before → after" in said
-    assert ("refused: hall-" in said) != ("written\n" in said)
-    assert "none: not fitted: " in said
+    monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(root))
+    tuned_sites.tuned_sites(site=("hall", "none"), output=Output(out=root / "sites.json"))
+    assert "Hall, each with values fitted to the others, before → after" in capsys.readouterr().out
+    hall, none = json.loads((root / "sites.json").read_text("utf-8"))["rows"]
+    assert hall["tune"] == "written" or hall["tune"].startswith("refused: hall-")
+    assert none["tune"].startswith("not fitted: ")
     result, compared = tuned_sites.judged(pair, [read_recording(root / name) for name in pair.recordings])
     assert [row[0] for row in compared.rows] == ["hall-1", "hall-2", "mean of 2"]
     assert result.value < result.start_value

@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 
 from tests.in_process import trackwright
-from trackwright.experiments.lab.verify import command as verify
+from trackwright.experiments.lab.verify import checks
 from trackwright.experiments.lab.verify.check_result import CheckResult, random_check, table
-from trackwright.experiments.lab.verify.corridor import CORRIDOR, corridor_fixes, rectangle
-from trackwright.experiments.lab.verify.deterministic_checks import PARAMETERS, chain_checks, kalman_checks
-from trackwright.experiments.lab.verify.gradients import gradients, marginal_gradients
+from trackwright.experiments.lab.verify.checks import (
+    PARAMETERS,
+    chain_checks,
+    corridor_order_checks,
+    gradients,
+    halt_checks,
+    halt_order_checks,
+    kalman_checks,
+    marginal_gradients,
+)
 from trackwright.experiments.lab.verify.oracles import (
     corridor_gradient,
     corridor_log_likelihood,
@@ -20,15 +27,17 @@ from trackwright.experiments.lab.verify.oracles import (
     halt_log_likelihood,
     kalman_fixes,
 )
-from trackwright.experiments.lab.verify.particle_checks import corridor_order_checks, halt_checks, halt_order_checks
 from trackwright.experiments.lab.verify.worlds import (
+    CORRIDOR,
     CORRIDOR_TUNABLES,
     HALT_TUNABLES,
     CorridorStart,
     corridor_batch,
+    corridor_fixes,
     corridor_tracker,
     halt_batch,
     halt_tracker,
+    rectangle,
     score_form,
 )
 from trackwright.experiments.lab.verify.wrong_estimators import Naive, Reparameterised
@@ -173,7 +182,7 @@ def test_outcomes_name_failures_and_unexpected_passes():
 
 @pytest.mark.parametrize(("mean", "code", "word"), [(1.0, 0, "1 of 1 checks passed"), (2.0, 1, "0 of 1 checks passed")])
 def test_verify_exits_1_if_a_check_fails(monkeypatch, mean, code, word):
-    monkeypatch.setattr(verify, "_checks", lambda: (lambda: [_result(mean)],))
+    monkeypatch.setattr(checks, "CHECKS", (lambda: [_result(mean)],))
     said = trackwright("verify")
     assert said.code == code
     assert word in said.out

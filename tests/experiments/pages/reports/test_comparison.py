@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from trackwright.experiments.cli.report import report
-from trackwright.experiments.lab.papers.reproduce import page, part
+from trackwright.experiments.lab.papers.reproduce import part, tables
 from trackwright.experiments.pages.reports.comparison import comparison, study_contrasts
 from trackwright.experiments.pages.reports.runs import StudyRun, read_runs
 from trackwright.experiments.text.expectations import Value
@@ -152,7 +152,7 @@ def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reac
         "Fitted: 1 of 1 number within tolerance."
     )
     assert f"**{counts}**" in text
-    assert page([{"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}], 12.0).count(counts) == 2
+    assert tables([{"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}], 12.0).count(counts) == 2
     assert "The nearest is this." in text
     assert "**Does not hold** (*derived*): A is better. 1 against 2" in text
     assert "Holds (*predicted*): B is better. 2 against 1" in text

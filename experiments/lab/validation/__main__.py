@@ -1,0 +1,23 @@
+"""The validation: `python -m trackwright.experiments.lab.validation NAME [options]`; without a name, all of it."""
+
+from __future__ import annotations
+
+from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.lab.cases import run_case
+
+CASES = (
+    "real_recordings",
+    "choice",
+    "default_levels",
+    "calibration_terms",
+    "tuned_sites",
+    "envelope",
+    "nis_expectation",
+    "recovery",
+    "track_loss",
+    "bag_tour",
+)
+
+if __name__ == "__main__":
+    set_flags()
+    run_case("validation", CASES)
