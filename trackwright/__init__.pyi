@@ -1,6 +1,6 @@
 from trackwright import sim as sim
 from trackwright import tuning as tuning
-from trackwright.experiments.pages.plots import notebook as plot
+from trackwright.experiments.pages import plot as plot
 from trackwright.sim import worlds as simulate
 from trackwright.trackers import aoa as aoa
 from trackwright.trackers import evaluation as evaluation

@@ -26,9 +26,8 @@ from trackwright.experiments.cli.report import COMPARISON
 from trackwright.experiments.cli.tracking import endings, tracker_names, write_shown
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.portable_tracker import PortableTracker
-from trackwright.experiments.pages.interactive.track_page import run_data
-from trackwright.experiments.pages.reports.comparison import Table, comparison_text
-from trackwright.experiments.pages.reports.comparison_page import write_comparison
+from trackwright.experiments.pages.reports.comparison import Table, comparison_text, write_comparison
+from trackwright.experiments.pages.reports.track import run_data
 from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
 from trackwright.experiments.text.evaluation_text import archive_text, content
 from trackwright.experiments.text.tables import terminal_width

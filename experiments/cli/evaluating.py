@@ -68,7 +68,7 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     folders = read_with_notices(options.truth or sources(folder))
     # jax takes a second to import, which the help and a refused folder need not wait for.
     from trackwright.experiments.jobs.executors import cluster_executor
-    from trackwright.experiments.pages.reports.worksteps_text import to_text as work_text
+    from trackwright.experiments.pages.reports.evaluate_text import worksteps_text
     from trackwright.experiments.text.evaluation_text import to_json, to_text
     from trackwright.trackers.evaluation.evaluate import evaluate, metric_names
     from trackwright.trackers.worksteps.tracks import METRICS, workstep_report
@@ -86,7 +86,7 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     print(
         text
         if options.json
-        else to_text(evaluation, terminal_width()) + ("" if work is None else "\n" + work_text(work)),
+        else to_text(evaluation, terminal_width()) + ("" if work is None else "\n" + worksteps_text(work)),
         end="",
     )
     if options.fail_if is not None:
@@ -140,7 +140,7 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
             notice(f"notice: {source}: {line}")
         tracks = part.of_estimates(assigned(read, truths, tag, source))
     # jax takes a second to import, which a refused file need not wait for.
-    from trackwright.experiments.pages.reports.trajectory_text import to_text as poses_text
+    from trackwright.experiments.pages.reports.evaluate_text import pose_errors_text
     from trackwright.experiments.text.evaluation_text import to_text
     from trackwright.trackers.evaluation.evaluate import evaluate, metric_names
 
@@ -165,7 +165,7 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
     print(
         text
         if options.json
-        else to_text(evaluation, width) + "\n" + poses_text(compared, align, width, offset == "auto"),
+        else to_text(evaluation, width) + "\n" + pose_errors_text(compared, align, width, offset == "auto"),
         end="",
     )
     if poses.out is not None:
@@ -206,8 +206,8 @@ def _write(
     source: str,
 ) -> str:
     """Writes the files of `--out`; returns in words which."""
-    from trackwright.experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
-    from trackwright.experiments.pages.plots.track_folder import plot_tracks
+    from trackwright.experiments.pages.charts.figures import plot_tracks
+    from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
     from trackwright.experiments.pages.scored_tracks import ScoredTracks
     from trackwright.trackers.evaluation.evaluate import associate
 

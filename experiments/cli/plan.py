@@ -61,16 +61,14 @@ def plan(
         height = sum(heights) / len(heights) if heights else HEIGHT
     output_folder(out)
     # jax takes a second to import, which the help and a refused rig need not wait for.
-    from trackwright.experiments.pages.plan.accuracy import Sigmas, floor_map
-    from trackwright.experiments.pages.plan.placement import place_anchors
-    from trackwright.experiments.pages.plan.report import summary, summary_text, write_plan
-    from trackwright.experiments.pages.plots.plan import bound_maps
+    from trackwright.experiments.pages.reports.plan import summary, summary_text, write_bound_maps, write_plan
+    from trackwright.experiments.pages.reports.plan_accuracy import Sigmas, floor_map, place_anchors
 
     floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase), height)
     placement = place_anchors(geometry, place, floor, known) if place else None
     proposed, planned = ({}, floor) if placement is None else placement
     drawn = out / f"plan.{format}"
-    bound_maps(drawn, geometry, planned, proposed)
+    write_bound_maps(drawn, geometry, planned, proposed)
     page = write_plan(out / "plan.html", geometry, planned, proposed, sys.argv, known)
     with json_alone(json) as put:
         print(summary_text(floor, placement, known), end="")

@@ -51,9 +51,14 @@ def print_comparison(
     """
     # Reading errors of tracks and drawing take a second to import, which the help need not wait for.
     from trackwright.experiments.cli.console import output_folder
-    from trackwright.experiments.pages.plots.comparison import comparison_charts, plot_comparison
-    from trackwright.experiments.pages.reports.comparison import SHOWN, comparison, comparison_text, lone_subjects
-    from trackwright.experiments.pages.reports.comparison_page import write_comparison
+    from trackwright.experiments.pages.charts.comparison import comparison_charts, plot_comparison
+    from trackwright.experiments.pages.reports.comparison import (
+        SHOWN,
+        comparison,
+        comparison_text,
+        lone_subjects,
+        write_comparison,
+    )
     from trackwright.experiments.pages.reports.runs import read_runs
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.recordings.atomic import json_text

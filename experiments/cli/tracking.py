@@ -19,7 +19,7 @@ from trackwright.experiments.cli.options import TrackOptions
 from trackwright.experiments.cli.report import COMPARISON, print_comparison
 from trackwright.experiments.jobs.executors import cluster_executor
 from trackwright.experiments.jobs.portable_tracker import run_on
-from trackwright.experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
+from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.text.evaluation_text import to_json, to_text
 from trackwright.experiments.text.tables import terminal_width
@@ -250,7 +250,7 @@ def write_shown(
     if not options.no_figures:
         begin("figures")
         # matplotlib takes a third of a second to import.
-        from trackwright.experiments.pages.plots.track_folder import plot_tracks
+        from trackwright.experiments.pages.charts.figures import plot_tracks
 
         drawn = plot_tracks(out, tracks, options.format)
         written.append(figures_drawn(drawn))

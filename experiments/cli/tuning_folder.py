@@ -18,11 +18,17 @@ from trackwright.experiments.cli.console import FoldersInTurn
 from trackwright.experiments.cli.manifest import write_manifest
 from trackwright.experiments.cli.options import TuneOptions
 from trackwright.experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
-from trackwright.experiments.pages.plots.objective import tuning_trace
-from trackwright.experiments.pages.reports.recordings_compared import Compared, compare, tracked
-from trackwright.experiments.pages.reports.tracks_compared import MOST_PLANS, TrackChanges, track_changes
+from trackwright.experiments.pages.charts.tuning import tuning_trace
+from trackwright.experiments.pages.reports.before_after import (
+    MOST_PLANS,
+    Compared,
+    TrackChanges,
+    compare,
+    track_changes,
+    tracked,
+)
 from trackwright.experiments.pages.reports.tuning import write_tuning_report
-from trackwright.experiments.pages.reports.tuning_collect import Request, collect, recording_names
+from trackwright.experiments.pages.reports.tuning_data import Request, collect, recording_names
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import spec_of

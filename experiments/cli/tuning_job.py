@@ -13,8 +13,8 @@ from trackwright.experiments.cli.console import FoldersInTurn, notice_unused_cal
 from trackwright.experiments.cli.options import TrackerOptions, TuneOptions
 from trackwright.experiments.jobs.executors import cluster_client
 from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
-from trackwright.experiments.pages.reports.tracks_compared import MOST_PLANS
-from trackwright.experiments.pages.reports.tuning_collect import recording_names
+from trackwright.experiments.pages.reports.before_after import MOST_PLANS
+from trackwright.experiments.pages.reports.tuning_data import recording_names
 from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.errors import UnusableInput, listed

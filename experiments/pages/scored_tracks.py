@@ -12,16 +12,25 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.text.wording import length_unit
+from trackwright.trackers.core.data.estimates import Estimates
+from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.data.seconds import zero_of
-from trackwright.trackers.evaluation.association import Association
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.association import Association, associate_truth
 from trackwright.trackers.evaluation.bounds import bounds_of
+from trackwright.trackers.evaluation.evaluate import associate
 from trackwright.trackers.evaluation.scoring import Scored, in_plane, score
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, first_time
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.tracks import Tracks
 from trackwright.trackers.recordings.tracks_table import is_bearing
 from trackwright.tuning.pit_uniformity import student_t_dof_of
+
+AnyEstimates = Tracks | Estimates
+AnyRecording = RecordingFolder | Recording
 
 DRAWN = 4
 """The most recordings with figures and a Cramér–Rao bound, and the most tracks of bearings with figures."""
@@ -46,8 +55,8 @@ class ScoredRecording:
 
     `errors` (n, 3) m, of bearings (n, 2) rad, `miss` (n,) the horizontal error, m, or the angle between the estimated
     and the true direction, rad, `nees` and `nees_3d` (n,): NaN in rows that are not scored; `nees_3d` is None for
-    bearings. `bounds`: times (t,), s, and bounds (t, 3), m, on the standard deviations; None without. `student_t_dof`:
-    of the noise behind the NIS; None for normal noise, NaN where no tracker is known.
+    bearings. `student_t_dof`: of the noise behind the NIS; None for normal noise, NaN where no tracker is known.
+    `batches`: the trajectories, for their bound; none where it is not asked for.
     """
 
     folder: RecordingFolder
@@ -56,8 +65,8 @@ class ScoredRecording:
     miss: np.ndarray
     nees: np.ndarray
     nees_3d: np.ndarray | None
-    bounds: tuple[np.ndarray, np.ndarray] | None
     student_t_dof: float | None
+    batches: Sequence[TrackerBatch] = ()
 
     @property
     def times(self) -> np.ndarray:
@@ -108,6 +117,21 @@ class ScoredRecording:
         parts = (np.degrees(part).T for part in (angles, errors, sigmas))
         return [Component(name, "°", *own) for name, *own in zip(names, *parts, strict=True)]
 
+    def nees_by_shape(self) -> dict[str, tuple[np.ndarray, int]]:
+        """NEES (n,) and its degrees of freedom: of horizontal and 3-D positions, of both angles or of the only one."""
+        if self.in_plane:
+            (angle,) = self.components()
+            return {angle.name: ((angle.errors / angle.sigmas) ** 2, 1)}
+        if self.nees_3d is None:
+            return {"both angles": (self.nees, 2)}
+        return {"horizontal": (self.nees, 2), "3-D": (self.nees_3d, 3)}
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Times (t,), s, and Cramér–Rao bounds (t, 3), m, on the standard deviations; None without."""
+        known = not self.angles and self.association.scored.any()
+        return bounds_of(self.folder, self.batches) if known else None
+
     @cached_property
     def rmse(self) -> np.ndarray:
         """The RMSE of each track (g,), horizontal in m or of the direction in rad; NaN without truth."""
@@ -150,7 +174,7 @@ class ScoredTracks:
 
     @cached_property
     def recordings(self) -> list[ScoredRecording]:
-        """Each recording with its rows; those with figures with their bounds."""
+        """Each recording with its rows; those with figures with what their bounds need."""
         rows, scored = self.association.rows, self.scored
         errors, (miss, nees, nees_3d) = (
             np.full((len(rows), 2 if self.bearing else 3), np.nan),
@@ -168,10 +192,9 @@ class ScoredTracks:
             part = self.association.of_recording(folder.name)
             spatial = None if scored.nees_3d is None else nees_3d[own]
             noise = noise_of(folder, self.batches)
-            found.append(ScoredRecording(folder, part, errors[own], miss[own], nees[own], spatial, None, noise))
+            found.append(ScoredRecording(folder, part, errors[own], miss[own], nees[own], spatial, noise))
         for k in self._drawn(found):
-            if not self.bearing and found[k].association.scored.any():
-                found[k] = replace(found[k], bounds=bounds_of(found[k].folder, self.batches))
+            found[k] = replace(found[k], batches=self.batches)
         return found
 
     @property
@@ -192,6 +215,29 @@ class ScoredTracks:
             first = f"The figures in files are of the first {len(chosen)} of {len(self.folders)} recordings"
             return f"{first}: without truth, the worst and the best are unknown."
         return f"The figures in files are of {', '.join(f'{name} ({why})' for name, why in chosen.items())}."
+
+
+def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth: bool = False) -> ScoredTracks:
+    """The estimates of one recording, in arrays too, with their errors where it has a truth.
+
+    Without a recording those of the only one in the estimates. Raises UnusableInput without a truth where `truth` asks
+    for one, and for estimates of several recordings without one given.
+    """
+    table = estimates.to_polars()
+    if isinstance(recording, RecordingFolder):
+        known = "truth" in recording.tables
+    else:
+        known = recording is not None and "position" in recording.truth
+    if recording is not None and (known or truth):
+        association = associate(estimates, recording)
+    else:
+        association = associate_truth(table if "tag" in table.columns else table.with_columns(tag=pl.lit("")), {})
+    names = table["recording"].unique().to_list() if recording is None else [recording.name]
+    if len(names) != 1:
+        raise UnusableInput(f"plot: found estimates of {len(names)} recordings; expected a recording beside them")
+    # A recording in arrays has no installation and no tables of readings.
+    folder = recording if isinstance(recording, RecordingFolder) else RecordingFolder(names[0], None, Rig(names[0]), {})
+    return ScoredTracks(association, [folder], estimates.batches if isinstance(estimates, Tracks) else ())
 
 
 def noise_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> float | None:

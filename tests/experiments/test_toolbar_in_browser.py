@@ -6,20 +6,20 @@ import pytest
 
 from tests.browser import chromium, watched
 from tests.experiments.monte_carlo.small_study import SMALL
-from tests.experiments.pages.interactive.small_tracks import small_tracks
-from tests.experiments.pages.interactive.test_track_page import NO_EVENTS
-from tests.experiments.pages.plan.test_plan import HEIGHT, ROOM, SIGMAS
-from tests.experiments.pages.plots.small_runs import small_run
+from tests.experiments.pages.charts.small_runs import small_run
+from tests.experiments.pages.reports.small_tracks import small_tracks
+from tests.experiments.pages.reports.test_plan import HEIGHT, ROOM, SIGMAS
+from tests.experiments.pages.reports.test_track_page import NO_EVENTS
 from tests.experiments.pages.reports.tuning_report_data import report_data
 from tests.tuning.calibration_worlds import world
 from trackwright.experiments.monte_carlo.runner import run_study
-from trackwright.experiments.pages.interactive.track_page import run_data, write_track_page
-from trackwright.experiments.pages.plan.accuracy import floor_map
-from trackwright.experiments.pages.plan.report import write_plan
-from trackwright.experiments.pages.plots.comparison import comparison_charts
+from trackwright.experiments.pages.charts.comparison import comparison_charts
 from trackwright.experiments.pages.reports.calibration import report_on, write_calibration_report
-from trackwright.experiments.pages.reports.comparison_page import write_comparison
+from trackwright.experiments.pages.reports.comparison import write_comparison
+from trackwright.experiments.pages.reports.plan import write_plan
+from trackwright.experiments.pages.reports.plan_accuracy import floor_map
 from trackwright.experiments.pages.reports.study import study_page
+from trackwright.experiments.pages.reports.track import run_data, write_track_page
 from trackwright.experiments.pages.reports.tuning import write_tuning_report
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.tuning.calibrating import calibrate

@@ -23,10 +23,10 @@ FUNCTIONS = {
     "trackwright.trackers.evaluation.association": {"associate_truth": "evaluation"},
     "trackwright.trackers.evaluation.evaluate": {"evaluate": "evaluation"},
     "trackwright.trackers.evaluation.bounds": {"bounds_of": "evaluation"},
-    "trackwright.experiments.pages.plots.track_folder": {"plot_tracks": "figures"},
-    "trackwright.experiments.pages.interactive.track_page": {"run_data": "figures", "write_track_page": "figures"},
-    "trackwright.experiments.pages.plots.objective": {"tuning_trace": "figures"},
-    "trackwright.experiments.pages.reports.tuning_collect": {"collect": "evaluation"},
+    "trackwright.experiments.pages.charts.figures": {"plot_tracks": "figures"},
+    "trackwright.experiments.pages.reports.track": {"run_data": "figures", "write_track_page": "figures"},
+    "trackwright.experiments.pages.charts.tuning": {"tuning_trace": "figures"},
+    "trackwright.experiments.pages.reports.tuning_data": {"collect": "evaluation"},
     "trackwright.experiments.pages.reports.tuning": {"write_tuning_report": "figures"},
 }
 """What is measured around functions, by module."""

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.pages.plots.style import HEIGHT, WIDTH, write_svg
+from trackwright.experiments.pages.charts.style import HEIGHT, WIDTH, write_svg
 from trackwright.trackers.baselines.windows import MovingWindow
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.run.tracker import AbstractTracker

@@ -24,7 +24,7 @@ from trackwright.experiments.lab.papers.declared import CONSTANT, plot
 from trackwright.experiments.lab.papers.fitting import Fitted
 from trackwright.experiments.lab.questions import _designs as of
 from trackwright.experiments.lab.questions._designs import LAYOUTS, SIGMA_R
-from trackwright.experiments.pages.plots.style import BLACK, VERMILION
+from trackwright.experiments.pages.charts.style import BLACK, VERMILION
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.paths import hand_motion
 from trackwright.sim.ranging import Protocol, chamber, simulate_ranges

@@ -22,7 +22,7 @@ from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.fitting import Fitted
 from trackwright.experiments.lab.questions import _designs as of
 from trackwright.experiments.lab.questions._designs import LAYOUTS, SIGMA_P
-from trackwright.experiments.pages.plots.style import VERMILION
+from trackwright.experiments.pages.charts.style import VERMILION
 from trackwright.sim.paths import WORK_VOLUME
 from trackwright.sim.stations import simulate_phases, work_station
 from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS

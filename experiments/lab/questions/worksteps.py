@@ -25,7 +25,7 @@ from scipy.stats import norm
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import CONSTANT, CONSTANT_INERTIAL, plot
 from trackwright.experiments.monte_carlo.results import resampled
-from trackwright.experiments.pages.plots.style import BLUE, GREY, ORANGE, VERMILION, plain
+from trackwright.experiments.pages.charts.style import BLUE, GREY, ORANGE, VERMILION, plain
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.imu import simulate_uwb_imu
 from trackwright.sim.paths import point_to_point

@@ -12,7 +12,7 @@ from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.cli.tuning_folder import in_words, refusals
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
 from trackwright.experiments.lab.validation.folds import SITES, Site, recorded
-from trackwright.experiments.pages.reports.recordings_compared import Compared, compare, tracked
+from trackwright.experiments.pages.reports.before_after import Compared, compare, tracked
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.association import Association

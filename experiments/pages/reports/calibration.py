@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.pages.plots.calibration import (
+from trackwright.experiments.pages.charts.calibration import (
     Panel,
     errors_over_floor,
     floor_image,
@@ -248,7 +248,7 @@ def _panel(calibration: Calibration, source: Source) -> Panel:
 def write_calibration_report(out: Path, calibration: Calibration, report: Report, command: Sequence[str]) -> Path:
     """Writes the page beside the file `out`, with its name and the ending .html; returns the path."""
     figures = [
-        (kind, [(reading_chart(panel), f"{panel.name}: {panel.quantity}") for panel in panels], floor_image(panels, n))
+        (kind, [reading_chart(panel) for panel in panels], floor_image(panels, n))
         for kind, n, panels in _panels(calibration, report)
     ]
     stations, anchors, _ = report.tables()

@@ -6,8 +6,10 @@ Differences are significant at 5 % for the whole table: p-values are adjusted fo
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from rich.console import RenderableType
 
@@ -29,6 +31,9 @@ from trackwright.experiments.text.wording import (
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.evaluation.comparison import METRICS, Difference, holm, paired_differences
 from trackwright.trackers.evaluation.metrics import Metric
+
+if TYPE_CHECKING:
+    from trackwright.experiments.pages.charts.style import Chart
 
 SHOWN = (
     "rmse_m", "median_m", "p95_m", "rmse_3d_m", "p95_3d_m", "rmse_direction_rad", "nees_mean", "nees_ratio",
@@ -261,3 +266,29 @@ def comparison_text(tables: Sequence[Table]) -> str:
             made.add_row(*row)
         parts += [made, *([table.note] if table.note else [])]
     return rendered(terminal_width(WIDTH), *parts)
+
+
+def write_comparison(
+    path: Path,
+    runs: Sequence[str],
+    tables: Sequence[Table],
+    charts: Sequence[Chart],
+    command: Sequence[str],
+    playback: str | None = None,
+) -> Path:
+    """Writes the page whole or not at all; returns the path. Raises UnusableInput where it can't be written.
+
+    `playback`: the name of a page beside it that plays the runs back.
+    """
+    # jinja takes a while to import, which a comparison without a page need not wait for.
+    from trackwright.experiments.pages.reports.pages import page, write_page
+
+    text = page(
+        "comparison.html",
+        title=" and ".join(runs) if len(runs) == 2 else f"{len(runs)} runs: {', '.join(runs)}",
+        tables=tables,
+        charts=charts,
+        playback=playback,
+        words=shlex.join(["trackwright", *command[1:]]),
+    )
+    return write_page(path, text)

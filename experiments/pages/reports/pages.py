@@ -1,4 +1,4 @@
-"""HTML pages from the templates beside this file: each one self-contained file."""
+"""HTML pages from the templates of `pages/templates`: each one self-contained file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from trackwright.experiments.pages.interactive.packing import plotting_script
+from trackwright.experiments.pages.reports.packing import plotting_script
 from trackwright.experiments.text.wording import duration, number
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import counted
@@ -29,7 +29,7 @@ def page(template: str, **content: Any) -> str:
     text = environment.get_template(template).render(**content)
     if CHART not in text:
         return text
-    scripts = environment.get_template("moving.html").render(plotting_script=Markup(plotting_script()))
+    scripts = environment.get_template("moving.html").render()
     before, end, after = text.rpartition("</body>")
     return before + scripts + end + after
 
@@ -56,9 +56,10 @@ def _thousands(count: int) -> str:
 
 def _environment() -> Environment:
     made = Environment(
-        loader=PackageLoader("trackwright.experiments.pages.reports"), autoescape=True, undefined=StrictUndefined,
+        loader=PackageLoader("trackwright.experiments.pages"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     made.filters |= {"cell": _cell, "is_wide": _is_wide, "thousands": _thousands, "number": number, "listed": listed,
                      "counted": counted, "duration": duration}  # fmt: skip
+    made.globals["plotting_script"] = lambda: Markup(plotting_script())
     return made

@@ -13,7 +13,8 @@ import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import Study
 from trackwright.experiments.monte_carlo.results import Results
-from trackwright.experiments.pages.plots.study import SHOWN_CONDITIONS, Chart, distribution_charts, metric_chart
+from trackwright.experiments.pages.charts.study import SHOWN_CONDITIONS, distribution_charts, metric_chart
+from trackwright.experiments.pages.charts.style import Chart
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.pages.reports.study_text import headline_of
 from trackwright.experiments.text.expectations import Conclusion, ExpectedResult

@@ -9,10 +9,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.pages.plots.errors import distribution_chart, error_charts, rmse_chart
-from trackwright.experiments.pages.plots.filters import autocorrelation_chart, nis_chart, probability_chart
-from trackwright.experiments.pages.plots.objective import objective_chart, parameter_chart, surface_chart
-from trackwright.experiments.pages.plots.plan_change import plan_chart
+from trackwright.experiments.pages.charts.objective import named
+from trackwright.experiments.pages.charts.tuning import (
+    distribution_chart,
+    error_charts,
+    innovation_charts,
+    objective_chart,
+    parameter_chart,
+    plan_chart,
+    rmse_chart,
+    selected_step,
+    surface_chart,
+)
 from trackwright.experiments.pages.reports.advice import advice_on, is_better, is_worse
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TuningReportData
@@ -97,18 +105,20 @@ def _changed(metric: MetricChange, pair: tuple[float, float]) -> Change:
 
 
 def _charts(data: TuningReportData) -> dict[str, Any]:
-    """The charts of the page as data addresses, by section."""
+    """The charts of the page by section."""
     charts: dict[str, Any] = {"consistency": (), "errors": {}, "plans": ()}
     if data.plans is not None:
         charts["plans"] = [(plan_chart(change), change) for change in data.plans.shown]
     if data.traces:
-        charts["objective"] = objective_chart(data)
-        charts["parameters"] = [parameter_chart(data, k) for k in range(len(data.parameters))]
+        charts["objective"] = objective_chart(data.traces, data.objective_about, selected_step(data))
+        charts["parameters"] = [
+            parameter_chart(data.traces, k, one.name, named(one.name, one.unit))
+            for k, one in enumerate(data.parameters)
+        ]
         if data.surface is not None:
             charts["surface"] = surface_chart(data, data.surface)
-            charts["surface_of"] = " and ".join(data.parameters[k].name for k in data.surface.axes)
     if data.innovations is not None and min(len(side.nis) for side in data.innovations):
-        charts["consistency"] = [f(*data.innovations) for f in (nis_chart, probability_chart, autocorrelation_chart)]
+        charts["consistency"] = innovation_charts(*data.innovations)
     known = [e for e in data.errors if (e.before == e.before).any() and (e.after == e.after).any()]
     if known:
         charts["errors"] = {

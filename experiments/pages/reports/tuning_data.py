@@ -1,17 +1,30 @@
-"""The data of a tuning report: numbers and text only, as `tuning_collect.collect` gathers them."""
+"""The data of a tuning report, numbers and text only, and how they are collected: both trackers over the recordings."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from datetime import UTC, datetime
+from importlib.metadata import version
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from trackwright.experiments.pages.reports.recordings_compared import Compared
-    from trackwright.experiments.pages.reports.tracks_compared import TrackChanges
-    from trackwright.tuning.diagnostics import Innovations
-    from trackwright.tuning.surface import Surface
+from trackwright.experiments.pages.reports.before_after import Compared, TrackChanges
+from trackwright.experiments.text.wording import number, uncapitalised
+from trackwright.trackers.core.data.estimates import Estimates
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.tracks import batches, for_positions
+from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.tuning.data import FitData
+from trackwright.tuning.diagnostics import Innovations, absolute_errors, innovations_of
+from trackwright.tuning.fitting import FitResult, Step
+from trackwright.tuning.identifiability import IdentifiabilityIssue
+from trackwright.tuning.implied_spread import implied_spread
+from trackwright.tuning.intervals import Interval
+from trackwright.tuning.named_objectives import all_metrics
+from trackwright.tuning.parameters import Parameter, component_names
+from trackwright.tuning.surface import Surface, surface_of
 
 
 @dataclass(frozen=True)
@@ -110,3 +123,226 @@ class TuningReportData:
     def metric(self, key: str) -> MetricChange | None:
         """The metric of this key, or None."""
         return next((m for m in self.metrics if m.key == key), None)
+
+
+TITLES = {
+    "nll": ("Negative log-likelihood per measured number", "nats"),
+    "rmse": ("RMSE", ""),
+    "rmse-3d": ("3-D RMSE", ""),
+    "state-nll": ("Negative log-likelihood of the truth per row", "nats"),
+    "nis-shape": ("NIS: distance from its distribution", "1"),
+    "nees-shape": ("NEES: distance from its distribution", "1"),
+}
+"""Title and unit of each metric of `tuning.named_objectives`; without a unit it has that of the truth."""
+
+HELD_OUT = "The held-out recordings were not fitted; they were used to select the best point and to stop the fit."
+NO_DISTRIBUTION = "NIS is not shown: for this tracker its distribution is unknown."
+MISSING = (float("nan"),) * 2
+
+
+@dataclass(frozen=True)
+class Request:
+    """The request for a tuning run, and how long it took; see `TuningReportData`."""
+
+    command: str
+    next_commands: tuple[str, ...]
+    tracker: str
+    tracker_about: str
+    objective: str
+    seconds: float
+    notes: tuple[str, ...] = ()
+
+
+def collect(
+    request: Request,
+    result: FitResult,
+    data: FitData,
+    intervals: Mapping[str, Interval],
+    issues: Sequence[IdentifiabilityIssue] = (),
+    compared: Compared | None = None,
+    plans: TrackChanges | None = None,
+    cautions: Sequence[str] = (),
+) -> TuningReportData:
+    """Metrics of both trackers on all trajectories; innovations and errors on the held-out ones, if there are any.
+
+    `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters; `compared`:
+    recordings before and after; `plans`: their tracks; `cautions`: those of the result. The objective surface takes
+    about as many evaluations as the fit took steps.
+    """
+    filter_runs, training, held_out = result.filter_runs, data.training, data.held_out
+    quantity = next(iter(training[0].recording.truth))
+    angles = quantity == "direction"
+    # The metric `rmse` is the horizontal error; the 3-D error has a name of its own.
+    objective = "rmse-3d" if request.objective == "rmse" and data.dimensions == 3 else request.objective
+    trackers = (result.before, result.tracker)
+    runs = [_runs(tracker, held_out or training) for tracker in trackers]
+    before, after = (
+        innovations_of(tracker, [run for _, run in own]) for tracker, own in zip(trackers, runs, strict=True)
+    )
+    innovations = None if before is None or after is None else (before, after)
+    # A beam in a flat array's own plane has no direction: nothing to compare with the truth.
+    comparable = all(hasattr(run.mean, quantity) for own in runs for _, run in own)
+    rows = [[b if comparable else b._replace(truth={}) for b in data.rows(apart)] for apart in (False, True)]
+    weights = [data.weights(apart) for apart in (False, True)]
+    return TuningReportData(
+        command=request.command,
+        next_commands=request.next_commands,
+        tracker=request.tracker,
+        tracker_about=request.tracker_about,
+        objective=objective,
+        objective_about=_about(objective, "rad" if angles else "m"),
+        training=recording_names(training),
+        held_out=recording_names(held_out),
+        parameters=_parameters(result, intervals, issues),
+        compared=compared,
+        plans=plans,
+        cautions=tuple(cautions),
+        metrics=(*_sum_objective(objective, result), *_metrics(trackers, rows, weights, quantity, data.dimensions)),
+        traces=_traces(result),
+        surface=surface_of(result, result.uncertainty),
+        evaluated_on="held-out recordings" if held_out else "the recordings tuned on",
+        innovations=innovations,
+        errors=_errors(trackers, runs, quantity, 180 / np.pi if angles else 1.0),
+        error_unit="°" if angles else "m",
+        filter_runs=filter_runs,
+        seconds=request.seconds,
+        issues=tuple(issue.text for issue in issues),
+        notes=(*request.notes, *([HELD_OUT] if held_out else []), *([] if innovations else [NO_DISTRIBUTION])),
+        provenance=(
+            ("trackwright", version("trackwright")),
+            ("created", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")),
+        ),
+    )
+
+
+def _runs(tracker: AbstractTracker, trajectories: Sequence[Trajectory]) -> list[tuple[Trajectory, Estimates]]:
+    """The tracker's estimates of each trajectory, without padding."""
+    found = []
+    # With the compiled program of the recordings compared.
+    tracker = for_positions(tracker)
+    for own, batch in batches(trajectories):
+        estimates = tracker.run(batch)
+        found += [(trajectory, estimates[k][: len(trajectory.recording)]) for k, trajectory in enumerate(own)]
+    return found
+
+
+def _errors(
+    trackers: Sequence[AbstractTracker],
+    runs: Sequence[Sequence[tuple[Trajectory, Estimates]]],
+    quantity: str,
+    scale: float,
+) -> tuple[ErrorTrack, ...]:
+    """Errors times `scale` of the trajectories for which both trackers have some; times since the recording's start."""
+    found, starts = [], dict[str, float]()
+    for trajectory, _ in runs[0]:
+        name, first = trajectory.folder.name, float(trajectory.recording.times[0])
+        starts[name] = min(first, starts.get(name, first))
+    for (trajectory, old), (_, new) in zip(*runs, strict=True):
+        (times, before), (_, after) = (
+            absolute_errors(tracker, trajectory.recording, run, quantity)
+            for tracker, run in zip(trackers, (old, new), strict=True)
+        )
+        if np.isfinite(before).any() and np.isfinite(after).any():
+            found.append(
+                ErrorTrack(_name(trajectory), times - starts[trajectory.folder.name], scale * before, scale * after)
+            )
+    return tuple(found)
+
+
+def _sum_objective(objective: str, result: FitResult) -> list[MetricChange]:
+    """The objective as a metric where it is a sum, of several metrics or with priors."""
+    if objective in TITLES:
+        return []
+    return [MetricChange(objective, objective, "1", (result.start_value, result.value), MISSING)]
+
+
+def _metrics(
+    trackers: Sequence[AbstractTracker],
+    recordings: Sequence[list[Batch]],
+    weights: Sequence[Sequence[np.ndarray]],
+    quantity: str,
+    dimensions: int,
+) -> tuple[MetricChange, ...]:
+    """All defined metrics before and after, on the recordings tuned on and on those held out."""
+    found = [
+        [all_metrics(t, rows, quantity, dimensions, weights=own) if rows else {} for t in trackers]
+        for rows, own in zip(recordings, weights, strict=True)
+    ]
+    unit = "rad" if quantity == "direction" else "m"
+    metrics = []
+    for key, (title, own) in TITLES.items():
+        pairs = [(old.get(key, np.nan), new.get(key, np.nan)) for old, new in found]
+        if np.isfinite(pairs).any():
+            full = f"Horizontal {title}" if key == "rmse" and dimensions == 3 else title
+            metrics.append(MetricChange(key, full, own or unit, pairs[0], pairs[1]))
+    return tuple(metrics)
+
+
+def _parameters(
+    result: FitResult, intervals: Mapping[str, Interval], issues: Sequence[IdentifiabilityIssue]
+) -> tuple[TunedParameter, ...]:
+    undetermined = {name for issue in issues for name in issue.names}
+    names = component_names(result.parameters)
+    units = [p.example.unit for p in result.parameters for _ in range(int(np.size(p.example.raw)))]
+    old, new = (_flat(result.parameters, values) for values in (_first_trace(result)[0].values, result.values))
+    nothing = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()}
+    both = {**nothing, **intervals}
+    low, high = (_flat(result.parameters, {label: both[label][k] for label in both}) for k in (0, 1))
+    finite = np.isfinite(low) & np.isfinite(high)
+    # Without any interval it is unknown what is determined; with some, a parameter without one is undetermined.
+    known = bool(finite.any())
+    spreads = [text for p in result.parameters for text in _spread(result, p)]
+    return tuple(
+        TunedParameter(name, unit, float(a), float(b), float(lo) if ok else np.nan, float(hi) if ok else np.nan,
+                       False if name in undetermined else bool(ok) if known else None, spread)
+        for name, unit, a, b, lo, hi, ok, spread in zip(names, units, old, new, low, high, finite, spreads, strict=True)
+    )  # fmt: skip
+
+
+def _spread(result: FitResult, parameter: Parameter) -> list[str]:
+    """In words, the spread of readings that each number of a fitted parameter implies; empty where it implies none."""
+    spread = implied_spread(result.tracker, parameter.names[0])
+    if spread is None or parameter.size > 1:
+        return [""] * parameter.size
+    value = f"{number(spread.value)} {parameter.example.unit}"
+    return [f"standard deviation {value}" if spread.is_deviation else f"68 % of the readings within ± {value}"]
+
+
+def _flat(parameters: Sequence[Parameter], values: dict[str, np.ndarray]) -> np.ndarray:
+    return np.concatenate([np.ravel(np.asarray(values[p.label], float)) for p in parameters])
+
+
+def _first_trace(result: FitResult) -> list[Step]:
+    """The steps from the tracker's own values, which are the first start."""
+    return result.starts[0] if result.starts else result.trace
+
+
+def _traces(result: FitResult) -> tuple[OptimiserTrace, ...]:
+    """The steps of all starts, the best first."""
+    ordered = sorted(result.starts or [result.trace], key=lambda steps: steps is not result.trace)
+    return tuple(
+        OptimiserTrace(
+            f"start {k + 1}",
+            np.array([step.value for step in steps]),
+            np.stack([_flat(result.parameters, step.values) for step in steps]),
+        )
+        for k, steps in enumerate(ordered)
+    )
+
+
+def _about(objective: str, unit: str) -> str:
+    if objective not in TITLES:
+        return objective
+    title, own = TITLES[objective]
+    shown = own or unit
+    return uncapitalised(title) + (f" ({shown})" if shown != "1" else "")
+
+
+def recording_names(trajectories: Sequence[Trajectory]) -> tuple[str, ...]:
+    """The recordings of trajectories."""
+    return tuple(dict.fromkeys(trajectory.folder.name for trajectory in trajectories))
+
+
+def _name(trajectory: Trajectory) -> str:
+    parts = [trajectory.folder.name, f"tag {trajectory.tag}"]
+    return ", ".join(parts + ([f"station {trajectory.station}"] if trajectory.station else []))

@@ -14,7 +14,6 @@ from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli import tuning_job as tune_command
-from trackwright.experiments.pages.plots import track_folder
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.tuning.checkpoint import save
 from trackwright.tuning.intervals import require_possible
@@ -47,7 +46,7 @@ def test_a_broken_recording_is_refused_in_one_line(tmp_path, beginnings, name, c
 def test_a_broken_recording_beside_a_good_one_has_its_own_line_and_the_good_one_is_tracked(
     tmp_path, beginnings, monkeypatch
 ):
-    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(figures, "plot_tracks", lambda *arguments: [])
     word = BROKEN["infinite value"](tmp_path / "bad")
     out = tmp_path / "out"
     said = trackwright("track", beginnings / "good", tmp_path / "bad", "--tracker", "uwb", "--out", out)
@@ -92,7 +91,7 @@ def test_an_empty_list_of_recordings_is_refused(tmp_path, monkeypatch, command):
 
 @pytest.mark.parametrize("name", ANOMALOUS)
 def test_a_recording_with_an_anomaly_is_tracked_with_a_notice_and_reported_by_check(tmp_path, monkeypatch, name):
-    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(figures, "plot_tracks", lambda *arguments: [])
     folder, out = tmp_path / "recording", tmp_path / "out"
     word = ANOMALOUS[name](folder)
     said = trackwright("track", folder, "--tracker", "bearings", "--free-height", "--force", "--out", out)
@@ -107,7 +106,7 @@ def test_a_recording_with_an_anomaly_is_tracked_with_a_notice_and_reported_by_ch
 
 
 def test_tags_with_and_without_reported_standard_deviations_are_tracked_together(tmp_path, beginnings, monkeypatch):
-    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(figures, "plot_tracks", lambda *arguments: [])
     write_good(tmp_path / "half")
     known = pl.when(pl.col("tag") == "T2").then(0.1)
     table = good_tables()["bearings"].with_columns(azimuth_std_rad=known, elevation_std_rad=known)
@@ -166,7 +165,7 @@ def test_intervals_of_too_few_segments_are_refused_before_the_fit():
 
 
 def test_unwrapped_phases_are_tracked_with_a_notice(tmp_path, monkeypatch):
-    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(figures, "plot_tracks", lambda *arguments: [])
     ANOMALOUS["phases from 0 to 2 pi"](tmp_path / "recording")
     said = trackwright("track", tmp_path / "recording", "--tracker", "das", "--out", tmp_path / "out")
     assert said.code == 0

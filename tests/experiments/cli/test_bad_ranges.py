@@ -9,7 +9,6 @@ import pytest
 from tests.faulty import then, with_table
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli.console import errors_of
-from trackwright.experiments.pages.plots import track_folder
 from trackwright.trackers.recordings.folder import read_recording
 
 TRACKERS = ("uwb", "multilateration")
@@ -82,7 +81,7 @@ def test_where_no_tracker_fits_the_nearest_and_what_it_lacks_are_named(tmp_path,
 
 
 def test_errors_of_the_check_stop_the_command_before_anything_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(figures, "plot_tracks", lambda *arguments: [])
     folder = tmp_path / "recording"
     _ranges(lambda t: t.with_columns(range_m=pl.col("range_m") / 0.3048))(folder)
     assert_refused(trackwright("track", folder, "--out", tmp_path / "out"), "ranges are feet", "--force")
@@ -121,7 +120,7 @@ def tracked(tmp_path_factory):
     rig.write_text(rig.read_text().replace("[path]", "[tags.T9]\nheight_m = 1.0\n\n[path]"))
     found = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
+        patch.setattr(figures, "plot_tracks", lambda *arguments: [])
         for tracker in TRACKERS:
             said = trackwright("track", folder / "recording", "--tracker", tracker, "--out", folder / tracker)
             assert said.code == 0, said
@@ -153,7 +152,7 @@ def test_negative_ranges_and_kilometres_move_no_track(tracked, tracker):
 
 
 def test_a_tag_observed_by_too_few_anchors_waits_while_the_other_is_tracked(tmp_path, monkeypatch):
-    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(figures, "plot_tracks", lambda *arguments: [])
     few = (pl.col("tag") == "T1") | pl.col("anchor").is_in(["A1", "A2", "A3"])
     _ranges(lambda t: t.filter(few))(tmp_path / "recording")
     said = trackwright("track", tmp_path / "recording", "--tracker", "uwb", "--out", tmp_path / "out")

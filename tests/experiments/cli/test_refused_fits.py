@@ -10,8 +10,7 @@ import pytest
 from tests.in_process import trackwright
 from tests.tuning.worlds import line_tracker, walks
 from trackwright.experiments.cli.tuning_folder import in_words, refusals
-from trackwright.experiments.pages.reports.recordings_compared import Compared
-from trackwright.experiments.pages.reports.worse_recordings import worse
+from trackwright.experiments.pages.reports.before_after import Compared, worse
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
 from trackwright.tuning.fitting import fit

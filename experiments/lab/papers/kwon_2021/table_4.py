@@ -22,7 +22,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import RAW, Printed, plot, window
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain
+from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain
 from trackwright.sim.corruptions import gauss_markov
 from trackwright.sim.imu import constant_bias, level, simulate_uwb_imu, white_density
 from trackwright.sim.ranging import Protocol, chamber, on_anchors

@@ -24,7 +24,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.plots.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
+from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 PRINTED = {"situation 1": (31.1, 8.1), "situation 2": (30.3, 9.6), "situation 3": (38.7, 11.3)}

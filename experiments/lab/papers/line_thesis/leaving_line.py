@@ -21,7 +21,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
-from trackwright.experiments.pages.plots.style import LINES, plain
+from trackwright.experiments.pages.charts.style import LINES, plain
 from trackwright.experiments.text.wording import fixed_interval, listed
 from trackwright.sim.corruptions import gauss_markov, white_noise
 from trackwright.sim.line import simulate_line

@@ -21,7 +21,7 @@ from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
 from trackwright.experiments.lab.papers.line_thesis._assembly_line import SIGMA, least
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.plots.style import BLACK, BLUE, VERMILION, plain
+from trackwright.experiments.pages.charts.style import BLACK, BLUE, VERMILION, plain
 from trackwright.experiments.text.wording import fixed_interval
 from trackwright.trackers.core.model.polyline import Polyline
 

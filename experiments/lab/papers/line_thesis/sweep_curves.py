@@ -27,7 +27,7 @@ from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     least,
     worlds,
 )
-from trackwright.experiments.pages.plots.style import BLUE, GREEN, VERMILION, plain
+from trackwright.experiments.pages.charts.style import BLUE, GREEN, VERMILION, plain
 
 SWEPT = (0.01, 0.03, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.6, 1.0)
 WORLDS = ("situation 1, set 2", "situation 2, set 2", "situation 3, set 2")

@@ -45,7 +45,7 @@ from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     least,
     noise_of,
 )
-from trackwright.experiments.pages.plots.style import BLUE, SKY, VERMILION, plain
+from trackwright.experiments.pages.charts.style import BLUE, SKY, VERMILION, plain
 
 LEFT_OPEN = (
     "the path was left open after seeing that an end gives less than 14 cm (`sweep-curves`), and the speed was chosen "

@@ -16,7 +16,7 @@ from matplotlib.ticker import PercentFormatter
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.will_2020._work_stand import cascade, direct, radius, recorded
-from trackwright.experiments.pages.plots.style import BLACK, LINES, plain
+from trackwright.experiments.pages.charts.style import BLACK, LINES, plain
 from trackwright.experiments.text.wording import listed
 
 NONE = "all stations"

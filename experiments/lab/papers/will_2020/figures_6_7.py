@@ -16,7 +16,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import Printed, plot
 from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, PRINTED_DEG, beam, radius, recorded
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.plots.style import BLUE, GREY, ORANGE, plain
+from trackwright.experiments.pages.charts.style import BLUE, GREY, ORANGE, plain
 from trackwright.experiments.text.wording import fixed_interval
 
 AXES = ("azimuth", "elevation")

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, beam, radius, recorded
-from trackwright.experiments.pages.plots.style import LINES, plain
+from trackwright.experiments.pages.charts.style import LINES, plain
 
 RATES, APERTURES = (2.5, 5.0, 10.0, 20.0), (0.5, 1.0, 2.0, 4.0)
 THREE = "2-3-6"

@@ -19,7 +19,6 @@ from trackwright.experiments.cli.archives import part, runner
 from trackwright.experiments.cli.archives.store import RecordingStore
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor
-from trackwright.experiments.pages.plots import track_folder
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.atomic import held
@@ -229,7 +228,7 @@ def test_several_trackers_have_a_folder_each_and_one_table_of_results(tmp_path):
 def test_page_and_figures_are_of_the_worst_the_median_and_the_best(tmp_path, monkeypatch):
     write_archive(tmp_path / "archive", 7)
     drawn = []
-    monkeypatch.setattr(track_folder, "plot_tracks", lambda out, tracks, kind: drawn.append(tracks) or [])
+    monkeypatch.setattr(figures, "plot_tracks", lambda out, tracks, kind: drawn.append(tracks) or [])
     assert trackwright("track", tmp_path / "archive", "--out", tmp_path / "out").code == 0
     ranked = _results(tmp_path / "out").sort("rmse_m", descending=True)["recording"].to_list()
     (tracks,) = drawn

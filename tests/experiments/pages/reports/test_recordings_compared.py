@@ -6,7 +6,7 @@ import pytest
 
 import trackwright as tw
 from tests.experiments.pages.reports.tuning_report_data import report_data
-from trackwright.experiments.pages.reports.recordings_compared import compare, tracked
+from trackwright.experiments.pages.reports.before_after import compare, tracked
 from trackwright.experiments.pages.reports.tuning import tuning_page
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder

@@ -13,9 +13,8 @@ from scipy import stats
 import trackwright as tw
 from tests.browser import chromium, watched
 from tests.experiments.pages.reports.tuning_report_data import report_data
-from trackwright.experiments.pages.plots.plan_change import plan_chart
-from trackwright.experiments.pages.reports.recordings_compared import tracked
-from trackwright.experiments.pages.reports.tracks_compared import MOST_PLANS, MOST_POINTS, track_changes
+from trackwright.experiments.pages.charts.tuning import plan_chart
+from trackwright.experiments.pages.reports.before_after import MOST_PLANS, MOST_POINTS, track_changes, tracked
 from trackwright.experiments.pages.reports.tuning import tuning_page, write_tuning_report
 from trackwright.sim import worlds
 from trackwright.trackers.core.model.rig import Rig
@@ -108,7 +107,7 @@ def _traces(change):
 
 
 def _chart(change):
-    text = base64.b64decode(plan_chart(change).partition(",")[2]).decode()
+    text = base64.b64decode(plan_chart(change).address.partition(",")[2]).decode()
     chart = json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])
     assert chart["layout"]["yaxis"]["scaleanchor"] == "x"
     return chart

@@ -6,7 +6,7 @@ import pytest
 
 import trackwright as tw
 from trackwright.experiments.pages.reports.tuning import tuning_page
-from trackwright.experiments.pages.reports.tuning_collect import Request, _parameters, collect
+from trackwright.experiments.pages.reports.tuning_data import Request, _parameters, collect
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder

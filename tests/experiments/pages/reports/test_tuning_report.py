@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from tests.experiments.pages.reports.tuning_report_data import innovations, report_data
-from trackwright.experiments.pages.plots import objective
+from trackwright.experiments.pages.charts import tuning
 from trackwright.experiments.pages.reports.advice import advice_on
 from trackwright.experiments.pages.reports.tuning import agreement, tuning_page, write_tuning_report
 from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
@@ -269,6 +269,7 @@ def test_how_many_starts_end_at_one_point_is_said_and_whether_another_is_lower()
 
 def test_the_contours_name_the_objective_as_their_neighbour_does(monkeypatch):
     named = []
-    monkeypatch.setattr(objective, "_contours", lambda *args: named.append(args[-1]))
-    objective.surface_chart(data := report_data(), data.surface)
+    monkeypatch.setattr(tuning, "draw_contours", lambda *args: named.append(args[-1]))
+    data = report_data()
+    assert tuning.surface_chart(data, data.surface).address
     assert named == [data.objective_about]

@@ -1,0 +1,198 @@
+"""Figures of a comparison of runs: distributions of their errors, boxes and violins, and floor plans side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
+from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, plan_corners
+from trackwright.experiments.pages.charts.style import (
+    BLACK,
+    LINES,
+    Chart,
+    Draw,
+    broken_at_gaps,
+    legend_above,
+    literal,
+    plain,
+    write_panels,
+)
+from trackwright.experiments.pages.reports.comparison import Contrast
+from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
+from trackwright.experiments.pages.scored_tracks import drawn_of
+from trackwright.experiments.text.wording import SHOWN, Unit, heading, length_unit, unit_of
+from trackwright.trackers.recordings.columns import float_column
+
+MOST_PLANS = 3
+"""Recordings with floor plans: of more the worst, the median and the best by the RMSE of the first run."""
+
+MOST_TAGS = 4
+"""Tags of a floor plan."""
+
+MOST_POINTS = 2000
+"""Errors of a violin."""
+
+
+def plot_comparison(
+    page: Path, runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast], kind: str = "png"
+) -> list[Path]:
+    """Writes the figures beside the page, with its name before theirs; returns their paths.
+
+    `kind`: the ending of the files, png or pdf.
+    """
+    panels: dict[str, list[Draw]] = {}
+    for chart in comparison_charts(runs, contrasts, plan_legends=False):
+        panels.setdefault(chart.name, []).append(chart.draw)
+    high = 1.2 + 0.28 * len({one.subject for one in contrasts})
+    looks: dict[str, dict[str, Any]] = {
+        "errors": {"size": (9.5, 4.0), "columns": 2},
+        "floor_plans": {"size": None, "columns": len(runs), "legend": 5, "sharex": "row", "sharey": "row"},
+        "differences": {"size": (7.5, high)},
+    }
+    return [
+        write_panels(page.with_name(f"{page.stem}-{name}.{kind}"), own, **looks[name]) for name, own in panels.items()
+    ]
+
+
+def comparison_charts(
+    runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast], plan_legends: bool = True
+) -> list[Chart]:
+    """The same figures for a page, a chart for each panel. `plan_legends`: whether each floor plan has a legend."""
+    tracks = [run for run in runs if isinstance(run, TrackRun) and run.errors]
+    if not tracks:
+        wanted = bool(contrasts) and isinstance(runs[0], StudyRun)
+        return [Chart("differences", "Differences", partial(_draw_intervals, contrasts=contrasts))] if wanted else []
+    furthest, unit = _scale(tracks)
+    of_errors = {"Distribution of errors": _draw_distributions, "Boxes of errors": _draw_violins}
+    charts = [
+        Chart("errors", title, partial(draw, runs=tracks, furthest=furthest, unit=unit))
+        for title, draw in of_errors.items()
+    ]
+    plans = [run for run in tracks if not run.bearing]
+    for name, why in _planned(plans).items():
+        for run, colour in zip(plans, _colours(len(plans)), strict=True):
+            draw = partial(_draw_plan, run=run, name=name, colour=colour, why=why, legend=plan_legends)
+            charts.append(Chart("floor_plans", f"Floor plan of {name} by {run.name}", draw, height=None))
+    return charts
+
+
+def all_errors(run: TrackRun) -> np.ndarray:
+    """The sorted horizontal errors, m, of all tracks, or the angles, rad, of bearings."""
+    return np.sort(np.concatenate([track.error for track in run.errors.values()]))
+
+
+def _scale(runs: Sequence[TrackRun]) -> tuple[float, Unit]:
+    """The end of the axes of errors, in that unit, and the unit: the tail of one run alone shall not set it.
+
+    The second largest 99th percentile of the runs, or the largest 95th where that is more.
+    """
+    p95, p99 = (sorted(float(np.quantile(all_errors(run), share)) for run in runs) for share in (0.95, 0.99))
+    furthest = max(p95[-1], p99[-2:][0])
+    unit = SHOWN["rad"] if runs[0].bearing else length_unit(furthest / 2)
+    return unit.factor * furthest, unit
+
+
+def _quantity(runs: Sequence[TrackRun], unit: Unit) -> str:
+    return f"{'angle to the true direction' if runs[0].bearing else 'horizontal error'} ({unit.name})"
+
+
+def _draw_distributions(axes: Axes, runs: Sequence[TrackRun], furthest: float, unit: Unit) -> None:
+    curves = []
+    for run in runs:
+        errors = unit.factor * all_errors(run)
+        beyond = 100 * np.mean(errors > 1.02 * furthest)
+        curves.append(Curve.of(run.name + (f", {beyond:.1f} % beyond" if beyond >= 0.1 else ""), errors))
+    draw_distributions(axes, curves, _quantity(runs, unit), 1.02 * furthest)
+    legend_above(axes, 3)
+
+
+def _draw_violins(axes: Axes, runs: Sequence[TrackRun], furthest: float, unit: Unit) -> None:
+    _violins(axes, [unit.factor * all_errors(run) for run in runs], [run.name for run in runs], furthest)
+    axes.set(ylabel=_quantity(runs, unit), xlabel="box: quartiles, whiskers: 5 and 95 %, point: RMSE")
+    axes.set_title("Errors by run")
+
+
+def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], furthest: float) -> None:
+    places, colours = np.arange(len(errors)), _colours(len(errors))
+    thinned = [e[np.linspace(0, len(e) - 1, min(len(e), MOST_POINTS)).astype(int)] for e in errors]
+    spread = [k for k, e in enumerate(thinned) if np.ptp(e) > 0]
+    if spread:
+        drawn = axes.violinplot([thinned[k] for k in spread], spread, widths=0.85, showextrema=False)
+        for k, body in zip(spread, list(drawn["bodies"]), strict=True):  # type: ignore[call-overload]
+            body.set(facecolor=colours[k], alpha=0.35)
+    black = {"color": BLACK}
+    axes.boxplot(thinned, positions=places, widths=0.2, whis=(5, 95), showfliers=False, medianprops=black)
+    for place, own, colour in zip(places, errors, colours, strict=True):
+        axes.plot(place, np.sqrt(np.mean(own**2)), "o", color=colour, markeredgecolor="white", markersize=6, zorder=5)
+    axes.set_xticks(places, [literal(name) for name in names], rotation=20 if len(errors) > 3 else 0)
+    axes.set(ylim=(0, 1.02 * furthest), xlim=(-0.7, len(errors) - 0.3))
+    plain(axes, "y")
+
+
+def _planned(runs: Sequence[TrackRun]) -> dict[str, str]:
+    """The recordings with floor plans, and why these."""
+    names = _common(runs)
+    if not names:
+        return {}
+    own = [np.concatenate([e.error for key, e in runs[0].errors.items() if key[0] == name]) for name in names]
+    chosen = drawn_of(np.array([np.sqrt(np.mean(e**2)) for e in own]), False, MOST_PLANS)
+    return {names[k]: f"{why} by {runs[0].name}" if why else "" for k, why in chosen.items()}
+
+
+def _common(runs: Sequence[TrackRun]) -> list[str]:
+    """The recordings that all runs have."""
+    return [name for name in _recordings(runs[0]) if all(name in _recordings(run) for run in runs)] if runs else []
+
+
+def _recordings(run: TrackRun) -> list[str]:
+    return list(dict.fromkeys(key[0] for key in run.errors))
+
+
+def _draw_plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str, legend: bool) -> None:
+    """Estimates in the run's colour over the truth, with anchors, stations and their names."""
+    assert run.association is not None
+    part, rig = run.association.of_recording(name), run.recordings[name].rig
+    x, y, times = (float_column(part.rows, column) for column in ("x_m", "y_m", "t_s"))
+    paths, truths = [], []
+    for k, (a, b) in enumerate(list(pairwise(part.starts))[:MOST_TAGS]):
+        _, positions, truth = broken_at_gaps(times[a:b], np.stack([x[a:b], y[a:b]], axis=1), part.truth[a:b, :2])
+        paths.append(PlanPath("" if k else "estimates", colour, positions))
+        truths.append(truth)
+    # Around the truth: the runs share their axes, and the worst of them shall not set these.
+    draw_plan(axes, paths, truths, rig, plan_corners([part.truth[part.scored][:, :2]], [], rig))
+    title = literal(f"{run.name}, {name}" + (f",\n{why}" if why else ""))
+    axes.set_title(title, fontsize=8.5, pad=30 if legend else None)
+    if legend:
+        legend_above(axes, 3)
+
+
+def _draw_intervals(axes: Axes, contrasts: Sequence[Contrast]) -> None:
+    """The metrics of studies with their intervals less the first study's."""
+    metric = next((m for m in ("rmse_m", "rmse_direction_rad") if any(c.metric == m for c in contrasts)), "")
+    shown = [one for one in contrasts if one.metric == (metric or contrasts[0].metric)][:60]
+    names = list(dict.fromkeys(one.run for one in shown))
+    subjects = list(dict.fromkeys(one.subject for one in shown))
+    unit = unit_of(shown[0].metric, [one.difference.first for one in shown])
+    for one in shown:
+        k, n = subjects.index(one.subject), names.index(one.run)
+        d, colour = one.difference, _colours(len(names))[n]
+        height = len(subjects) - 1 - k + 0.12 * (n - (len(names) - 1) / 2)
+        ends = [unit.factor * x for x in (d.low, d.high)]
+        axes.plot(ends, [height] * 2, color=colour, label=literal(one.run) if k == 0 else None)
+        axes.plot(unit.factor * d.value, height, "o" if one.differs else ".", color=colour)
+    axes.axvline(0, color=BLACK, linewidth=0.7)
+    axes.set_yticks(np.arange(len(subjects))[::-1], [literal(s) for s in subjects])
+    axes.set(xlabel=f"{heading(shown[0].metric, unit)}, less the first study's; large point: differs")
+    plain(axes, "x")
+    legend_above(axes, 3)
+
+
+def _colours(count: int) -> list[str]:
+    return [LINES[k % len(LINES)] for k in range(count)]

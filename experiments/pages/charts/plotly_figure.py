@@ -1,0 +1,158 @@
+"""A chart drawn by matplotlib as a figure of plotly.js, which a page draws in place of the image: hover, zoom, pan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from html import escape
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle, StepPatch
+from matplotlib.text import Annotation
+from matplotlib.ticker import PercentFormatter
+
+SYMBOLS = {"o": "circle", ".": "circle", "s": "square", "^": "triangle-up", "v": "triangle-down", "D": "diamond",
+           "P": "cross", "X": "x", "|": "line-ns-open"}  # fmt: skip
+
+DASHES = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
+
+
+def plotly_figure(figure: Figure) -> dict[str, Any] | None:
+    """Traces, layout and height over width of a figure with one pair of axes; None for several, and for contours."""
+    if len(figure.axes) != 1 or any(isinstance(c, ContourSet) for c in figure.axes[0].collections):
+        return None
+    axes = figure.axes[0]
+    parts = [*axes.collections, *axes.patches, *axes.lines]
+    traces = [trace for part in parts for trace in _traces(axes, part)]
+    traces.sort(key=lambda trace: trace.pop("order"))
+    title = axes.get_title("left")
+    layout: dict[str, Any] = {
+        "title": _plain(title),
+        "xaxis": _axis(axes.xaxis, axes.get_xlim(), axes.get_xscale(), axes.get_xlabel()),
+        "yaxis": _axis(axes.yaxis, axes.get_ylim(), axes.get_yscale(), axes.get_ylabel()),
+        "showlegend": axes.get_legend() is not None or bool(figure.legends),
+        "hovermode": "closest",
+    }
+    labels = (text for text in axes.texts if isinstance(text, Annotation) and text.get_text())
+    layout["annotations"] = [_label(axes, text) for text in labels]
+    if axes.get_aspect() == 1.0:
+        layout["yaxis"]["scaleanchor"] = "x"
+    width, height = (float(inches) for inches in figure.get_size_inches())
+    return {"data": traces, "layout": layout, "height": height / width}
+
+
+def _traces(axes: Axes, part: Any) -> Iterator[dict[str, Any]]:
+    """The traces of a line, a filled band, strokes or a histogram, in the order in which they cover each other."""
+    label = str(part.get_label())
+    named = {
+        "name": _plain(label),
+        "showlegend": not label.startswith("_"),
+        "order": part.get_zorder(),
+        "type": "scatter",
+    }
+    if isinstance(part, Line2D):
+        yield named | _line(axes, part)
+    elif isinstance(part, LineCollection):
+        segments = [np.array(s, float) for s in part.get_segments()]
+        x, y = ([value for s in segments for value in (*_numbers(s[:, k]), None)] for k in (0, 1))
+        # Strokes of nothing have no colour.
+        if segments:
+            line = {"color": _colour(part.get_color()[0]), "width": 2}
+            yield named | {"x": x, "y": y, "mode": "lines", "line": line, "hoverinfo": "skip"}
+    elif isinstance(part, PolyCollection):
+        for path in part.get_paths():
+            corners = np.array(path.vertices, float)
+            yield named | _filled(_numbers(corners[:, 0]), _numbers(corners[:, 1]), part.get_facecolor()[0])
+    elif isinstance(part, StepPatch):
+        heights, edges, _ = part.get_data()
+        x, y = _numbers(np.repeat(edges, 2)), _numbers(np.concatenate([[0.0], np.repeat(heights, 2), [0.0]]))
+        if part.get_fill():
+            yield named | _filled(x, y, part.get_facecolor()) | {"hoverinfo": "x+y"}
+        else:
+            line = {"color": _colour(part.get_edgecolor()), "width": part.get_linewidth()}
+            yield named | {"x": x, "y": y, "mode": "lines", "line": line}
+    elif isinstance(part, Rectangle):
+        # A band across the axes, whose width is a share of theirs.
+        (low, high), (bottom, top) = axes.get_xlim(), (part.get_y(), part.get_y() + part.get_height())
+        yield named | _filled([low, high, high, low], [bottom, bottom, top, top], part.get_facecolor())
+
+
+def _line(axes: Axes, line: Line2D) -> dict[str, Any]:
+    x, y = (np.array(values, float) for values in line.get_data(orig=False))
+    # Lines across the axes have shares of them in one coordinate.
+    if line.get_transform() == axes.get_yaxis_transform():
+        x = np.asarray(axes.get_xlim())
+    if line.get_transform() == axes.get_xaxis_transform():
+        y = np.asarray(axes.get_ylim())
+    marker, dash = str(line.get_marker()), str(line.get_linestyle())
+    drawn = ["lines"] * (dash in DASHES) + ["markers"] * (marker in SYMBOLS)
+    face = line.get_markerfacecolor()
+    # Filled with white, or not at all.
+    open_face = to_rgba(face)[3] == 0.0 or to_rgba(face) == (1.0, 1.0, 1.0, 1.0)
+    trace: dict[str, Any] = {"x": _numbers(x), "y": _numbers(y), "mode": "+".join(drawn) or "none"}
+    trace["line"] = {"color": _colour(line.get_color(), line.get_alpha()), "width": line.get_linewidth(),
+                     "dash": DASHES.get(dash, "dot")}  # fmt: skip
+    if "markers" in drawn:
+        colour = _colour(line.get_color() if open_face else face, line.get_alpha())
+        size = line.get_markersize() * (0.6 if marker == "." else 1.0)
+        trace["marker"] = {
+            "symbol": SYMBOLS[marker] + ("-open" if open_face else ""),
+            "size": size + 1,
+            "color": colour,
+        }
+    return trace
+
+
+def _label(axes: Axes, text: Annotation) -> dict[str, Any]:
+    """The words at a point, above or below it as drawn; on a logarithmic axis plotly places them by the logarithm."""
+    scales = (axes.get_xscale(), axes.get_yscale())
+    x, y = (np.log10(value) if scale == "log" else value for value, scale in zip(text.xy, scales, strict=True))
+    shift = -10 if text.get_verticalalignment() == "top" else 10
+    font = {"size": 10, "color": _colour(text.get_color())}
+    return {"x": float(f"{x:.5g}"), "y": float(f"{y:.5g}"), "text": _plain(text.get_text()), "showarrow": False,
+            "xanchor": text.get_horizontalalignment(), "yshift": shift, "font": font}  # fmt: skip
+
+
+def _filled(x: list[float | None], y: list[float | None], colour: Any) -> dict[str, Any]:
+    return {"x": x, "y": y, "mode": "lines", "fill": "toself", "fillcolor": _colour(colour), "line": {"width": 0},
+            "hoverinfo": "skip"}  # fmt: skip
+
+
+def _axis(axis: Axis, limits: tuple[float, float], scale: str, label: str) -> dict[str, Any]:
+    """Title, range, kind and, where the ticks are names, their texts."""
+    found: dict[str, Any] = {"title": {"text": _plain(label)}, "zeroline": False}
+    found["range"] = [float(f"{x:.6g}") for x in (np.log10(limits) if scale == "log" else limits)]
+    formatter, texts = axis.get_major_formatter(), [label.get_text() for label in axis.get_ticklabels()]
+    if isinstance(formatter, PercentFormatter):
+        found["tickformat"] = ".0%"
+    elif scale == "log" or any(_is_name(text) for text in texts):
+        found |= {"tickvals": _numbers(axis.get_majorticklocs()), "ticktext": [_plain(text) for text in texts]}
+    if scale == "log":
+        found["type"] = "log"
+    return found
+
+
+def _is_name(text: str) -> bool:
+    return any(c.isalpha() for c in text)
+
+
+def _numbers(values: Any) -> list[float | None]:
+    """The numbers with five significant digits; None for one that is not finite."""
+    return [float(f"{x:.5g}") if np.isfinite(x) else None for x in np.asarray(values, float)]
+
+
+def _colour(colour: Any, alpha: float | None = None) -> str:
+    red, green, blue, opacity = to_rgba(colour, alpha)
+    return f"rgba({round(255 * red)},{round(255 * green)},{round(255 * blue)},{opacity:.3g})"
+
+
+def _plain(text: str) -> str:
+    """A text of a chart for plotly, which takes some tags for markup."""
+    return escape(text.replace(r"\$", "$"), quote=False)

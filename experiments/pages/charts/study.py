@@ -1,0 +1,284 @@
+"""Charts of a study: metrics with intervals over its conditions or along its grid, and distributions of errors."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import LogLocator, NullLocator
+
+from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, short
+from trackwright.experiments.monte_carlo.results import Results
+from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
+from trackwright.experiments.pages.charts.style import (
+    HEIGHT,
+    INK,
+    LINES,
+    Chart,
+    literal,
+    plain,
+    write_panels,
+)
+from trackwright.experiments.text.expectations import Value
+from trackwright.experiments.text.wording import Unit, heading, unit_of
+from trackwright.trackers.evaluation.metrics import KIND_WORDS, METRICS
+
+MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
+"""Their counts differ from that of the colours: combinations of the three repeat late, and trackers look different."""
+
+SHOWN_CONDITIONS, LINES_SHOWN, ROWS_SHOWN, NAMES_INSIDE = 6, 8, 40, 4
+"""The most conditions with distributions, lines in a chart, rows in a chart, and names in a legend inside the axes."""
+
+UNITS = ("rad/s", "m/s²", "m/s", "rad", "Hz", "m", "s")
+"""Units of worlds' parameters in their docstrings; longer ones first."""
+
+DECADES = 30.0
+"""Ratio of the largest to the smallest value from which an axis is logarithmic."""
+
+ALIKE = 2.0
+"""Distributions whose ends differ by less than this factor share one axis."""
+
+
+def write_charts(folder: Path, charts: Sequence[Chart], kind: str) -> list[str]:
+    """Writes the charts as files into the folder; returns their names. `kind`: their ending, png or pdf."""
+    names = [f"{re.sub(r'[^a-zA-Z0-9_-]', '_', chart.name)}.{kind}" for chart in charts]
+    for name, chart in zip(names, charts, strict=True):
+        write_panels(folder / name, [chart.draw], (chart.width, chart.height or HEIGHT))
+    return names
+
+
+def metric_chart(
+    results: Results,
+    metric: str,
+    found: Mapping[tuple[int, str], Value],
+    unit: Unit,
+    bounds: Mapping[tuple[int, str], Value] | None = None,
+) -> Chart | None:
+    """A metric with its intervals: along the grid where that is one list of numbers, else by condition.
+
+    None where a chart has no room for all lines or rows, and where all values are zero or missing. `bounds`: Cramér–Rao
+    bounds on the metric, drawn as lines, or as strokes in rows.
+    """
+    study = results.study
+    values = {k: np.array(v.times(unit.factor)) for k, v in found.items() if np.isfinite(v.value)}
+    if not any(v[0] for v in values.values()):
+        return None
+    limits = {k: v.value * unit.factor for k, v in (bounds or {}).items() if np.isfinite(v.value)}
+    right = METRICS[metric].right if metric in METRICS else None
+    target = None if right is None else right * unit.factor
+    words = heading(metric)
+    title = words[0].upper() + words[1:] + (f", {unit.name}" if unit.name else "")
+    along = _axis(results)
+    if along is None:
+        return _bars(results, metric, values, limits, title, target) if len(values) <= ROWS_SHOWN else None
+    if len(study.worlds) * len(study.trackers) > LINES_SHOWN:
+        return None
+    return _along(results, metric, along, values, limits, title, target)
+
+
+def _along(
+    results: Results,
+    metric: str,
+    along: str,
+    values: Mapping[tuple[int, str], np.ndarray],
+    limits: Mapping[tuple[int, str], float],
+    title: str,
+    target: float | None,
+) -> Chart:
+    """A line with its band for every world and tracker, over the grid, its bound, and the `target` of the metric."""
+    study = results.study
+    series = [(w, t) for w in study.worlds for t in study.trackers]
+
+    def draw(axes: Axes) -> None:
+        for number, (world, tracker) in enumerate(series):
+            there = [c for c in study.conditions if c.world == world and (c.index, tracker) in values]
+            if not there:
+                continue
+            x = [float(c.point[along]) for c in there]
+            middle, low, high = np.array([values[c.index, tracker] for c in there]).T
+            look = _look(number)
+            name = tracker if len(study.worlds) == 1 else f"{world}: {tracker}"
+            axes.plot(x, middle, **look, marker=MARKS[number % len(MARKS)], markersize=4, label=literal(name))
+            axes.fill_between(x, low, high, color=look["color"], alpha=0.18, linewidth=0)
+            at = [float(c.point[along]) for c in there if (c.index, tracker) in limits]
+            if at:
+                bound = [limits[c.index, tracker] for c in there if (c.index, tracker) in limits]
+                line = {"color": look["color"], "linestyle": ":", "linewidth": 1.3}
+                axes.plot(at, bound, **line, label=literal(f"{name}: Cramér–Rao bound"))
+        least, most = min(study.grid[along]), max(study.grid[along])
+        if least > 0 and most / least >= 8:
+            axes.set_xscale("log")
+            axes.set_xticks(sorted(study.grid[along]), [f"{v:g}" for v in sorted(study.grid[along])])
+            axes.xaxis.set_minor_locator(NullLocator())
+        if target is not None:
+            axes.axhline(target, color=INK, linewidth=0.9, linestyle="--", label=f"{target:g} expected")
+        axes.set_xlabel(literal(short(along) + _unit_of(results, along)))
+        if _spans_decades(values):
+            axes.set_yscale("log")
+            _plain_log(axes.yaxis)
+        else:
+            axes.set_ylim(0, None)
+        axes.set_title(literal(title))
+        _legend(axes)
+        plain(axes)
+
+    return Chart(metric, title, draw, height=_height(len(series)))
+
+
+def _bars(
+    results: Results,
+    metric: str,
+    values: Mapping[tuple[int, str], np.ndarray],
+    limits: Mapping[tuple[int, str], float],
+    title: str,
+    target: float | None,
+) -> Chart:
+    """Points with intervals, a row for every condition and tracker, a stroke for its bound, a line at the `target`."""
+    trackers = list(results.study.trackers)
+    rows = [(c, t) for c in results.study.conditions for t in trackers if (c.index, t) in values]
+
+    def draw(axes: Axes) -> None:
+        for k, (condition, tracker) in enumerate(rows):
+            number = trackers.index(tracker)
+            colour, (middle, low, high) = LINES[number % len(LINES)], values[condition.index, tracker]
+            axes.plot([low, high], [k, k], color=colour, linewidth=3, alpha=0.35, solid_capstyle="butt")
+            mark = MARKS[number % len(MARKS)]
+            axes.plot(middle, k, color=colour, marker=mark, markersize=5, clip_on=False, zorder=3)
+            if (condition.index, tracker) in limits:
+                axes.plot(limits[condition.index, tracker], k, "|", color=INK, markersize=9, markeredgewidth=1.6)
+        if target is not None:
+            axes.axvline(target, color=INK, linewidth=0.9, linestyle="--", zorder=0)
+        axes.set_yticks(range(len(rows)), [literal(_row_name(results, c, t)) for c, t in rows])
+        axes.set_ylim(len(rows) - 0.4, -0.6)
+        if _spans_decades(values):
+            axes.set_xscale("log")
+            _plain_log(axes.xaxis)
+        else:
+            axes.set_xlim(0, 1.04 * max(target or 0.0, float(np.nanmax([values[c.index, t] for c, t in rows]))))
+        line = f" (line: {target:g})" if target is not None else ""
+        axes.set_title(literal(title + (" (strokes: Cramér–Rao bound)" if limits else "") + line))
+        plain(axes, "x")
+
+    return Chart(metric, title, draw, height=max(1.3, 0.75 + 0.24 * len(rows)))
+
+
+def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
+    """Distribution functions of every tracker's errors, for the first conditions.
+
+    `lengths`: the page's unit of lengths, or None.
+    """
+    study = results.study
+    conditions = study.conditions[:SHOWN_CONDITIONS]
+    kinds = [_kind(results, condition) for condition in conditions]
+    medians = [
+        results.at(f"median_{k}", c, t).value for c, k in zip(conditions, kinds, strict=True) for t in study.trackers
+    ]
+    units = {k: lengths if lengths and k.endswith("m") else unit_of(f"median_{k}", medians) for k in kinds}
+    curves = [_curves(results, c, k, units[k].factor) for c, k in zip(conditions, kinds, strict=True)]
+    ends = [max(float(c.errors[np.searchsorted(c.shares, 98.0)]) for c in own.values()) for own in curves]
+    if len(set(kinds)) == 1 and max(ends) <= ALIKE * min(ends):
+        ends = [max(ends)] * len(ends)
+
+    def draw(axes: Axes, condition: int, title: str) -> None:
+        own = curves[condition]
+        looks = [_look(number) for number, tracker in enumerate(study.trackers) if tracker in own]
+        error = f"error {KIND_WORDS[kinds[condition]]}".strip()
+        quantity = f"{error}, {units[kinds[condition]].name}"
+        draw_distributions(axes, [*own.values()], quantity, ends[condition], looks=looks)
+        axes.set_title(literal(title))
+        _legend(axes)
+        plain(axes, "both")
+
+    made = []
+    for k, condition in enumerate(conditions):
+        title = f"Distribution of errors: {condition.label}"
+        draw_this = functools.partial(draw, condition=k, title=title)
+        made.append(Chart(f"errors-{k + 1}", title, draw_this, height=_height(len(study.trackers))))
+    return made
+
+
+def _curves(results: Results, condition: Condition, kind: str, factor: float) -> dict[str, Curve]:
+    """The distribution of errors times `factor`, for each tracker with errors of this kind."""
+    found = {}
+    for tracker in results.study.trackers:
+        if kind in results.totals[condition.index, tracker].scores.histograms:
+            edges, share = results.cdf(condition.world, tracker, kind, **condition.point)
+            found[tracker] = Curve(tracker, edges * factor, 100 * share)
+    return found
+
+
+def _unit_of(results: Results, along: str) -> str:
+    """The unit of a world's parameter on the grid, ` (rad)`, as its docstring has it at the end of a phrase."""
+    for name in along.split(","):
+        key = name.strip().removeprefix(WORLD)
+        for world in results.study.worlds.values():
+            # Worlds by name are partial functions of those with the docstring.
+            make = world.make.args[0] if isinstance(world.make, functools.partial) else world.make
+            about = re.search(rf"^ +{re.escape(key)}: ([^\n]*)", inspect.getdoc(make) or "", re.M)
+            unit = re.search(rf", ({'|'.join(UNITS)})\b", about[1]) if about else None
+            if unit:
+                return f" ({unit[1]})"
+    return ""
+
+
+def _look(number: int) -> dict[str, Any]:
+    """Colour and dashes of a line."""
+    return {"color": LINES[number % len(LINES)], "linestyle": DASHES[number % len(DASHES)]}
+
+
+def _legend(axes: Axes) -> None:
+    """A legend inside the axes for few names, else below them, where it hides nothing."""
+    if len(axes.get_legend_handles_labels()[1]) > NAMES_INSIDE:
+        axes.figure.legend(loc="outside lower center", ncols=2, handlelength=2.4)
+    else:
+        axes.legend(loc="best", handlelength=2.4)
+
+
+def _height(names: int) -> float:
+    return HEIGHT + (0.17 * -(-names // 2) + 0.1 if names > NAMES_INSIDE else 0.0)
+
+
+def _spans_decades(values: Mapping[tuple[int, str], np.ndarray]) -> bool:
+    """Whether all values and intervals are positive and span more than `DECADES`."""
+    every = np.concatenate(list(values.values()))
+    low, high = np.nanmin(every), np.nanmax(every)
+    return bool(low > 0 and high >= DECADES * low)
+
+
+def _plain_log(axis: Axis) -> None:
+    """Ticks 0.5, 1, 2, 5, … on a logarithmic axis."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
+
+
+def _kind(results: Results, condition: Condition) -> str:
+    """The kind of error of the first metric that has one, else the first kind that exists."""
+    there = {k for t in results.study.trackers for k in results.totals[condition.index, t].scores.histograms}
+    # The longer suffixes first: `3d_m` ends in `m` too.
+    kinds = sorted(there, key=len, reverse=True)
+    asked = (k for f in results.study.metrics for k in kinds if f.endswith(f"_{k}"))
+    return next(asked, next(k for k in KIND_WORDS if k in there))
+
+
+def _axis(results: Results) -> str | None:
+    """The name of the grid's only axis, where that has more than two values, all numbers; else None."""
+    grid = results.study.grid
+    if len(grid) != 1:
+        return None
+    name, values = next(iter(grid.items()))
+    numbers: Sequence[object] = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
+    return name if len(numbers) == len(values) > 2 else None
+
+
+def _row_name(results: Results, condition: Condition, tracker: str) -> str:
+    if len(results.study.trackers) == 1:
+        return condition.label
+    return tracker if len(results.study.conditions) == 1 else f"{condition.label}: {tracker}"

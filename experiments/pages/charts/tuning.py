@@ -1,0 +1,257 @@
+"""Charts of a fit: floor plans and errors before and after, the objective along the steps and over parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
+from trackwright.experiments.pages.charts.floor import AROUND, PlanPath, draw_plan, plan_corners
+from trackwright.experiments.pages.charts.innovations import draw_autocorrelation, draw_nis, draw_probabilities
+from trackwright.experiments.pages.charts.objective import draw_contours, draw_curve, named, scale_axis
+from trackwright.experiments.pages.charts.style import (
+    BEFORE,
+    BLUE,
+    NARROW,
+    VERMILION,
+    WIDTH,
+    Chart,
+    Draw,
+    broken_at_gaps,
+    legend_above,
+    literal,
+    plain,
+    write_panels,
+)
+from trackwright.experiments.pages.reports.before_after import TrackChange
+from trackwright.experiments.pages.reports.tuning_data import ErrorTrack, OptimiserTrace, TuningReportData
+from trackwright.experiments.text.wording import number
+from trackwright.tuning.diagnostics import Innovations
+from trackwright.tuning.surface import Surface
+
+PALE = "#c3ccd6"
+POINTS = 250
+SHOWN, MOST = 6, 24
+"""The most trajectories whose errors are drawn over time, and whose RMSE is drawn."""
+
+
+def plan_chart(change: TrackChange) -> Chart:
+    """Paths before and after, 95 % ellipses of the same moments on both, truth, anchors, stations and walls."""
+
+    def draw(axes: Axes) -> None:
+        sides = (("before", BEFORE, change.before), ("after", BLUE, change.after))
+        paths = [
+            PlanPath(name, colour, side.path, side.centres, side.covs, f"95 % ellipses {name}")
+            for name, colour, side in sides
+        ]
+        truths = [change.truth] if len(change.truth) else []
+        corners = plan_corners(truths, [path.positions for path in paths], change.rig, AROUND)
+        draw_plan(axes, paths, truths, change.rig, corners)
+        legend_above(axes, 3)
+        axes.set_title(literal(f"{change.recording}, tag {change.tag}"), pad=30)
+
+    return Chart("plan", f"Floor plan of {change.recording}, tag {change.tag}", draw, height=None)
+
+
+def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
+    """NIS against its distribution, its probabilities, and its autocorrelation."""
+
+    def histograms(axes: Axes) -> None:
+        draw_nis(axes, after, before)
+        axes.set_title("NIS of all rows")
+        plain(axes, "")
+
+    drawings: dict[str, Draw] = {
+        "NIS against its distribution": histograms,
+        "Probabilities of NIS": partial(draw_probabilities, before=before, after=after),
+        "Autocorrelation of NIS": partial(draw_autocorrelation, before=before, after=after),
+    }
+    return [Chart("consistency", title, draw, NARROW, NARROW * 0.92) for title, draw in drawings.items()]
+
+
+def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
+    """RMSE of every trajectory before and after, the largest on top."""
+    rows = sorted(((_rms(e.before), _rms(e.after), e.name) for e in errors), key=lambda row: row[0])
+    kept = rows[-MOST:]
+
+    def draw(axes: Axes) -> None:
+        for k, (old, new, _) in enumerate(kept):
+            axes.plot([old, new], [k, k], color=BLUE if new <= old else VERMILION, linewidth=1.6, alpha=0.6, zorder=1)
+        places = np.arange(len(kept))
+        axes.plot([r[0] for r in kept], places, "o", markerfacecolor="white", color=BEFORE, markersize=6,
+                  label="before")  # fmt: skip
+        axes.plot([r[1] for r in kept], places, "o", color=BLUE, markersize=6, label="after")
+        worse = [(r[1], k) for k, r in enumerate(kept) if r[1] > r[0]]
+        if worse:
+            axes.plot(*np.array(worse).T, "o", color=VERMILION, markersize=6, label="after, larger")
+        axes.set_yticks(places, [literal(_short(r[2])) for r in kept])
+        axes.set(xlabel=f"RMSE ({unit})", ylim=(-0.6, len(kept) - 0.4))
+        axes.set_xlim(0, 1.06 * max(max(r[:2]) for r in kept))
+        legend_above(axes, 3)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        plain(axes, "x")
+
+    return Chart("rmse", "RMSE of trajectories", draw, height=max(2.0, 1.0 + 0.24 * len(kept)))
+
+
+def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
+    """Distribution functions of the errors of all rows, before and after."""
+    curves = []
+    for name in ("before", "after"):
+        curve = Curve.of(name, np.concatenate([getattr(track, name) for track in errors]))
+        curves.append(curve._replace(name=f"{name}: 95 % within {curve.quantiles([95.0])[0]:.3g} {unit}"))
+
+    def draw(axes: Axes) -> None:
+        end = 1.05 * max(float(curve.quantiles([99.0])[0]) for curve in curves)
+        looks = {"color": BEFORE, "linewidth": 1.3}, {"color": BLUE, "linewidth": 1.9}
+        draw_distributions(axes, curves, f"error ({unit})", end, (95.0,), looks)
+        axes.legend(loc="lower right")
+        axes.set_title("Distribution of errors of all rows")
+        plain(axes)
+
+    return Chart("distribution", "Distribution of errors", draw)
+
+
+def error_charts(errors: Sequence[ErrorTrack], unit: str) -> list[Chart]:
+    """The errors over time, for the trajectories whose RMSE changed most."""
+    chosen = sorted(errors, key=lambda e: -abs(_rms(e.after) - _rms(e.before)))[:SHOWN]
+    pooled = np.concatenate([np.concatenate([e.before, e.after]) for e in chosen])
+    top = 1.05 * float(np.nanquantile(pooled, 0.998)) or 1.0
+
+    def draw(axes: Axes, track: ErrorTrack) -> None:
+        at, old, new = broken_at_gaps(*_smooth(track))
+        axes.plot(at, old, color=BEFORE, linewidth=0.9, label="before")
+        axes.plot(at, new, color=BLUE, linewidth=1.2, label="after")
+        axes.set_title(literal(_short(track.name)))
+        axes.set(ylim=(0, top), xlabel="time since the start (s)", ylabel=f"error ({unit})")
+        axes.margins(x=0.01)
+        axes.legend(loc="lower right", bbox_to_anchor=(1.01, 1.0), ncols=2)
+        plain(axes)
+
+    return [
+        Chart("errors", f"Error of {track.name} over time", partial(draw, track=track), height=2.1) for track in chosen
+    ]
+
+
+def _smooth(track: ErrorTrack) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times and errors; of long trajectories the root mean squares of at most `POINTS` blocks of rows."""
+    rows = -(-len(track.times) // POINTS)
+    starts = np.arange(0, len(track.times), rows)
+    count = np.add.reduceat(np.ones(len(track.times)), starts)
+    old, new = (np.sqrt(np.add.reduceat(values**2, starts) / count) for values in (track.before, track.after))
+    return np.add.reduceat(track.times, starts) / count, old, new
+
+
+def _rms(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 34 else name[:16] + "…" + name[-17:]
+
+
+def objective_chart(traces: Sequence[OptimiserTrace], title: str, selected: int | None = None) -> Chart:
+    """The objective at every step of every start, the best first; `selected`: the one chosen, by default the last."""
+
+    def draw(axes: Axes) -> None:
+        _draw_steps(axes, traces, lambda t: t.objective)
+        shown = np.concatenate([t.objective for t in traces])
+        shown = shown[np.isfinite(shown)]
+        best, longest = float(shown.min()), max(len(t.objective) for t in traces)
+        # A start with a far larger objective must not flatten all others.
+        usual = best + 6 * float(np.quantile(shown, 0.75) - best) or np.inf
+        top = max(float(np.nanmax(traces[0].objective)), min(float(shown.max()), usual))
+        margin = 0.06 * (top - best) or 0.1 * abs(best) or 1.0
+        axes.set(xlabel="step", ylim=(best - margin, top + margin))
+        axes.set_title(literal(title))
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        step = int(np.flatnonzero(np.isfinite(traces[0].objective))[-1]) if selected is None else selected
+        value = float(traces[0].objective[step])
+        axes.plot([step], [value], "o", color=BLUE, markersize=6, markeredgecolor="white", zorder=3)
+        axes.annotate(
+            number(value), (step, value), xytext=(0, 7), textcoords="offset points",
+            ha="right" if step > 0.5 * longest else "left", color=BLUE, fontsize=9, fontweight="bold",
+        )  # fmt: skip
+        if len(traces) > 1:
+            axes.legend(*(x[::-1] for x in axes.get_legend_handles_labels()), loc="upper right")
+        plain(axes)
+
+    return Chart("objective", "Objective", draw)
+
+
+def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, title: str) -> Chart:
+    """Parameter `k` at every step of every start, on a logarithmic axis where it is positive."""
+
+    def draw(axes: Axes) -> None:
+        _draw_steps(axes, traces, lambda t: t.values[:, k])
+        axes.set_title(title)
+        scale_axis(axes, np.concatenate([t.values[:, k] for t in traces]), "y")
+        axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+        axes.set_xlabel("step")
+        plain(axes)
+
+    return Chart("parameter", name, draw, NARROW, 0.62 * NARROW)
+
+
+def tuning_trace(
+    path: Path | str,
+    objective: np.ndarray,
+    values: Mapping[str, np.ndarray],
+    units: Mapping[str, str] | None = None,
+    objective_name: str = "objective",
+    title: str = "Fit",
+) -> Path:
+    """Writes the objective and every tuned parameter over the steps; returns the path.
+
+    `objective` (i,); `values`: by name (i,), in the units of `units`. Raises UnusableInput where the file can't be
+    written.
+    """
+    trace = OptimiserTrace(title, objective, np.stack([*values.values(), objective], axis=1))
+    panels = [objective_chart([trace], f"{objective_name}: {objective[-1]:.6g}").draw]
+    for k, (name, own) in enumerate(values.items()):
+        unit = (units or {}).get(name, "1")
+        words = literal(f"{name}: {own[-1]:.4g} {unit if unit != '1' else ''}")
+        panels.append(parameter_chart([trace], k, name, words).draw)
+    rows = -(-len(panels) // 2)
+    return write_panels(path, panels, (8.0, 1.0 + 1.9 * rows), title, min(len(panels), 2))
+
+
+def _draw_steps(axes: Axes, traces: Sequence[OptimiserTrace], take: Callable[[OptimiserTrace], np.ndarray]) -> None:
+    for k, trace in reversed(list(enumerate(traces))):
+        label = {0: "best start", 1: "other starts"}.get(k)
+        axes.plot(take(trace), color=BLUE if k == 0 else PALE, linewidth=1.8 if k == 0 else 1.1, label=label)
+
+
+def selected_step(data: TuningReportData) -> int:
+    """The step of the best start nearest to the selected point."""
+    after = np.array([n.after for n in data.parameters])
+    size = np.maximum(np.abs(after), np.finfo(float).tiny)
+    return int(np.argmin((np.abs(data.traces[0].values - after) / size).max(axis=1)))
+
+
+def surface_chart(data: TuningReportData, surface: Surface) -> Chart:
+    """The objective over one parameter as a curve, over two as contours with the steps of all starts."""
+    known = [data.parameters[k] for k in surface.axes]
+    best = [n.after for n in known]
+
+    def draw(axes: Axes) -> None:
+        if len(known) == 1:
+            draw_curve(axes, surface.grids[0], surface.values, None, (best[0], float(np.nanmin(surface.values))))
+            axes.set_title(literal(data.objective_about))
+            plain(axes)
+        else:
+            paths = [t.values[:, list(surface.axes)] for t in data.traces]
+            draw_contours(axes, surface.grids, surface.values, paths, (best[0], best[1]), data.objective_about)
+            scale_axis(axes, surface.grids[1], "y", tight=True)
+            axes.set_ylabel(named(known[1].name, known[1].unit))
+        scale_axis(axes, surface.grids[0], "x", tight=True)
+        axes.set_xlabel(named(known[0].name, known[0].unit))
+
+    names = " and ".join(n.name for n in known)
+    return Chart("surface", f"Objective over {names}", draw, WIDTH, 3.6)

@@ -1,1 +1,0 @@
-"""The page of `track`: estimates that move over the floor plan, with linked charts, in one HTML file."""

@@ -1,1 +1,0 @@
-"""Accuracy of an installation over its floor, before anything is recorded."""

@@ -1,0 +1,101 @@
+"""A chart as data for plotly.js: the numbers, names and scales that matplotlib drew."""
+
+import base64
+import json
+import re
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from trackwright.experiments.pages.charts.plotly_figure import plotly_figure
+from trackwright.experiments.pages.charts.style import svg, svg_address
+
+X = np.array([0.5, 1.0, 2.0])
+
+
+@pytest.fixture
+def axes():
+    return Figure().subplots()
+
+
+def _figure(axes):
+    return plotly_figure(axes.figure)
+
+
+def test_lines_keep_their_numbers_names_and_gaps(axes):
+    axes.plot(X, [1.0, np.nan, 3.0], color="#0072b2", linestyle="--", label="a <b> $")
+    axes.plot(X, X, "o", markerfacecolor="white", color="#d55e00", label="_unnamed")
+    axes.legend()
+    axes.set(xlabel="time (s)", xlim=(0, 3))
+    line, marks = _figure(axes)["data"]
+    assert (line["x"], line["y"]) == ([0.5, 1.0, 2.0], [1.0, None, 3.0])
+    assert (line["name"], line["showlegend"], line["mode"]) == ("a &lt;b&gt; $", True, "lines")
+    assert line["line"] == {"color": "rgba(0,114,178,1)", "width": 1.5, "dash": "dash"}
+    assert (marks["mode"], marks["showlegend"], marks["marker"]["symbol"]) == ("markers", False, "circle-open")
+    assert marks["marker"]["color"] == "rgba(213,94,0,1)"
+    layout = _figure(axes)["layout"]
+    assert (layout["xaxis"]["title"]["text"], layout["xaxis"]["range"], layout["showlegend"]) == (
+        "time (s)",
+        [0, 3],
+        True,
+    )
+
+
+def test_strokes_of_nothing_are_left_out(axes):
+    axes.add_collection(LineCollection([]))
+    axes.plot(X, X)
+    assert len(_figure(axes)["data"]) == 1
+
+
+def test_bands_histograms_and_lines_across_keep_their_places(axes):
+    axes.fill_between(X, X - 1, X + 1)
+    axes.stairs([3.0, 1.0], [0.0, 1.0, 4.0], fill=True)
+    axes.axhline(2.0)
+    axes.set_xlim(0, 4)
+    band, bars, across = _figure(axes)["data"]
+    assert (min(band["y"]), max(band["y"]), set(band["x"])) == (-0.5, 3.0, set(X))
+    assert (bars["x"], bars["y"]) == ([0, 0, 1, 1, 4, 4], [0, 3, 3, 1, 1, 0])
+    assert (across["x"], across["y"]) == ([0, 4], [2, 2])
+
+
+def test_a_logarithmic_axis_and_names_of_rows_are_kept(axes):
+    axes.plot(X, [0, 1, 2], "s")
+    axes.set_xscale("log")
+    axes.set(xlim=(0.1, 10))
+    axes.set_yticks([0, 1, 2], ["kalman", "window & sons", "c"])
+    layout = _figure(axes)["layout"]
+    assert (layout["xaxis"]["type"], layout["xaxis"]["range"]) == ("log", [-1, 1])
+    assert layout["yaxis"]["ticktext"] == ["kalman", "window &amp; sons", "c"]
+    assert layout["yaxis"]["tickvals"] == [0, 1, 2]
+
+
+def test_words_at_points_are_kept_and_arrows_are_not(axes):
+    axes.plot(X, X)
+    axes.set_xscale("log")
+    words = {"textcoords": "offset points", "va": "top", "ha": "right", "color": "#0072b2"}
+    axes.annotate(r"A<1>\$", (100.0, 2.0), (0, -7), **words)
+    axes.annotate("", (1.0, 1.0), (2.0, 2.0), arrowprops={"arrowstyle": "->"})
+    (label,) = _figure(axes)["layout"]["annotations"]
+    assert (label["x"], label["y"], label["text"], label["showarrow"]) == (2.0, 2.0, "A&lt;1&gt;$", False)
+    assert (label["xanchor"], label["yshift"] < 0, label["font"]["color"]) == ("right", True, "rgba(0,114,178,1)")
+
+
+def test_contours_and_several_panels_stay_images(axes):
+    axes.contourf(np.outer(X, X))
+    assert _figure(axes) is None
+    several = Figure()
+    several.subplots(2, 1)
+    assert plotly_figure(several) is None
+
+
+def test_an_image_of_a_page_holds_its_data_and_a_file_does_not():
+    def draw(figure):
+        figure.subplots().plot(X, X, label="</metadata> & <script>")
+
+    text = base64.b64decode(svg_address(draw).partition(",")[2]).decode()
+    data = json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])
+    assert data["data"][0]["y"] == X.tolist()
+    assert data["data"][0]["name"] == "&lt;/metadata&gt; &amp; &lt;script&gt;"
+    assert "<metadata" not in svg(draw)

@@ -1,0 +1,522 @@
+"""Every plot is a PNG that shows something, for full, odd and nearly empty input."""
+
+import base64
+import json
+import re
+
+import numpy as np
+import polars as pl
+import pytest
+import scipy.stats
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.image import imread
+
+from tests.experiments.pages.reports.small_tracks import small_bearings, small_tracks
+from trackwright.experiments.pages.charts import style
+from trackwright.experiments.pages.charts.distributions import Curve, draw_coverage, levels_of, observed_shares
+from trackwright.experiments.pages.charts.figures import plot_tracks
+from trackwright.experiments.pages.charts.floor import TRUTH
+from trackwright.experiments.pages.charts.innovations import draw_autocorrelation, draw_nis, law_of
+from trackwright.experiments.pages.charts.objective import sweep_plot
+from trackwright.experiments.pages.charts.over_time import (
+    draw_angle,
+    draw_consistency,
+    draw_error,
+    half_heights,
+    inflation,
+)
+from trackwright.experiments.pages.charts.recording import (
+    bearing_over_time,
+    coverage,
+    error_cdf,
+    floor_plan,
+)
+from trackwright.experiments.pages.charts.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    LINES,
+    SKY,
+    VERMILION,
+    broken_at_gaps,
+    write_panels,
+)
+from trackwright.experiments.pages.charts.tuning import error_charts, rmse_chart, tuning_trace
+from trackwright.experiments.pages.reports.tuning_data import ErrorTrack
+from trackwright.experiments.pages.scored_tracks import ScoredTracks
+from trackwright.experiments.text.wording import length_unit
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.diagnostics import Innovations
+from trackwright.tuning.parameters import Parameter
+from trackwright.tuning.sweeping import Sweep
+
+T = np.arange(60) * 0.1
+
+
+def _pixels(path):
+    """The picture as (height, width, 3) in 0–255; also checks that it is a PNG that a person can read."""
+    assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    picture = np.round(255 * imread(path)[:, :, :3]).astype(int)
+    assert min(picture.shape[:2]) > 200
+    return picture
+
+
+def _shows(picture, colour):
+    """Whether pixels of about this colour are there; a line that is not wholly opaque is a little lighter."""
+    wanted = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+    return int((np.abs(picture - wanted).max(axis=2) < 30).sum()) > 20
+
+
+def _tracks(n_tags, sigma=0.2):
+    frames = []
+    for k in range(n_tags):
+        columns = {"x_m": 5 + 3 * np.cos(T + k), "y_m": 3 + 2 * np.sin(T + 2 * k), "z_m": 1 + 0 * T}
+        columns |= {"std_x_m": 0 * T + sigma, "std_y_m": 0 * T + sigma / 2, "cov_xy_m2": 0 * T + sigma**2 / 4}
+        frames.append(pl.DataFrame({"recording": "hall", "tag": f"tag-{k}", "t_s": T, **columns}))
+    return pl.concat(frames)
+
+
+def _scored(tracks, truth=None, **rig):
+    """The tracks with their errors, of a recording with that truth and installation."""
+    tables = {} if truth is None else {"truth": truth.select("t_s", "tag", "x_m", "y_m", "z_m")}
+    folder = RecordingFolder("hall", None, Rig("hall", **rig), tables)
+    return ScoredTracks(associate_truth(tracks, {"hall": truth} if tables else {}), [folder], []).recordings[0]
+
+
+def _drawn(path, chart, *given, size=(6.0, 3.0), **named):
+    """The file of a chart on axes of its own."""
+    return write_panels(path, [lambda axes: chart(*given, ax=axes, **named)], size)
+
+
+def _on_axes(path, draw, *given, size=(6.0, 3.0), **named):
+    return write_panels(path, [lambda axes: draw(axes, *given, **named)], size)
+
+
+def _plan(path, tracks, truth=None, **rig):
+    return _drawn(path, floor_plan, _scored(tracks, truth, **rig), size=None)
+
+
+def _scored(tracks, truth=None, **rig):
+    """The tracks with their errors, of a recording with that truth and installation."""
+    tables = {} if truth is None else {"truth": truth.select("t_s", "tag", "x_m", "y_m", "z_m")}
+    folder = RecordingFolder("hall", None, Rig("hall", **rig), tables)
+    return ScoredTracks(associate_truth(tracks, {"hall": truth} if tables else {}), [folder], []).recordings[0]
+
+
+def _drawn(path, chart, *given, size=(6.0, 3.0), **named):
+    """The file of a chart on axes of its own."""
+    return write_panels(path, [lambda axes: chart(*given, ax=axes, **named)], size)
+
+
+def _on_axes(path, draw, *given, size=(6.0, 3.0), **named):
+    return write_panels(path, [lambda axes: draw(axes, *given, **named)], size)
+
+
+def _plan(path, tracks, truth=None, **rig):
+    return _drawn(path, floor_plan, _scored(tracks, truth, **rig), size=None)
+
+
+def _parameter(name):
+    return Parameter((name,), Scale(1.0, "m/s^2"), name)
+
+
+@pytest.fixture(autouse=True)
+def _coarse(monkeypatch):
+    """Fewer dots per inch than users get: most of the time goes into compressing pixels."""
+    monkeypatch.setitem(style.STYLE, "savefig.dpi", 80)
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """The figures that are written, in their order."""
+    made = []
+
+    def canvas(kind):
+        return lambda figure: made.append(figure) or kind(figure)
+
+    monkeypatch.setattr(style, "FigureCanvasAgg", canvas(FigureCanvasAgg))
+    monkeypatch.setattr(style, "FigureCanvasSVG", canvas(FigureCanvasSVG))
+    return made
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def test_the_floor_plan_shows_each_tag_and_the_truth(tmp_path):
+    half = np.sqrt(0.5)
+    stations = {"N": Station(np.array([5.0, 8.0, 2.0]), np.array([half, half, 0.0, 0.0]))}
+    anchors = {"A": np.array([0.0, 0.0, 2.0]), "B": np.array([10.0, 0.0, 2.0])}
+    picture = _pixels(_plan(tmp_path / "plan.png", _tracks(2), _tracks(2), stations=stations, anchors=anchors))
+    assert all(_shows(picture, colour) for colour in LINES[:2])
+    assert not _shows(picture, LINES[2])
+    without = _pixels(_plan(tmp_path / "plan.png", _tracks(2), stations=stations, anchors=anchors))
+    grey = [int(TRUTH[k : k + 2], 16) for k in (1, 3, 5)]
+    shown = [int((np.abs(p - grey).max(axis=2) < 6).sum()) for p in (picture, without)]
+    assert shown[0] > shown[1] + 200
+
+
+def test_the_floor_plan_draws_at_most_six_tags(tmp_path):
+    assert all(_shows(_pixels(_plan(tmp_path / "plan.png", _tracks(9))), colour) for colour in LINES)
+
+
+def test_wild_estimates_are_counted_and_do_not_decide_the_scale_of_the__plan(tmp_path, figures):
+    row = pl.int_range(pl.len())
+    tracks = pl.concat([_tracks(1).with_columns(t_s=pl.col("t_s") + 6 * k) for k in range(10)])
+    # Beyond the x axis alone, the y axis alone, and both.
+    wild = tracks.with_columns(
+        x_m=pl.when(row.is_in([50, 70])).then(1e4).otherwise("x_m"),
+        y_m=pl.when(row.is_in([60, 70])).then(-1e4).otherwise("y_m"),
+    )
+    _plan(tmp_path / "plan.png", wild)
+    (axes,) = figures[0].axes
+    assert axes.get_title(loc="left").splitlines() == [
+        "dots: estimates with their reported 95 % ellipses", "3 of 600 estimates lie outside the axes"
+    ]  # fmt: skip
+    _plan(tmp_path / "plan.png", tracks)
+    assert "outside" not in figures[1].axes[0].get_title(loc="left")
+    for limits in ("get_xlim", "get_ylim"):
+        tame, spoiled = (getattr(figure.axes[0], limits)() for figure in figures[::-1])
+        np.testing.assert_allclose(spoiled, tame, atol=0.1)
+
+
+def test_times_are_written_along_three_tracks_and_not_along_four(tmp_path, figures):
+    for n_tags in (3, 4):
+        _plan(tmp_path / "plan.png", _tracks(n_tags))
+    three, four = ([text.get_text() for text in figure.axes[0].texts] for figure in figures)
+    assert three == ["2 s", "4 s"] * 3
+    assert four == []
+
+
+@pytest.mark.parametrize(
+    ("end", "ratio"),
+    [((60.0, 0.0), 0.25), ((20.0, 20.0), 1.0), ((0.0, 60.0), 2.5)],
+    ids=["corridor along x", "square", "corridor along y"],
+)
+def test_the_ratio_of_a_plan_is_that_of_the_floor_and_limited_for_a_corridor(tmp_path, figures, end, ratio):
+    x, y = np.outer(end, T / T[-1])
+    _plan(tmp_path / "plan.png", _tracks(1).with_columns(x_m=x, y_m=y))
+    # The legend at the side takes 1.9 inches, title and labels take 1.3.
+    width, height = figures[0].get_size_inches() - (1.9, 1.3)
+    assert height / width == pytest.approx(ratio)
+
+
+def test_walls_are_drawn_below_truth_and_truth_below_tracks(tmp_path, figures):
+    _plan(tmp_path / "plan.png", _tracks(1), _tracks(1), walls=np.array([[0.0, 3.0, 10.0, 3.0]]))
+    in_order = sorted(figures[0].axes[0].lines, key=lambda line: line.zorder)
+    assert [line.get_color() for line in in_order[:3]] == [GREY, TRUTH, LINES[0]]
+
+
+@pytest.mark.parametrize(
+    "tracks",
+    [
+        _tracks(1)[:1],
+        _tracks(1).clear(),
+        _tracks(1).with_columns(x_m=pl.lit(None, pl.Float64)),
+        _tracks(1).drop("std_x_m", "std_y_m", "cov_xy_m2"),
+        _tracks(1).with_columns(tag=pl.lit("a$^b$_")),
+        _tracks(1).with_columns(tag=pl.lit("标签")),
+        _tracks(1).with_columns(x_m=pl.lit(3.0), y_m=pl.lit(2.0)),
+    ],
+    ids=["one row", "no row", "no estimate", "no covariance", "formula signs", "script not in the font", "still"],
+)
+def test_the_floor_plan_takes_odd_tracks(tmp_path, tracks):
+    _pixels(_plan(tmp_path / "plan.png", tracks, _tracks(1)))
+
+
+def test_an_error_over_time_shows_its_band_and_its_bound(tmp_path, rng):
+    error, sigma = rng.normal(size=60), np.ones(60)
+    picture = _pixels(_on_axes(tmp_path / "error.png", draw_error, T, error, sigma, 0.9 * sigma, 4.0))
+    assert _shows(picture, BLUE)
+    assert _shows(picture, VERMILION)
+
+
+def test_errors_over_time_have_a_panel_for_each_axis_with_errors(tmp_path, figures):
+    for z, count in ((1.0, 3), (None, 2)):
+        tracks = _tracks(2).with_columns(z_m=pl.lit(z, pl.Float64), std_z_m=pl.lit(0.1))
+        scored = ScoredTracks(
+            associate_truth(tracks.with_columns(pl.col("x_m") + 0.1), {"hall": _tracks(2)}),
+            [RecordingFolder("hall", None, Rig("hall"), {"truth": _tracks(2)})], [],
+        )  # fmt: skip
+        figures.clear()
+        names = plot_tracks(tmp_path, scored)
+        assert names == ["floor-plan", "error-cdf", "error-over-time", "consistency", "coverage"]
+        panels = figures[2].axes
+        assert [axes.get_ylabel() for axes in panels] == [f"error in {a} (cm)" for a in "xyz"[:count]]
+        assert [axes.get_xlabel() for axes in panels] == [*[""] * (count - 1), "time (s)"]
+        assert [axes.get_legend() is None for axes in panels] == [False, *[True] * (count - 1)]
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_an_error_over_time_takes_next_to_nothing(tmp_path, n):
+    errors, sigmas = np.zeros(n), np.full(n, np.nan)
+    (half,) = half_heights([errors], [sigmas])
+    _pixels(_on_axes(tmp_path / "error.png", draw_error, T[:n], errors, sigmas, None, half))
+
+
+def test_the_error_cdf_shows_horizontal_and_3d(tmp_path, rng):
+    shifted = [(pl.col(f"{a}_m") + pl.Series(rng.normal(size=60))).alias(f"{a}_m") for a in "xyz"]
+    scored = _scored(_tracks(1).with_columns(std_z_m=pl.lit(1.0)).with_columns(shifted), _tracks(1))
+    picture = _pixels(_drawn(tmp_path / "cdf.png", error_cdf, scored))
+    assert _shows(picture, BLUE)
+    assert _shows(picture, VERMILION)
+
+
+@pytest.mark.parametrize("n", [1, 2, 150, 5000])
+def test_a_distribution_has_the_percentiles_of_its_errors(rng, n):
+    errors = rng.exponential(size=n)
+    curve = Curve.of("", np.append(errors, np.nan))
+    shares = (0.0, 50.0, 90.0, 95.0, 100.0)
+    np.testing.assert_allclose(curve.quantiles(shares), np.percentile(errors, shares), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("rows", "block"), [(60, 1), (1000, 4), (1001, 5)])
+def test_errors_before_and_after_are_root_mean_squares_of_blocks_of_a_long_track(rng, rows, block):
+    times, before, after = 0.1 * np.arange(rows), *rng.uniform(1, 2, (2, rows))
+    (chart,) = error_charts([ErrorTrack("hall, tag 1", times, before, after)], "cm")
+    text = base64.b64decode(chart.address.partition(",")[2]).decode()
+    drawn = json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])["data"]
+    starts = range(0, rows, block)
+    for trace, values in zip(drawn, (before, after), strict=True):
+        np.testing.assert_allclose(trace["x"], [times[k : k + block].mean() for k in starts], rtol=1e-4)
+        np.testing.assert_allclose(
+            trace["y"], [np.sqrt(np.mean(values[k : k + block] ** 2)) for k in starts], rtol=1e-4
+        )
+    assert chart.title == "Error of hall, tag 1 over time"
+
+
+def test_the_errors_of_all_trajectories_lie_inside_their_chart(figures):
+    times = np.arange(2.0)
+    tracks = [ErrorTrack(f"tag {k}", times, np.full(2, old), np.full(2, new)) for k, (old, new) in
+              enumerate([(12.0, 10.0), (20.0, 31.0), (40.0, 5.0)])]  # fmt: skip
+    assert rmse_chart(tracks, "cm").address
+    (axes,) = figures[0].axes
+    drawn = np.concatenate([line.get_xdata() for line in axes.lines])
+    low, high = axes.get_xlim()
+    assert (low, drawn.min(), drawn.max()) == (0.0, 5.0, 40.0)
+    assert 40.0 < high < 50.0
+
+
+def test_the_error_cdf_takes_one_row_and_errors_of_zero(tmp_path):
+    for rows in (1, 9):
+        tracks = _tracks(1)[:rows]
+        _pixels(_drawn(tmp_path / "cdf.png", error_cdf, _scored(tracks, _tracks(1))))
+    with pytest.raises(UnusableInput, match="error_cdf: no estimate has a truth"):
+        error_cdf(_scored(_tracks(1)))
+
+
+def test_the_coverage_has_a_line_for_each_recording_and_one_for_all_rows(tmp_path, rng):
+    scales = {"hall": 1.0, "yard": 9.0, "50 $ worth": 0.2}
+    levels = {name: levels_of(scale * rng.chisquare(2, 200), 2) for name, scale in scales.items()}
+    picture = _pixels(_on_axes(tmp_path / "coverage.png", draw_coverage, levels, "all rows"))
+    assert all(_shows(picture, colour) for colour in (*LINES[:3], BLACK))
+    many = {f"{k}": levels_of(rng.chisquare(2, 5), 2) for k in range(60)}
+    assert not _shows(_pixels(_on_axes(tmp_path / "coverage.png", draw_coverage, many, "all rows")), LINES[0])
+
+
+def test_the_coverage_of_one_run_has_a_line_for_each_shape_and_of_several_for_each_run(tmp_path, figures):
+    (scored,) = small_tracks().recordings
+    (bearings,) = small_bearings(in_plane=True)[0].recordings
+    for given, named, names in (
+        (scored, {}, ["horizontal"]),
+        (bearings, {}, ["in-plane angle"]),
+        ({"uwb": scored, "other": scored}, {}, ["uwb", "other", "all rows"]),
+        ({"uwb": scored}, {}, ["uwb"]),
+    ):
+        _drawn(tmp_path / "c.png", coverage, given, **named)
+        labels = figures[-1].axes[0].get_legend_handles_labels()[1]
+        assert [label.partition(":")[0] for label in labels if label.endswith("inside 95 %")] == names
+
+
+def test_the_observed_share_is_that_of_the_rows_within_the_quantile(rng):
+    nees, levels = np.append(rng.chisquare(3, 500), np.nan), np.array([0.0, 0.5, 0.95, 1.0])
+    expected = [np.mean(nees[:-1] <= scipy.stats.chi2.ppf(level, 3)) for level in levels]
+    np.testing.assert_allclose(observed_shares(levels_of(nees, 3), levels), expected, rtol=1e-12)
+
+
+def _consistency(path, values, dof, name="NIS", law="χ²", student_t_dof=None):
+    return _on_axes(path, draw_consistency, T[: values.shape[1]], values, dof, name, law, student_t_dof)
+
+
+def test_consistency_of_many_runs_shows_means_and_band(tmp_path, rng):
+    picture = _pixels(_consistency(tmp_path / "chi.png", rng.chisquare(3, (40, 60)), 3, "NEES"))
+    assert _shows(picture, BLUE)
+
+
+def test_the_density_of_nis_is_that_of_the_noise_and_missing_where_it_is_unknown(tmp_path, rng):
+    # Student's t with 1.8 degrees of freedom bounds the NIS of a channel by 2.8.
+    nis = 2.8 * rng.beta(0.5, 0.9, 600)
+    for dof, shown in ((1.8, True), (np.nan, False)):
+        seen = Innovations(nis, np.ones(600), np.zeros(600, int), dof)
+        assert _shows(_pixels(_on_axes(tmp_path / "c.png", draw_nis, seen)), VERMILION) == shown
+    assert [law_of(dof) for dof in (None, 1.8, np.nan)] == ["χ²", "Student's t", ""]
+
+
+def test_the_band_of_consistency_is_missing_where_the_distribution_is_unknown(tmp_path, rng):
+    light = [255 - 0.35 * (255 - int(SKY[k : k + 2], 16)) for k in (1, 3, 5)]
+    for law, shown in (("χ²", True), ("", False)):
+        picture = _pixels(_consistency(tmp_path / "c.png", rng.chisquare(8, (3, 60)), 8, law=law))
+        assert ((np.abs(picture - light).max(axis=2) < 6).sum() > 1_000) == shown
+
+
+def test_correlated_rows_count_as_so_many_fewer(rng):
+    white = rng.normal(size=20_000)
+    smooth = np.zeros_like(white)
+    for k in range(1, len(white)):
+        smooth[k] = 0.8 * smooth[k - 1] + white[k]
+    one = np.ones_like(white)
+    assert inflation(white, one, 50) == pytest.approx(1.0, abs=0.2)
+    lags = np.arange(1, 50)
+    assert inflation(smooth, one, 50) == pytest.approx(1 + 2 * np.sum((1 - lags / 50) * 0.8**lags), rel=0.1)
+
+
+@pytest.mark.parametrize("scale", [1.0, 100.0])
+def test_consistency_takes_one_run_with_gaps_and_different_dof(tmp_path, rng, scale):
+    dof = rng.integers(1, 9, (1, 60)).astype(float)
+    nis = np.where(rng.random((1, 60)) < 0.2, np.nan, scale * rng.chisquare(dof))
+    _pixels(_consistency(tmp_path / "chi.png", nis, dof))
+    _pixels(_consistency(tmp_path / "chi.png", nis, 2, "NEES"))
+
+
+def test_consistency_takes_runs_without_a_value_and_runs_most_of_whose_rows_say_nothing(tmp_path, rng):
+    few = np.where(np.arange(60) % 3, 0.0, 8.0)[None]
+    for nis, dof in (
+        (np.full((1, 60), np.nan), 8),
+        (np.zeros((1, 60)), np.zeros((1, 60))),
+        (np.where(few > 0, rng.chisquare(8, (1, 60)), 0.0), few),
+    ):
+        _pixels(_consistency(tmp_path / "chi.png", nis, dof))
+
+
+def test_a_bin_of_nis_far_higher_than_the_density_is_cut_off(tmp_path, rng, figures):
+    dof, trajectory = np.full(500, 8), np.zeros(500, int)
+    sides = Innovations(rng.chisquare(8, 500), dof, trajectory), Innovations(np.zeros(500), dof, trajectory)
+    _on_axes(tmp_path / "nis.png", draw_nis, *sides)
+    # The density of χ² with 8 degrees of freedom, x³ exp(−x/2) / 96, is highest at 6.
+    peak = 6**3 * np.exp(-3) / 96
+    # The bin of zeros is cut off at 2.5 times the peak; room for the legend is 60 % more.
+    assert figures[0].axes[0].get_ylim() == pytest.approx((0.0, 1.6 * 2.5 * peak), rel=1e-3)
+
+
+def test_the_band_of_white_noise_is_that_of_the_pairs_of_rows_after_the_fit(tmp_path, rng, figures):
+    # Two trajectories of 51 rows have 100 pairs of neighbours.
+    sides = [Innovations(rng.chisquare(8, n), np.full(n, 8), np.arange(n) // 51) for n in (510, 102)]
+    _on_axes(tmp_path / "lags.png", draw_autocorrelation, *sides)
+    (band,) = figures[0].axes[0].patches
+    assert (band.get_y(), band.get_y() + band.get_height()) == pytest.approx((-0.196, 0.196))
+
+
+def test_the_tuning_trace_shows_every_number(tmp_path):
+    i = np.arange(30)
+    values = {"motion.sigma_a": np.exp(-i / 9), "sensors.*.sigma": 0 * i + 2.0, "offset": np.sin(i / 3)}
+    picture = _pixels(tuning_trace(tmp_path / "tune.png", 100.0 - i, values, {"motion.sigma_a": "m/s^2"}))
+    assert _shows(picture, BLUE)
+
+
+@pytest.mark.parametrize(("largest", "ticks"), [(50.0, [1, 3, 10, 30]), (200.0, [1, 10, 100])])
+def test_a_tuning_trace_has_three_round_ticks_at_least(tmp_path, figures, largest, ticks):
+    tuning_trace(tmp_path / "tune.png", T, {"motion.sigma_a": np.geomspace(1.0, largest, len(T))})
+    axes = figures[0].axes[1]
+    low, high = axes.get_ylim()
+    assert [tick for tick in axes.get_yticks() if low <= tick <= high] == pytest.approx(ticks)
+
+
+def test_the_tuning_trace_takes_one_iteration_and_no_numbers(tmp_path):
+    _pixels(tuning_trace(tmp_path / "one.png", np.array([3.0]), {"motion.sigma_a": np.array([0.1])}))
+    tuning_trace(tmp_path / "none.png", np.array([3.0, np.nan]), {})
+
+
+def test_an_angle_over_time_shows_estimate_and_truth(tmp_path, rng):
+    true = np.degrees(3.0 + 0.5 * np.sin(T))
+    wrapped = (true + 3 * rng.normal(size=true.shape) + 180) % 360 - 180
+    picture = _pixels(_on_axes(tmp_path / "b.png", draw_angle, T, wrapped, np.full(60, 3.0), true))
+    assert _shows(picture, BLUE)
+    assert _shows(picture, BLACK)
+
+
+@pytest.mark.parametrize("in_plane", [True, False])
+def test_directions_have_a_panel_for_each_angle_and_in_the_plane_of_an_array_one(tmp_path, figures, in_plane):
+    tracks, estimate, true = small_bearings(in_plane)
+    names = plot_tracks(tmp_path, tracks)
+    assert names == ["bearings-yard-tag_A-station_S", "coverage"]
+    panels = figures[0].axes
+    expected = ["in-plane angle (°)"] if in_plane else ["azimuth (°)", "elevation (°)"]
+    assert [axes.get_ylabel() for axes in panels] == expected
+    for k, axes in enumerate(panels):
+        drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
+        for own, values in (("estimate", estimate[:, k]), ("truth", true[:, k])):
+            off = drawn[own] - values
+            # A line is broken where the angle turns on.
+            assert np.isnan(off).sum() <= 1
+            assert np.nanmax(np.abs(off - 360 * np.round(off / 360))) < 1e-6
+    with pytest.raises(UnusableInput, match="no estimate of tag 'B'; tags: A"):
+        bearing_over_time(tracks.recordings[0], tag="B")
+
+
+@pytest.mark.parametrize(("repeats", "paths"), [(1, 0), (1, 1), (3, 0)])
+def test_a_sweep_over_one_number_has_a_legend_of_spread_and_steps(tmp_path, figures, repeats, paths):
+    grid = np.array([0.5, 1.0, 2.0])
+    swept = Sweep([_parameter("sigma_a")], [grid], np.array([2.0, 1.0, 3.0]) + 0.1 * np.arange(repeats)[:, None], 1)
+    sweep_plot(tmp_path / "s.png", swept, "nll", [np.array([[0.7], [1.1]])] * paths)
+    legend = figures[0].axes[0].get_legend()
+    assert (legend is not None) == (repeats > 1 or paths > 0)
+    if paths:
+        assert "optimiser steps" in [text.get_text() for text in legend.get_texts()]
+
+
+def test_the_axis_of_a_sweep_over_one_number_has_equal_room_beyond_both_ends(tmp_path, figures):
+    swept = Sweep([_parameter("sigma_a")], [np.array([0.01, 0.1, 1.0])], np.array([[2.0, 1.0, 3.0]]), 1)
+    sweep_plot(tmp_path / "s.png", swept, "nll")
+    low, high = figures[0].axes[0].get_xlim()
+    # The axis is logarithmic: equal room at both ends is an equal factor.
+    assert 0.01 / low == pytest.approx(high / 1.0)
+    assert 1.0 < high < 2.0
+
+
+def test_the_axes_of_a_sweep_over_two_numbers_end_where_the_grid_does(tmp_path, figures):
+    grids = [np.array([0.01, 0.1, 1.0]), np.array([2.0, 8.0])]
+    swept = Sweep([_parameter("sigma_a"), _parameter("sigma_b")], grids, np.arange(6.0).reshape(1, 3, 2), 1)
+    sweep_plot(tmp_path / "s.png", swept, "nll")
+    axes = figures[0].axes[0]
+    assert axes.get_xlim() == pytest.approx((0.01, 1.0))
+    assert axes.get_ylim() == pytest.approx((2.0, 8.0))
+
+
+def test_an_angle_over_time_takes_a_full_turn_and_missing_rows(tmp_path):
+    turning = np.degrees(np.angle(np.exp(1.2j * T)))
+    _pixels(_on_axes(tmp_path / "b.png", draw_angle, T, turning, 0 * T + 1, None))
+    _pixels(_on_axes(tmp_path / "b.png", draw_angle, T, np.nan * T, np.nan * T, None))
+
+
+def test_a_figure_that_cannot_be_written_leaves_nothing_behind(tmp_path):
+    with pytest.raises(UnusableInput, match="cannot write"):
+        _drawn(tmp_path / "nowhere" / "cdf.png", error_cdf, _scored(_tracks(1), _tracks(1)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lines_are_broken_in_gaps_only():
+    times, values = broken_at_gaps(np.array([0.0, 0.1, 0.2, 5.0, 5.1]), np.arange(5.0))
+    np.testing.assert_array_equal(times, [0.0, 0.1, 0.2, 2.6, 5.0, 5.1])
+    np.testing.assert_array_equal(values, [0.0, 1.0, 2.0, np.nan, 3.0, 4.0])
+    slow = np.arange(5.0) * 3
+    assert len(broken_at_gaps(slow)[0]) == 5
+
+
+@pytest.mark.parametrize(("size", "unit"), [(3.0, ("m", 1.0)), (0.3, ("cm", 100.0)), (0.003, ("mm", 1000.0))])
+def test_lengths_are_shown_in_a_unit_of_their_size(size, unit):
+    assert length_unit(size) == unit
+
+
+def test_the_bands_of_three_sigma_and_of_consistency_are_light(tmp_path, rng):
+    light = [255 - 0.35 * (255 - int(SKY[k : k + 2], 16)) for k in (1, 3, 5)]
+    for path in (
+        _on_axes(tmp_path / "error.png", draw_error, T, np.zeros(60), np.ones(60), None, 3.0),
+        _consistency(tmp_path / "chi.png", rng.chisquare(8, (3, 60)), 8),
+    ):
+        assert (np.abs(_pixels(path) - light).max(axis=2) < 6).sum() > 3_000

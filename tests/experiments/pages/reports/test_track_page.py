@@ -1,0 +1,294 @@
+"""The data of the page of `track`: what it holds is what the tables hold."""
+
+import base64
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import polars as pl
+import pytest
+
+import trackwright as tw
+from tests.experiments.pages.reports.small_tracks import BIAS, NASTY, TAGS, small_bearings, small_tracks
+from trackwright.experiments.pages.charts import style
+from trackwright.experiments.pages.charts.figures import plot_tracks
+from trackwright.experiments.pages.reports.packing import drawn_rows, drawn_tracks, packed, script_json
+from trackwright.experiments.pages.reports.track import run_data, track_page
+from trackwright.experiments.pages.reports.track_data import error_map
+from trackwright.experiments.pages.scored_tracks import IN_PLANE, ScoredTracks, drawn_of
+from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.columns import float_column
+
+NO_EVENTS = pl.DataFrame(
+    schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String, "detail": pl.String}
+)
+
+
+def _unpacked(array):
+    return np.frombuffer(base64.b64decode(array["bdata"]), "<" + array["dtype"])
+
+
+@pytest.fixture(scope="module")
+def tracks():
+    return small_tracks()
+
+
+@pytest.fixture(scope="module")
+def recording(tracks):
+    event = pl.DataFrame({"recording": ["hall"], "tag": ["B"], "t_s": [5.0], "event": ["lost"], "detail": [""]})
+    return run_data(tracks, event, None, "uwb")["recordings"][0]
+
+
+def test_the_columns_are_those_of_the_table(tracks, recording):
+    rows = tracks.association.rows
+    assert recording["rows"] == recording["drawn"] == len(rows)
+    for name, column in (("v0", "x_m"), ("v1", "y_m"), ("s0", "std_x_m"), ("nis", "nis")):
+        np.testing.assert_allclose(_unpacked(recording["columns"][name]), float_column(rows, column), rtol=1e-6)
+    times = recording["start"] + _unpacked(recording["columns"]["t"])
+    np.testing.assert_allclose(times, float_column(rows, "t_s"), rtol=1e-6)
+    errors = float_column(rows, "x_m") - tracks.association.truth[:, 0]
+    scored = tracks.association.scored
+    np.testing.assert_allclose(_unpacked(recording["columns"]["e0"])[scored], errors[scored], rtol=1e-4, atol=1e-6)
+    assert np.isnan(_unpacked(recording["columns"]["e0"])[~scored]).all()
+
+
+def test_a_row_has_its_word_of_status_and_is_ok_with_an_unknown_one_or_none():
+    tracks = small_tracks(rows=7, tags=("A",))
+    words = ["waiting", "ok", "lost", "restarted", "non-finite", "drifting", None]
+    rows = tracks.association.rows.with_columns(status=pl.Series(words))
+    run = run_data(ScoredTracks(tracks.association._replace(rows=rows), tracks.folders, []), NO_EVENTS, None, "uwb")
+    recording = run["recordings"][0]
+    shown = [recording["statuses"][number] for number in _unpacked(recording["columns"]["status"])]
+    assert shown == [*words[:5], "ok", "ok"]
+
+
+def test_times_that_count_from_1970_are_shown_since_the_first_reading(tracks, tmp_path, monkeypatch):
+    unix = small_tracks(later=1777896797.26)
+    assert unix.recordings[0].zero == 1777896800.26
+    shown = run_data(unix, NO_EVENTS, None, "uwb")["recordings"][0]
+    assert (shown["start"], shown["timeLabel"]) == (0.0, "time (s) since 2026-05-04 12:13:20.26 UTC")
+    assert shown["end"] == pytest.approx(7.9)
+    plain = run_data(tracks, NO_EVENTS, None, "uwb")["recordings"][0]
+    assert (plain["start"], plain["timeLabel"]) == (3.0, "time (s)")
+    figures = []
+    monkeypatch.setattr(style.FigureCanvasAgg, "print_png", lambda canvas, *_, **__: figures.append(canvas.figure))
+    monkeypatch.setattr(style, "atomic_write", lambda path, write: write(path))
+    plot_tracks(tmp_path, unix)
+    over_time = [axes for figure in figures for axes in figure.axes if axes.get_xlabel().startswith("time")]
+    assert len(over_time) == 2
+    for axes in over_time:
+        assert axes.get_xlabel() == shown["timeLabel"]
+        assert 7.8 < axes.dataLim.x1 < 8.0
+    marks = {text.get_text() for axes in figures[0].axes for text in axes.texts}
+    assert {"2 s", "4 s", "6 s"} <= marks
+
+
+def test_tracks_events_and_sources_are_named(recording):
+    assert {track["tag"] for track in recording["tracks"]} == set(TAGS)
+    (event,) = recording["events"]
+    assert recording["tracks"][event["track"]]["tag"] == "B"
+    assert recording["start"] + event["t"] == 5.0
+    first = recording["tracks"][0]["first"]
+    assert recording["sources"][_unpacked(recording["columns"]["source"])[first]] == "1"
+
+
+def test_the_rig_is_drawn_where_the_estimates_are(tracks):
+    """Of map coordinates, walls, anchors and path are shifted by the origin of the page as positions are."""
+    (folder,) = tracks.folders
+    east = np.array([4e5, 5e6])
+    walls, path = np.array([[1.0, 2.0, 5.0, 2.5]]) + np.tile(east, 2), np.array([[0.0, 1.0], [9.0, 7.0]]) + east
+    anchors = {name: place + [*east, 0.0] for name, place in folder.rig.anchors.items()}
+    moved = replace(folder, rig=replace(folder.rig, anchors=anchors, walls=walls, path_knots=path))
+    places = [(pl.col(f"{a}_m") + by).alias(f"{a}_m") for a, by in zip("xy", east, strict=True)]
+    rows = tracks.association.rows.with_columns(places)
+    association = associate_truth(rows, {"hall": folder.tables["truth"].with_columns(places)})
+    drawn = run_data(ScoredTracks(association, [moved], []), NO_EVENTS, None, "uwb")["recordings"][0]
+    origin = np.array(drawn["origin"])
+    assert np.all(origin > 1e5)
+    np.testing.assert_allclose(np.array(drawn["rig"]["walls"]).reshape(-1, 2) + origin, walls.reshape(-1, 2))
+    np.testing.assert_allclose(np.array(drawn["rig"]["path"]) + origin, path)
+    for anchor in drawn["rig"]["anchors"]:
+        np.testing.assert_allclose(np.array(anchor["at"][:2]) + origin, anchors[anchor["name"]][:2])
+
+
+def test_the_bias_of_an_anchor_is_its_median_residual_about_the_truth(recording):
+    (channel,) = recording["residuals"]["channels"]
+    boxes = dict(zip(channel["sources"], channel["boxes"]["true"], strict=True))
+    assert boxes["2"][5] == pytest.approx(BIAS, abs=0.01)
+    assert boxes["1"][5] == pytest.approx(0.0, abs=0.01)
+    assert boxes["2"][2] == pytest.approx(0.02, rel=0.4)
+
+
+def test_the_map_holds_the_root_mean_square_error_of_each_cell(tracks):
+    (recording,) = tracks.recordings
+    found = error_map(recording, np.zeros(2))
+    squares, true = (recording.errors[:, :2] ** 2).sum(axis=1), recording.association.truth
+    at = np.abs(true[:, None, 0] - found["x"]).argmin(axis=1), np.abs(true[:, None, 1] - found["y"]).argmin(axis=1)
+    assert np.sum(found["count"]) == np.isfinite(squares).sum()
+    for i, j in {(5, 3), *zip(*(x.tolist() for x in at), strict=True)}:
+        own = (at[0] == i) & (at[1] == j) & np.isfinite(squares)
+        expected = np.sqrt(np.mean(squares[own])) if own.any() else None
+        assert found["rmse"][j][i] == (None if expected is None else pytest.approx(expected, rel=1e-3))
+
+
+def _traces(recording, title):
+    """The named traces of a chart of the page."""
+    (chart,) = [chart for chart in recording["charts"] if chart["title"] == title]
+    return {trace["name"].partition(":")[0]: trace for trace in chart["data"] if trace["showlegend"]}
+
+
+def test_the_coverage_of_correct_covariances_is_the_diagonal():
+    recording = run_data(small_tracks(rows=900), NO_EVENTS, None, "uwb")["recordings"][0]
+    curve = _traces(recording, "Truth inside the reported ellipses")["horizontal"]
+    np.testing.assert_allclose(curve["y"], curve["x"], atol=4)
+
+
+def test_the_distribution_of_errors_is_the_percentage_of_rows_below_each_error(tracks, recording):
+    errors = tracks.recordings[0].errors[:, :2]
+    sizes = np.hypot(*errors[np.isfinite(errors).all(axis=1)].T)
+    horizontal = _traces(recording, "Distribution of errors")["horizontal"]
+    share, error = np.array(horizontal["y"]), np.array(horizontal["x"]) / 100  # cm
+    assert (share[0], share[-1]) == (0.0, 100.0)
+    below = 100 * (sizes[:, None] < error).mean(axis=0)
+    np.testing.assert_allclose(share, below, atol=101 / len(sizes))
+
+
+def test_decimated_rows_keep_ends_and_peaks():
+    lengths, weight = np.array([500, 7, 1000]), np.random.default_rng(2).random(1507)
+    weight[[123, 1200]] = 9.0
+    drawn = drawn_rows(lengths, weight, 200)
+    assert 100 < len(drawn) <= 230
+    assert {0, 499, 500, 506, 507, 1506, 123, 1200} <= set(drawn.tolist())
+    assert np.all(np.diff(drawn) > 0)
+    np.testing.assert_array_equal(drawn_rows(lengths, weight, 2000), np.arange(1507))
+
+
+def test_of_many_tracks_the_worst_the_median_and_the_best_are_drawn():
+    order = [int(k) for k in np.random.default_rng(3).permutation(101)]
+    drawn = drawn_tracks(order, 11)
+    assert len(drawn) == 11
+    assert {order[0], order[50], order[100]} <= set(drawn)
+
+
+def test_a_long_recording_is_decimated_within_the_size_of_a_page():
+    tracks = small_tracks(rows=500, tags=tuple(f"tag-{k}" for k in range(200)))
+    run = run_data(tracks, NO_EVENTS, None, "uwb")
+    text = track_page([run], "trackwright track hall")
+    assert len(text.encode()) < 8e6
+    (recording,) = run["recordings"]
+    assert recording["rows"] == 100_000
+    assert recording["drawn"] <= 25_400
+
+
+def test_no_text_of_a_user_ends_a_script_or_becomes_markup(tracks):
+    evaluation = evaluate(tracks.association, tracks.folders)
+    text = track_page([run_data(tracks, NO_EVENTS, evaluation, f"mine {NASTY}", NASTY)], f"track {NASTY}")
+    assert NASTY not in text
+
+    class Scripts(HTMLParser):
+        data, kinds, inside = "", [], False
+
+        def handle_starttag(self, tag, attrs):
+            if tag == "script":
+                self.kinds.append(dict(attrs).get("type"))
+                self.inside = self.kinds[-1] == "application/json"
+
+        def handle_data(self, data):
+            self.data += data if self.inside else ""
+
+        def handle_endtag(self, tag):
+            self.inside = False
+
+    parser = Scripts()
+    parser.feed(text)
+    assert parser.kinds == [None, "application/json", None, None, None]
+    assert json.loads(parser.data)["command"] == f"track {NASTY}"
+    assert not re.search(r'(src|href)="', text[: text.index('<script type="application/json"')])
+
+
+def test_a_direction_in_an_arrays_plane_is_one_angle_and_a_turn_of_it_is_no_error():
+    tracks, estimate, true = small_bearings(in_plane=True)
+    run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "das")
+    (recording,) = run["recordings"]
+    (axis,), columns = recording["axes"], {name: _unpacked(own) for name, own in recording["columns"].items()}
+    assert axis["name"] == IN_PLANE
+    turn = np.abs(columns["v0"] - estimate[:, 0]) % 360
+    np.testing.assert_allclose(np.minimum(turn, 360 - turn), 0, atol=1e-3)
+    np.testing.assert_allclose(columns["e0"], estimate[:, 0] - true[:, 0], atol=1e-3)
+    np.testing.assert_allclose(columns["miss"], np.abs(estimate[:, 0] - true[:, 0]), atol=1e-3)
+    np.testing.assert_allclose(columns["s0"], np.degrees(0.03), rtol=1e-5)
+    rmse = np.sqrt(np.mean((estimate - true)[:, 0] ** 2))
+    assert recording["tracks"][0]["rmse"] == pytest.approx(rmse, rel=1e-3)
+    assert list(_traces(recording, "Distribution of errors")) == [IN_PLANE]
+    assert IN_PLANE in _traces(recording, "Truth inside the reported ellipses")
+    for line in run["metrics"]:
+        assert "rmse_azimuth_rad" not in line
+        assert np.degrees(line["rmse_direction_rad"]) == pytest.approx(rmse, rel=1e-3)
+
+
+def test_azimuth_and_elevation_are_in_degrees_with_their_errors():
+    tracks, estimate, true = small_bearings(in_plane=False)
+    (recording,) = run_data(tracks, NO_EVENTS, None, "beam")["recordings"]
+    assert [axis["name"] for axis in recording["axes"]] == ["azimuth", "elevation"]
+    columns = recording["columns"]
+    for k in range(2):
+        np.testing.assert_allclose(_unpacked(columns[f"e{k}"]), (estimate - true)[:, k], atol=1e-3)
+    # the angle between two directions is about the error of the elevation and that of the azimuth on its circle
+    flat = np.hypot((estimate - true)[:, 0] * np.cos(np.radians(true[:, 1])), (estimate - true)[:, 1])
+    np.testing.assert_allclose(_unpacked(columns["miss"]), flat, rtol=0.05)
+
+
+def test_the_band_of_nis_is_that_of_the_tracker_s_noise_and_empty_without_a_tracker():
+    folder = tw.simulate.ranges(n=2, seed=1, rows=20).folder()
+    tracks = tw.build("uwb", folder).run(folder)
+    bands = []
+    for batches in (tracks.batches, ()):
+        scored = ScoredTracks(associate_truth(tracks.table, {folder.name: folder.tables["truth"]}), [folder], batches)
+        bands.append(run_data(scored, NO_EVENTS, None, "uwb")["recordings"][0]["nisBand"])
+    # The NIS of four ranges with Student's t of 1.8 degrees of freedom; with normal noise it ends at 2.79.
+    assert bands[0] == pytest.approx([0.25, 1.91], abs=0.06)
+    assert bands[1] == []
+
+
+def test_errors_of_a_given_height_are_in_no_column():
+    for std, there in ((0.0, False), (0.4, True)):
+        tracks = small_tracks()
+        rows = tracks.association.rows.with_columns(std_z_m=pl.lit(std))
+        tracks = ScoredTracks(tracks.association._replace(rows=rows), tracks.folders, [])
+        run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "uwb")
+        assert {"rmse_3d_m" in line for line in run["metrics"]} == {there}
+        assert len(run["recordings"][0]["axes"]) == 2 + there
+
+
+def test_of_many_recordings_the_worst_the_median_and_the_best_have_figures():
+    rmse = np.array([0.2, np.nan, 0.05, 0.9, 0.4, 0.3])
+    why = drawn_of(rmse, angles=False)
+    assert why == {3: "worst of 5, RMSE 90 cm", 5: "median of 5, RMSE 30 cm", 2: "best of 5, RMSE 5 cm"}
+    assert drawn_of(rmse[:4], angles=False) == dict.fromkeys(range(4), "")
+    assert drawn_of(np.full(9, np.nan), angles=False) == dict.fromkeys(range(4), "")
+    assert drawn_of(np.radians([1, 2, 3, 4, 5.0]), angles=True)[4] == "worst of 5, RMSE 5 °"
+
+
+def test_the_page_says_which_recordings_have_figures_and_why():
+    one = small_tracks(tags=("A",))
+    table, truth = one.association.rows, one.folders[0].tables["truth"]
+    folders = [replace(one.folders[0], name=f"hall-{k}") for k in range(6)]
+    shifted = [
+        table.with_columns(pl.col("x_m") + 0.2 * (k % 5), recording=pl.lit(f.name)) for k, f in enumerate(folders)
+    ]
+    tracks = ScoredTracks(associate_truth(pl.concat(shifted), {f.name: truth for f in folders}), folders, [])
+    words = run_data(tracks, NO_EVENTS, None, "uwb", figures=True)["figures"]
+    assert re.search(r"hall-4 \(worst of 6.*hall-2 \(median of 6.*hall-[05] \(best of 6", words)
+    unknown = ScoredTracks(associate_truth(pl.concat(shifted), {}), folders, [])
+    assert "first 4 of 6" in run_data(unknown, NO_EVENTS, None, "uwb", figures=True)["figures"]
+    assert run_data(one, NO_EVENTS, None, "uwb", figures=True)["figures"] == ""
+
+
+def test_json_of_a_script_holds_what_was_given():
+    content = {"a": "</script><!--", "b": [1.5, None, "ü"]}
+    assert json.loads(script_json(content)) == content
+    assert "<" not in script_json(content)
+    np.testing.assert_array_equal(_unpacked(packed(np.array([1.0, np.nan, 1e300]))), np.float32([1, np.nan, np.inf]))
