@@ -15,7 +15,7 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import assert_refused, trackwright
-from trackwright.trackers import catalogue
+from trackwright.trackers.core import user_file
 from trackwright.trackers.recordings.kinds import KINDS
 
 ROOT = Path(__file__).parents[1]
@@ -137,7 +137,7 @@ def hall(tmp_path, monkeypatch):
 def _as_in_a_new_process() -> None:
     """Forgets the kind, and that its file was run."""
     KINDS.pop("tdoa", None)
-    catalogue._module.cache_clear()
+    user_file._module.cache_clear()
 
 
 def test_a_kind_of_ones_own_is_read_checked_and_tracked(hall):

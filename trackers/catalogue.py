@@ -2,39 +2,129 @@
 
 from __future__ import annotations
 
+import functools
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.core.user_file import from_file, split_name
-from trackwright.trackers.recordings.kinds import KINDS
 
-if TYPE_CHECKING:  # shells complete the names of trackers, for which jax need not be imported
+# Lists and shells have the names of trackers, for which neither jax nor polars need be imported.
+if TYPE_CHECKING:
     from trackwright.trackers.recordings.folder import RecordingFolder
     from trackwright.trackers.recordings.named_tracker import NamedTracker
     from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 
-SYSTEMS = ("aoa", "line", "uwb_imu", "baselines", "mhk")
-"""The packages whose `rows` have catalogue entries."""
 
-PREFERENCE: Mapping[str, tuple[str, ...]] = MappingProxyType(
+class Entry(NamedTuple):
+    """What lists say of a tracker before its system is imported: the system's package, what it reads, and a line."""
+
+    system: str
+    table: str
+    about: str
+
+    def may_fit(self, folder: RecordingFolder) -> bool:
+        """Whether the folder has a table of those that it reads, and a known path if it needs one."""
+        has_table = not folder.tables.keys().isdisjoint(re.findall(r"\w+", self.table))
+        return has_table and ("[path]" not in self.table or folder.rig.path_knots is not None)
+
+
+PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
     {
         # No recording: phases of one station alone.
-        "phases of several stations": ("direct", "cascade"),
+        "phases of several stations": {
+            "direct": Entry("aoa", "phases", "position from the phases of all stations in one EKF, spherical waves"),
+            "cascade": Entry(
+                "aoa",
+                "phases",
+                "3-D position from phases, a beam tracker per station, then bearings-only fusion (Will et al.)",
+            ),
+        },
         # ble51-uca, six of them.
-        "phases of a station": ("beam", "das"),
-        "bearings": ("bearings",),
+        "phases of a station": {
+            "beam": Entry("aoa", "phases", "azimuth and elevation per station from phases, EKF (Will et al.)"),
+            "das": Entry(
+                "aoa",
+                "phases",
+                "azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
+            ),
+        },
+        "bearings": {
+            "bearings": Entry(
+                "aoa", "bearings", "position from azimuths and elevations of any number of stations, EKF"
+            ),
+        },
         # ngbui-line, all six.
-        "readings along a known path": ("line-grid", "line-pf"),
+        "readings along a known path": {
+            "line-grid": Entry(
+                "line",
+                "ranges or fixes, and [path]",
+                "position on a known path from ranges or fixes, grid filter of arclength and speed",
+            ),
+            "line-pf": Entry(
+                "line",
+                "ranges or fixes, and [path]",
+                "position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
+            ),
+        },
         # lias-still, all three, and all of the others that are not the first of their kind. With an IMU the two of
         # ngbui-line-3, which it makes worse, outweigh the other four.
-        "ranges": ("uwb", "uwb-imu", "multilateration", "trilateration", "trilateration-compensated"),
+        "ranges": {
+            "uwb": Entry("uwb_imu", "ranges", "position from ranges, EKF with a drifting bias per anchor"),
+            "uwb-imu": Entry(
+                "uwb_imu",
+                "ranges and imu",
+                "position, velocity and attitude from ranges and an IMU, error-state EKF",
+            ),
+            "multilateration": Entry(
+                "uwb_imu", "ranges", "position from the latest ranges, robust least squares without a filter"
+            ),
+            "trilateration": Entry(
+                "uwb_imu",
+                "ranges",
+                "planar position from three ranges, intersection of circles (Kwon et al.) without compensation (14)",
+            ),
+            "trilateration-compensated": Entry(
+                "uwb_imu",
+                "ranges",
+                "planar position from three ranges, intersection of circles with compensation (14) (Kwon et al.)",
+            ),
+        },
         # No recording with a floor plan.
-        "fixes on a floor plan": ("floor-pf",),
+        "fixes on a floor plan": {
+            "floor-pf": Entry(
+                "baselines",
+                "fixes, and [floor]",
+                "position from fixes on a floor with walls, particle filter with 1,000 particles",
+            ),
+        },
         # iasl-drone and all of tiers: the first five are ties, and the simplest is the first.
-        "fixes": ("fix-kf", "fix-singer", "imm", "mhk-stamped", "fix-mirror", "moving-average", "median", "mhk"),
+        "fixes": {
+            "fix-kf": Entry("baselines", "fixes", "position from fixes, Kalman filter, constant velocity in x and y"),
+            "fix-singer": Entry(
+                "baselines", "fixes", "position from fixes, Kalman filter, Singer's acceleration model"
+            ),
+            "imm": Entry("baselines", "fixes", "position from fixes, IMM filter of three constant-velocity models"),
+            "mhk-stamped": Entry(
+                "mhk", "fixes", "mhk, with each estimate at the time of the middle of its median window"
+            ),
+            "fix-mirror": Entry(
+                "baselines",
+                "fixes",
+                "position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
+            ),
+            "moving-average": Entry("baselines", "fixes", "mean of the last 9 fixes, axis by axis"),
+            "median": Entry("baselines", "fixes", "median of the last 9 fixes, axis by axis"),
+            "mhk": Entry(
+                "mhk",
+                "fixes",
+                "position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter "
+                "(Huang et al.)",
+            ),
+        },
     }
 )
 """The trackers by kind of readings, in the order in which these are tried where none is named.
@@ -43,30 +133,34 @@ PREFERENCE: Mapping[str, tuple[str, ...]] = MappingProxyType(
 which the levels of neither tracker were fitted, which are named above; docs/which-tracker.md has its figures.
 """
 
+ENTRIES: Mapping[str, Entry] = MappingProxyType(
+    {name: entry for entries in PREFERENCE.values() for name, entry in entries.items()}
+)
+
 
 class _Catalogue(Mapping[str, "TrackerSpec"]):
-    """The entries of all systems, in the order of preference; a system is imported when one of its entries is used."""
+    """The trackers in the order of preference; the system of one is imported when it is used."""
 
     def __getitem__(self, name: str) -> TrackerSpec:
-        for entries in _entries():
-            if name in entries:
-                return entries[name]
-        raise KeyError(name)
+        return _completed(name, ENTRIES[name])
 
     def __iter__(self) -> Iterator[str]:
-        for names in PREFERENCE.values():
-            yield from names
+        return iter(ENTRIES)
 
     def __len__(self) -> int:
-        return sum(len(names) for names in PREFERENCE.values())
+        return len(ENTRIES)
 
     def __repr__(self) -> str:
         return f"<TRACKERS: {', '.join(self)}>"
 
 
-def _entries() -> Iterator[dict[str, TrackerSpec]]:
-    for system in SYSTEMS:
-        yield import_module(f"trackwright.trackers.{system}.rows").TRACKERS
+@functools.cache
+def _completed(name: str, entry: Entry) -> TrackerSpec:
+    """What `rows` of its system has of the tracker, with what lists say of it."""
+    spec: TrackerSpec = import_module(f"trackwright.trackers.{entry.system}.rows").TRACKERS[name](
+        about=entry.about, table=entry.table
+    )
+    return spec
 
 
 TRACKERS: Mapping[str, TrackerSpec] = _Catalogue()
@@ -102,13 +196,16 @@ def fitting(folder: RecordingFolder) -> str:
     Raises UnusableInput where none does, with what the folder lacks for the first one that reads a table of its own.
     """
     nearest = None
-    for name, spec in TRACKERS.items():
+    for name, entry in ENTRIES.items():
+        if not entry.may_fit(folder):
+            continue
+        spec = TRACKERS[name]
         missing = spec.missing(folder)
         if missing is None and spec.automatic(folder):
             return name
-        if nearest is None and missing is not None and spec.table in folder.tables:
+        if nearest is None and missing is not None and entry.table in folder.tables:
             nearest = f"the nearest, '{name}', needs {missing}"
-    needs = ", ".join(sorted({spec.table for spec in TRACKERS.values()} & set(KINDS)))
+    needs = ", ".join(sorted({entry.table for entry in ENTRIES.values() if entry.table.isalpha()}))
     raise UnusableInput(
         f"{folder.path or folder.name}: no tracker fits; {nearest or f'all need one of the tables {needs}'}; its "
         f"tables: {', '.join(folder.tables)}; see `trackwright trackers`"

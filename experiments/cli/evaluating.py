@@ -8,7 +8,6 @@ import re
 import shlex
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,18 +15,12 @@ import polars as pl
 
 from trackwright.experiments.cli.console import output_folder, read_with_notices
 from trackwright.experiments.cli.options import EvaluateOptions, require_output
+from trackwright.experiments.text.evaluation_text import to_json, to_text
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.exchange.estimates import (
-    assigned,
-    compare_tracks,
-    pooled,
-    pooled_names,
-    read_estimates,
-    read_truth,
-)
+from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics, associate, evaluate, metric_names
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks_table import (
@@ -40,7 +33,6 @@ from trackwright.trackers.recordings.tracks_table import (
 )
 
 if TYPE_CHECKING:
-    from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
     from trackwright.trackers.worksteps.tracks import WorkstepReport
 
 DEFAULT_STEPS = ("1m", "1s")
@@ -66,29 +58,28 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     part, worksteps = options.used.part, options.worksteps
     tracks = part.of_estimates(read_tracks(folder))
     folders = read_with_notices(options.truth or sources(folder))
-    # jax takes a second to import, which the help and a refused folder need not wait for.
-    from trackwright.experiments.jobs.executors import cluster_executor
-    from trackwright.experiments.pages.reports.evaluate_text import worksteps_text
-    from trackwright.experiments.text.evaluation_text import to_json, to_text
-    from trackwright.trackers.evaluation.evaluate import evaluate, metric_names
-    from trackwright.trackers.worksteps.tracks import METRICS, workstep_report
+    known, work, shown = metric_names(tracks), None, ""
+    if worksteps is not None:
+        from trackwright.experiments.pages.reports.evaluate_text import worksteps_text
+        from trackwright.trackers.worksteps.tracks import METRICS, workstep_report
 
+        known += METRICS
     if options.fail_if is not None:
-        conditions(options.fail_if, [*metric_names(tracks), *(METRICS if worksteps is not None else ())])
-    with cluster_executor(options.cluster) if options.cluster else nullcontext() as executor:
-        evaluation, work = evaluate(tracks, folders, part.every, executor), None
+        conditions(options.fail_if, known)
+    if options.cluster is None:
+        evaluation = evaluate(tracks, folders, part.every)
+    else:
+        from trackwright.experiments.jobs.executors import cluster_executor
+
+        with cluster_executor(options.cluster) as executor:
+            evaluation = evaluate(tracks, folders, part.every, executor)
     if worksteps is not None:
         truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
         work = workstep_report(tracks, truths, worksteps, options.tolerance, part.every)
-        evaluation = with_work(evaluation, work)
+        evaluation, shown = with_work(evaluation, work), "\n" + worksteps_text(work)
     text = to_json(evaluation, None if work is None else work.plain())
     atomic_write(folder / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
-    print(
-        text
-        if options.json
-        else to_text(evaluation, terminal_width()) + ("" if work is None else "\n" + worksteps_text(work)),
-        end="",
-    )
+    print(text if options.json else to_text(evaluation, terminal_width()) + shown, end="")
     if options.fail_if is not None:
         why = violation(evaluation, options.fail_if)
         if why is not None:
@@ -135,14 +126,14 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
     if not truths:
         raise UnusableInput(f"{truth[0]}: no truth table; expected a recording with truth, or a trajectory file")
     if tracks is None:
+        from trackwright.trackers.exchange.estimates import assigned, read_estimates
+
         read, notices = read_estimates(source)
         for line in notices:
             notice(f"notice: {source}: {line}")
         tracks = part.of_estimates(assigned(read, truths, tag, source))
-    # jax takes a second to import, which a refused file need not wait for.
     from trackwright.experiments.pages.reports.evaluate_text import pose_errors_text
-    from trackwright.experiments.text.evaluation_text import to_text
-    from trackwright.trackers.evaluation.evaluate import evaluate, metric_names
+    from trackwright.trackers.exchange.estimates import compare_tracks, pooled, pooled_names
 
     steps = poses.rpe or DEFAULT_STEPS
     if options.fail_if is not None:
@@ -190,6 +181,8 @@ def _read_truth(paths: Sequence[Path], tag: str | None, name: str | None) -> lis
         return read_with_notices(paths)
     if len(paths) > 1:
         raise UnusableInput(f"--truth {files[0]} and others; expected one trajectory file, or recording folders")
+    from trackwright.trackers.exchange.estimates import read_truth
+
     folder = read_truth(files[0], tag or FILE_TAG)
     for line in folder.notices:
         notice(f"notice: {files[0]}: {line}")
@@ -209,7 +202,6 @@ def _write(
     from trackwright.experiments.pages.charts.figures import plot_tracks
     from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
     from trackwright.experiments.pages.scored_tracks import ScoredTracks
-    from trackwright.trackers.evaluation.evaluate import associate
 
     output_folder(out)
     atomic_write(out / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))

@@ -36,9 +36,9 @@ FigureFormat = Literal["png", "pdf"]
 
 
 def _names_of_trackers(context: Any) -> list[str]:
-    from trackwright.trackers.catalogue import TRACKERS
+    from trackwright.trackers.catalogue import ENTRIES
 
-    return list(TRACKERS)
+    return list(ENTRIES)
 
 
 Tracker = Annotated[str, Parameter(metavar="NAME", completer=_names_of_trackers)]
@@ -145,13 +145,17 @@ class TrackerOptions:
     @cached_property
     def tuned(self) -> Tuned | None:
         """The content of that file; raises UnusableInput."""
+        if self.file is None:
+            return None
         from trackwright.tuning.tuned_file import read_tuned
 
-        return None if self.file is None else read_tuned(self.file)
+        return read_tuned(self.file)
 
     @cached_property
     def values(self) -> dict[str, Any]:
         """Those of `--set` by tunable or pattern; raises UnusableInput."""
+        if not self.set_:
+            return {}
         from trackwright.tuning.tuned_file import parse_values
 
         return parse_values(self.set_, "--set")

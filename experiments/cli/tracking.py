@@ -6,7 +6,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -16,9 +16,6 @@ from trackwright.experiments.cli.archives.folders import RESULTS
 from trackwright.experiments.cli.console import notice_unused_calibration, output_folder
 from trackwright.experiments.cli.manifest import write_manifest
 from trackwright.experiments.cli.options import TrackOptions
-from trackwright.experiments.cli.report import COMPARISON, print_comparison
-from trackwright.experiments.jobs.executors import cluster_executor
-from trackwright.experiments.jobs.portable_tracker import run_on
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.text.evaluation_text import to_json, to_text
@@ -144,6 +141,8 @@ def track_folders(
             pages += [] if page is None else [page]
         if of > 1:
             begin("comparison")
+            from trackwright.experiments.cli.report import COMPARISON, print_comparison
+
             if pages:
                 _write_page(options.out, pages)
                 print(f"wrote {options.out / PAGE}")
@@ -183,10 +182,13 @@ def _track(
     output_folder(out)
     give_back()
     advance = begin("tracking", sum(len(batch.trajectories) for batch in batches))
-    with cluster_executor(options.cluster) if options.cluster else nullcontext() as executor:
-        if executor is None:
-            tracks = track(batches, advance, options.seed)
-        else:
+    if options.cluster is None:
+        tracks = track(batches, advance, options.seed)
+    else:
+        from trackwright.experiments.jobs.executors import cluster_executor
+        from trackwright.experiments.jobs.portable_tracker import run_on
+
+        with cluster_executor(options.cluster) as executor:
             tracks = run_on(executor, named, folders, advance, options.seed)
     give_back()
     begin("errors and events")

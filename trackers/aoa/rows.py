@@ -1,8 +1,8 @@
-"""Trajectories and catalogue entries of trackers of phases and bearings: tables `phases` and `bearings`."""
+"""Trajectories of trackers of phases and bearings, and how each is built: tables `phases` and `bearings`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -223,7 +223,6 @@ def _all_arrays(trajectory: Trajectory) -> Hashable:
 
 _per_station = partial(
     TrackerSpec,
-    table="phases",
     trajectories=beam_trajectories,
     lacks=stations_of("phases", 1),
     geometry=_one_array,
@@ -231,35 +230,33 @@ _per_station = partial(
     bearing_only=True,
 )
 
-TRACKERS = {
-    "direct": TrackerSpec(
-        about="position from the phases of all stations in one EKF, spherical waves",
-        table="phases",
+TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
+    "direct": partial(
+        TrackerSpec,
         trajectories=phase_trajectories,
         build=lambda trajectory, planar: direct_tracker(_arrays(trajectory), planar=planar),
         lacks=stations_of("phases", 2),
         geometry=_all_arrays,
     ),
-    "cascade": TrackerSpec(
-        about="3-D position from phases, a beam tracker per station, then bearings-only fusion (Will et al.)",
-        table="phases",
+    "cascade": partial(
+        TrackerSpec,
         trajectories=phase_trajectories,
         build=lambda trajectory, planar: cascade_tracker(_arrays(trajectory)),
         lacks=stations_of("phases", 2),
         geometry=_all_arrays,
         planar=lambda trajectory, free_height: False,
     ),
-    "beam": _per_station(about="azimuth and elevation per station from phases, EKF (Will et al.)", build=_beam),
-    "das": _per_station(
-        about="azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
+    "beam": partial(_per_station, build=_beam),
+    "das": partial(
+        _per_station,
         build=lambda trajectory, planar: DelayAndSum.of(_station(trajectory), PHASES, planar),
     ),
-    "bearings": TrackerSpec(
-        about="position from azimuths and elevations of any number of stations, EKF",
-        table="bearings",
+    "bearings": partial(
+        TrackerSpec,
         trajectories=bearing_trajectories,
         build=_bearings,
         lacks=stations_of("bearings", 1),
         geometry=lambda trajectory: (_stations(trajectory), _calibrated(trajectory)),
     ),
 }
+"""How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from trackwright.trackers.core.filters.particle.filter import ParticleFilter
+from typing import TYPE_CHECKING
+
 from trackwright.trackers.core.model.motion import ConstantVelocity, GroundMotion
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart
 from trackwright.trackers.parts.singer import Singer
-from trackwright.trackers.parts.walls import Walls
+
+if TYPE_CHECKING:
+    from trackwright.trackers.parts.walls import Walls
 
 
 def fix_tracker(
@@ -62,5 +65,7 @@ def floor_tracker(
     """
     sensor = FixSensor(sigma_horizontal, sigma_horizontal, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), True, 2)
+    from trackwright.trackers.core.filters.particle.filter import ParticleFilter
+
     particles = ParticleFilter(n_particles, potential=walls)
     return Tracker(ConstantVelocity(sigma_a, 2), {FIXES: sensor}, start, particles, PATIENT, FIXES)

@@ -1,23 +1,26 @@
-"""Trajectories and catalogue entries of the baselines: table `fixes`, and the floor plan in `rig.toml`."""
+"""Trajectories of the baselines, and how each is built: table `fixes`, and the floor plan in `rig.toml`."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Mapping
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trackwright.trackers.baselines.fixes import fix_tracker, floor_tracker, singer_tracker
-from trackwright.trackers.baselines.switching import mirror_tracker, switching_tracker
-from trackwright.trackers.baselines.windows import MovingWindow
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackwright.trackers.parts.fixes import FIXES
-from trackwright.trackers.parts.walls import Walls
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
+
+# The trackers beside fix-kf, which most recordings get, are imported where one is built.
+if TYPE_CHECKING:
+    from trackwright.trackers.parts.walls import Walls
 
 COPLANAR = 0.5
 """Largest difference between the heights of anchors that count as coplanar, m."""
@@ -59,6 +62,8 @@ def floor_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
 
 def walls_of(folder: RecordingFolder) -> Walls:
     """The folder's floor plan; raises UnusableInput if there is none or it is invalid."""
+    from trackwright.trackers.parts.walls import Walls
+
     rig = folder.rig
     if rig.walls is None and rig.outline is None:
         raise UnusableInput(
@@ -82,44 +87,64 @@ def _floor_geometry(trajectory: Trajectory) -> Hashable:
     return np.asarray(walls.segments).tobytes(), np.asarray(walls.outline).tobytes()
 
 
-_of_fixes = partial(TrackerSpec, table="fixes", lacks=lacks_fixes, trajectories=fix_trajectories)
+def _switching(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    from trackwright.trackers.baselines.switching import switching_tracker
 
-TRACKERS = {
-    "floor-pf": TrackerSpec(
-        about="position from fixes on a floor with walls, particle filter with 1,000 particles",
-        table="fixes, and [floor]",
+    return switching_tracker(planar=planar)
+
+
+def _mirror(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    from trackwright.trackers.baselines.switching import mirror_tracker
+
+    return mirror_tracker()
+
+
+def _window(median: bool) -> Callable[[Trajectory, bool], AbstractTracker]:
+    def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+        from trackwright.trackers.baselines.windows import MovingWindow
+
+        return MovingWindow(WINDOW, median=median, planar=planar)
+
+    return build
+
+
+_of_fixes = partial(TrackerSpec, lacks=lacks_fixes, trajectories=fix_trajectories)
+
+TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
+    "floor-pf": partial(
+        TrackerSpec,
         lacks=lacks_floor_plan,
         trajectories=floor_trajectories,
         build=lambda trajectory, planar: floor_tracker(walls_of(trajectory.folder)),
         geometry=_floor_geometry,
         planar=lambda trajectory, free_height: True,
     ),
-    "fix-kf": _of_fixes(
-        about="position from fixes, Kalman filter, constant velocity in x and y",
+    "fix-kf": partial(
+        _of_fixes,
         build=lambda trajectory, planar: fix_tracker(planar=planar),
     ),
-    "fix-singer": _of_fixes(
-        about="position from fixes, Kalman filter, Singer's acceleration model",
+    "fix-singer": partial(
+        _of_fixes,
         build=lambda trajectory, planar: singer_tracker(planar=planar),
     ),
-    "imm": _of_fixes(
-        about="position from fixes, IMM filter of three constant-velocity models",
-        build=lambda trajectory, planar: switching_tracker(planar=planar),
+    "imm": partial(
+        _of_fixes,
+        build=_switching,
     ),
-    "fix-mirror": TrackerSpec(
-        about="position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
-        table="fixes",
+    "fix-mirror": partial(
+        TrackerSpec,
         lacks=lacks_coplanar_anchors,
         trajectories=mirror_trajectories,
-        build=lambda trajectory, planar: mirror_tracker(),
+        build=_mirror,
         planar=lambda trajectory, free_height: False,
     ),
-    "moving-average": _of_fixes(
-        about=f"mean of the last {WINDOW} fixes, axis by axis",
-        build=lambda trajectory, planar: MovingWindow(WINDOW, median=False, planar=planar),
+    "moving-average": partial(
+        _of_fixes,
+        build=_window(median=False),
     ),
-    "median": _of_fixes(
-        about=f"median of the last {WINDOW} fixes, axis by axis",
-        build=lambda trajectory, planar: MovingWindow(WINDOW, median=True, planar=planar),
+    "median": partial(
+        _of_fixes,
+        build=_window(median=True),
     ),
 }
+"""How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -9,17 +9,15 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.estimates import Estimates, numbered_names
 from trackwright.trackers.core.data.frames import evaluation_html, evaluation_text
-from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Station
-from trackwright.trackers.core.wording import counted
+from trackwright.trackers.core.wording import counted, numbered_names
 from trackwright.trackers.evaluation.association import (
     Association,
     associate_paths,
@@ -27,18 +25,23 @@ from trackwright.trackers.evaluation.association import (
     refuse_without_overlap,
 )
 from trackwright.trackers.evaluation.metrics import metric_rows
-from trackwright.trackers.evaluation.residuals import residual_ratios
 from trackwright.trackers.evaluation.scores import Scores
 from trackwright.trackers.evaluation.scoring import score, scores_of_tracks
 from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.columns import require_columns
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
-from trackwright.trackers.recordings.tracks import Tracks
 from trackwright.trackers.recordings.tracks_table import is_bearing, track_keys
 from trackwright.trackers.recordings.truth import TruePaths
 
+# Tables are evaluated without jax, which takes as long to import as most of them to evaluate.
+if TYPE_CHECKING:
+    from trackwright.trackers.core.data.estimates import Estimates
+    from trackwright.trackers.core.data.recording import Recording
+    from trackwright.trackers.recordings.tracks import Tracks
+
+    OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
+
 T = TypeVar("T")
-OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
 
 Metrics = dict[str, Any]
 """Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
@@ -111,8 +114,17 @@ def evaluate(
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
     if not association.scored.any():
         refuse_without_overlap(association, _truths(recordings))
-    ratios = residual_ratios(estimates) if isinstance(estimates, Tracks) else {}
-    return evaluate_association(association, stations, every, ratios)
+    return evaluate_association(association, stations, every, _ratios(estimates))
+
+
+def _ratios(estimates: Tracks | Estimates | pl.DataFrame | Association) -> dict[str, float]:
+    """The `residual_ratios` of tracks; none of estimates without their readings."""
+    if isinstance(estimates, pl.DataFrame | Association):
+        return {}
+    from trackwright.trackers.evaluation.residuals import residual_ratios
+    from trackwright.trackers.recordings.tracks import Tracks
+
+    return residual_ratios(estimates) if isinstance(estimates, Tracks) else {}
 
 
 class TrackScores(NamedTuple):
@@ -151,9 +163,10 @@ class TrackScores(NamedTuple):
         """The metrics by track, by recording and overall."""
         names, recordings = self.recordings(ratios or {})
         (overall,) = metric_rows(recordings.grouped(np.array([0, len(names)])))
-        by_recording = [{"recording": name, **row} for name, row in zip(names, metric_rows(recordings), strict=True)]
-        tracks = [{**key, **row} for key, row in zip(self.keys, metric_rows(self.scores), strict=True)]
-        return Evaluation(self.bearing, overall, by_recording, tracks)
+        labels = {name: [key[name] for key in self.keys] for name in self.keys[0]} if self.keys else {}
+        return Evaluation(
+            self.bearing, overall, metric_rows(recordings, {"recording": names}), metric_rows(self.scores, labels)
+        )
 
 
 def _of(name: str, values: Mapping[str, T]) -> dict[str, T]:
@@ -176,16 +189,19 @@ def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMor
 
     Arguments as of `evaluate`. Raises UnusableInput if no recording has a truth.
     """
+    if isinstance(estimates, pl.DataFrame):
+        return associate_truth(estimates, _required_truths(recordings))
+    from trackwright.trackers.core.data.estimates import Estimates
+
     several = _several(recordings)
     if isinstance(estimates, Estimates):
         _refuse_other_places(estimates.names, [recording.name for recording in several])
         table = estimates.to_polars().with_columns(tag=pl.lit(""))
-        arrays = [one for one in several if isinstance(one, Recording)]
+        arrays = [one for one in several if not isinstance(one, RecordingFolder)]
         if len(arrays) == len(several) and any("position" in one.truth for one in arrays):
             return associate_paths(table, _true_paths(arrays))
         return associate_truth(table, _required_truths(recordings))
-    truths = _required_truths(recordings)
-    return associate_truth(estimates.to_polars() if isinstance(estimates, Tracks) else estimates, truths)
+    return associate_truth(estimates.to_polars(), _required_truths(recordings))
 
 
 def _required_truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
@@ -197,7 +213,12 @@ def _required_truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
 
 
 def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
-    kinds: tuple[type[RecordingFolder | Recording], ...] = (RecordingFolder, Recording)
+    # Of recording folders alone jax need not be imported.
+    kinds: tuple[type[RecordingFolder | Recording], ...] = (RecordingFolder,)
+    if not (isinstance(recordings, Sequence) and all(isinstance(one, RecordingFolder) for one in recordings)):
+        from trackwright.trackers.core.data.recording import Recording
+
+        kinds = (RecordingFolder, Recording)
     return one_or_more(recordings, kinds, "recordings as the second argument, evaluate(estimates, recordings)")
 
 
@@ -227,18 +248,22 @@ def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
 
 def _true_paths(recordings: Sequence[Recording]) -> TruePaths:
     """The true paths of recordings in arrays, each of one trajectory, which its name identifies."""
-    names, times, positions = [], [], []
-    for name, recording in zip(numbered_names([one.name for one in recordings]), recordings, strict=True):
-        if "position" in recording.truth:
-            values, known = recording.truth["position"]
-            # Of rows of one time the first counts, as in a table.
-            first = np.diff(recording.times[known], prepend=-np.inf) > 0
-            path = np.full((int(first.sum()), 3), np.nan)
-            path[:, : values.shape[1]] = values[known][first]
-            names.append(name)
-            times.append(recording.times[known][first])
-            positions.append(path)
-    return TruePaths(names, np.cumsum([0, *map(len, times)]), np.concatenate(times), np.concatenate(positions))
+    names = numbered_names([one.name for one in recordings])
+    true = [(name, one) for name, one in zip(names, recordings, strict=True) if "position" in one.truth]
+    starts = np.cumsum([0, *(len(one.times) for _, one in true)])
+    times = np.concatenate([one.times for _, one in true])
+    known = np.concatenate([one.truth["position"][1] for _, one in true])
+    positions = np.full((len(times), 3), np.nan)
+    for start, (_, one) in zip(starts, true, strict=False):
+        values = one.truth["position"][0]
+        positions[start : start + len(values), : values.shape[1]] = values
+    path = np.repeat(np.arange(len(true)), np.diff(starts))[known]
+    # Of rows of one time the first counts, as in a table.
+    first = np.append(True, (np.diff(times[known]) > 0) | (np.diff(path) > 0))[: len(path)]
+    count = np.bincount(path[first], minlength=len(true))
+    return TruePaths(
+        [name for name, _ in true], np.append(0, np.cumsum(count)), times[known][first], positions[known][first]
+    )
 
 
 def _true_positions(recording: Recording) -> pl.DataFrame:

@@ -8,8 +8,6 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.recording import Readings, Recording
-from trackwright.trackers.line.leaving import excursions
-from trackwright.trackers.line.path import path_of
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.columns import float_column
@@ -71,6 +69,9 @@ def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[flo
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if trajectory.folder.rig.path_knots is None or known.is_empty():
         return []
+    from trackwright.trackers.line.leaving import excursions
+    from trackwright.trackers.line.path import path_of
+
     path = path_of(trajectory.folder)
     times, positions = float_column(known, "t_s"), np.stack([float_column(known, f"{a}_m") for a in "xy"], axis=1)
     sigma = np.nan_to_num(np.hypot(float_column(known, "std_x_m"), float_column(known, "std_y_m")))
@@ -88,6 +89,8 @@ def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[fl
     The free estimate is a Kalman filter on fixes, or the multilateration of recent ranges. `tracks`: the constrained
     estimates of this tag.
     """
+    from trackwright.trackers.line.leaving import excursions
+
     times, free = _free_positions(trajectory)
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if known.is_empty():

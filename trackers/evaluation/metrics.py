@@ -6,7 +6,7 @@ unless the name has `3d`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -224,7 +224,10 @@ def metrics(scores: Scores) -> dict[str, np.ndarray]:
     return found
 
 
-def metric_rows(scores: Scores) -> list[dict[str, Any]]:
-    """The metrics of each group by name, None where there are no data."""
-    columns = {name: [None if x != x else x for x in values.tolist()] for name, values in metrics(scores).items()}
+def metric_rows(scores: Scores, labels: Mapping[str, Sequence[str]] | None = None) -> list[dict[str, Any]]:
+    """The metrics of each group by name, None where there are no data; `labels` (g,) by name go before."""
+    columns: dict[str, Sequence[Any]] = {**(labels or {})}
+    for name, values in metrics(scores).items():
+        missing = np.isnan(values)
+        columns[name] = [None if x != x else x for x in values.tolist()] if missing.any() else values.tolist()
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

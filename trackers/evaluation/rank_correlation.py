@@ -6,6 +6,7 @@ A few large values rule an ordinary correlation, and a wrong noise level shifts 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int, Num
@@ -86,7 +87,10 @@ def rank_sums(
 
 def _ranks(values: np.ndarray, dof: np.ndarray, track: np.ndarray) -> np.ndarray:
     """Ranks within each group of equal track and dof, scaled to −1/2 … 1/2, ties averaged."""
-    order = np.lexsort((values, dof, track))
+    starts = np.flatnonzero(np.append(_changes(track, dof), True))
+    # Mostly the rows of a track have one dof and stand together: sorted group by group they take a fifth of the time.
+    apart = np.count_nonzero(_changes(track)) < len(starts) - 1
+    order = np.lexsort((values, dof, track)) if apart else _order_within(values, starts)
     group = np.flatnonzero(_changes(track[order], dof[order]))
     tie = np.flatnonzero(_changes(track[order], dof[order], values[order]))
     count = len(values)
@@ -95,6 +99,15 @@ def _ranks(values: np.ndarray, dof: np.ndarray, track: np.ndarray) -> np.ndarray
     ranks = np.empty(count)
     ranks[order] = (middle - np.repeat(group, sizes) + 0.5) / np.repeat(sizes, sizes) - 0.5
     return ranks
+
+
+def _order_within(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """The order (n,) that sorts the values of each group; `starts` (g + 1,): the first of each group, then n."""
+    lengths = np.diff(starts)
+    if (lengths == lengths[0]).all():
+        own = np.argsort(values.reshape(len(lengths), -1), axis=1)
+        return np.ravel(own + starts[:-1, None])
+    return np.concatenate([a + np.argsort(values[a:b]) for a, b in pairwise(starts.tolist())])
 
 
 def _changes(*columns: np.ndarray) -> np.ndarray:

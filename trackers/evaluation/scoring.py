@@ -167,8 +167,8 @@ def _lost(association: Association, rows: Groups) -> dict[str, np.ndarray]:
     if "status" not in association.rows.columns:
         none = np.zeros(len(rows.count))
         return {"lost s": none, "span s": none, "lost rows": none.astype(int), "losses": none.astype(int)}
-    status = association.rows["status"].cast(pl.String).fill_null("ok").to_numpy()
-    lost, known = status == "lost", np.isfinite(times)
+    status = association.rows["status"].cast(pl.String).fill_null("ok")
+    lost, known = (status == "lost").to_numpy(), np.isfinite(times)
     timed = rows.where(known)
     at, lost_at, some = times[known], lost[known], timed.count > 0
     first, last = timed.starts[:-1][some], timed.starts[1:][some] - 1
@@ -180,5 +180,5 @@ def _lost(association: Association, rows: Groups) -> dict[str, np.ndarray]:
         "lost s": timed.sum(np.where(lost_at, steps, 0.0)),
         "span s": span,
         "lost rows": timed.sum(lost_at),
-        "losses": np.where(some, rows.sum(status == "restarted"), 0) + ended,
+        "losses": np.where(some, rows.sum((status == "restarted").to_numpy()), 0) + ended,
     }

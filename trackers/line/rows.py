@@ -1,8 +1,8 @@
-"""Trajectories and catalogue entries of trackers on a known path: table `ranges` or `fixes`, and `[path]`."""
+"""Trajectories of trackers on a known path, and how each is built: table `ranges` or `fixes`, and `[path]`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -139,7 +139,6 @@ def _builder(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], Abstr
 
 _on_path = partial(
     TrackerSpec,
-    table="ranges or fixes, and [path]",
     trajectories=line_trajectories,
     lacks=_lacks,
     geometry=_geometry,
@@ -148,13 +147,14 @@ _on_path = partial(
     on_path=True,
 )
 
-TRACKERS = {
-    "line-grid": _on_path(
-        about="position on a known path from ranges or fixes, grid filter of arclength and speed",
+TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
+    "line-grid": partial(
+        _on_path,
         build=_builder(line_grid_tracker),
     ),
-    "line-pf": _on_path(
-        about="position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
+    "line-pf": partial(
+        _on_path,
         build=_builder(line_tracker),
     ),
 }
+"""How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

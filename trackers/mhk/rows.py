@@ -1,7 +1,8 @@
-"""Trajectories and catalogue entries of MH-K: table `fixes`."""
+"""Trajectories of MH-K, and how it is built: table `fixes`."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -30,19 +31,19 @@ def spatial_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
 
 _mhk = partial(
     TrackerSpec,
-    table="fixes",
     trajectories=spatial_trajectories,
     lacks=lacks_fixes,
     planar=lambda trajectory, free_height: False,
 )
 
-TRACKERS = {
-    "mhk": _mhk(
-        about="position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter (Huang et al.)",
+TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
+    "mhk": partial(
+        _mhk,
         build=lambda trajectory, planar: mhk_tracker(),
     ),
-    "mhk-stamped": _mhk(
-        about="mhk, with each estimate at the time of the middle of its median window",
+    "mhk-stamped": partial(
+        _mhk,
         build=lambda trajectory, planar: mhk_tracker(stamped=True),
     ),
 }
+"""How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

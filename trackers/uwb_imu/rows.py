@@ -1,8 +1,8 @@
-"""Trajectories and catalogue entries of trackers of ranges, with and without an IMU: tables `ranges` and `imu`."""
+"""Trajectories of trackers of ranges, with and without an IMU, and how each is built: tables `ranges` and `imu`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from typing import NamedTuple
@@ -267,43 +267,40 @@ def _ranges(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 
 _trilateration = partial(
     TrackerSpec,
-    table="ranges",
     trajectories=triple_trajectories,
     lacks=_lacks_known_height,
     planar=lambda trajectory, free_height: True,
 )
 
-TRACKERS = {
-    "uwb-imu": TrackerSpec(
-        about="position, velocity and attitude from ranges and an IMU, error-state EKF",
-        table="ranges and imu",
+TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
+    "uwb-imu": partial(
+        TrackerSpec,
         trajectories=inertial_trajectories,
         build=lambda trajectory, planar: inertial_tracker(_anchors(trajectory), planar),
         lacks=lacks_ranges_or_imu,
         geometry=lambda trajectory: (_anchors(trajectory), "levers" in trajectory.recording.inputs),
     ),
-    "uwb": TrackerSpec(
-        about="position from ranges, EKF with a drifting bias per anchor",
-        table="ranges",
+    "uwb": partial(
+        TrackerSpec,
         trajectories=range_trajectories,
         build=_ranges,
         lacks=lacks_ranges,
         geometry=lambda trajectory: (_bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
     ),
-    "multilateration": TrackerSpec(
-        about="position from the latest ranges, robust least squares without a filter",
-        table="ranges",
+    "multilateration": partial(
+        TrackerSpec,
         trajectories=snapshot_trajectories,
         build=lambda trajectory, planar: multilateration_tracker(planar),
         lacks=lacks_ranges,
         geometry=_anchors,
     ),
-    "trilateration": _trilateration(
-        about="planar position from three ranges, intersection of circles (Kwon et al.) without compensation (14)",
+    "trilateration": partial(
+        _trilateration,
         build=lambda trajectory, planar: trilateration_tracker(compensated=False),
     ),
-    "trilateration-compensated": _trilateration(
-        about="planar position from three ranges, intersection of circles with compensation (14) (Kwon et al.)",
+    "trilateration-compensated": partial(
+        _trilateration,
         build=lambda trajectory, planar: trilateration_tracker(compensated=True),
     ),
 }
+"""How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -75,9 +75,9 @@ def choice(*, output: Output = DEFAULTS) -> int:
     output.publish("validation choice", *tables(figures))
     if output.small:
         return 0
-    other = [kind for kind, names in PREFERENCE.items() if order_of(figures, names) != names]
+    other = [kind for kind, names in PREFERENCE.items() if order_of(figures, tuple(names)) != tuple(names)]
     for kind in other:
-        found = ", ".join(order_of(figures, PREFERENCE[kind]))
+        found = ", ".join(order_of(figures, tuple(PREFERENCE[kind])))
         print(f"choice: PREFERENCE of {kind}: {', '.join(PREFERENCE[kind])}; measured: {found}", file=sys.stderr)
     return int(bool(other))
 
@@ -128,7 +128,7 @@ def tables(figures: Sequence[Figure]) -> list[Table]:
     for kind, names in PREFERENCE.items():
         own = {(one.recording, one.tracker): one for one in figures if one.tracker in names}
         if own:
-            order = order_of(figures, names)
+            order = order_of(figures, tuple(names))
             listed = ", ".join(f"`{name}`" for name in order)
             title = kind[0].upper() + kind[1:]
             found.append(Table(_by_recording(own, order), title, f"Order: {listed}."))

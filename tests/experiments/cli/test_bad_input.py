@@ -343,27 +343,3 @@ def test_a_checkpoint_of_something_else_is_refused_and_kept(tmp_path, simulated,
     said = trackwright("tune", simulated, "--tracker", "beam", "--resume", "--out", out)
     assert_refused(said, "checkpoint.npz", "anew")
     assert (out / "checkpoint.npz").read_bytes() == before
-
-
-@pytest.mark.parametrize("options", [("--steps", 0), ("--piece-rows", 3), ("--starts", 0), ("--minibatch", 0)])
-def test_fits_of_no_steps_or_to_no_rows_are_refused(tmp_path, beginnings, options):
-    assert_refused(trackwright("tune", beginnings / "good", "--out", tmp_path / "out", *options), *map(str, options))
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("simulate", "station", "--out", "out", "--n", "many"),
-        ("track", "recording"),
-        ("tune", "recording", "--out", "out", "--optimiser", "best"),
-        ("track", "recording", "--out", "out", "--speed", "3"),
-        ("race", "recording"),
-    ],
-)
-def test_options_that_do_not_exist_end_with_code_2_and_no_traceback(tmp_path, monkeypatch, arguments):
-    monkeypatch.chdir(tmp_path)
-    said = trackwright(*arguments)
-    assert (said.code, said.out) == (2, "")
-    assert said.err
-    assert "Traceback" not in said.err
-    assert not list(tmp_path.iterdir())

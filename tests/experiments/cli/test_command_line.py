@@ -264,15 +264,6 @@ def test_without_truth_tracks_are_written_but_not_evaluated(runs, there, world):
     assert _overall(there / "blind-run", "--truth", world) == _overall(there / "direct")
 
 
-def test_without_a_tracker_the_fitting_one_is_chosen_with_a_notice(runs, there, world):
-    assert runs["direct"].code == 0
-    said = trackwright("track", world, "--out", there / "picked")
-    assert said.err.startswith("tracker: direct (")
-    assert "--tracker" in said.err
-    tracks = [pl.read_parquet(there / name / "tracks.parquet") for name in ("direct", "picked")]
-    assert tracks[0].equals(tracks[1])
-
-
 def test_the_trackers_are_listed_with_their_tables():
     said = trackwright("trackers")
     assert said.code == 0

@@ -13,10 +13,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-import trackwright.trackers.evaluation as evaluation
 from tests.in_process import assert_refused, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackwright.experiments.cli import evaluating
+from trackwright.trackers.exchange import estimates as exchange_estimates
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, trajectory_of_table, write_trajectory
 from trackwright.trackers.recordings.tracks_table import write_tracks
 
@@ -157,11 +157,7 @@ def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
     assert "time offset -1777896800.3 s" in " ".join(shifted.out.split())
     apart = trackwright("evaluate", run, "--truth", there / "true.tum")
     _refused_last(apart, "UTC, truth from 0 to", "a --time-offset: with -1777896800.3 both begin together")
-    backwards = trackwright("evaluate", run, "--from", 1777896820, "--to", 1777896810)
-    _refused_last(backwards, "--from 1777896820 --to 1777896810: expected the first below the second")
     write_tracks(moved.with_columns(pl.col("t_s") - 1777896800.0), run / "tracks.parquet")
-    missing = trackwright("evaluate", run, "--truth", "nowhere.tum")
-    _refused_last(missing, "--truth nowhere.tum: does not exist", "or a trajectory file")
     plain = trackwright("evaluate", run, "--truth", there / "true.tum")
     assert plain.code == 0, plain.err
     assert "a delay of the estimates" not in plain.out
@@ -180,8 +176,8 @@ def test_an_offset_that_was_fitted_is_said_to_hold_the_delay_of_the_filter(run, 
 
 @pytest.mark.parametrize("options", [(), ("--align", "se2")])
 def test_an_unknown_metric_is_refused_before_any_work(run, there, options, monkeypatch):
-    monkeypatch.setattr(evaluation, "evaluate", None)
-    monkeypatch.setattr(evaluating, "compare_tracks", None)
+    monkeypatch.setattr(evaluating, "evaluate", None)
+    monkeypatch.setattr(exchange_estimates, "compare_tracks", None)
     truth = () if not options else ("--truth", there / "true.tum")
     (run / "recordings.txt").write_text(f"{there}\n")
     monkeypatch.setattr(evaluating, "read_with_notices", lambda paths: [])

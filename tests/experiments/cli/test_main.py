@@ -6,12 +6,15 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 
 import pytest
 
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli.commands import COMMANDS, application
+from trackwright.sim import worlds
+from trackwright.trackers.recordings.folder import write_recording
 
 MEMBERS = ("station", "line", "ranges", "tool", "agv")
 EVERY = (*(name for name in COMMANDS if name != "simulate"), *(f"simulate {name}" for name in MEMBERS))
@@ -63,17 +66,17 @@ def test_a_family_of_commands_lists_its_members():
         (("simulate", "lines"), "simulate: no command lines (did you mean line?)"),
         (("simulate", "walk"), "simulate: no command walk; expected station, line, ranges, tool or agv"),
         (("track", "x", "--out", "o", "--nose", "f"), "no option --nose (did you mean --noise?)"),
-        (("track", "x"), "no --out given; expected --out FOLDER, the folder to write to"),
-        (("track", "x", "--out", ""), "--out '': expected FOLDER, found an empty name"),
         (("track", "x", "--out", "/"), "--out /: is the root of the file system"),
         (("tune", "x", "--out", "o", "--steps", "0"), "--steps 0: expected at least 1"),
+        (("tune", "x", "--out", "o", "--piece-rows", "3"), "--piece-rows 3: expected at least 10"),
+        (("tune", "x", "--out", "o", "--starts", "0"), "--starts 0: expected at least 1"),
+        (("tune", "x", "--out", "o", "--minibatch", "0"), "--minibatch 0: expected at least 1"),
         (("tune", "x", "--out", "o", "--optimiser", "adamm"), "expected auto or lbfgs or adam (did you mean adam?)"),
         (("track", "x", "--out", "o", "--lag", "0"), "--lag 0: expected seconds above zero"),
         (("track", "x", "--out", "o", "--set", "sigma"), "--set sigma: expected NAME=VALUE"),
         (("track", "x", "--out", "o", "--from", "9", "--to", "3"), "--from 9 --to 3: expected the first below"),
         (("track", "x", "--out", "o", "--every", "0"), "--every 0: expected seconds above zero"),
         (("track", "x", "--out", "o", "--noise", "nowhere.toml"), "nowhere.toml: cannot be read"),
-        (("evaluate", "a", "b"), "evaluate: found 'b' beyond what it takes"),
         (("sweep", "x", "--out", "o", "--over", "a=0:1:5:log"), "expected START above zero"),
     ],
 )
@@ -81,46 +84,42 @@ def test_a_mistake_is_one_line_that_names_the_option_before_anything_is_read(wor
     assert_refused(trackwright(*words), expected)
 
 
-def test_the_help_of_a_command_shows_its_options():
-    done = trackwright("tune", "--help")
-    assert done.code == 0
-    assert "--held-out" in done.out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code"),
-    [
-        (("--help",), 0),
-        (("track", "--help"), 0),
-        (("tune", "--help"), 0),
-        (("simulate", "--help"), 0),
-        (("simulate", "line", "--help"), 0),
-        (("study", "--help"), 0),
-        (("check", "GOOD"), 0),
-        (("track", "nowhere", "--out", "out"), 2),
-        (("tune", "nowhere", "--out", "out"), 2),
-        (("calibrate", "nowhere", "--out", "calibration.toml"), 2),
-        (("track", "GOOD"), 2),
-    ],
-)
-def test_help_a_check_and_a_refusal_import_no_jax(beginnings, tmp_path, arguments, code):
-    words = [str(beginnings / "good") if word == "GOOD" else word for word in arguments]
-    # Help and a wrong argument need neither arrays nor tables.
-    heavy = [
-        "jax",
-        "matplotlib",
-        *(["scipy"] if words[0] != "check" else []),  # the phases are random: their errors are looked into
-        *(["numpy", "polars"] if "--help" in words or words == ["track", words[1]] else []),
-    ]
+def _imported(lines):
+    """The modules that a new process has imported after these lines, which call `run(words…)` for a command."""
     program = (
         "import sys\nfrom trackwright.experiments.cli.main import main\n"
-        f"sys.argv = ['trackwright', *{words!r}]\n"
-        "try: main()\n"
-        "except SystemExit as end: assert end.code == int(sys.stdin.read()), end.code\n"
-        f"print('heavy:', [name for name in {heavy!r} if name in sys.modules])"
+        "def run(*words):\n    sys.argv = ['trackwright', *words]\n"
+        "    try: main()\n    except SystemExit as end: return end.code\n"
+        f"{lines}\nprint('\\nmodules:', *sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", program], input=str(code), capture_output=True, text=True, check=True)
-    assert done.stdout.endswith("heavy: []\n"), done.stdout
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    return set(done.stdout.rpartition("modules:")[2].split())
+
+
+ARRAYS, ENGINE = {"numpy", "polars", "scipy"}, {"jax", "matplotlib"}
+
+
+def test_help_lists_and_wrong_words_need_neither_arrays_nor_tables():
+    lines = "\n".join(f"assert run(*{[*command.split(), '--help']!r}) == 0" for command in EVERY)
+    lines += "\nassert run('--help') == run('trackers') == 0\nassert run('track', 'x') == 2"
+    assert not _imported(lines) & {*ARRAYS, *ENGINE}
+
+
+def test_a_check_an_evaluation_and_a_recording_that_is_not_there_need_no_jax(beginnings, tmp_path):
+    good, tracked, out = (repr(str(x)) for x in (beginnings / "good", beginnings / "tracked", tmp_path / "c.toml"))
+    lines = f"assert run('check', {good}) == run('evaluate', {tracked}) == 0"
+    lines += f"\nassert {{run(name, 'nowhere', '--out', {out}) for name in ('track', 'tune', 'calibrate')}} == {{2}}"
+    assert not _imported(lines) & ENGINE
+
+
+def test_a_track_imports_its_own_system_and_nothing_of_studies_clusters_and_other_formats(tmp_path):
+    fixes = worlds.agv(n=1, rows=20).folder()
+    write_recording(replace(fixes, rig=replace(fixes.rig, path_knots=None)), tmp_path / "fixes")
+    there, out = repr(str(tmp_path / "fixes")), repr(str(tmp_path / "out"))
+    ours = {name for name in _imported(f"assert run('track', {there}, '--out', {out}) == 0") if "trackwright." in name}
+    others = ("aoa", "line", "uwb_imu", "mhk", "exchange", "baselines.switching", "core.filters.particle")
+    places = (*(f"trackers.{name}" for name in others), "sim", "experiments.monte_carlo", "experiments.jobs")
+    assert not {name for name in ours if name.startswith(tuple(f"trackwright.{place}." for place in places))}
 
 
 def _started(words, **environment):

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackwright.experiments.cli.truth import truth
+from trackwright.experiments.cli.check import truth
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.line import THESIS_KNOTS, simulate_line
 from trackwright.trackers.core.errors import UnusableInput

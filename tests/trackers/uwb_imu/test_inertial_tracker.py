@@ -10,6 +10,7 @@ import pytest
 from trackwright.sim.imu import ideal_readings, simulate_uwb_imu, swinging
 from trackwright.sim.keys import trajectory_keys
 from trackwright.sim.ranging import chamber
+from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.rig import Rig, Tag
@@ -17,7 +18,7 @@ from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import Rotation
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.uwb_imu.inertial import InertialStart, inertial_tracker, level_attitude
-from trackwright.trackers.uwb_imu.rows import TRACKERS, inertial_trajectories
+from trackwright.trackers.uwb_imu.rows import inertial_trajectories
 
 TAGS, POINTS = 6, 480
 

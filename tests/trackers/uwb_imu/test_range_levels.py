@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from trackwright.sim import worlds as simulate
-from trackwright.trackers.catalogue import build
+from trackwright.trackers.catalogue import TRACKERS, build
 from trackwright.trackers.parts.range_rows import range_trajectories
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.calibration import UNCALIBRATED, AnchorCalibration, Calibration
-from trackwright.trackers.uwb_imu.rows import TRACKERS
 
 ANCHOR = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.array([0.0, 20.0]))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
@@ -16,6 +15,7 @@ from trackwright.trackers.core.data.frames import estimates_html, to_pandas
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.algebra import dense, triangle
 from trackwright.trackers.core.model.state import component_names, path_name
+from trackwright.trackers.core.wording import numbered_names
 
 
 class Status(IntEnum):
@@ -277,12 +277,6 @@ class Estimates:
         if restarts or np.any(status == Status.LOST):
             return f"lost and re-started {restarts} times" if restarts else "lost and never re-started"
         return "ok"
-
-
-def numbered_names(names: Sequence[str]) -> list[str]:
-    """The names, repeated ones with their position: `a`, `b`, `a` become `a`, `b`, `a 3`."""
-    first = {name: k for k, name in reversed([*enumerate(names)])}
-    return [name if first[name] == k else f"{name} {k + 1}" for k, name in enumerate(names)]
 
 
 def state_columns(estimates: Estimates) -> dict[str, Num[np.ndarray, "*rows"]]:

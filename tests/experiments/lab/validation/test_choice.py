@@ -18,7 +18,7 @@ from trackwright.experiments.lab.validation.choice import (
 )
 from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS
 from trackwright.sim import worlds
-from trackwright.trackers.catalogue import PREFERENCE, SYSTEMS, TRACKERS
+from trackwright.trackers.catalogue import ENTRIES, PREFERENCE, TRACKERS
 from trackwright.trackers.recordings.folder import read_recordings
 
 PAGE = REPOSITORY / "docs" / "which-tracker.md"
@@ -89,12 +89,14 @@ def test_the_page_has_the_order_of_the_catalogue():
             heading = next(h for h in reversed(lines[:k]) if h.startswith("### "))
             found[heading.removeprefix("### ").lower()] = tuple(line.split("`")[1::2])
     assert len(found) == 5
-    assert found == {kind: names for kind, names in PREFERENCE.items() if kind in found}
+    assert found == {kind: tuple(names) for kind, names in PREFERENCE.items() if kind in found}
 
 
 def test_every_tracker_of_the_catalogue_has_one_place_in_the_order():
     entries = [
-        name for system in SYSTEMS for name in importlib.import_module(f"trackwright.trackers.{system}.rows").TRACKERS
+        name
+        for system in {entry.system for entry in ENTRIES.values()}
+        for name in importlib.import_module(f"trackwright.trackers.{system}.rows").TRACKERS
     ]
     assert sorted(TRACKERS) == sorted(entries) == sorted(SIMPLEST_FIRST)
     assert set(SEEN_BY_DEFAULTS) <= set(TRACKERS)
