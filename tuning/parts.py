@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,7 +26,19 @@ Blocks = Sequence[Float[np.ndarray, "S p"]]
 """Vectors of a problem, those of one block in one compiled call."""
 
 
-class Parts(Protocol):
+class Computation(NamedTuple):
+    """What is computed of each chunk: `reduced(function(point, chunk), chunk)` at each block of vectors.
+
+    `realisation`: number of the random draws.
+    """
+
+    function: Function
+    blocks: Blocks
+    reduced: Reduced
+    realisation: int = 0
+
+
+class Parts(ABC):
     """The chunks of a problem, wherever they are; `rows`: of each chunk, the rows of each trajectory (B,)."""
 
     rows: list[Int[np.ndarray, " B"]]
@@ -38,49 +51,44 @@ class Parts(Protocol):
         which: Sequence[int] | None = None,
         realisation: int = 0,
     ) -> list[list[Any]]:
-        """`reduced(function(point, chunk), chunk)` of each chunk in `which`, default all, at each block of vectors.
+        """The `Computation` of each chunk in `which`, default all."""
+        computation = Computation(function, blocks, reduced, realisation)
+        return self.compute(computation, range(len(self.rows)) if which is None else which)
 
-        `realisation`: number of the random draws.
-        """
+    @abstractmethod
+    def compute(self, computation: Computation, which: Sequence[int]) -> list[list[Any]]:
+        """The results of these chunks, in their order."""
 
 
 Place = Callable[[Point, Iterable[Batch]], Parts]
 """Takes a point, whose vectors do not matter, and the chunks of a problem to where they are computed."""
 
 
-class LocalParts:
+class LocalParts(Parts):
     """The chunks of a problem in this process, on its devices."""
 
     def __init__(self, point: Point, pieces: Iterable[Batch]) -> None:
         self.point, self.chunks = point, list(placed(pieces))
         self.rows = [lengths_of(chunk) for chunk in self.chunks]
 
-    def run(
-        self,
-        function: Function,
-        blocks: Blocks,
-        reduced: Reduced,
-        which: Sequence[int] | None = None,
-        realisation: int = 0,
-    ) -> list[list[Any]]:
+    def compute(self, computation: Computation, which: Sequence[int]) -> list[list[Any]]:
         """As `Parts`."""
-        chunks = [self.chunks[k] for k in (range(len(self.chunks)) if which is None else which)]
-        if realisation:
-            chunks = [fresh_keys(chunk, realisation) for chunk in chunks]
-        points = [self.point.at(block) for block in blocks]
-        found = iter(run_chunks(function, [(point, chunk) for chunk in chunks for point in points]))
-        return [[reduced(next(found), chunk) for _ in blocks] for chunk in chunks]
+        return on_chunks(self.point, [self.chunks[k] for k in which], computation)
 
 
-def on_chunk(
-    held: tuple[Point, Batch], function: Function, blocks: Blocks, reduced: Reduced, realisation: int
-) -> list[Any]:
-    """What `Parts.run` returns of one chunk, which is held by another process with its point."""
-    point, piece = held
+def on_chunks(point: Point, chunks: Sequence[Batch], computation: Computation) -> list[list[Any]]:
+    """The results of each chunk, which is on its device."""
+    if computation.realisation:
+        chunks = [fresh_keys(chunk, computation.realisation) for chunk in chunks]
+    points = [point.at(block) for block in computation.blocks]
+    found = iter(run_chunks(computation.function, [(point, chunk) for chunk in chunks for point in points]))
+    return [[computation.reduced(next(found), chunk) for _ in points] for chunk in chunks]
+
+
+def on_chunk(point: Point, piece: Batch, computation: Computation) -> list[Any]:
+    """The results of one chunk, which another process holds with its point: block by block, in one thread."""
     (chunk,) = placed([piece])
-    if realisation:
-        chunk = fresh_keys(chunk, realisation)
-    return [reduced(run_chunks(function, [(point.at(block), chunk)])[0], chunk) for block in blocks]
+    return [on_chunks(point, [chunk], computation._replace(blocks=[block]))[0][0] for block in computation.blocks]
 
 
 def fresh_keys(part: Batch, realisation: int) -> Batch:

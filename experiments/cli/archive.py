@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -12,22 +11,30 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.cli.archives.compared import compared
-from trackwright.experiments.cli.archives.folders import RESULTS
-from trackwright.experiments.cli.archives.part import Scoring, Tracking
-from trackwright.experiments.cli.archives.runner import run_missing
-from trackwright.experiments.cli.archives.store import SCORED, TRACKED, Item, RecordingStore, content_of, digest_of
-from trackwright.experiments.cli.archives.tables import Refusals, Run, gathered, read_results, write_results
+from trackwright.experiments.cli.archive_folders import RESULTS
+from trackwright.experiments.cli.archive_part import (
+    SCORED,
+    TRACKED,
+    Found,
+    Item,
+    RecordingStore,
+    Scoring,
+    Tracking,
+    refusal,
+)
+from trackwright.experiments.cli.archive_tables import Refusals, Run, compared, gathered, read_results, write_results
 from trackwright.experiments.cli.console import json_alone, output_folder, ready
 from trackwright.experiments.cli.evaluating import conditions, violation
 from trackwright.experiments.cli.manifest import write_manifest
 from trackwright.experiments.cli.options import EvaluateOptions, TrackOptions
 from trackwright.experiments.cli.report import COMPARISON
 from trackwright.experiments.cli.tracking import endings, tracker_names, write_shown
-from trackwright.experiments.jobs.environment import environment
-from trackwright.experiments.jobs.portable_tracker import PortableTracker
-from trackwright.experiments.pages.reports.comparison import Table, comparison_text, write_comparison
+from trackwright.experiments.jobs.executors import Threads, cluster_executor
+from trackwright.experiments.jobs.portable import PortableTracker, file_of
+from trackwright.experiments.jobs.run import run as run_parts
 from trackwright.experiments.pages.reports.track import run_data
+from trackwright.experiments.pages.reports.comparison import Table, comparison_text
+from trackwright.experiments.pages.reports.comparison import write_comparison
 from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
 from trackwright.experiments.text.evaluation_text import archive_text, content
 from trackwright.experiments.text.tables import terminal_width
@@ -40,8 +47,9 @@ from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names
 from trackwright.trackers.evaluation.events import EVENTS
-from trackwright.trackers.recordings.atomic import config_hash, held
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_truth
+from trackwright.trackers.recordings.atomic import config_hash
+from trackwright.trackers.recordings.atomic import held
+from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
 
 LISTED = 20
@@ -61,16 +69,9 @@ def track_archive(
     tracked.
     """
     tracking = _tracking(options)
-    store, identity = RecordingStore(output_folder(options.out), TRACKED), _identity(tracking, options)
-
-    def read(item: Item) -> RecordingFolder:
-        return read_recording(item.path)
-
+    store = RecordingStore(output_folder(options.out), TRACKED)
     with held(options.out):
-        items = _items(store, paths, lambda path: identity)
-        done, refused = run_missing(store, items, read, tracking, options.cluster, begin("tracking", len(paths)))
-        if not done:
-            raise _none_usable("tracked", paths, refused)
+        done, refused = _run("tracked", store, paths, tracking, options.cluster, begin("tracking", len(paths)))
         begin("tables")
         runs, rows, noticed = gathered(store, paths, done, refused)
         # Before anything is printed: the reader of a pipe may close it.
@@ -101,8 +102,7 @@ def _tracking(options: TrackOptions) -> Tracking:
     """How each recording is tracked; raises UnusableInput for unknown trackers and an unreadable calibration."""
     of_file = None if options.tuned is None else options.tuned.tracker
     names = tracker_names(options.tracker or of_file, options.noise)
-    files = {name: split_name(name)[0] for name in names if spec_of(name)}
-    texts = tuple((name, Path(file).read_text("utf-8") if file else "") for name, file in files.items())
+    texts = tuple((name, file_of(name)) for name in names if spec_of(name))
     values = {**({} if options.tuned is None else options.tuned.values), **options.values}
     source = "--set" if options.values else str(options.noise)
     smoothed = options.smooth or options.lag is not None
@@ -110,35 +110,50 @@ def _tracking(options: TrackOptions) -> Tracking:
     return Tracking(texts, tracker, options.seed, options.force, options.used, options.used.read_calibration())
 
 
-def _identity(tracking: Tracking, options: TrackOptions) -> dict[str, Any]:
-    """All that the outcome of a recording depends on, beside its content."""
-    calibration = options.used.calibration
-    return {
-        "trackers": tracking.names,
-        "settings": tracking.tracker._replace(source="")._asdict(),
-        "seed": tracking.seed,
-        "force": tracking.force,
-        "used": dataclasses.asdict(options.used),
-        "calibration": None if calibration is None else calibration.read_text("utf-8"),
-        "versions": _versions(),
-    }
+def _run(
+    verb: str,
+    store: RecordingStore,
+    paths: Sequence[Path],
+    part: Tracking | Scoring,
+    cluster: str | None,
+    advance: Callable[[int], None],
+) -> tuple[set[Path], Refusals]:
+    """Runs the part of each recording that is not stored; the finished recordings, and a line for each refusal.
 
+    Raises UnusableInput where no recording is finished.
+    """
+    done: set[Path] = set()
+    refused: Refusals = {}
+    settings = part.settings()
 
-def _versions() -> dict[str, Any]:
-    """What bits depend on beside options and content."""
-    return {name: value for name, value in environment().items() if name != "programs kept"}
+    def items() -> Iterator[Item]:
+        for path in paths:
+            try:
+                fingerprint = config_hash({"content": part.content(path), **settings})
+            except OSError:
+                fingerprint = None
+            yield Item(path, store.folder(path), fingerprint)
 
+    def each(item: Item, kept: Mapping[str, Any]) -> None:
+        if kept["outcomes"]:
+            done.add(item.path)
+        if kept["refused"]:
+            refused[item.path] = kept["refused"]
+        advance(1)
 
-def _items(
-    store: RecordingStore, paths: Sequence[Path], identity: Callable[[Path], Mapping[str, Any]]
-) -> Iterator[Item]:
-    """The recordings with what their outcomes depend on, as far as it can be read."""
-    for path in paths:
-        try:
-            fingerprint = config_hash({"content": content_of(path), **identity(path)})
-        except OSError:
-            fingerprint = None
-        yield Item(path, store.folder(path), fingerprint)
+    def whole(item: Item) -> Found:
+        source: Any = part.read(item)
+        return part(source)
+
+    with cluster_executor(cluster) if cluster else Threads() as executor:
+        # For workers it is read here, since they need not see the files.
+        function, read = (part, part.read) if cluster else (whole, None)
+        run_parts(items(), function, store, executor, each, read, refusal)
+    if not done:
+        first, *others = [refused[path] for path in paths]
+        _list_refused(verb, others)
+        raise UnusableInput(first[0])
+    return done, refused
 
 
 def _compare(runs: Sequence[Run]) -> list[Table]:
@@ -191,13 +206,6 @@ def _show(
     return write_shown(tracks, page, options, out, begin)
 
 
-def _none_usable(verb: str, paths: Sequence[Path], refused: Refusals) -> UnusableInput:
-    """The error where every recording is refused: that of the first, after those of the others."""
-    first, *others = [refused[path] for path in paths]
-    _list_refused(verb, others)
-    return UnusableInput(first[0])
-
-
 def _list_refused(verb: str, refused: Sequence[Sequence[str]], table: Path | None = None) -> None:
     """A line for each refusal, up to some; `table`: the file that has all."""
     lines = [line for own in refused for line in own]
@@ -225,7 +233,7 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
 
     Raises UnusableInput where no recording can be scored.
     """
-    part, fail_if = options.used.part, options.fail_if
+    fail_if = options.fail_if
     tracked, store = RecordingStore(out, TRACKED), RecordingStore(out, SCORED)
     known = read_results(out)
     paths = [path for path in known if (tracked.folder(path) / TRACKED).is_file()]
@@ -233,24 +241,11 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
         raise UnusableInput(f"{out / RESULTS}: names no recording that is kept beside it; run `track` again")
     if fail_if is not None:
         first = tracked.folder(paths[0])
-        for one in tracked.kept(first)["outcomes"]:
+        for one in tracked.read(first)["outcomes"]:
             conditions(fail_if, metric_names(read_tracks(first / one["short"])))
-    settings = {"part": dataclasses.asdict(part), "every": part.every, "versions": _versions()}
-
-    def identity(path: Path) -> dict[str, Any]:
-        return {"tracked": digest_of(tracked.folder(path) / TRACKED).hex(), **settings}
-
-    def read(item: Item) -> tuple[list[tuple[dict[str, Any], pl.DataFrame]], list[str], RecordingFolder]:
-        kept = tracked.kept(item.folder)
-        about = [{key: one[key] for key in ("tracker", "short", "endings")} for one in kept["outcomes"]]
-        tables = [(one, read_tracks(item.folder / one["short"])) for one in about]
-        return tables, kept["notices"], read_truth(item.path)
-
+    scoring = Scoring(options.used.part, tracked)
     with held(out), json_alone(options.json) as put, stages("evaluate") as begin:
-        items, advance = _items(store, paths, identity), begin("scoring", len(paths))
-        done, refused = run_missing(store, items, read, Scoring(part, part.every), options.cluster, advance)
-        if not done:
-            raise _none_usable("evaluated", paths, refused)
+        done, refused = _run("evaluated", store, paths, scoring, options.cluster, begin("scoring", len(paths)))
         # What could not be tracked keeps its line, but is no failure of this command.
         lines = {path: own for path, own in known.items() if path not in paths} | refused
         runs, rows, noticed = gathered(store, list(known), done, lines)

@@ -19,7 +19,7 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
     started = datetime.now(UTC)
-    from trackwright.experiments.cli.archives.folders import archive_of
+    from trackwright.experiments.cli.archive_folders import archive_of
     from trackwright.experiments.cli.console import json_alone, notice_other_calibration, prepared, usable_recordings
     from trackwright.experiments.cli.runtime import keep_programs
     from trackwright.experiments.text.terminal import stages
@@ -67,7 +67,8 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
         raise UnusableInput(
             f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"
         )
-    from trackwright.experiments.cli.archives.folders import RECORDINGS, is_archive
+    from trackwright.experiments.cli.archive_folders import RECORDINGS
+    from trackwright.experiments.cli.archive_folders import is_archive
     from trackwright.experiments.cli.evaluating import evaluate_folder, evaluate_poses, sources
     from trackwright.trackers.recordings.tracks_table import TRACKS
 

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from trackwright.experiments.cli.archives.folders import RESULTS
+from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.console import notice_unused_calibration, output_folder
 from trackwright.experiments.cli.manifest import write_manifest
 from trackwright.experiments.cli.options import TrackOptions
@@ -186,7 +186,7 @@ def _track(
         tracks = track(batches, advance, options.seed)
     else:
         from trackwright.experiments.jobs.executors import cluster_executor
-        from trackwright.experiments.jobs.portable_tracker import run_on
+        from trackwright.experiments.jobs.portable import run_on
 
         with cluster_executor(options.cluster) as executor:
             tracks = run_on(executor, named, folders, advance, options.seed)

@@ -7,6 +7,7 @@ where it runs: a worker computes only with the caller's versions, XLA flags and 
 from __future__ import annotations
 
 import functools
+import itertools
 import logging
 import math
 import os
@@ -15,12 +16,12 @@ import platform
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from itertools import islice
+from queue import SimpleQueue
 from threading import Event, Thread
-from typing import Any, TypeVar
+from typing import Any
 
 from trackwright.experiments.jobs.environment import environment, require_same
 
@@ -41,10 +42,36 @@ SILENT_S = 60
 GONE_S = 15.0
 """Seconds after which a local worker that is gone is replaced: Dask starts none again that ends while it starts."""
 
-WAKE_S = 0.25
-"""Seconds after which a wait for parts looks for Ctrl-C: Polars lets system calls go on after it (SA_RESTART)."""
 
-Item = TypeVar("Item")
+class Threads(ThreadPoolExecutor):
+    """As many threads of this process as the host computes in parallel; `at_once`: parts that they are given at a time.
+
+    `devices`: each part is computed on one of these that computes no other; none: where jax would.
+    """
+
+    def __init__(self, devices: Sequence[Any] = ()) -> None:
+        import jax
+
+        from trackwright.trackers.core.run.chunks import n_workers
+
+        threads = n_workers() * len(devices) // jax.local_device_count() if devices else n_workers()
+        super().__init__(threads)
+        self.at_once, self.free = 2 * threads, SimpleQueue[Any]()
+        for _, device in zip(range(threads), itertools.cycle(devices or [None]), strict=False):
+            self.free.put(device)
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return super().submit(self._on_a_device, function, *args, **kwargs)
+
+    def _on_a_device(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        import jax
+
+        device = self.free.get()
+        try:
+            with jax.default_device(device):
+                return function(*args, **kwargs)
+        finally:
+            self.free.put(device)
 
 
 @contextmanager
@@ -242,31 +269,3 @@ def _keep_programs() -> None:
 
     with suppress(UnusableInput):
         cache_programs(report=lambda line: None)
-
-
-def finished(
-    submit: Callable[[Item], Future[Any]],
-    items: Iterable[Item],
-    at_once: int = AT_ONCE,
-    lost: Callable[[Item], Any] | None = None,
-) -> Iterator[tuple[Item, Any]]:
-    """Each item with the result of its submitted part, as parts finish; at most `at_once` are submitted at a time.
-
-    `lost`: the result of a part whose workers ended again and again; without it, that is a failure. Parts that have not
-    begun are cancelled where one fails, and where the caller stops.
-    """
-    waiting: dict[Future[Any], Item] = {}
-    remaining = iter(items)
-    try:
-        while True:
-            for item in islice(remaining, at_once - len(waiting)):
-                waiting[submit(item)] = item
-            if not waiting:
-                return
-            for future in wait(waiting, WAKE_S, FIRST_COMPLETED).done:
-                item = waiting.pop(future)
-                ended = lost is not None and type(future.exception()).__name__ == "KilledWorker"
-                yield item, lost(item) if lost is not None and ended else future.result()
-    finally:
-        for future in waiting:
-            future.cancel()

@@ -14,13 +14,14 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from trackwright.experiments.jobs.executors import computed, finished
-from trackwright.experiments.jobs.portable_tracker import PortableTracker, spec_here
+from trackwright.experiments.jobs.executors import computed
+from trackwright.experiments.jobs.portable import PortableTracker, spec_here
+from trackwright.experiments.jobs.run import finished
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.tuning.parts import Blocks, Function, Reduced, on_chunk
+from trackwright.tuning.parts import Computation, Parts, on_chunk
 from trackwright.tuning.point import Point
 from trackwright.tuning.unstacked import lengths_of
 
@@ -36,7 +37,7 @@ class FitWorkers(NamedTuple):
     folder: Path
 
 
-class HeldParts:
+class HeldParts(Parts):
     """The chunks of a problem with workers, each of which loads its own from files.
 
     Dask computes with a chunk where it is, and has it loaded again elsewhere if its worker is lost. The bits are those
@@ -65,23 +66,15 @@ class HeldParts:
             key = f"load-{uuid.uuid4().hex}"
             self.held.append(workers.client.submit(computed, workers.expected, call, key=key, pure=False))
 
-    def run(
-        self,
-        function: Function,
-        blocks: Blocks,
-        reduced: Reduced,
-        which: Sequence[int] | None = None,
-        realisation: int = 0,
-    ) -> list[list[Any]]:
-        """As `tuning.parts.Parts`."""
-        call = pickle.dumps((evaluated, (function, blocks, reduced, realisation), {}))
-        held = self.held if which is None else [self.held[k] for k in which]
+    def compute(self, computation: Computation, which: Sequence[int]) -> list[list[Any]]:
+        """As `Parts`."""
+        call = pickle.dumps((evaluated, (computation,), {}))
 
         def submit(k: int) -> Future[Any]:
-            return self.executor.submit(computed, self.workers.expected, call, held[k])
+            return self.executor.submit(computed, self.workers.expected, call, self.held[k])
 
-        found = dict(finished(submit, range(len(held)), at_once=len(held)))
-        return [found[k] for k in range(len(held))]
+        found = dict(finished(submit, which, at_once=len(which)))
+        return [found[k] for k in which]
 
 
 def _write(leaves: Sequence[np.ndarray], path: Path) -> None:
@@ -101,13 +94,13 @@ def loaded(name: str, text: str, model: bytes, structure: bytes, path: Path) -> 
         ) from error
 
 
-def evaluated(held: HeldChunk, function: Function, blocks: Blocks, reduced: Reduced, realisation: int) -> list[Any]:
-    """In a worker: what `tuning.parts.on_chunk` returns of the chunk that it holds."""
+def evaluated(held: HeldChunk, computation: Computation) -> list[Any]:
+    """In a worker: the results of the chunk that it holds."""
     name, text, model, structure, arrays = held
     numbers, treedef = jax.tree_util.tree_flatten(_unpickled(structure))
     piece = jax.tree_util.tree_unflatten(treedef, [arrays[k] for k in numbers])
     spec_here(name, text)
-    return on_chunk((_unpickled(model), piece), function, blocks, reduced, realisation)
+    return on_chunk(_unpickled(model), piece, computation)
 
 
 @functools.lru_cache(maxsize=8)

@@ -1,4 +1,4 @@
-"""The folder of a study: its identity, and one file per finished chunk, written atomically."""
+"""The folder of a study: its identity, and one file per finished chunk."""
 
 from __future__ import annotations
 
@@ -17,20 +17,28 @@ from typing import Any
 import jax
 import numpy as np
 
+from trackwright.experiments.jobs.run import Store, written
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig
 from trackwright.experiments.monte_carlo.results import ChunkTotals, Results, Totals
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import atomic_write, json_text, remove_abandoned
+from trackwright.trackers.recordings.atomic import json_text
+from trackwright.trackers.recordings.atomic import remove_abandoned
 from trackwright.trackers.recordings.input_file import file_bytes, read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"
 FORMAT = 2
 """Of the files of chunks; a folder with those of another format holds another study."""
 
+Part = tuple[int, int]
+"""A chunk: the index of its condition, and its number among the chunks of that."""
+
 
 def identity(study: Study) -> dict[str, Any]:
-    """Everything that the numbers of a study depend on: declaration, source file, chunk size, jaxlib and device."""
-    return {
+    """Everything that the numbers of a study depend on: declaration, source file, chunk size, jaxlib and device.
+
+    As study.json holds it: numbers, texts, lists and tables alone.
+    """
+    own = {
         "study": study.name,
         "format": FORMAT,
         "worlds": {k: {"make": _named(w.make), "numbers": dict(w.numbers)} for k, w in study.worlds.items()},
@@ -44,11 +52,7 @@ def identity(study: Study) -> dict[str, Any]:
         "jaxlib": version("jaxlib"),
         "device": jax.devices()[0].device_kind,
     }
-
-
-def plain_identity(study: Study) -> dict[str, Any]:
-    """The identity as study.json holds it: numbers, texts, lists and tables alone."""
-    plain: dict[str, Any] = json.loads(json_text(identity(study)))
+    plain: dict[str, Any] = json.loads(json_text(own))
     return plain
 
 
@@ -70,7 +74,7 @@ def _config(config: TrackerConfig) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class ChunkStore:
+class ChunkStore(Store[Part, bytes, Path]):
     """The folder with the finished chunks of a study."""
 
     folder: Path
@@ -78,13 +82,7 @@ class ChunkStore:
 
     def open(self) -> ChunkStore:
         """Create the folder if need be; raises UnusableInput where it holds another study or cannot be written."""
-        path, own = self.folder / IDENTITY, plain_identity(self.study)
-        try:
-            (self.folder / CHUNKS).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UnusableInput(
-                f"--out {self.folder}: cannot be created ({error.strerror}); choose another folder"
-            ) from error
+        path, own = self.folder / IDENTITY, identity(self.study)
         if path.exists():
             difference = first_difference(_stored(path), own)
             if difference:
@@ -93,23 +91,26 @@ class ChunkStore:
                     "--out, or remove the folder"
                 )
         else:
-            atomic_write(path, lambda temporary: temporary.write_text(json_text(own), "utf-8"))
+            written(self.folder, {IDENTITY: _text(own)})
         # Also where no chunk is missing, and none will be written.
         remove_abandoned(self.folder / CHUNKS)
         return self
 
-    def path(self, index: int, chunk: int) -> Path:
-        """The file of a chunk of the condition with this index."""
+    def path(self, part: Part) -> Path:
+        """The file of a chunk."""
+        index, chunk = part
         return self.folder / CHUNKS / f"{index:04d}-{chunk:06d}.npz"
 
-    def has(self, index: int, chunk: int) -> bool:
-        """Whether the chunk is finished and its file intact."""
-        path = self.path(index, chunk)
-        return path.is_file() and zipfile.is_zipfile(path)
+    def kept(self, part: Part) -> Path | None:
+        """The file of a chunk, None where it is not there or has lost its end."""
+        path = self.path(part)
+        return path if path.is_file() and zipfile.is_zipfile(path) else None
 
-    def write(self, index: int, chunk: int, content: bytes) -> None:
+    def keep(self, part: Part, content: bytes) -> Path:
         """Write the `packed` content of a chunk; raises UnusableInput where the disk is full."""
-        atomic_write(self.path(index, chunk), lambda temporary: temporary.write_bytes(content))
+        path = self.path(part)
+        written(path.parent, {path.name: lambda temporary: temporary.write_bytes(content)})
+        return path
 
     def results(self, runs: Mapping[int, int]) -> Results:
         """The results of the stored chunks; `runs`: number of runs by index of the condition."""
@@ -117,7 +118,7 @@ class ChunkStore:
         for index in runs:
             sums = {name: ChunkTotals(runs[index]) for name in self.study.trackers}
             for chunk in range(-(-runs[index] // self.study.chunk)):
-                path = self.path(index, chunk)
+                path = self.path((index, chunk))
                 try:
                     arrays = read_arrays(path)
                     for k, name in enumerate(sums):
@@ -216,13 +217,13 @@ def merge_shards(parts: Sequence[Path], out: Path) -> int:
             raise UnusableInput(
                 f"{part}: holds another study than {parts[0]} ({difference}); expected shards of one study; remove it"
             )
-    files = {path.name: path for part in parts for path in sorted((part / CHUNKS).glob("[0-9]*.npz"))}
-    try:
-        (out / CHUNKS).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UnusableInput(f"--out {out}: cannot be created ({error.strerror}); choose another folder") from error
-    for name, path in files.items():
+    chunks = {path.name: path for part in parts for path in sorted((part / CHUNKS).glob("[0-9]*.npz"))}
+    for name, path in chunks.items():
         if path.parent != out / CHUNKS:
-            atomic_write(out / CHUNKS / name, functools.partial(shutil.copyfile, path))
-    atomic_write(out / IDENTITY, lambda temporary: temporary.write_text(json_text(identities[0]), "utf-8"))
-    return len(files)
+            written(out / CHUNKS, {name: functools.partial(shutil.copyfile, path)})
+    written(out, {IDENTITY: _text(identities[0])})
+    return len(chunks)
+
+
+def _text(identity: Mapping[str, Any]) -> Callable[[Path], object]:
+    return lambda path: path.write_text(json_text(identity), "utf-8")

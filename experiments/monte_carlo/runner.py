@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 import re
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Any
 
 import jax
 import numpy as np
 
-from trackwright.experiments.jobs.executors import AT_ONCE, finished
-from trackwright.experiments.monte_carlo.chunk import require_fitting_parts
-from trackwright.experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore
+from trackwright.experiments.jobs.executors import Threads
+from trackwright.experiments.jobs.run import run
+from trackwright.experiments.monte_carlo.chunk import require_fitting_parts, run_chunk
+from trackwright.experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore, Part, packed
 from trackwright.experiments.monte_carlo.declaration import Condition, Study
-from trackwright.experiments.monte_carlo.portable import PortableStudy, packed_chunk, portable_chunk
 from trackwright.experiments.monte_carlo.results import NAMES, Results
+from trackwright.experiments.monte_carlo.sources import PortableStudy
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.run.chunks import n_workers
 from trackwright.trackers.programs.freed_memory import keep
 
 CHUNKS_PER_DEVICE = 4
@@ -82,12 +81,12 @@ def run_study(
         require_fitting_parts(study)
     store = ChunkStore(folder, study).open()
     if until is None:
-        chunks = [(condition, k) for condition in study.conditions for k in range(study.chunks)]
-        run_missing(store, chunks[shard[0] - 1 :: shard[1]], advance, executor)
+        parts = [(condition.index, k) for condition in study.conditions for k in range(study.chunks)]
+        run_missing(store, parts[shard[0] - 1 :: shard[1]], advance, executor)
         runs = {condition.index: study.runs for condition in study.conditions}
     else:
         runs = {c.index: _run_until(store, c, until, advance, executor) for c in study.conditions}
-    whole = all(store.has(index, k) for index, n in runs.items() for k in range(-(-n // study.chunk)))
+    whole = all(store.kept((index, k)) for index, n in runs.items() for k in range(-(-n // study.chunk)))
     return store.results(runs) if whole else None
 
 
@@ -98,7 +97,7 @@ def _run_until(
     study, enough, done = store.study, 1, 0
     while True:
         wanted = min(enough, study.chunks)
-        run_missing(store, [(condition, k) for k in range(done, wanted)], advance, executor)
+        run_missing(store, [(condition.index, k) for k in range(done, wanted)], advance, executor)
         runs, done = min(enough * study.chunk, study.runs), wanted
         if runs == study.runs or until.reached(store.results({condition.index: runs}), condition):
             advance(study.chunks - wanted)
@@ -106,47 +105,39 @@ def _run_until(
         enough *= 2
 
 
-def run_missing(
-    store: ChunkStore, chunks: Sequence[tuple[Condition, int]], advance: Advance, executor: Executor | None = None
-) -> None:
+def run_missing(store: ChunkStore, parts: Sequence[Part], advance: Advance, executor: Executor | None = None) -> None:
     """Run those of the chunks that are not in the store, on the executor or as many in parallel as the host allows."""
-    missing = [(condition, k) for condition, k in chunks if not store.has(condition.index, k)]
-    advance(len(chunks) - len(missing))
+    study, missing = store.study, [part for part in parts if store.kept(part) is None]
+    advance(len(parts) - len(missing))
     if not missing:
         return
-    with _submitting(store.study, len(missing), executor) as (submit, at_once):
-        for (condition, chunk), content in finished(submit, missing, at_once):
-            store.write(condition.index, chunk, content)
-            advance(1, condition.label)
+    labels = [condition.label for condition in study.conditions]
 
+    def each(part: Part, path: Path) -> None:
+        advance(1, labels[part[0]])
 
-Submit = Callable[[tuple[Condition, int]], Future[Any]]
-
-
-@contextmanager
-def _submitting(study: Study, count: int, executor: Executor | None) -> Iterator[tuple[Submit, int]]:
-    """How `count` chunks are submitted, and how many at once: to the executor, or to threads of this process."""
     if executor is not None:
-        portable = PortableStudy.of(study)
-        yield (
-            lambda item: executor.submit(portable_chunk, portable, item[0].index, item[1]),
-            getattr(executor, "at_once", AT_ONCE),
-        )
+        run(missing, functools.partial(portable_chunk, PortableStudy.of(study)), store, executor, each)
         return
     keep()
-    devices: SimpleQueue[Any] = SimpleQueue()
-    used = jax.local_devices()[: max(1, count // CHUNKS_PER_DEVICE)]
-    workers = n_workers() * len(used) // jax.local_device_count()
-    for k in range(workers):
-        devices.put(used[k % len(used)])
+    with Threads(jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]) as threads:
+        run(missing, functools.partial(packed_chunk, study), store, threads, each)
 
-    def run(condition: Condition, chunk: int) -> bytes:
-        device = devices.get()
-        try:
-            with jax.default_device(device):
-                return packed_chunk(study, condition, chunk)
-        finally:
-            devices.put(device)
 
-    with ThreadPoolExecutor(workers) as threads:
-        yield lambda item: threads.submit(run, *item), 2 * workers
+def portable_chunk(portable: PortableStudy, part: Part) -> bytes:
+    """The content of a chunk's file, computed in this process."""
+    return packed_chunk(_study(portable), part)
+
+
+@functools.lru_cache(maxsize=4)
+def _study(portable: PortableStudy) -> Study:
+    return portable.study()
+
+
+def packed_chunk(study: Study, part: Part) -> bytes:
+    """The content of a chunk's file: what `run_chunk` returns, and the computing time of all trackers, s."""
+    index, chunk = part
+    start, ids = time.perf_counter(), np.arange(chunk * study.chunk, (chunk + 1) * study.chunk)
+    arrays = run_chunk(study, study.conditions[index], ids, first=chunk == 0)
+    arrays[0]["seconds"] = np.array(time.perf_counter() - start)
+    return packed(arrays)

@@ -1,4 +1,4 @@
-"""Load a study: by name from the papers and questions of `experiments.lab`, or from a Python or TOML file."""
+"""Load a study: by name from the papers and questions of `experiments.lab`, from a file, or from what travelled."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import importlib.util
 import pkgutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from trackwright.experiments.jobs.portable import Files, copied
+from trackwright.experiments.monte_carlo.chunk_store import first_difference, identity
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput
@@ -146,3 +148,51 @@ def _check_keys(path: Path, where: str, table: Any, keys: Mapping[str, type]) ->
         # A whole number is a number; a bool is neither, although Python counts it as an int.
         if type(value) not in ((int, float) if keys[key] is float else (keys[key],)):
             raise UnusableInput(f"{path}: {full} = {value!r}; expected {KINDS[keys[key]]}")
+
+
+class PortableStudy(NamedTuple):
+    """The declaration of a study as it travels.
+
+    `what`: the name of a study of the package, or of its file. `files`: that file and those of users' trackers. `runs`
+    and `seed` may be others than declared.
+    """
+
+    what: str
+    files: Files
+    runs: int
+    seed: int
+
+    @classmethod
+    def of(cls, study: Study) -> PortableStudy:
+        """The declaration of a study that was loaded by name or from a file.
+
+        Raises UnusableInput for any other study, and for one that was changed since, except in `runs` and `seed`.
+        """
+        where = f"study '{study.name}'"
+        if not study.declared_in:
+            raise UnusableInput(
+                f"{where}: was built in memory; expected one by name or from a file, which other processes can build "
+                "too; write it to a file and load it with load_study"
+            )
+        again = _numbered(load_study(study.declared_in), study.runs, study.seed)
+        difference = first_difference(identity(again), identity(study))
+        if difference:
+            raise UnusableInput(
+                f"{where}: differs from its declaration {study.declared_in} ({difference}); expected the same, since "
+                "other processes build it from there; write the change to the file"
+            )
+        names = [config.tracker for config in study.trackers.values() if isinstance(config.tracker, str)]
+        trackers = sorted({file for file, _ in map(split_name, names) if file})
+        files = {file: Path(file).read_text("utf-8") for file in trackers}
+        if Path(study.declared_in).suffix in (".toml", ".py"):
+            files = {study.declared_in: study.source, **files}
+        return cls(study.declared_in, tuple(files.items()), study.runs, study.seed)
+
+    def study(self) -> Study:
+        """The study; the files' texts stand for the files."""
+        with copied(self.files) as places:
+            return _numbered(load_study(places.get(self.what, self.what), places), self.runs, self.seed)
+
+
+def _numbered(study: Study, runs: int, seed: int) -> Study:
+    return checked(dataclasses.replace(study, runs=runs, seed=seed))

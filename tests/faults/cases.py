@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import shutil
+import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +14,10 @@ import numpy as np
 from tests.faults.judged import faults_of
 from tests.faults.recordings import broken_recording
 from tests.faults.sources import broken_source
-from tests.faults.stores import fit_command, stores
 from tests.faults.texts import CALIBRATION, MAPPING, POINTS, STUDY, TUNED, broken_file, broken_toml, damage
 from tests.faults.values import pick
+from tests.faulty import good_tables, write_good
+from tests.in_process import trackwright
 
 TRACKERS = {
     "ranges": ("uwb", "multilateration"),
@@ -23,6 +27,41 @@ TRACKERS = {
     "imu": ("uwb-imu",),
 }
 """Trackers of few parts by the table that they read."""
+
+
+SMALL = STUDY.partition("[worlds.other]")[0] + '[trackers.fix-kf]\n[trackers.window]\ntracker = "moving-average"\n'
+
+
+@cache
+def stores() -> Path:
+    """A folder with a recording `good`, tracks `run` and `other`, a `study.toml` and its `study`, and a fit `fit`."""
+    folder = Path(tempfile.mkdtemp(prefix="stores-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    write_good(folder / "good")
+    for table in ("ranges", "bearings", "phases", "imu"):
+        (folder / "good" / f"{table}.csv").unlink()
+    for table in ("fixes", "truth"):
+        good_tables()[table].write_csv(folder / "good" / f"{table}.csv")
+    (folder / "study.toml").write_text(SMALL)
+    (folder / "points.csv").write_text(POINTS)
+    quick = ("--no-figures", "--no-report")
+    for name, tracker in (("run", "fix-kf"), ("other", "moving-average")):
+        _done("track", folder / "good", "--tracker", tracker, *quick, "--out", folder / name)
+    _done("study", folder / "study.toml", *quick, "--out", folder / "study")
+    _done(*fit_command(folder))
+    return folder
+
+
+def fit_command(folder: Path) -> tuple:
+    """The command of the fit in the folder."""
+    few = ("--steps", 2, "--force", "--starts", 1, "--free-height", "--no-figures", "--no-report")
+    return "tune", folder / "good", "--tracker", "fix-kf", *few, "--out", folder / "fit", "--resume"
+
+
+def _done(*words: str | Path | int) -> None:
+    result = trackwright(*words)
+    if result.code:
+        raise RuntimeError(f"{words}: {result.err}")
 
 
 def _tracker(seed: int, number: int, folder: Path, among: tuple[str, ...] = tuple(TRACKERS)) -> str:

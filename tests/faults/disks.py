@@ -1,4 +1,4 @@
-"""Folders that take no more files, files that lose their end, and clocks that are wrong."""
+"""Folders that take no more files, and files that lose their end."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.faults.jobs import Ended, Job, after, hurt, reference, run, temporary
+from tests.faults.jobs import Ended, Job, reference, temporary
 from tests.faults.seen import Seen, UntriedError
 from tests.in_process import trackwright
 
 Draw = np.random.Generator
-
-CLOCK = Path(__file__).parent / "wrong_clock.c"
-YEAR_S, HOUR_S = 31_557_600, 3600
 
 
 @contextmanager
@@ -115,30 +112,4 @@ def cut(name: str, times: int, draw: Draw, place: Path) -> Seen:
         seen.lost += sum(one.stat().st_ino != number for one, number in before.items())
         seen.compare(job, out, digest, ended)
         shutil.rmtree(out)
-    return seen
-
-
-def _wrong_clock(place: Path) -> Path:
-    """The library that makes the clock of a process wrong, compiled; raises UntriedError without a compiler."""
-    library = place / "wrong_clock.so"
-    compiler = shutil.which("cc")
-    line = [str(compiler), "-shared", "-fPIC", "-O1", "-o", str(library), str(CLOCK), "-ldl"]
-    if compiler is None or subprocess.run(line, capture_output=True).returncode:
-        raise UntriedError("no C compiler for a library that makes a process's clock wrong")
-    return library
-
-
-def clock(name: str, times: int, draw: Draw, place: Path, *more: str) -> Seen:
-    """A command begins in another year, is killed, and goes on with a clock that is set back by an hour on the way."""
-    preload = {"LD_PRELOAD": str(_wrong_clock(place))}
-    (job, digest), seen = reference(place, name), Seen()
-    for k in range(times):
-        out, line = place / f"clock-{k}", job.line(place / f"clock-{k}", *more)
-        ahead = (1, -1)[k % 2] * int(draw.integers(1, 30)) * YEAR_S
-        hurt(line, after(draw.uniform(1.0, 4.0)), **preload, CLOCK_SHIFT_S=str(ahead), CLOCK_AFTER_S="0")
-        before = seen.look(job, out, set())
-        back = run(line, **preload, CLOCK_SHIFT_S=str(-HOUR_S), CLOCK_AFTER_S=str(int(draw.integers(1, 4))))
-        seen.times += 1
-        seen.look(job, out, before)
-        seen.compare(job, out, digest, back)
     return seen

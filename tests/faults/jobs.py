@@ -20,6 +20,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import polars as pl
 
+from tests.experiments.cli.small_archive import write_archive
 from tests.in_process import trackwright
 from trackwright.trackers.recordings.atomic import PREFIX
 
@@ -36,6 +37,18 @@ rate_hz = 1.0
 [grid]
 'world.speed' = [0.2, 0.3, 0.4]
 """
+
+
+LONG_STUDY = """
+metrics = ["rmse_m", "nees_mean"]
+[worlds.line]
+situation = "constant"
+rate_hz = 1.0
+[trackers.fix-kf]
+"""
+
+PARTS = {"study": "chunks/[0-9]*.npz", "archive": "recordings/*/tracked.json"}
+"""The last files of finished parts, which are written once."""
 
 
 class Job(NamedTuple):
@@ -56,9 +69,9 @@ class Job(NamedTuple):
         return hashlib.sha256(b"\0".join((out / name).read_bytes() for name in self.same)).hexdigest()
 
     def finished(self, out: Path) -> set[Any]:
-        """The parts that no later command may lose or compute again: chunks of a study, steps of a fit."""
-        if self.name == "study":
-            return {(path.name, path.stat().st_ino) for path in out.glob("chunks/[0-9]*.npz")}
+        """The parts that no later command may lose or compute again: chunks, recordings, steps of a fit."""
+        if self.name in PARTS:
+            return {(str(path), path.stat().st_ino) for path in out.glob(PARTS[self.name])}
         if self.name == "tune" and (out / "checkpoint.npz").exists():
             with np.load(out / "checkpoint.npz") as arrays:
                 return {*range(int(arrays["array_0"]))}
@@ -66,17 +79,26 @@ class Job(NamedTuple):
 
 
 def jobs(place: Path) -> dict[str, Job]:
-    """A study, a track and a fit of some seconds, by name; their inputs are written to `place`."""
+    """A study, a track, an archive and a fit of some seconds, by name; their inputs are written to `place`."""
     (place / "small.toml").write_text(STUDY, "utf-8")
     done = trackwright("simulate", "agv", "--n", 3, "--rows", 200, "--out", place / "world")
     assert done.code == 0, done.err
-    world = str(place / "world")
+    write_archive(place / "walks", 30)
+    world, tables = str(place / "world"), ("tracks.parquet", "events.parquet")
+    track = ("--tracker", "fix-kf", "--no-figures")
     all_jobs = (
         Job("study", ("study", str(place / "small.toml"), "--no-figures"), ("results.json",)),
-        Job("track", ("track", world, "--tracker", "fix-kf", "--no-figures"), ("tracks.parquet", "events.parquet")),
+        Job("track", ("track", world, *track), tables),
+        Job("archive", ("track", str(place / "walks"), *track), (*tables, "evaluation.json", "results.csv")),
         _fit(world, 40),
     )
     return {job.name: job for job in all_jobs}
+
+
+def long_study(place: Path, trajectories: int) -> Job:
+    """A study of so many trajectories in a condition, up to 513 chunks."""
+    (place / "long.toml").write_text(f"runs = {trajectories}\n{LONG_STUDY}", "utf-8")
+    return Job("study", ("study", str(place / "long.toml"), "--no-figures"), ("results.json",))
 
 
 def long_fit(place: Path) -> Job:
@@ -106,13 +128,11 @@ Moment = Callable[[subprocess.Popen[bytes]], None]
 
 
 @contextmanager
-def running(line: Sequence[str], **environment: str) -> Iterator[tuple[subprocess.Popen[bytes], Callable[[], Ended]]]:
+def running(line: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], Callable[[], Ended]]]:
     """A process in a session of its own, and a function that waits for its end; it is killed with the block."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         # Files, not pipes: workers that outlive their caller would keep these open.
-        process = subprocess.Popen(
-            line, stdout=out, stderr=err, env=os.environ | environment, start_new_session=True
-        )  # fmt: skip
+        process = subprocess.Popen(line, stdout=out, stderr=err, start_new_session=True)
         try:
             yield process, lambda: Ended(process.wait(LIMIT_S), _said(out), _said(err))
         finally:
@@ -125,9 +145,9 @@ def _said(file: IO[bytes]) -> str:
     return file.read().decode(errors="replace")
 
 
-def run(line: Sequence[str], **environment: str) -> Ended:
+def run(line: Sequence[str]) -> Ended:
     """The whole process."""
-    with running(line, **environment) as (_, ended):
+    with running(line) as (_, ended):
         return ended()
 
 
@@ -136,17 +156,21 @@ def alone(job: Job, out: Path) -> Ended:
     return run(job.line(out))
 
 
-def reference(place: Path, name: str, ran: Callable[[Job, Path], Ended] = alone) -> tuple[Job, str]:
-    """A job, and the digest of its results on threads, without a fault, in the folder `whole`."""
-    job = jobs(place)[name]
+def reference_of(job: Job, place: Path, ran: Callable[[Job, Path], Ended] = alone) -> tuple[Job, str, int]:
+    """The job, and of its results on threads, without a fault, in the folder `whole`: the digest, the finished parts."""
     ended = ran(job, place / "whole")
     assert ended.code == 0, ended.err
-    return job, job.digest(place / "whole")
+    return job, job.digest(place / "whole"), len(job.finished(place / "whole"))
 
 
-def hurt(line: Sequence[str], moment: Moment, number: int = signal.SIGKILL, **environment: str) -> Ended:
+def reference(place: Path, name: str, ran: Callable[[Job, Path], Ended] = alone) -> tuple[Job, str]:
+    """A job by its name, and the digest of its results as of `reference_of`."""
+    return reference_of(jobs(place)[name], place, ran)[:2]
+
+
+def hurt(line: Sequence[str], moment: Moment, number: int = signal.SIGKILL) -> Ended:
     """The process, which gets a signal at a moment unless it has ended."""
-    with running(line, **environment) as (process, ended):
+    with running(line) as (process, ended):
         moment(process)
         process.send_signal(number)
         return ended()
@@ -187,9 +211,8 @@ def begun(job: Job, out: Path, parts: int) -> Moment:
 
 
 def temporary(out: Path) -> set[str]:
-    """The temporary files of commands in a folder and in that of its chunks."""
-    folders = [folder for folder in (out, out / "chunks") if folder.is_dir()]
-    return {name for folder in folders for name in os.listdir(folder) if name.startswith(PREFIX)}
+    """The temporary files of commands in a folder and in those inside it."""
+    return {name for _, _, files in os.walk(out) for name in files if name.startswith(PREFIX)}
 
 
 def half_written(out: Path) -> list[str]:

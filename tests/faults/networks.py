@@ -14,12 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.faults.jobs import begun, reference, run, running
+from tests.faults.jobs import begun, reference, running
 from tests.faults.seen import Seen, UntriedError
 from tests.faults.workers import dask_scheduler, dask_workers
-
-LONG_S = 60.0
-"""Seconds without a network after which Dask, by default, gives up a connection (30 s), and some more."""
 
 
 class Host(NamedTuple):
@@ -86,54 +83,4 @@ def cut(name: str, times: int, draw: np.random.Generator, place: Path) -> Seen:
                 found = ended()
             seen.look(job, out, before)
             seen.compare(job, out, digest, found)
-    return seen
-
-
-def workers_cut_off(times: int, draw: np.random.Generator, place: Path) -> Seen:
-    """The network is down for so long that workers end: the command waits for new ones and goes on."""
-    job, digest = reference(place, "study")
-    seen, ends = Seen(), 0
-    with other_host() as host:
-        for k in range(times):
-            out = place / f"cut-off-{k}"
-            with (
-                dask_scheduler(place, host.here) as (address, _),
-                running(job.line(out, "--cluster", address)) as (process, ended),
-            ):
-                with dask_workers(address, 2, *host.words) as gone:
-                    begun(job, out, int(draw.integers(1, 8)))(process)
-                    before = job.finished(out)
-                    host.cut(LONG_S)
-                    # Those that Dask starts again go on.
-                    while gone.poll() is None and process.poll() is None:
-                        time.sleep(0.1)
-                    ends += process.poll() is None
-                seen.times += 1
-                with dask_workers(address, 2, *host.words):
-                    found = ended()
-            seen.look(job, out, before)
-            seen.compare(job, out, digest, found)
-    seen.notes.append(f"both workers ended {ends} times")
-    return seen
-
-
-def caller_cut_off(times: int, draw: np.random.Generator, place: Path) -> Seen:
-    """The network from the command to the scheduler is down for so long: a refusal; the same command goes on."""
-    job, digest = reference(place, "study")
-    seen = Seen()
-    with other_host() as host, dask_scheduler(place, host.here) as (address, _), dask_workers(address, 2):
-        for k in range(times):
-            out = place / f"caller-{k}"
-            line = [*host.words, *job.line(out, "--cluster", address)]
-            with running(line) as (process, ended):
-                begun(job, out, int(draw.integers(1, 8)))(process)
-                before = job.finished(out)
-                host.cut(LONG_S)
-                found = ended()
-            seen.times += 1
-            seen.refused(found, place, 2, "the scheduler was lost")
-            before = seen.look(job, out, before)
-            again = run(line)
-            seen.look(job, out, before)
-            seen.compare(job, out, digest, again)
     return seen

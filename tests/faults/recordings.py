@@ -13,8 +13,7 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 
-from tests.faults.data import OF_BYTES
-from tests.faults.values import CELLS, FOLDER_NAMES, IDS, Draw, of_other_type, other_line, other_value, pick
+from tests.faults.values import CELLS, FOLDER_NAMES, IDS, OF_BYTES, Draw, of_other_type, other_line, other_value, pick
 from tests.faulty import RIG, good_tables
 
 FLOOR = """

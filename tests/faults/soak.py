@@ -1,4 +1,4 @@
-"""Long runs: a study, a fit and a track, over and over: `python -m tests.faults soak --hours 2`.
+"""Long runs: a study, a fit, a track and an archive, over and over: `python -m tests.faults soak --hours 2`.
 
 In one process, and every `FRESH` rounds as processes of their own, on one cache of compiled programs. After each round
 the memory, open files, threads, memory maps and Python objects of the process are written down, the most memory of the
@@ -154,24 +154,8 @@ def markdown(found: Sequence[Round], series: Mapping[str, Mapping[str, Any]]) ->
     return "\n".join(lines) + "\n"
 
 
-def draw(path: Path, found: Sequence[Round]) -> None:
-    """Each judged quantity against the hours, from zero."""
-    names = [name for name in UNITS if UNITS[name] != "s"]
-    with figure_file(path, 9.0, 5.4, "") as figure:
-        axes = figure.subplots(3, 3).ravel()
-        for axis, name in zip(axes, names, strict=True):
-            known = [(one["hours"], one[name]) for one in found if name in one]
-            axis.plot(
-                *zip(*known, strict=True), color=BLUE if name not in OTHERS else VERMILION, marker=".", ms=2, lw=0.8
-            )
-            axis.set_ylim(0, 1.15 * max(value for _, value in known) + 1e-9)
-            axis.set_title(name + (f", {UNITS[name]}" if UNITS[name] else ""))
-        for axis in axes[-3:]:
-            axis.set_xlabel("hours")
-
-
 def main() -> int:
-    """Soaks, writes what was held after each round and draws it; exit code 1 where something is not flat."""
+    """Soaks, and writes what was held after each round; exit code 1 where something is not flat."""
     parser = argparse.ArgumentParser(prog="python -m tests.faults soak", description=__doc__)
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--out", type=Path, default=Path("out/soak"))
@@ -187,8 +171,7 @@ def main() -> int:
     write_json(
         asked.out / "soak.json", {"date": datetime.now(UTC).date().isoformat(), "judged": series, "rounds": found}
     )
-    draw(asked.out / "soak.png", found)
-    print(f"{text}Written: {asked.out / 'soak.json'}, soak.png")
+    print(f"{text}Written: {asked.out / 'soak.json'}")
     if asked.page is not None:
         date = f"{datetime.now(UTC).date()}, `python -m tests.faults soak --hours {asked.hours:g}`."
         replace_tables(asked.page, "tests.faults.soak", f"{text}\n{date}\n")

@@ -12,8 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from tests.bags import RANGE, UWB, write_bag
-from tests.faults.data import OF_BYTES
-from tests.faults.values import CELLS, Draw, other_line, pick
+from tests.faults.values import CELLS, OF_BYTES, Draw, other_line, pick
 from tests.faulty import RIG
 
 LOG = (

@@ -112,7 +112,7 @@ def test_no_fault_costs_a_bit_or_a_finished_part(name):
 @pytest.mark.slow
 def test_a_worker_that_hangs_is_ended(tmp_path):
     pytest.importorskip("distributed")
-    assert not workers.hangs(1, _random("hangs"), tmp_path, 4000, silent_s=5).faults
+    assert not workers.hangs(1, _random("hangs"), tmp_path, 4000, silent_s=15).faults
 
 
 @pytest.mark.slow

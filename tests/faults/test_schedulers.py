@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 
 import pytest
 
-from tests.faults.jobs import begun, half_written, jobs, run, running, temporary
+from tests.faults.jobs import begun, half_written, jobs, reference, run, running, temporary
 from tests.faults.seen import Seen
 from tests.faults.workers import dask_cluster, dask_scheduler, dask_workers
+from tests.in_process import trackwright
 from trackwright.experiments.jobs.executors import GONE_S
 
 pytest.importorskip("distributed")
@@ -24,6 +27,10 @@ def test_a_scheduler_with_two_workers_gives_the_bits_of_threads(tmp_path):
             ended = run(job.line(there, "--cluster", address))
             assert ended.code == 0, ended.err
             assert job.digest(there) == job.digest(here)
+        scored = [
+            trackwright("evaluate", tmp_path / "track-there", "--json", *on) for on in ((), ("--cluster", address))
+        ]
+        assert scored[0] == scored[1]
 
 
 @pytest.mark.slow
@@ -63,3 +70,23 @@ def test_a_study_whose_workers_are_all_gone_says_so_and_goes_on_with_a_new_one(t
     assert "goes on with a new worker" in found.err
     assert run(job.line(tmp_path / "whole")).code == 0
     assert job.digest(out) == job.digest(tmp_path / "whole")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["study", "tune"])
+def test_ctrl_c_on_a_terminal_ends_workers_and_the_command_continues_on_threads(tmp_path, name):
+    psutil = pytest.importorskip("psutil")
+    job, digest = reference(tmp_path, name)
+    out = tmp_path / "out"
+    with running(job.line(out, "--cluster", "local:2")) as (process, ended):
+        begun(job, out, 4)(process)
+        workers = psutil.Process(process.pid).children(recursive=True)
+        os.killpg(process.pid, signal.SIGINT)
+        found = ended()
+    assert found.code == 130
+    assert "Traceback" not in found.err
+    assert found.err.splitlines()[-1].startswith(("trackwright: interrupted; ", "stopped: "))
+    assert not psutil.wait_procs(workers, timeout=10)[1]
+    assert not (out / ".tune-parts").exists()
+    assert run(job.line(out)).code == 0
+    assert job.digest(out) == digest

@@ -54,7 +54,6 @@ def test_three_minutes_are_flat(tmp_path):
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads((tmp_path / "soak.json").read_text())["judged"]["resident memory"]["flat"]
-    assert (tmp_path / "soak.png").exists()
 
 
 @pytest.mark.slow

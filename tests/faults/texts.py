@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.faults.data import OF_BYTES
-from tests.faults.values import CELLS, IDS, Draw, other_line, other_value, pick
+from tests.faults.values import CELLS, IDS, OF_BYTES, Draw, other_line, other_value, pick
 
 TUNED = """tracker = "fix-kf"
 objective = "nll"

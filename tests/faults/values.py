@@ -1,7 +1,8 @@
-"""Texts, numbers and frames' types that programs stumble over, drawn by a random generator."""
+"""Texts, numbers, types and bytes that programs stumble over, drawn by a random generator."""
 
 from __future__ import annotations
 
+import gzip
 import re
 
 import numpy as np
@@ -93,3 +94,33 @@ def other_line(draw: Draw, text: str) -> str:
     )
     lines[k : k + 1] = pick(draw, ways)
     return "\n".join(lines)
+
+
+def _flipped(draw: Draw, data: bytes) -> bytes:
+    changed = bytearray(data)
+    for at in draw.integers(len(changed), size=min(len(changed), int(pick(draw, (1, 1, 2, 8, 64))))) if changed else ():
+        changed[at] = int(draw.integers(256))
+    return bytes(changed)
+
+
+def _cut(draw: Draw, data: bytes) -> bytes:
+    return data[: int(draw.integers(len(data) + 1))]
+
+
+def _spliced(draw: Draw, data: bytes) -> bytes:
+    at = int(draw.integers(len(data) + 1))
+    new = pick(
+        draw, (b"\0" * 100, bytes(range(256)), b"\xff\xfe", b"\r", b"\x1f\x8b", b"PAR1", draw.bytes(64), data[:at])
+    )
+    return data[:at] + new + (data[at:] if draw.random() < 0.5 else data[at + len(new) :])
+
+
+def _encoded(draw: Draw, data: bytes) -> bytes:
+    return data.decode("latin-1").encode(pick(draw, ENCODINGS), "replace")
+
+
+def _packed_again(draw: Draw, data: bytes) -> bytes:
+    return gzip.compress(data, 1, mtime=0)
+
+
+OF_BYTES = (_flipped, _cut, _spliced, _encoded, _packed_again)

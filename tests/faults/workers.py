@@ -1,4 +1,4 @@
-"""Workers of a cluster that die or hang while a study runs, and a scheduler that dies."""
+"""Workers of a cluster that die or hang while a command runs, and a scheduler that dies."""
 
 from __future__ import annotations
 
@@ -8,53 +8,26 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from threading import Timer
 from typing import Any
-from unittest import mock
 
 import numpy as np
 
-from tests.faults.jobs import begun, half_written, hurt, long_fit, reference, run, running, temporary
+from tests.faults.jobs import Job, begun, hurt, long_fit, long_study, reference, reference_of, run, running
 from tests.faults.seen import Seen
 from trackwright.experiments.jobs import executors
-from trackwright.experiments.monte_carlo import load_study, run_study
-from trackwright.experiments.monte_carlo.chunk_store import ChunkStore
-from trackwright.experiments.monte_carlo.declaration import Study
-from trackwright.experiments.pages.reports.study_text import to_json
 
 Draw = np.random.Generator
 
-DECLARATION = """
-name = "faults"
-about = "What does a dead worker cost?"
-metrics = ["rmse_m", "nees_mean"]
-[worlds.line]
-situation = "constant"
-rate_hz = 1.0
-[trackers.fix-kf]
+IMPATIENT = """
+import runpy
+from trackwright.experiments.jobs import executors
+executors.SILENT_S = {}
+runpy.run_module("{}", run_name="__main__")
 """
-APART = 4
-"""Chunks between two kills, at least: a part whose worker dies four times ends the command, by design."""
-
-
-def _declared(place: Path, trajectories: int) -> Study:
-    file = place / "faults.toml"
-    file.write_text(f"runs = {trajectories}\n{DECLARATION}", "utf-8")
-    return load_study(str(file))
-
-
-def _digest(study: Study, folder: Path, cluster: str | None = None) -> str:
-    """Of the results of the study, on threads or a cluster."""
-    if cluster is None:
-        results = run_study(study, folder)
-    else:
-        with executors.cluster_executor(cluster) as executor:
-            results = run_study(study, folder, executor=executor)
-    assert results is not None
-    return str(json.loads(to_json(results, []))["sha256"])
+"""A command that takes a worker for hanging after other seconds."""
 
 
 def workers(caller: int | None = None) -> list[int]:
@@ -68,100 +41,63 @@ def workers(caller: int | None = None) -> list[int]:
     return found
 
 
-def _sent(draw: Draw, number: int, caller: int | None = None) -> int:
-    """Sends a signal to any worker of a process, by default this one; how many got it."""
-    found = workers(caller)
-    if not found:
-        return 0
-    try:
+def _sent(draw: Draw, number: int, caller: int) -> bool:
+    """Sends a signal to any worker of a process; whether one got it."""
+    with suppress(Exception):  # of psutil: the caller has ended
+        found = workers(caller)
         os.kill(found[draw.integers(len(found))], number)
-    except ProcessLookupError:
-        return 0
-    return 1
-
-
-@contextmanager
-def _hurting(draw: Draw, times: int, chunks: int, number: int = signal.SIGKILL) -> Iterator[list[int]]:
-    """Workers get a signal while chunks are computed, and every other time in the moment a result is stored.
-
-    `times`: spread over the number of `chunks`. Yields a list of the times that they got it.
-    """
-    plain, done, sent, timers = ChunkStore.write, 0, list[int](), list[Timer]()
-    apart = max(APART, 4 * chunks // (5 * times))
-
-    def send() -> None:
-        sent.append(_sent(draw, number))
-
-    def write(store: ChunkStore, index: int, chunk: int, arrays: Sequence[Mapping[str, Any]]) -> None:
-        nonlocal done
-        done += 1
-        if done % apart == 0 and sum(sent) < times:
-            if done // apart % 2:
-                send()
-            else:
-                timers.append(Timer(draw.uniform(0.0, 0.3), send))
-                timers[-1].start()
-        plain(store, index, chunk, arrays)
-
-    with mock.patch.object(ChunkStore, "write", write):
-        yield sent
-    for timer in timers:
-        timer.cancel()
+        return True
+    return False
 
 
 def killed(times: int, draw: Draw, place: Path, trajectories: int, deaths: int) -> Seen:
-    """Studies on `local:2` in each of which so many workers are killed by SIGKILL, with the bits of threads."""
-    study, seen, studies = _declared(place, trajectories), Seen(), range(0, times, deaths)
-    digest = _digest(study, place / "threads")
+    """Studies on `local:2`, in each of which so many workers are killed by SIGKILL."""
+    job, digest, chunks = reference_of(long_study(place, trajectories), place)
+    seen, studies = Seen(), range(0, times, deaths)
     for first in studies:
         out = place / f"workers-{first}"
-        with _hurting(draw, min(deaths, times - first), study.chunks) as sent:
-            found = _digest(study, out, "local:2")
-        half, left = len(half_written(out)), len(temporary(out))
-        seen += Seen(sum(sent), half=half, left=left, compared=1, differ=found != digest)
-    if seen.times < times:
-        seen.wrong.append(f"only {seen.times} kills: give it more trajectories")
-    seen.notes.append(f"{len(studies)} × {study.runs:,} trajectories in {study.chunks} chunks, {deaths} kills each")
+        seen += _killed(job, digest, chunks, min(deaths, times - first), draw, out)
+    seen.notes.append(f"{len(studies)} × {trajectories:,} trajectories in {chunks} chunks, {deaths} kills each")
     return seen
 
 
 def fit_killed(times: int, draw: Draw, place: Path) -> Seen:
-    """A fit on `local:2` whose workers are killed by SIGKILL while they evaluate, with the bits of threads."""
-    job = long_fit(place)
-    ended = run(job.line(place / "threads"))
-    assert ended.code == 0, ended.err
-    seen, out, before = Seen(), place / "workers", set[Any]()
-    steps = len(job.finished(place / "threads"))
+    """A fit on `local:2` whose workers are killed by SIGKILL while they evaluate."""
+    job, digest, steps = reference_of(long_fit(place), place)
+    seen = _killed(job, digest, steps, times, draw, place / "workers")
+    seen.notes.append(f"1,200 vehicles, {steps} steps")
+    return seen
+
+
+def _killed(job: Job, digest: str, parts: int, times: int, draw: Draw, out: Path) -> Seen:
+    """A command on `local:2`, so many workers of which are killed while it computes its parts."""
+    seen, before = Seen(), set[Any]()
     with running(job.line(out, "--cluster", "local:2")) as (caller, end):
-        for step in np.sort(draw.choice(np.arange(1, steps - 1), times, replace=False)):
-            while caller.poll() is None and (
-                len(job.finished(out)) < step or not _sent(draw, signal.SIGKILL, caller.pid)
-            ):
+        for part in np.sort(draw.choice(np.arange(1, parts - 1), times, replace=False)):
+            begun(job, out, part)(caller)
+            while caller.poll() is None and not _sent(draw, signal.SIGKILL, caller.pid):
                 time.sleep(0.02)
             seen.times += caller.poll() is None
             before = seen.look(job, out, before)
         ended = end()
-    seen.compare(job, out, job.digest(place / "threads"), ended)
+    seen.compare(job, out, digest, ended)
     if seen.times < times:
-        seen.wrong.append(f"only {seen.times} kills: give it more steps")
-    seen.notes.append(f"1,200 vehicles, {steps} steps")
+        seen.wrong.append(f"only {seen.times} kills: give it more parts")
     return seen
 
 
 def hangs(times: int, draw: Draw, place: Path, trajectories: int, silent_s: float = executors.SILENT_S) -> Seen:
     """A worker of `local:2` that hangs (SIGSTOP) for ever is ended, and its part runs elsewhere."""
-    study, seen = _declared(place, trajectories), Seen()
-    digest = _digest(study, place / "threads")
+    job, digest, _ = reference_of(long_study(place, trajectories), place)
+    seen = Seen()
     for k in range(times):
-        with (
-            mock.patch.object(executors, "SILENT_S", silent_s),
-            _hurting(draw, 1, study.chunks, signal.SIGSTOP) as sent,
-        ):
-            began = time.monotonic()
-            found = _digest(study, place / f"workers-{k}", "local:2")
-        seen += Seen(sum(sent), compared=1, differ=found != digest)
+        out, began = place / f"workers-{k}", time.monotonic()
+        _, _, module, *words = job.line(out, "--cluster", "local:2")
+        with running([sys.executable, "-c", IMPATIENT.format(silent_s, module), *words]) as (caller, end):
+            begun(job, out, 2)(caller)
+            seen.times += _sent(draw, signal.SIGSTOP, caller.pid)
+            seen.compare(job, out, digest, end())
         seen.notes.append(f"the study took {time.monotonic() - began:.0f} s")
-    seen.wrong += [f"worker {pid} is left" for pid in workers()]
     return seen
 
 

@@ -20,25 +20,24 @@ from trackwright.tuning.guessing import sample_segments
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.optimisers import Adam
 from trackwright.tuning.parameters import flatten, select_parameters
-from trackwright.tuning.parts import LocalParts, on_chunk
+from trackwright.tuning.parts import LocalParts, Parts, on_chunk
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.unstacked import Pieces, lengths_of
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 
 
-class Elsewhere:
+class Elsewhere(Parts):
     """The parts of a problem as other processes have them: all that travels is pickled, the last chunk comes first."""
 
     def __init__(self, point, pieces):
         every = list(pieces)
         self.rows, self.held = [lengths_of(piece) for piece in every], [pickle.dumps((point, one)) for one in every]
 
-    def run(self, function, blocks, reduced, which=None, realisation=0):
-        chosen = list(range(len(self.held)) if which is None else which)
-        call = pickle.dumps((function, blocks, reduced, realisation))
-        found = {k: on_chunk(pickle.loads(self.held[k]), *pickle.loads(call)) for k in reversed(chosen)}
-        return [pickle.loads(pickle.dumps(found[k])) for k in chosen]
+    def compute(self, computation, which):
+        call = pickle.dumps(computation)
+        found = {k: on_chunk(*pickle.loads(self.held[k]), pickle.loads(call)) for k in reversed(which)}
+        return [pickle.loads(pickle.dumps(found[k])) for k in which]
 
 
 LIKELIHOOD, ERROR = NegativeLogLikelihood(), RootMeanSquareError(dimensions=1)

@@ -22,8 +22,9 @@ from trackwright.experiments.cli.console import FoldersInTurn
 from trackwright.experiments.cli.options import ReadingOptions
 from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.cli.tuning_job import data_in_turn
-from trackwright.experiments.jobs.executors import cluster_client, cluster_executor, finished
+from trackwright.experiments.jobs.executors import cluster_client, cluster_executor
 from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
+from trackwright.experiments.jobs.run import finished
 from trackwright.experiments.lab.bench.cluster_scale import declared, tcp_bytes
 from trackwright.experiments.lab.bench.timing import clocked, last_line, timed_command
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown

@@ -23,13 +23,15 @@ import numpy as np
 import psutil
 
 from trackwright.experiments.cli.runtime import set_flags
-from trackwright.experiments.jobs.executors import cluster_executor, finished
+from trackwright.experiments.jobs.executors import cluster_executor
+from trackwright.experiments.jobs.run import finished
 from trackwright.experiments.lab.bench.timing import clocked
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
 from trackwright.experiments.lab.subprocesses import REPOSITORY
 from trackwright.experiments.monte_carlo import Study, load_study
 from trackwright.experiments.monte_carlo.chunk_store import ChunkStore
-from trackwright.experiments.monte_carlo.portable import PortableStudy, packed_chunk
+from trackwright.experiments.monte_carlo.runner import packed_chunk
+from trackwright.experiments.monte_carlo.sources import PortableStudy
 
 
 def declared(folder: Path, runs: int) -> Study:
@@ -106,11 +108,11 @@ def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, 
 def of_a_chunk(study: Study, place: Path) -> Row:
     """Bytes of a chunk, and seconds or ms of processor time to compute and pack it, to store it, and to add it up."""
     # The first one compiles.
-    contents = [packed_chunk(study, study.conditions[0], 0)]
+    contents = [packed_chunk(study, (0, 0))]
     store, computed, written = ChunkStore(place, study).open(), [], []
     for k in range(ROUNDS):
-        (_, write), _ = clocked(partial(store.write, 0, k, contents[-1]))
-        (_, compute), content = clocked(partial(packed_chunk, study, study.conditions[0], k + 1))
+        (_, write), _ = clocked(partial(store.keep, (0, k), contents[-1]))
+        (_, compute), content = clocked(partial(packed_chunk, study, (0, k + 1)))
         computed.append(compute)
         written.append(write)
         contents.append(content)

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 
-import numpy as np
 import pytest
 
 from tests.held_here import client_here
@@ -110,55 +104,3 @@ def test_recordings_that_no_fit_can_use_together_are_refused_and_leave_nothing(p
     assert_refused(trackwright("tune", paths[0], twice, *FIT, *on), "two recordings are both named 'hall-0'")
     assert_refused(trackwright("tune", paths[0], paths[0], *FIT, *on), "is given more than once")
     assert not (tmp_path / "out").exists()
-
-
-def _run(out, *more):
-    command = [sys.executable, "-m", "trackwright.experiments", "tune", *more, "--out", out]
-    return subprocess.Popen([*map(str, command)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-
-def _at_step(process, out):
-    """Waits until the fit has made its first step."""
-    checkpoint = out / "checkpoint.npz"
-    while process.poll() is None:
-        try:
-            with np.load(checkpoint) as saved:
-                if saved["array_0"] >= 1:
-                    return
-        except FileNotFoundError:
-            pass
-        time.sleep(0.01)
-    pytest.fail("ended before its first step")
-
-
-def _workers(process):
-    import psutil
-
-    children = psutil.Process(process.pid).children(recursive=True)
-    return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
-
-
-@pytest.mark.slow
-def test_a_worker_killed_and_ctrl_c_in_mid_fit_leave_the_bits_of_threads(paths, tmp_path):
-    pytest.importorskip("distributed")
-    # Adam takes all its steps, so that the fit is not over when the worker dies.
-    fit = (*paths, *FIT, "--optimiser", "adam", "--steps", 40, "--starts", 1, "--no-report")
-    threads = _run(tmp_path / "threads", *fit)
-    assert threads.wait() == 0
-    killed = _run(tmp_path / "killed", *fit, "--cluster", "local:2")
-    _at_step(killed, tmp_path / "killed")
-    victims = _workers(killed)
-    assert len(victims) == 2
-    os.kill(victims[0].pid, signal.SIGKILL)
-    assert killed.wait() == 0
-    stopped = _run(tmp_path / "stopped", *fit, "--cluster", "local:2")
-    _at_step(stopped, tmp_path / "stopped")
-    stopped.send_signal(signal.SIGINT)
-    assert stopped.wait() == 130
-    resumed = _run(tmp_path / "stopped", *fit, "--cluster", "local:2", "--resume")
-    assert resumed.wait() == 0
-    for name in ("tuned.toml", "trace.csv"):
-        expected = (tmp_path / "threads" / name).read_bytes()
-        assert (tmp_path / "killed" / name).read_bytes() == expected
-        assert (tmp_path / "stopped" / name).read_bytes() == expected
-    assert not [*tmp_path.glob("*/.tune-parts")]

@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 import os
 import signal
-import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from threading import Event
 
 import pytest
 
@@ -17,59 +14,8 @@ from tests.experiments.monte_carlo.small_study import TOML
 from tests.faults.workers import workers
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.jobs.environment import environment
-from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor, finished
+from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor
 from trackwright.trackers.core.errors import UnusableInput
-
-
-def test_parts_come_as_they_finish_and_few_are_submitted_at_once():
-    submitted = []
-    with ThreadPoolExecutor(2) as threads:
-
-        def submit(item):
-            submitted.append(item)
-            return threads.submit(math.factorial, item)
-
-        parts = finished(submit, range(20), at_once=3)
-        first = next(parts)
-        assert len(submitted) == 3
-        assert sorted([first, *parts]) == [(k, math.factorial(k)) for k in range(20)]
-
-
-WAITS = """
-from concurrent.futures import Future
-import polars
-from trackwright.experiments.jobs.executors import finished
-polars.LazyFrame({"a": [1]}).collect()
-print("waits", flush=True)
-list(finished(lambda item: Future(), [0]))
-"""
-
-
-def test_ctrl_c_ends_a_wait_for_a_part_that_never_ends():
-    with subprocess.Popen([sys.executable, "-c", WAITS], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as waiting:
-        assert waiting.stdout.readline() == b"waits\n"
-        time.sleep(0.5)
-        waiting.send_signal(signal.SIGINT)
-        try:
-            assert b"KeyboardInterrupt" in waiting.communicate(timeout=20)[1]
-        finally:
-            waiting.kill()
-
-
-def test_parts_that_have_not_begun_are_cancelled_where_one_fails():
-    release, run = Event(), []
-
-    def part(item):
-        if item == 0:
-            raise UnusableInput("the first part")
-        release.wait(10)
-        run.append(item)
-
-    with ThreadPoolExecutor(1) as threads:
-        with pytest.raises(UnusableInput, match="the first part"):
-            list(finished(lambda item: threads.submit(part, item), range(5), at_once=5))
-        release.set()
-    assert len(run) <= 1
 
 
 def test_a_worker_of_another_environment_computes_nothing():
@@ -113,9 +59,7 @@ def test_processes_that_end_while_they_start_are_refused_in_one_line(monkeypatch
 
 def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
     distributed = pytest.importorskip("distributed")
-    other = (
-        "import trackwright.experiments.jobs.environment as environment\nenvironment._version = lambda name: '0.0.1'\n"
-    )
+    other = "from trackwright.experiments.jobs import environment\nenvironment._version = lambda name: '0.0.1'\n"
     file = tmp_path / "small.toml"
     file.write_text(TOML)
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, preload=other, dashboard_address=":0") as started:

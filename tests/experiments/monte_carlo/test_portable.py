@@ -11,10 +11,9 @@ import pytest
 from tests.experiments.monte_carlo.small_study import SMALL, TOML
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor
-from trackwright.experiments.monte_carlo.chunk_store import plain_identity
-from trackwright.experiments.monte_carlo.portable import PortableStudy
+from trackwright.experiments.monte_carlo.chunk_store import identity
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
-from trackwright.experiments.monte_carlo.sources import load_study
+from trackwright.experiments.monte_carlo.sources import PortableStudy, load_study
 from trackwright.experiments.pages.reports.study_text import to_json
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -79,8 +78,8 @@ def test_a_study_is_built_again_from_text_and_numbers_far_from_its_files(studies
 
 def test_a_study_by_name_travels_as_its_name():
     portable = PortableStudy.of(load_study("table-3-1"))
-    assert (portable.what, portable.text, portable.trackers) == ("table-3-1", "", ())
-    assert plain_identity(portable.study()) == plain_identity(load_study("table-3-1"))
+    assert (portable.what, portable.files) == ("table-3-1", ())
+    assert identity(portable.study()) == identity(load_study("table-3-1"))
 
 
 def test_a_study_without_a_declaration_or_changed_in_memory_is_refused(studies):

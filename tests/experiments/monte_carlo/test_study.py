@@ -9,10 +9,10 @@ from tests.experiments.monte_carlo.small_study import SMALL, TOML, no_progress, 
 from tests.in_process import trackwright
 from trackwright.experiments.monte_carlo import chunk as one_chunk
 from trackwright.experiments.monte_carlo import errors
-from trackwright.experiments.monte_carlo.chunk_store import ChunkStore, compact, expanded, merge_shards
+from trackwright.experiments.monte_carlo.chunk_store import compact, expanded
 from trackwright.experiments.monte_carlo.errors import Masked, TrackedRuns, scored
 from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
-from trackwright.experiments.monte_carlo.runner import StopRule, run_missing, run_study
+from trackwright.experiments.monte_carlo.runner import StopRule, run_study
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.experiments.pages.reports.study_text import to_json, to_text
 from trackwright.trackers.core.data.chi_square import chi_square_quantile
@@ -212,31 +212,6 @@ def test_the_bound_is_the_root_mean_square_of_the_later_half_of_the_rows_in_plan
     np.testing.assert_allclose(one_chunk._bounds(None, []), expected, rtol=1e-12)
 
 
-def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, tmp_path):
-    backwards = ChunkStore(tmp_path / "backwards", SMALL).open()
-    for condition in reversed(SMALL.conditions):
-        for chunk in reversed(range(SMALL.chunks)):
-            run_missing(backwards, [(condition, chunk)], no_progress)
-    assert _sha(backwards.results({c.index: SMALL.runs for c in SMALL.conditions})) == _sha(whole[1])
-    parts = [tmp_path / f"part-{k}" for k in (1, 2)]
-    for k, part in enumerate(parts, start=1):
-        assert run_study(SMALL, part, (k, 2), None, no_progress) is None
-    # What a killed process was writing is no chunk.
-    (parts[0] / "chunks" / ".trackwright-01234567-0000-000000.npz").write_bytes(b"half")
-    assert merge_shards(parts, tmp_path / "merged") == 4
-    assert not [*(tmp_path / "merged" / "chunks").glob(".*")]
-    assert _sha(run_study(SMALL, tmp_path / "merged")) == _sha(whole[1])
-
-
-def test_a_study_continues_from_its_chunks_and_computes_a_torn_one_again(whole, tmp_path):
-    store = ChunkStore(tmp_path, SMALL).open()
-    run_missing(store, [(SMALL.conditions[1], 1)], no_progress)
-    made = store.path(1, 1).stat().st_mtime_ns
-    store.path(0, 0).write_bytes(b"torn")
-    assert _sha(run_study(SMALL, tmp_path)) == _sha(whole[1])
-    assert store.path(1, 1).stat().st_mtime_ns == made
-
-
 @pytest.mark.slow
 def test_one_and_two_devices_give_the_same_numbers_and_a_report(tmp_path):
     file, shas = tmp_path / "small.toml", []
@@ -317,10 +292,3 @@ def test_the_command_line_refuses_what_is_no_study(tmp_path, whole):
         result = trackwright("study", *words)
         assert result.code == 2, (words, result)
         assert message in result.err.splitlines()[-1]
-
-
-def test_shards_of_different_studies_are_not_merged(whole, tmp_path):
-    other = ChunkStore(tmp_path / "other", dataclasses.replace(SMALL, seed=5)).open()
-    with pytest.raises(UnusableInput, match="seed: 5, not 0|seed: 0, not 5"):
-        merge_shards([whole[0], other.folder], tmp_path / "merged")
-    assert not (tmp_path / "merged").exists()

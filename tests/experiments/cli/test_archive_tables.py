@@ -12,9 +12,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.experiments.cli.archives.small_archive import recording
-from trackwright.experiments.cli.archives.folders import MANY, archive_of, recordings_under
-from trackwright.experiments.cli.archives.rows import BLOCK, Rows
+from tests.experiments.cli.small_archive import recording
+from trackwright.experiments.cli.archive_folders import MANY, archive_of, recordings_under
+from trackwright.experiments.cli.archive_tables import BLOCK, Rows
 from trackwright.experiments.text.evaluation_text import content, json_pieces, to_json
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build

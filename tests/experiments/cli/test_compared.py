@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from trackwright.experiments.cli.archives.compared import SHOWN, compared
-from trackwright.experiments.cli.archives.tables import Run
+from trackwright.experiments.cli.archive_tables import SHOWN, Run, compared
 
 NUMBERS = np.random.default_rng(6).uniform(0.1, 0.2, (2, len(SHOWN), 40))
 

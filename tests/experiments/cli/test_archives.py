@@ -13,10 +13,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.experiments.cli.archives.small_archive import recording, write_archive
+from tests.experiments.cli.small_archive import recording, write_archive
 from tests.in_process import assert_refused, trackwright
-from trackwright.experiments.cli.archives import part, runner
-from trackwright.experiments.cli.archives.store import RecordingStore
+from trackwright.experiments.cli import archive as command
+from trackwright.experiments.cli import archive_part as part
+from trackwright.experiments.cli.archive_part import RecordingStore
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor
 from trackwright.trackers.catalogue import build
@@ -116,16 +117,16 @@ def test_few_lines_are_printed_of_any_number_of_recordings(whole):
 
 def test_the_same_command_continues_after_an_end_at_any_moment(archive, whole, begun, tmp_path, monkeypatch):
     _, expected = whole
-    write, written = RecordingStore.write, []
+    keep, written = RecordingStore.keep, []
 
     def ends(store, item, found):
-        if len(written) == 10:
+        if len(written) == 10 and found.outcomes:
             raise KeyboardInterrupt
-        written.append(item.path)
-        write(store, item, found)
+        written.extend([item.path] * bool(found.outcomes))
+        return keep(store, item, found)
 
     with monkeypatch.context() as patch:
-        patch.setattr(RecordingStore, "write", ends)
+        patch.setattr(RecordingStore, "keep", ends)
         assert trackwright("track", archive, *ALONE, "--out", tmp_path).code == 130
     assert not (tmp_path / "results.csv").exists()
     del begun[:]
@@ -292,12 +293,12 @@ def _elsewhere(cluster):
     """Workers as those of a cluster, in threads; one recording ends every worker that tracks it."""
 
     class Deadly(WorkerExecutor):
-        def submit(self, function, path, *rest):
-            if path.name == "walk-01":
+        def submit(self, function, *rest):
+            if rest[-1].path.name == "walk-01":
                 ended = Future()
                 ended.set_exception(KilledWorker("walk-01"))
                 return ended
-            return super().submit(function, path, *rest)
+            return super().submit(function, *rest)
 
     with ThreadPoolExecutor(2) as threads:
         yield Deadly(threads, environment())
@@ -306,7 +307,7 @@ def _elsewhere(cluster):
 def test_a_cluster_computes_the_same_bits_and_a_recording_that_ends_workers_costs_its_own_line(tmp_path, monkeypatch):
     write_archive(tmp_path / "archive", 4)
     assert trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "here").code == 0
-    monkeypatch.setattr(runner, "cluster_executor", _elsewhere)
+    monkeypatch.setattr(command, "cluster_executor", _elsewhere)
     on = ("--cluster", "tcp://elsewhere:8786")
     done = trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "there", *on)
     assert done.code == 1

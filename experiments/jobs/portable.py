@@ -1,24 +1,56 @@
-"""A tracker by name as text and numbers, from which other processes track the recordings of a batch one by one."""
+"""What travels to other processes as text and numbers: users' files, and a tracker by name."""
 
 from __future__ import annotations
 
 import functools
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import polars as pl
 
-from trackwright.experiments.jobs.executors import finished
-from trackwright.trackers.catalogue import spec_of
-from trackwright.trackers.core.user_file import split_name
+from trackwright.experiments.jobs.run import finished
+from trackwright.trackers.catalogue import spec_of, split_name
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 from trackwright.trackers.recordings.tracks import Tracks
+
+Files = tuple[tuple[str, str], ...]
+"""Users' files: the path of each, as it was given, and its text."""
+
+
+@contextmanager
+def copied(files: Files) -> Iterator[dict[str, str]]:
+    """The files in a temporary folder: the place of each by its path."""
+    places = {}
+    with tempfile.TemporaryDirectory(prefix="trackwright-") as folder:
+        for k, (path, text) in enumerate(files):
+            copy = Path(folder) / f"{k}" / Path(path).name
+            copy.parent.mkdir()
+            copy.write_text(text, "utf-8")
+            places[path] = str(copy)
+        yield places
+
+
+def file_of(name: str) -> str:
+    """The text of the user's file of a tracker given as `FILE.py:NAME`; empty for one of the catalogue."""
+    file, _ = split_name(name)
+    return Path(file).read_text("utf-8") if file else ""
+
+
+@functools.lru_cache(maxsize=8)
+def spec_here(name: str, text: str) -> TrackerSpec:
+    """The entry of the catalogue, or that of a user's file with this text; kept, since its programs are compiled."""
+    file, attribute = split_name(name)
+    if not file:
+        return spec_of(name)
+    with copied(((file, text),)) as places:
+        return spec_of(f"{places[file]}:{attribute}")
 
 
 class PortableTracker(NamedTuple):
@@ -35,10 +67,8 @@ class PortableTracker(NamedTuple):
     @classmethod
     def of(cls, tracker: NamedTracker) -> PortableTracker:
         """The name, file and numbers of a tracker of the catalogue or of a user's file."""
-        file, _ = split_name(tracker.name)
-        text = Path(file).read_text("utf-8") if file else ""
         numbers = dict(tracker.values), tracker.source, tracker.smoothed, tracker.lag
-        return cls(tracker.name, text, tracker.free_height, *numbers)
+        return cls(tracker.name, file_of(tracker.name), tracker.free_height, *numbers)
 
     def tracks(self, folder: RecordingFolder, seed: int) -> tuple[pl.DataFrame, dict[str, int]]:
         """Of one recording: the table of estimates, and how many trajectories ended how."""
@@ -51,18 +81,6 @@ class PortableTracker(NamedTuple):
         if self.values:
             tracker = tracker.with_values(self.values, self.source)
         return tracker.smoothing(self.lag) if self.smoothed else tracker
-
-
-@functools.lru_cache(maxsize=8)
-def spec_here(name: str, text: str) -> TrackerSpec:
-    """The entry of the catalogue, or that of a user's file with this text; kept, since its programs are compiled."""
-    file, attribute = split_name(name)
-    if not file:
-        return spec_of(name)
-    with tempfile.TemporaryDirectory(prefix="trackwright-") as folder:
-        copy = Path(folder) / Path(file).name
-        copy.write_text(text, "utf-8")
-        return spec_of(f"{copy}:{attribute}")
 
 
 def run_on(

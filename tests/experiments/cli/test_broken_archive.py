@@ -5,7 +5,7 @@ from __future__ import annotations
 import polars as pl
 import pytest
 
-from tests.experiments.cli.archives.small_archive import write_archive
+from tests.experiments.cli.small_archive import write_archive
 from tests.faults.recordings import broken_recording
 from tests.in_process import trackwright
 

@@ -13,7 +13,8 @@ from tests.in_process import trackwright
 from trackwright import sim
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor
-from trackwright.experiments.jobs.portable_tracker import run_on
+from trackwright.experiments.jobs.portable import run_on
+from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.folder import read_recordings
@@ -61,7 +62,7 @@ def test_metrics_of_recordings_scored_one_by_one_are_those_of_all_at_once(paths,
 
 
 def test_bearings_of_recordings_scored_one_by_one_have_the_same_metrics(elsewhere):
-    folders = [dataclasses.replace(sim.worlds.station(n=1, seed=k, rows=20).folder(), name=f"r{k}") for k in range(2)]
+    folders = [dataclasses.replace(worlds.station(n=1, seed=k, rows=20).folder(), name=f"r{k}") for k in range(2)]
     truth = folders[0].tables["truth"]
     count, rng = len(truth), np.random.default_rng(4)
     columns = ("azimuth_rad", "elevation_rad", "std_azimuth_rad", "std_elevation_rad")
@@ -74,17 +75,3 @@ def test_bearings_of_recordings_scored_one_by_one_have_the_same_metrics(elsewher
     ]
     table = pl.concat(tables)
     assert evaluate(table, folders, None, elsewhere) == evaluate(table, folders)
-
-
-@pytest.mark.slow
-def test_the_commands_track_and_evaluate_on_a_scheduler_s_workers(paths, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as started:
-        on = ("--cluster", started.scheduler_address)
-        done = trackwright("track", *paths, "--out", tmp_path / "out", *on)
-        assert done.code == 0, done.err
-        scored = trackwright("evaluate", tmp_path / "out", "--json", *on)
-    folders = read_recordings(paths)
-    alone = [build("fix-kf", folders).run(folder).table for folder in folders]
-    assert pl.read_parquet(tmp_path / "out" / "tracks.parquet").equals(pl.concat(alone))
-    assert scored.out == trackwright("evaluate", tmp_path / "out", "--json").out

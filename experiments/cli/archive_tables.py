@@ -1,21 +1,26 @@
-"""The tables of an archive, put together from its finished recordings: estimates, metrics and one table of results."""
+"""The tables of an archive, put together from its finished recordings: estimates, metrics, results, comparisons."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import polars as pl
 
-from trackwright.experiments.cli.archives.folders import RESULTS
-from trackwright.experiments.cli.archives.rows import Rows
-from trackwright.experiments.cli.archives.store import RecordingStore
+from trackwright.experiments.cli.archive_folders import RESULTS
+from trackwright.experiments.cli.archive_part import RecordingStore
+from trackwright.experiments.pages.reports.comparison import BEARING_NAMES, Contrast, Table, adjusted, difference_table
 from trackwright.experiments.text.evaluation_text import json_pieces
+from trackwright.experiments.text.wording import Unit, fixed, length_unit
 from trackwright.trackers.core.errors import UnusableInput, has_control, one_line
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.evaluation.comparison import LEAST_PIECES, METRICS, Difference, jackknifed
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.metrics import metric_rows
 from trackwright.trackers.evaluation.scores import Scores
@@ -27,6 +32,48 @@ NAMES, TEXTS = ("recording", "path", "tracker", "tracks", "endings"), ("notices"
 
 Refusals = dict[Path, list[str]]
 """A line for each refusal, by the path of the recording."""
+
+SHOWN = tuple(name for name in METRICS if "3d" not in name)
+"""The metrics that are compared, those of the error first."""
+
+BLOCK = 256
+"""Rows that are held as dictionaries before they become columns."""
+
+
+class Rows(Sequence[dict[str, Any]]):
+    """Rows that are appended one by one; a value that a row lacks is None."""
+
+    def __init__(self, frame: pl.DataFrame | None = None) -> None:
+        self._blocks = [] if frame is None else [frame]
+        self._latest: list[Mapping[str, Any]] = []
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Adds a row."""
+        self._latest.append(row)
+        if len(self._latest) == BLOCK:
+            self._pack()
+
+    def _pack(self) -> None:
+        self._blocks.append(pl.DataFrame(self._latest, infer_schema_length=None))
+        self._latest = []
+
+    @property
+    def frame(self) -> pl.DataFrame:
+        """All rows as a table."""
+        if self._latest or not self._blocks:
+            self._pack()
+        if len(self._blocks) > 1:
+            self._blocks = [pl.concat(self._blocks, how="diagonal_relaxed", rechunk=True)]
+        return self._blocks[0]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.frame[index].to_dicts() if isinstance(index, slice) else self.frame.row(index, named=True)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return self.frame.iter_rows(named=True)
 
 
 @dataclass
@@ -112,7 +159,7 @@ def gathered(store: RecordingStore, paths: Sequence[Path], done: Container[Path]
         whole = str(path.resolve())
         # Never tracked: no command looks for it by this name.
         whole = one_line(whole) if has_control(whole) else whole
-        kept = store.kept(store.folder(path)) if path in done else {"outcomes": [], "notices": []}
+        kept = store.read(store.folder(path)) if path in done else {"outcomes": [], "notices": []}
         for summary in kept["outcomes"]:
             name, short = summary["recording"], summary["short"]
             if (owner := owners.setdefault(name, path)) != path:
@@ -156,3 +203,56 @@ def read_results(out: Path) -> Refusals:
     for recording, line in rows.drop_nulls("path").iter_rows():
         found.setdefault(Path(recording), []).extend([] if line is None else [line])
     return found
+
+
+def compared(runs: Sequence[Run]) -> list[Table]:
+    """The trackers over the recordings that all have scored, of which each counts once; empty without one.
+
+    The intervals are those of `paired_differences`, with recordings for pieces.
+    """
+    if len(runs) < 2 or len({run.bearing for run in runs}) > 1:
+        return []
+    bearing, names = runs[0].bearing, [run.short for run in runs]
+    metrics = [BEARING_NAMES.get(name, name) if bearing else name for name in SHOWN]
+    values = {name: found for name in metrics if (found := _common(runs, name)).size}
+    rmse = values.get(metrics[0])
+    if rmse is None:
+        return []
+    medians = {name: np.median(values[name], axis=1) for name in metrics[:3]}
+    unit = Unit("°", 180 / math.pi) if bearing else length_unit(float(medians[metrics[0]].min()))
+    lowest = (rmse == rmse.min(axis=0)).mean(axis=1)
+    rows = [
+        [name, *(fixed(own[k] * unit.factor, 2) for own in medians.values()), f"{100 * lowest[k]:.0f} %"]
+        for k, name in enumerate(names)
+    ]
+    what = "Angles between directions" if bearing else "Horizontal position errors"
+    head = ("tracker", "RMSE", "median", "p95", "lowest RMSE in")
+    note = f"Medians over the {counted(rmse.shape[1], 'recording')} that all trackers have."
+    over = Table(f"{what} in {unit.name}", head, 1, rows, note)
+    contrasts = [
+        Contrast("", metric, name, one := _difference(found[0], own), one.p)
+        for metric, found in values.items()
+        for name, own in zip(names[1:], found[1:], strict=True)
+    ]
+    differences = difference_table(names[0], adjusted(contrasts), unit)
+    note = differences.note if rmse.shape[1] >= LEAST_PIECES else f"No intervals with fewer than {LEAST_PIECES}."
+    return [over, differences._replace(title=f"Means over recordings, and differences from {names[0]}", note=note)]
+
+
+def _common(runs: Sequence[Run], metric: str) -> np.ndarray:
+    """The metric (k, n) of the k trackers in the n recordings in which all have it."""
+    found = [
+        run.recordings.frame.select("recording", pl.col(metric).cast(pl.Float64).alias(str(k)))
+        for k, run in enumerate(runs)
+    ]
+    joined = found[0]
+    for other in found[1:]:
+        joined = joined.join(other, on="recording")
+    return joined.drop("recording").drop_nulls().to_numpy().T
+
+
+def _difference(first: np.ndarray, second: np.ndarray) -> Difference:
+    """The difference of the means of paired values (n,)."""
+    differences = second - first
+    without = (differences.sum() - differences) / max(len(differences) - 1, 1)
+    return jackknifed(float(first.mean()), float(second.mean()), without)._replace(kind="recordings")
