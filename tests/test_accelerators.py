@@ -13,7 +13,7 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.run.tracker import filter_batch
 from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import flatten, select_parameters
-from trackwright.tuning.point import term_sums
+from trackwright.tuning.parts import term_sums
 from trackwright.tuning.problem import Problem
 
 DEFAULT = ("beam", "das", "fix-kf, smoothed", "line-grid", "mhk", "multilateration", "particles", "uwb", "uwb-imu")

@@ -107,6 +107,7 @@ from trackwright.trackers.uwb_imu.inertial import inertial_tracker as inertial_t
 from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker as multilateration_tracker
 from trackwright.trackers.uwb_imu.trilateration import trilateration_tracker as trilateration_tracker
 from trackwright.tuning.calibrating import calibrate as calibrate
+from trackwright.tuning.fitting import FitOptions as FitOptions
 from trackwright.tuning.fitting import FitResult as FitResult
 from trackwright.tuning.fitting import fit as fit
 from trackwright.tuning.objectives import AbstractObjective as AbstractObjective
@@ -233,6 +234,7 @@ __all__ = [
     "add_kind",
     # fits
     "fit",
+    "FitOptions",
     "FitResult",
     "LBFGS",
     "Adam",

@@ -3,6 +3,8 @@
 Each angle of a station, and each anchor, is a robust linear regression of its own with a weak normal prior. Its errors
 are correlated: over seconds, and at a place however often a tag returns. Rows of one piece of time and place share
 their weight, and the covariance is a sandwich whose meat adds scores within pieces of time and within places.
+
+Cross-fitting corrects a recording by what others show, or each half of it by the other half.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.calibration import (
@@ -163,3 +166,27 @@ def _tag_biases(
     fits = regressions(of_tags, np.zeros(1), np.array([TAG_SIGMA])).values()
     biases = np.array([fit.terms[0] for fit in fits])
     return biases - biases.mean(), np.sqrt([fit.covariance[0, 0] for fit in fits])
+
+
+def by_others(folder: RecordingFolder, folders: Sequence[RecordingFolder]) -> RecordingFolder:
+    """The recording with a calibration of the other `folders`; raises UnusableInput as `calibrate`."""
+    return folder.calibrated(calibrate([other for other in folders if other is not folder]))
+
+
+def by_halves(folder: RecordingFolder) -> list[RecordingFolder]:
+    """The halves of a recording with truth, each with a calibration of the other; raises as `calibrate`."""
+    first, second = halves(folder)
+    return [first.calibrated(calibrate(second)), second.calibrated(calibrate(first))]
+
+
+def halves(folder: RecordingFolder) -> tuple[RecordingFolder, RecordingFolder]:
+    """The rows before the middle of the truth, and those from there on."""
+    times = folder.tables["truth"]["t_s"]
+    before = pl.col("t_s") < 0.5 * (float(times[0]) + float(times[-1]))
+    first, second = (
+        replace(
+            folder, name=f"{folder.name}, {which} half", tables={k: t.filter(rows) for k, t in folder.tables.items()}
+        )
+        for which, rows in (("first", before), ("second", ~before))
+    )
+    return first, second

@@ -14,9 +14,9 @@ import numpy as np
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write, config_hash
 from trackwright.trackers.recordings.input_file import read_arrays
+from trackwright.tuning.batches import AnyBatch, Pieces
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.optimisers import AbstractOptimiser
-from trackwright.tuning.unstacked import AnyBatch, Pieces
 
 CHECKPOINT = "checkpoint.npz"
 FORMAT = 2

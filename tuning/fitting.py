@@ -17,33 +17,29 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.reading_grids import ReadingGrid, of_raw_readings, reading_grids
+from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
-from trackwright.tuning.data import FitData
-from trackwright.tuning.fit_arrays import Arrays, fit_arrays
+from trackwright.tuning.data import Arrays, FitData, fit_arrays
 from trackwright.tuning.fit_cautions import collapsed, fit_cautions
-from trackwright.tuning.newton import newton
+from trackwright.tuning.identifiability import kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
-from trackwright.tuning.optimisation import FitState, MultiStart, stands_still
+from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still
 from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
-from trackwright.tuning.optimum import optimum
 from trackwright.tuning.parameters import (
     Parameter,
+    by_label,
     flatten,
+    floors,
     limits,
     physical,
     select_parameters,
     tuned_by_default,
     with_parameters,
 )
-from trackwright.tuning.parts import LocalParts, Place
+from trackwright.tuning.parts import Keep, LocalParts
 from trackwright.tuning.priors import Prior
 from trackwright.tuning.problem import Evaluation, Problem
-from trackwright.tuning.reading_grids import floors
-from trackwright.tuning.starts import initial_state
-from trackwright.tuning.uncertainty import Uncertainty, uncertainty_at, unidentifiable
-from trackwright.tuning.undetermined import kept_at_start
-from trackwright.tuning.unstacked import Pieces
-from trackwright.tuning.weights import Weigh
+from trackwright.tuning.uncertainty import Uncertainty, optimum, uncertainty_at, unidentifiable
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
@@ -64,22 +60,19 @@ class Step:
 class FitResult(Generic[AnyTracker]):
     """A tuned tracker, its uncertainty and the optimiser trace.
 
-    `values`: physical, by label. `value`, `start_value`: the objective. `n_excluded`: trajectories without usable
-    gradients. `problem`, `vector`, `evaluation`: the objective as a function, its best point, and its value and
-    gradient there. `uncertainty`: None where the fit was interrupted. `trace`: the steps of the best start, ending at
-    `vector`; `starts`: of all starts. `before`: the tracker at the first start, tied numbers made equal and bounded
-    ones clipped. `limits`: lowest and highest vector. `converged`: whether the best start ended before the last step,
-    or its optimiser takes all. `selected`: whether held-out recordings chose `vector`. `readings`: steps and
-    repetitions of the readings. `recordings`: that of each trajectory of `problem`.
+    `problem`, `vector`, `evaluation`: the objective as a function, its best point, and its value and gradient there.
+    `value`, `start_value`: the objective at the best point and at the start. `uncertainty`: None where the fit was
+    interrupted. `trace`: the steps of the best start, ending at `vector`; `starts`: of all starts. `before`: the
+    tracker at the first start, tied numbers made equal and bounded ones clipped. `limits`: lowest and highest vector.
+    `converged`: whether the best start ended before the last step, or its optimiser takes all. `selected`: whether
+    held-out recordings chose `vector`. `readings`: steps and repetitions of the readings. `recordings`: that of each
+    trajectory of `problem`.
     """
 
     tracker: AnyTracker
-    parameters: list[Parameter]
-    values: dict[str, np.ndarray]
     value: float
     start_value: float
     start_vector: Float[np.ndarray, " p"]
-    n_excluded: int
     problem: Problem
     vector: Float[np.ndarray, " p"]
     evaluation: Evaluation
@@ -103,21 +96,25 @@ class FitResult(Generic[AnyTracker]):
             lines.append(f"  {p.label} {shown} {p.example.unit}")
         return "\n".join([*lines, *(f"  caution: {text}" for text in self.cautions)]) + ">"
 
+    @property
+    def parameters(self) -> list[Parameter]:
+        """The tuned parameters."""
+        return self.problem.parameters
+
+    @cached_property
+    def values(self) -> dict[str, np.ndarray]:
+        """The physical values by label."""
+        return by_label(self.parameters, self.vector)
+
+    @property
+    def n_excluded(self) -> int:
+        """The number of trajectories without usable gradients at the best point."""
+        return self.problem.n_excluded(self.evaluation)
+
     @cached_property
     def cautions(self) -> list[str]:
-        """Clauses on what speaks against the result; of a likelihood they take another run of the filter.
-
-        See `tuning.fit_cautions`.
-        """
-        return fit_cautions(
-            self.problem,
-            self.start_vector,
-            self.vector,
-            self.uncertainty,
-            self.readings,
-            self.recordings,
-            self.selected,
-        )
+        """Caveats on the result (`tuning.fit_cautions`). For a likelihood this runs the filter once more."""
+        return fit_cautions(self)
 
     @cached_property
     def collapsed(self) -> list[str]:
@@ -140,29 +137,60 @@ class FitResult(Generic[AnyTracker]):
         return self.uncertainty.standard_errors()
 
 
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """How a fit is done.
+
+    `frozen`: patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: None
+    for `LBFGS` for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters and
+    minibatches. `steps`: the most of each start. `starts`: the tracker's own values, then the best of the `guesses` and
+    of a coarse grid. `held_out`: recordings that select the best point and end the fit, as `fit` takes them.
+    `dimensions`: 3 to judge an estimated height too; None for 3 with `state-nll`, where truth and estimates have
+    heights, and 2 else. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight.
+    `minibatch`: trajectories per step, drawn from `seed`; None for all. `priors`: for likelihoods only. `chunk`:
+    trajectories in one compiled call.
+    """
+
+    frozen: Sequence[str] = ()
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    optimiser: AbstractOptimiser | None = None
+    steps: int = 60
+    starts: int = 1
+    held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = ()
+    dimensions: int | None = None
+    weigh: Weigh = "recordings"
+    minibatch: int | None = None
+    priors: Sequence[Prior] = ()
+    guesses: Sequence[AbstractTracker] = ()
+    seed: int = 0
+    chunk: int = CHUNK
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where a fit is computed, and what is told of it; the result has the same bits everywhere.
+
+    `keep`: takes the rows to where they are computed, by default to the devices of this process. `resume`: arrays of a
+    state (`tuning.checkpoint.to_arrays`), from which the fit goes on. `report` is called with the state after every
+    step, `stage` with the name of each stage.
+    """
+
+    keep: Keep = LocalParts
+    resume: Sequence[np.ndarray] | None = None
+    report: Callable[[FitState], object] = lambda state: None
+    stage: Callable[[str], object] = lambda name: None
+
+
+DEFAULTS, HERE = FitOptions(), Place()
+
+
 def fit(
     tracker: AnyTracker,
     recordings: Arrays | FitData | RecordingFolder | Sequence[RecordingFolder],
     objective: str | AbstractObjective | Loss | None = None,
     tune: str | Sequence[str] | None = None,
-    *,
-    frozen: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    optimiser: AbstractOptimiser | None = None,
-    steps: int = 60,
-    starts: int = 1,
-    held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = (),
-    dimensions: int | None = None,
-    weigh: Weigh = "recordings",
-    minibatch: int | None = None,
-    priors: Sequence[Prior] = (),
-    guesses: Sequence[AbstractTracker] = (),
-    seed: int = 0,
-    chunk: int = CHUNK,
-    resume: Sequence[np.ndarray] | None = None,
-    report: Callable[[FitState], None] = lambda state: None,
-    stage: Callable[[str], object] = lambda name: None,
-    place: Place = LocalParts,
+    options: FitOptions = DEFAULTS,
+    on: Place = HERE,
 ) -> FitResult[AnyTracker]:
     """The tracker with the tunables matching `tune` fitted to minimise the objective.
 
@@ -170,15 +198,7 @@ def fit(
     several, or batches. `objective`: an object, its name as on the command line (`nll`, `rmse`, `state-nll`, ...), or a
     function of a row's state and truth, whose mean is minimised (`tuning.objectives.MeanLoss`); default `state-nll`
     where there is truth and no prior, else `nll`. `tune`: shell patterns; by default the noise levels of motion and
-    sensors, and with truth the latency of fixes. `dimensions`: 3 to judge an estimated height too, the default for
-    `state-nll`. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `frozen`:
-    patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: default `LBFGS`
-    for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters and minibatches.
-    `starts`: the tracker's own values, then the best of the `guesses` and of a coarse grid. `held_out`: recordings
-    that select the best point and end the fit. `minibatch`: trajectories per step. `priors`: for likelihoods only.
-    `report` is called with the state after every step, `stage` with the name of each stage; `resume`: arrays of a
-    state (`tuning.checkpoint.to_arrays`), to bit-identical results; `place`: where the rows are kept and computed
-    on, with the same bits.
+    sensors, and with truth the latency of fixes. `options`: how it is done; `on`: where.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The noise levels of a sensor whose readings have a step are not fitted below that of its rounding, step/√12,
@@ -187,41 +207,45 @@ def fit(
     Raises ValueError for patterns that match nothing or can't be tied, for empty bounds and for priors without a
     likelihood; FloatingPointError where the objective is not finite at the first start.
     """
+    frozen, bounds, priors, minibatch = options.frozen, options.bounds, options.priors, options.minibatch
     objective = "nll" if objective is None and priors else objective
-    data = fit_arrays(tracker, recordings, objective, held_out, dimensions, weigh)
+    data = fit_arrays(tracker, recordings, objective, options.held_out, options.dimensions, options.weigh)
     model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
     tune = tuned_by_default(model, objective.needs_truth) if tune is None else tune
     parameters = select_parameters(model, tune, frozen)
     if priors and not objective.is_likelihood:
         raise ValueError("priors need the likelihood nll as objective; give bounds with another one")
-    trajectories = chunk if minibatch is None else min(chunk, minibatch)
-    problem = Problem(model, batches, objective, parameters, trajectories, priors, data.weights, place)
-    scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights, place) if apart else None
-    readings, bounds = of_raw_readings(reading_grids(model, Pieces(batches)), data.folders), bounds or {}
+    chunk = options.chunk if minibatch is None else min(options.chunk, minibatch)
+    problem = Problem(model, batches, objective, parameters, chunk, priors, data.weights, on.keep)
+    scoring = None
+    if apart:
+        scoring = Problem(model, apart, objective, parameters, options.chunk, (), data.held_out_weights, on.keep)
+    readings = of_raw_readings(reading_grids(model, Pieces(batches)), data.folders)
     low, high = limits(parameters, bounds)
     low = np.maximum(low, floors(readings, parameters, bounds))
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
     smooth = objective.has_density and minibatch is None and not problem.stochastic
-    optimiser = optimiser or (LBFGS() if smooth else Adam(steps))
+    optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
     per_step = None if minibatch is None else max(1, minibatch // len(problem.parts.rows[0]))
-    driver = MultiStart(problem, optimiser, steps, low, high, scoring, minibatch=per_step, seed=seed)
-    if resume is not None:
-        state = from_arrays(optimiser, resume)
+    driver = MultiStart(problem, optimiser, options.steps, low, high, scoring, minibatch=per_step, seed=options.seed)
+    starts = options.starts
+    if on.resume is not None:
+        state = from_arrays(optimiser, on.resume)
     else:
-        others = [flatten(select_parameters(guess, tune, frozen)) for guess in guesses]
+        others = [flatten(select_parameters(guess, tune, frozen)) for guess in options.guesses]
         state = initial_state(driver, np.stack([flatten(parameters), *others]), starts)
     interrupted = False
     try:
-        report(state)
+        on.report(state)
         while not driver.done(state) or (starts == 1 and stands_still(state)):
             if driver.done(state):
                 starts, state = OTHER_STARTS, initial_state(driver, state.past_vectors[0], OTHER_STARTS)
             else:
                 state = driver.step(state)
-            report(state)
+            on.report(state)
     except KeyboardInterrupt:
         interrupted = True
-    stage("the best values so far" if interrupted else "intervals")
+    on.stage("the best values so far" if interrupted else "intervals")
     result = _result(model, driver, state, interrupted)
     result = dataclasses.replace(result, readings=readings, recordings=data.recordings_of(problem))
     if isinstance(tracker, NamedTracker):
@@ -259,12 +283,9 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         traces[winner].append(Step(value, float(np.linalg.norm(last.gradients)), by_label(parameters, vector)))
     return FitResult(
         tracker=with_parameters(tracker, parameters, vector),
-        parameters=parameters,
-        values=by_label(parameters, vector),
         value=value,
         start_value=float(start_value),
         start_vector=own,
-        n_excluded=problem.n_excluded(last),
         problem=problem,
         vector=vector,
         evaluation=last,
@@ -295,12 +316,6 @@ def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[Float[
     other = problem.finite_values(restored, problem.evaluate(restored).terms)
     as_good = other[0] <= problem.finite_values(vector, evaluation.terms)[0]
     return restored if as_good else vector, 2
-
-
-def by_label(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> dict[str, np.ndarray]:
-    """The physical values by the parameters' labels."""
-    values = physical(parameters, vector)
-    return {p.label: np.asarray(v, float) for p, v in zip(parameters, values, strict=True)}
 
 
 def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list[Step]:

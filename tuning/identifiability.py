@@ -1,19 +1,22 @@
-"""Identifiability in words: which parameters the recordings can't determine, before a fit and after it."""
+"""Identifiability: which parameters the recordings can't determine, in words, and those that keep their start."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.tunable import Scale, tunables
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.tuning.intervals import refit
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, component_kinds, component_names
+from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import MIN_COMPONENT, Uncertainty, determined, unidentifiable, unused
 
 LARGE_SIGMA = 1.0
@@ -171,3 +174,42 @@ def _invariant(names: list[str], direction: Float[np.ndarray, " 2"]) -> str:
 
 def _change(kind: type, size: float) -> str:
     return f"{100 * (math.exp(0.1 * size) - 1):+.0f} %" if kind is Scale else f"{0.1 * size:+.2g} units"
+
+
+PART = 0.05
+"""Part of what a fit gained that a flat number may have gained, where the objective is no likelihood."""
+
+NATS = 1.92
+"""Rise of a likelihood, nats, within which a value is in the 95 % interval of a profile (Wilks 1938)."""
+
+ROUNDS = 8
+"""Steps of the other numbers with one at its starting value."""
+
+
+class Kept(NamedTuple):
+    """A vector (p,), which of its numbers (p,) are at their starting values, and the number of vectors evaluated."""
+
+    vector: Float[np.ndarray, " p"]
+    at_start: Bool[np.ndarray, " p"]
+    vectors: int
+
+
+def kept_at_start(problem: Problem, found: Uncertainty, start: Float[np.ndarray, " p"], gain: float) -> Kept:
+    """The optimum with its flat numbers at their values of `start` (p,), and the others fitted again.
+
+    Flat are numbers along which the objective has no curvature at the optimum, or hardly any. One keeps its starting
+    value where that costs less than `NATS` of a likelihood, or `PART` of the `gain` of the fit of another objective.
+    """
+    vector, kept, vectors = found.optimum.vector, np.zeros(len(start), bool), 0
+    nats = found.optimum.nats_per_unit
+    limit = found.optimum.value + (NATS / nats if np.isfinite(nats) else PART * gain)
+    for component in flat_components(found):
+        if problem.stochastic or vector[component] == start[component]:
+            continue
+        fixed = kept | (np.arange(len(start)) == component)
+        trial, used = np.where(fixed, start, vector)[None], found.optimum.used[None].astype(float)
+        refitted = refit(problem, trial, found.optimum.hessian, ~(found.at_bound | fixed), used, ROUNDS)
+        vectors += ROUNDS + 1
+        if refitted.values[0] <= limit:
+            vector, kept = refitted.vectors[0], fixed
+    return Kept(vector, kept, vectors)

@@ -2,13 +2,223 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.special import chdtri
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.profiles import MIN_TRAJECTORIES, bootstrap, percentile_intervals, profile
-from trackwright.tuning.uncertainty import Uncertainty
+from trackwright.tuning.parameters import Parameter, physical, physical_vector
+from trackwright.tuning.problem import Problem
+from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined
+
+if TYPE_CHECKING:
+    from trackwright.tuning.fitting import FitResult
+
+HALF_WIDTH = 3.5
+"""Half width of a profile in standard deviations, where the likelihood of a normal shape has fallen by 6 nats."""
+
+MAX_HALF_WIDTH = float(np.log(1e3))
+"""Largest half width in unconstrained coordinates, and that of an undetermined number."""
+
+MIN_TRAJECTORIES = 5
+"""Fewest trajectories for the bootstrap."""
+
+ROUNDS = 4
+"""Steps of the other numbers at every point of a profile, starting from the quadratic model's optimum."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The objective minimised over all other numbers, at G values of one number.
+
+    `raw`, `values` (G,): unconstrained and physical values. `rise` (G,): above the optimum, nats. `low`, `high`: the
+    physical interval of the given level, where the rise is below half the chi-square quantile of one degree of freedom
+    (Wilks 1938), stretched where trajectories have weights; infinite (or the end of the possible range) where the
+    profile doesn't rise so far.
+    """
+
+    raw: Float[np.ndarray, " G"]
+    values: Float[np.ndarray, " G"]
+    rise: Float[np.ndarray, " G"]
+    low: float
+    high: float
+
+
+def profile(
+    problem: Problem,
+    found: Optimum,
+    component: int,
+    level: float = 0.95,
+    points: int = 15,
+    at_bound: Bool[np.ndarray, " p"] | None = None,
+) -> Profile:
+    """The profile likelihood of the unconstrained number `component`, all points at once.
+
+    `at_bound` (p,): other numbers that keep their values. Raises ValueError for an objective that is no likelihood.
+    """
+    if not np.isfinite(found.nats_per_unit):
+        raise ValueError("a profile is of a likelihood; use the bootstrap for another objective")
+    p = len(found.vector)
+    others = np.arange(p) != component
+    if at_bound is not None:
+        others &= ~at_bound
+    along = found.hessian[component]
+    _, inner, _ = determined(found.hessian, others)
+    curvature = found.nats_per_unit * (found.hessian[component, component] - along @ inner @ along)
+    stretch = _stretch(found, others, component)
+    half_width = min(HALF_WIDTH * np.sqrt(stretch / curvature), MAX_HALF_WIDTH) if curvature > 0 else MAX_HALF_WIDTH
+    # An odd number of points has the optimum itself among them.
+    offsets = np.linspace(-half_width, half_width, points + 1 - points % 2)
+    vectors = np.tile(found.vector, (len(offsets), 1))
+    vectors[:, component] += offsets
+    vectors -= offsets[:, None] * (inner @ along)
+    refitted = refit(problem, vectors, found.hessian, others, found.used.astype(float), ROUNDS)
+    rise = found.nats_per_unit * (refitted.values - min(found.value, np.nanmin(refitted.values)))
+    ends = _crossings(offsets, rise, 0.5 * stretch * float(chdtri(1, 1 - level)))
+    edge = [_physical(problem.parameters, found.vector, component, x) for x in ends]
+    raw = found.vector[component] + offsets
+    values = np.array([_physical(problem.parameters, found.vector, component, x) for x in offsets])
+    return Profile(raw, values, rise, *edge)
+
+
+def _stretch(found: Optimum, others: Bool[np.ndarray, " p"], component: int) -> float:
+    """The factor of the chi-square quantile where trajectories have weights (Rotnitzky & Jewell 1990); 1 without."""
+    free = others.copy()
+    free[component] = True
+    _, inverse, _ = determined(found.hessian, free)
+    own, weighted = inverse[component, component], found.weighted(inverse)[component, component]
+    return float(weighted / own) if found.squared is not None and own > 0 and weighted > 0 else 1.0
+
+
+class Refitted(NamedTuple):
+    """Vectors (S, p), and the objective (S,) there, over the same trajectories; NaN where one is not finite."""
+
+    vectors: Float[np.ndarray, "S p"]
+    values: Float[np.ndarray, " S"]
+
+
+def refit(
+    problem: Problem,
+    vectors: Float[np.ndarray, "S p"],
+    hessian: Float[np.ndarray, "p p"],
+    free: Bool[np.ndarray, " p"] | None = None,
+    weights: Float[np.ndarray, "*S n"] | None = None,
+    rounds: int = 3,
+) -> Refitted:
+    """Vectors (S, p) improved by quasi-Newton steps (BFGS on the inverse Hessian), all at once.
+
+    Each for its own `weights` (S, n) of trajectories, over the `free` (p,) numbers, starting with the same `hessian`. A
+    step has length 1 at most, and is rejected and halved where the objective rises.
+    """
+    free = np.ones(vectors.shape[1], bool) if free is None else free
+    inverse = determined(hessian, free)[1][np.ix_(free, free)]
+    inverses = np.tile(inverse, (len(vectors), 1, 1))
+    here = vectors.copy()
+    count = problem.valid if weights is None else np.atleast_2d(weights)
+    evaluated = problem.evaluate(here, weights)
+    terms, used, gradients = evaluated.terms.copy(), evaluated.used.copy(), evaluated.gradients[:, free].copy()
+    scale = np.ones(len(here))
+    for _ in range(rounds if free.any() else 0):
+        step = -np.einsum("spq,sq->sp", inverses, gradients)
+        step *= (scale / np.maximum(1.0, np.linalg.norm(step, axis=1)))[:, None]
+        trial = here.copy()
+        trial[:, free] += step
+        evaluated = problem.evaluate(trial, weights)
+        both = used & evaluated.used
+        before, after = (problem.values_over(both * count, v, t) for v, t in ((here, terms), (trial, evaluated.terms)))
+        with np.errstate(invalid="ignore"):
+            better = (after < before) & evaluated.finite
+        inverses = np.where(
+            better[:, None, None], _updated(inverses, step, evaluated.gradients[:, free] - gradients), inverses
+        )
+        here = np.where(better[:, None], trial, here)
+        terms[better], used[better] = evaluated.terms[better], evaluated.used[better]
+        gradients = np.where(better[:, None], evaluated.gradients[:, free], gradients)
+        scale = np.where(better, np.minimum(1.0, 2.0 * scale), 0.5 * scale)
+    return Refitted(here, problem.values_over(np.broadcast_to(count, used.shape), here, terms))
+
+
+def bootstrap(
+    problem: Problem,
+    found: Optimum,
+    replicates: int = 100,
+    rounds: int = 3,
+    seed: int = 0,
+    at_bound: Bool[np.ndarray, " p"] | None = None,
+) -> Float[np.ndarray, "{replicates} p"]:
+    """Vectors (replicates, p) fitted to trajectories resampled with replacement (Efron 1979), for any objective.
+
+    All by a few steps from the optimum, with the numbers `at_bound` (p,) fixed. Raises ValueError for fewer than five
+    trajectories.
+    """
+    count = int(found.used.sum())
+    if count < MIN_TRAJECTORIES:
+        raise ValueError(f"{count} trajectories are too few to resample; cut recordings into segments, or add some")
+    rng = np.random.default_rng(seed)
+    weights = np.zeros((replicates, len(found.used)))
+    weights[:, found.used] = rng.multinomial(count, np.full(count, 1.0 / count), size=replicates)
+    start = np.tile(found.vector, (replicates, 1))
+    free = None if at_bound is None else ~at_bound
+    return refit(problem, start, found.hessian, free, weights, rounds).vectors
+
+
+def percentile_intervals(
+    parameters: list[Parameter], vectors: Float[np.ndarray, "S p"], level: float = 0.95
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Lowest and highest physical value of the central `level` of replicates (S, p), by label."""
+    physical_values = [physical(parameters, v) for v in vectors]
+    tails = 50 * (1 - level), 50 * (1 + level)
+    found = {}
+    for k, p in enumerate(parameters):
+        low, high = np.percentile(np.stack([np.asarray(v[k], float) for v in physical_values]), tails, axis=0)
+        found[p.label] = (low, high)
+    return found
+
+
+def _updated(
+    inverses: Float[np.ndarray, "S p p"], steps: Float[np.ndarray, "S p"], changes: Float[np.ndarray, "S p"]
+) -> Float[np.ndarray, "S p p"]:
+    """The BFGS update of inverses (S, p, p) by steps and gradient changes (S, p), of positive curvature."""
+    along = np.einsum("sp,sp->s", steps, changes)
+    size = np.linalg.norm(steps, axis=1) * np.linalg.norm(np.nan_to_num(changes), axis=1)
+    sound = along > 1e-8 * size
+    rho = np.where(sound, 1.0 / np.where(sound, along, 1.0), 0.0)
+    left = np.eye(steps.shape[1]) - rho[:, None, None] * steps[:, :, None] * changes[:, None, :]
+    new = left @ inverses @ left.transpose(0, 2, 1) + rho[:, None, None] * steps[:, :, None] * steps[:, None, :]
+    return np.where(sound[:, None, None], new, inverses)
+
+
+def _crossings(offsets: Float[np.ndarray, " G"], rise: Float[np.ndarray, " G"], height: float) -> tuple[float, float]:
+    """The offsets at which a profile first rises to `height` on either side of its minimum; infinite without any.
+
+    Interpolated linearly in the root of the rise, which is exact for a quadratic.
+    """
+    root = np.sqrt(np.maximum(np.where(np.isfinite(rise), rise, np.inf), 0.0))
+    least, wanted = int(np.argmin(root)), np.sqrt(height)
+
+    def side(order: Int[np.ndarray, " side"], sign: float) -> float:
+        for a, b in pairwise(order):
+            if root[b] >= wanted:
+                if not np.isfinite(root[b]):
+                    return float(offsets[b])
+                return float(offsets[a] + (wanted - root[a]) / (root[b] - root[a]) * (offsets[b] - offsets[a]))
+        return sign * np.inf
+
+    indices = np.arange(len(offsets))
+    return side(indices[: least + 1][::-1], -1.0), side(indices[least:], 1.0)
+
+
+def _physical(parameters: list[Parameter], vector: Float[np.ndarray, " p"], component: int, offset: float) -> float:
+    """The physical value of one number at an `offset` from a vector in unconstrained coordinates."""
+    moved = np.array(vector, float)
+    moved[component] += offset
+    return float(physical_vector(parameters, moved)[component])
+
 
 Interval = tuple[np.ndarray, np.ndarray]
 """Lowest and highest value."""

@@ -6,14 +6,13 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.tuning.objectives import (
     AbstractObjective,
@@ -24,7 +23,7 @@ from trackwright.tuning.objectives import (
     Weighted,
 )
 from trackwright.tuning.pit_uniformity import PITUniformity
-from trackwright.tuning.weights import by_chunks
+from trackwright.tuning.problem import Problem
 
 HEIGHT_WEIGHT = 0.5
 """Weight of an estimated height beside each coordinate of the plane in `state-nll`.
@@ -107,22 +106,13 @@ def _evaluated(
     weights: Sequence[Float[np.ndarray, " B"]] | None,
 ) -> dict[str, float]:
     together = Weighted(tuple(objectives.values()), (1.0,) * len(objectives)).for_tracker(tracker)
-    model = as_dtype((tracker, together), batches[0].dt.dtype)
-    by_batch = [list(chunks(batch, chunk)) for batch in batches]
-    parts = run_chunks(_sums, [(model, part) for chunked in by_batch for part in chunked])
-    sums = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
-    sums *= by_chunks(weights, [sum(part.size for part in chunked) for chunked in by_batch])
+    (sums,) = Problem(tracker, batches, together, [], chunk, weights=weights).terms(np.zeros((1, 0)))
     metrics = {}
     for name, objective, own in zip(objectives, together.parts, together.split(sums), strict=True):
         total = own[:, np.isfinite(own).all(axis=0)].sum(axis=-1)
         if total[-1] > 0:  # the last sum of every objective counts what it is over
             metrics[name] = float(objective.value(jnp.asarray(total)))
     return metrics
-
-
-def _sums(model: Any, batch: Batch) -> Any:
-    tracker, objective = model
-    return jnp.stack(tracker.accumulate(batch, objective.terms))
 
 
 def _available(

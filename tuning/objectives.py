@@ -74,6 +74,11 @@ class AbstractObjective(eqx.Module):
         """Whether it contains a density: one jumps little where a track is nearly lost, and a line search goes on."""
         return self.is_likelihood
 
+    @property
+    def of_position(self) -> bool:
+        """Whether its terms need no covariance of an estimate, or none but that of the position."""
+        return False
+
     def for_tracker(self, tracker: AbstractTracker) -> AbstractObjective:
         """The objective with the properties of the tracker that it depends on; most depend on none."""
         return self
@@ -84,6 +89,7 @@ class NegativeLogLikelihood(AbstractObjective):
 
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = False
+    of_position: ClassVar[bool] = True
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         return -output.log_likelihood, output.nis_dof
@@ -105,6 +111,7 @@ class RootMeanSquareError(AbstractObjective):
     dimensions: int = eqx.field(static=True, default=2)
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = True
+    of_position: ClassVar[bool] = True
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         errors, scored = errors_of(output, truth, self.quantity, self.dimensions)
@@ -125,6 +132,7 @@ class MeanLoss(AbstractObjective):
     loss: Loss = eqx.field(static=True)
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = True
+    of_position: ClassVar[bool] = True
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         scored = is_estimate(output)
@@ -157,6 +165,10 @@ class StateLogLikelihood(AbstractObjective):
     def has_density(self) -> bool:
         return True
 
+    @property
+    def of_position(self) -> bool:
+        return self.quantity == "position"
+
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         weights = (1.0, 1.0, self.height_weight)[: self.dimensions]
         error = normalised_error(output, truth, self.quantity, self.dimensions, weights)
@@ -188,6 +200,10 @@ class Weighted(AbstractObjective):
     @property
     def has_density(self) -> bool:
         return any(part.has_density for part in self.parts)
+
+    @property
+    def of_position(self) -> bool:
+        return all(part.of_position for part in self.parts)
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         return tuple(x for part in self.parts for x in part.terms(output, truth))

@@ -1,4 +1,4 @@
-"""Multi-start optimisation: many starts side by side, each step accepted or shortened; a state that a file can hold."""
+"""Starts of a fit, optimised side by side: each step accepted or shortened, then Newton steps; a state for a file."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trackwright.trackers.core.model.tunable import Covariance, Scale, role_of
 from trackwright.tuning.optimisers import AbstractOptimiser
+from trackwright.tuning.parameters import Parameter
 from trackwright.tuning.problem import Evaluation, Problem, weighted_sum
+from trackwright.tuning.uncertainty import Optimum, determined, optimum
 
 MAX_ATTEMPTS = 7
 """Attempts at a step, each shorter than the one before; a start that none of them helps has converged."""
@@ -297,3 +300,85 @@ def stands_still(state: FitState) -> bool:
     """Whether a fit has not moved from its starts although the objective has a slope at the first."""
     moved = not np.array_equal(state.best_vectors, state.past_vectors[0])
     return not moved and bool(state.past_norms[0, 0] > MIN_SLOPE * abs(state.past_values[0, 0]))
+
+
+GRID_STEP = np.log(10.0)
+"""Distance between points of the coarse grid of starts, in unconstrained coordinates: a factor of ten."""
+
+
+def initial_state(driver: MultiStart, vectors: Float[np.ndarray, "V p"], starts: int) -> FitState:
+    """The state at `starts` starts: the first of the vectors, and the best of the others and of a coarse grid.
+
+    Starts with the same value differ in numbers without effect: one of them is taken.
+    """
+    runs = 0
+    if starts > 1:
+        vectors = np.concatenate([vectors, coarse_grid(driver.problem.parameters, vectors[0])[1:]])
+        vectors = np.clip(vectors, driver.low, driver.high)
+        scores, runs = driver.scores(vectors)
+        best = [k for k in np.argsort(scores[1:], kind="stable") + 1 if np.isfinite(scores[k])]
+        chosen = {float(scores[k]): k for k in reversed([0, *best])}
+        vectors = vectors[[0, *(k for k in best if chosen[float(scores[k])] == k)][:starts]]
+    state = driver.init(vectors)
+    if not state.active[0]:
+        raise FloatingPointError(
+            f"the objective is not finite at the start ({state.values[0]}): no row is scored, or truth is missing"
+        )
+    return state._replace(filter_runs=state.filter_runs + runs)
+
+
+def coarse_grid(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> Float[np.ndarray, "S p"]:
+    """Starts (S, p): the vector itself first, then with process noise and all other scales a tenth or tenfold.
+
+    Scales are noise levels, times and rates; offsets and fractions stay. Nine starts where both groups are tuned, three
+    for one, one for none.
+    """
+    motion, others = np.zeros_like(vector), np.zeros_like(vector)
+    at = 0
+    for parameter in parameters:
+        raised = np.zeros(parameter.shape)
+        if isinstance(parameter.example, Scale):
+            raised = raised + 1.0
+        elif isinstance(parameter.example, Covariance):
+            raised = np.eye(len(raised))  # the logarithms of a Cholesky factor's diagonal
+        part = motion if role_of(parameter.example) in ("process noise", "bias noise") else others
+        part[at : at + parameter.size] = np.ravel(raised)
+        at += parameter.size
+    steps = (0.0, -GRID_STEP, GRID_STEP)
+    grid = [
+        vector + a * motion + b * others
+        for a in (steps if motion.any() else steps[:1])
+        for b in (steps if others.any() else steps[:1])
+    ]
+    return np.stack(grid)
+
+
+NEWTON_STEPS = 4
+
+
+def newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimum, int]:
+    """The optimum at a vector (p,) or after a few Newton steps from there, while they help.
+
+    For smooth likelihoods only, and not where held-out recordings select the point. Second: the number of vectors
+    evaluated.
+    """
+    problem, found = driver.problem, optimum(driver.problem, vector)
+    n_each = 2 * len(vector) + 1
+    vectors = n_each
+    if not np.isfinite(found.nats_per_unit) or driver.held_out is not None or problem.stochastic:
+        return found, vectors
+    for _ in range(NEWTON_STEPS):
+        _, inverse, _ = determined(found.hessian, ~driver.at_bound(found.vector, found.gradient))
+        step = -inverse @ found.gradient
+        # The gain that the quadratic model predicts.
+        if not -found.gradient @ step / 2 >= min_gain(found.value, found.nats_per_unit):
+            break
+        step = step / max(1.0, float(np.linalg.norm(step)))
+        vector = np.clip(found.vector + step, driver.low, driver.high)
+        trial = problem.evaluate(vector)
+        vectors += 1
+        before = problem.finite_values(found.vector, found.evaluation.terms)
+        if not (trial.finite[0] and problem.finite_values(vector, trial.terms)[0] < before[0]):
+            break
+        found, vectors = optimum(problem, vector), vectors + n_each
+    return found, vectors

@@ -1,8 +1,9 @@
-"""The tuned parameters of a tracker as one unconstrained vector, and back."""
+"""The tuned parameters of a tracker as one unconstrained vector and back, and the bounds of its numbers."""
 
 from __future__ import annotations
 
 import fnmatch
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -16,6 +17,7 @@ from jaxtyping import Array, Float
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import AbstractTunable, Threshold, matching, replaced, role_of, tunables
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.reading_grids import ReadingGrid
 
 Tree = TypeVar("Tree")
 
@@ -138,7 +140,7 @@ def component_kinds(parameters: Sequence[Parameter]) -> list[type]:
 
 def flatten(parameters: Sequence[Parameter]) -> Float[np.ndarray, " p"]:
     """The unconstrained vector of the parameters' present values."""
-    return np.concatenate([np.ravel(np.asarray(p.example.raw, float)) for p in parameters])
+    return np.concatenate([np.zeros(0), *(np.ravel(np.asarray(p.example.raw, float)) for p in parameters)])
 
 
 def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -221,6 +223,12 @@ def physical(parameters: Sequence[Parameter], vector: Vector) -> list[Array]:
     return [with_raw(parameter.example, jnp.asarray(raw)).value for parameter, raw in split(parameters, vector)]
 
 
+def by_label(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> dict[str, np.ndarray]:
+    """The physical values by the parameters' labels."""
+    values = physical(parameters, vector)
+    return {p.label: np.asarray(v, float) for p, v in zip(parameters, values, strict=True)}
+
+
 def physical_vector(parameters: Sequence[Parameter], vector: Vector) -> Float[np.ndarray, " p"]:
     """The physical values of all parameters in one vector, in the order of the unconstrained one."""
     return np.concatenate([np.ravel(np.asarray(x, float)) for x in physical(parameters, vector)])
@@ -232,3 +240,26 @@ def physical_errors(
     """Standard errors of the physical values, by the delta method from the covariance of the unconstrained vector."""
     jacobians = jax.jacfwd(lambda v: physical(parameters, v))(jnp.asarray(vector))
     return [np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", j, cov, j), 0)) for j in map(np.asarray, jacobians)]
+
+
+def floors(
+    grids: Sequence[ReadingGrid], parameters: Sequence[Parameter], bounds: Mapping[str, tuple[float, float]]
+) -> Float[np.ndarray, " p"]:
+    """The lowest unconstrained vector (p,) with no noise level below `ReadingGrid.lowest`; -inf elsewhere.
+
+    Parameters that the user's `bounds` name have none.
+    """
+    low = [np.full(parameter.size, -np.inf) for parameter in parameters]
+    for parameter, part in zip(parameters, low, strict=True):
+        names = (*parameter.names, parameter.label)
+        named = any(fnmatch.filter(names, pattern) for pattern in bounds)
+        grid = None if named else grid_of(grids, parameter)
+        if grid is not None and math.isfinite(grid.lowest):
+            part[:] = math.log(grid.lowest)
+    return np.concatenate(low)
+
+
+def grid_of(grids: Sequence[ReadingGrid], parameter: Parameter) -> ReadingGrid | None:
+    """The readings whose noise level a parameter is, the finest of several tied ones; None for other parameters."""
+    own = [grid for grid in grids if any(grid.limits(name, parameter.example) for name in parameter.names)]
+    return min(own, key=lambda grid: grid.lowest if math.isfinite(grid.lowest) else 0.0, default=None)

@@ -1,4 +1,4 @@
-"""Where the rows of a problem are, in chunks, and how its compiled functions are run on them."""
+"""The objective of a tracker at vectors as functions to be compiled, and the chunks of rows that they are run on."""
 
 from __future__ import annotations
 
@@ -8,13 +8,127 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.run.chunks import placed, run_chunks
-from trackwright.tuning.point import Point
-from trackwright.tuning.unstacked import lengths_of
+from trackwright.trackers.core.model.tunable import AbstractTunable
+from trackwright.trackers.core.run.chunks import called, outputs, placed, run_chunks
+from trackwright.trackers.core.run.latency import scored_truth
+from trackwright.trackers.core.run.scan import Output, Score
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.tracks import for_positions
+from trackwright.tuning.batches import lengths_of
+from trackwright.tuning.objectives import AbstractObjective
+from trackwright.tuning.parameters import Parameter, Vector, with_parameters
+
+BESIDE = ("nis", "nis_dof", "log_likelihood")
+"""The numbers of a row beside the terms of the objective."""
+
+
+class Point(eqx.Module):
+    """A tracker, an objective and S vectors of its parameters: the argument of the compiled functions."""
+
+    tracker: AbstractTracker
+    objective: AbstractObjective
+    names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
+    labels: tuple[str, ...] = eqx.field(static=True)
+    examples: tuple[AbstractTunable, ...]
+    vectors: Float[Array, "S p"]
+
+    def __init__(
+        self,
+        tracker: AbstractTracker,
+        objective: AbstractObjective,
+        parameters: Sequence[Parameter],
+        vectors: Float[Array, "S p"],
+    ):
+        self.tracker, self.objective, self.vectors = tracker, objective, vectors
+        self.names = tuple(p.names for p in parameters)
+        self.labels = tuple(p.label for p in parameters)
+        self.examples = tuple(p.example for p in parameters)
+
+    def at(self, vectors: Float[np.ndarray, "*S p"]) -> Point:
+        """This point at other vectors (S, p) or one."""
+        return eqx.tree_at(lambda p: p.vectors, self, jnp.asarray(np.atleast_2d(vectors), self.vectors.dtype))
+
+    def tracker_at(self, vector: Vector) -> AbstractTracker:
+        """The tracker with the parameters of one vector."""
+        parts = zip(self.names, self.examples, self.labels, strict=True)
+        return with_parameters(self.tracker, [Parameter(*part) for part in parts], vector)
+
+    def estimating(self, tracker: AbstractTracker) -> AbstractTracker:
+        """The tracker with no more in its estimates than the objective needs, where they are those of positions."""
+        return for_positions(tracker) if self.objective.of_position else tracker
+
+    def map_vectors(self, function: Callable[[Float[Array, " p"]], Any]) -> Any:
+        """`function` of every vector, results stacked along a new first axis."""
+        if len(self.vectors) == 1:
+            return jax.tree_util.tree_map(lambda x: x[None], function(self.vectors[0]))
+        return jax.vmap(function)(self.vectors)
+
+
+def plain_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"]]:
+    """The sums per vector, term and trajectory (S, k, B)."""
+    return (point.map_vectors(lambda v: jnp.stack(point.tracker_at(v).accumulate(batch, point.objective.terms))),)
+
+
+def plain_rows(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"]]:
+    """The terms of every row per vector and trajectory, then `BESIDE` (S, k + 3, T, B), for few trajectories.
+
+    The host adds the terms in double precision, and derivatives of rows come with those of the sums.
+    """
+    scores = _scores(point.objective)
+    return (point.map_vectors(lambda v: jnp.stack(point.tracker_at(v).accumulate(batch, scores, every_row=True))),)
+
+
+def rows_of_runs(pairs: Sequence[tuple[Point, Batch]]) -> list[tuple[Float[np.ndarray, "1 k T B"]]]:
+    """`plain_rows` of points with one vector each, by the program with which `AbstractTracker.run` tracks the batch."""
+    models = [(point.estimating(point.tracker_at(np.asarray(point.vectors[0]))), None) for point, _ in pairs]
+    runs = run_chunks(outputs, [(model, b._replace(truth={})) for model, (_, b) in zip(models, pairs, strict=True)])
+    return [
+        (np.asarray(called(_scored, point.objective, (run, batch)))[None],)
+        for (run, _), (point, batch) in zip(runs, pairs, strict=True)
+    ]
+
+
+def _scored(objective: AbstractObjective, run: tuple[Output, Batch]) -> Float[Array, "k T B"]:
+    """The numbers of every row as in `plain_rows`, from its estimate."""
+    output, batch = run
+    return jnp.stack(jax.vmap(_scores(objective))(output, scored_truth(batch, output.age)))
+
+
+def _scores(objective: AbstractObjective) -> Score:
+    def scores(output: Output, truth: Any) -> tuple[Any, ...]:
+        return *objective.terms(output, truth), *(getattr(output, name) for name in BESIDE)
+
+    return scores
+
+
+def term_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"], Float[Array, "S k p B"]]:
+    """The sums per vector, term and trajectory (S, k, B), and their derivatives (S, k, p, B), all tangents at once."""
+    return _with_derivatives(plain_sums, point, batch)
+
+
+def row_terms(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"], Float[Array, "S k p T B"]]:
+    """The numbers of every row as in `plain_rows`, and their derivatives (S, k + 3, p, T, B)."""
+    return _with_derivatives(plain_rows, point, batch)
+
+
+def _with_derivatives(function: Callable[[Point, Batch], tuple[Array]], point: Point, batch: Batch) -> tuple[Any, Any]:
+    """What a function of a point returns, and its derivatives as the third axis."""
+
+    def at(vectors: Float[Array, "S p"]) -> Any:
+        return function(eqx.tree_at(lambda p: p.vectors, point, vectors), batch)[0]
+
+    def along(direction: Float[Array, " p"]) -> tuple[Any, Any]:
+        """The values, and their derivatives along one direction, the same for every vector."""
+        return jax.jvp(at, (point.vectors,), (jnp.broadcast_to(direction, point.vectors.shape),))
+
+    # Vectors inside and directions outside: in the other order jax traces half as much again.
+    return jax.vmap(along, out_axes=(None, 2))(jnp.eye(point.vectors.shape[1], dtype=point.vectors.dtype))
+
 
 Function = Callable[[Point, Batch], Any]
 """What is compiled: of a point and a chunk."""
@@ -60,7 +174,7 @@ class Parts(ABC):
         """The results of these chunks, in their order."""
 
 
-Place = Callable[[Point, Iterable[Batch]], Parts]
+Keep = Callable[[Point, Iterable[Batch]], Parts]
 """Takes a point, whose vectors do not matter, and the chunks of a problem to where they are computed."""
 
 
@@ -81,7 +195,7 @@ def on_chunks(point: Point, chunks: Sequence[Batch], computation: Computation) -
     if computation.realisation:
         chunks = [fresh_keys(chunk, computation.realisation) for chunk in chunks]
     points = [point.at(block) for block in computation.blocks]
-    found = iter(run_chunks(computation.function, [(point, chunk) for chunk in chunks for point in points]))
+    found = iter(_found(computation.function, [(point, chunk) for chunk in chunks for point in points]))
     return [[computation.reduced(next(found), chunk) for _ in points] for chunk in chunks]
 
 
@@ -89,6 +203,11 @@ def on_chunk(point: Point, piece: Batch, computation: Computation) -> list[Any]:
     """The results of one chunk, which another process holds with its point: block by block, in one thread."""
     (chunk,) = placed([piece])
     return [on_chunks(point, [chunk], computation._replace(blocks=[block]))[0][0] for block in computation.blocks]
+
+
+def _found(function: Function, pairs: Sequence[tuple[Point, Batch]]) -> list[Any]:
+    """`function(point, chunk)` of each pair; values of rows by the program that tracks recordings."""
+    return rows_of_runs(pairs) if function is plain_rows else run_chunks(function, pairs)
 
 
 def fresh_keys(part: Batch, realisation: int) -> Batch:

@@ -55,6 +55,10 @@ class PITUniformity(AbstractObjective):
     def needs_truth(self) -> bool:
         return self.kind == "nees"
 
+    @property
+    def of_position(self) -> bool:
+        return self.kind == "nis" or self.quantity == "position"
+
     def for_tracker(self, tracker: AbstractTracker) -> PITUniformity:
         """With the degrees of freedom of the tracker's noise; raises ValueError where its sensors differ in them.
 

@@ -17,13 +17,11 @@ from trackwright.trackers.core.filters.particle.filter import AbstractParticleFi
 from trackwright.trackers.core.model.covariance import few
 from trackwright.trackers.core.run.chunks import CHUNK, as_dtype
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.tuning.batches import AnyBatch, Pieces, by_chunks, padded_size
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, flatten
-from trackwright.tuning.parts import LocalParts, Place
-from trackwright.tuning.point import BESIDE, Point, plain_rows, plain_sums, row_terms, term_sums
+from trackwright.tuning.parts import BESIDE, Keep, LocalParts, Point, plain_rows, plain_sums, row_terms, term_sums
 from trackwright.tuning.priors import Penalty, Prior, penalty
-from trackwright.tuning.unstacked import AnyBatch, Pieces, padded_size
-from trackwright.tuning.weights import by_chunks
 
 Vectors = Float[np.ndarray, "*S p"]
 Terms = Float[np.ndarray, "many k n"]
@@ -32,6 +30,9 @@ Values = Float[np.ndarray, " many"]
 
 MAX_VECTORS = 8
 """Most vectors in one compiled call: with a dozen recordings, eight cost little more than one."""
+
+REMEMBERED = 100
+"""Vectors whose sums are kept, of few trajectories: an optimum, for one, was evaluated as a step before."""
 
 MAX_GRADIENT_RATIO = 1e3
 """Gradient size of a trajectory, relative to the median, above which the trajectory is excluded."""
@@ -70,8 +71,8 @@ class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
     `priors`: added to a likelihood. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory
-    and their derivatives are multiplied by its weight. `place`: where the rows are kept, of which this has none itself.
-    `sizes`: trajectories of each batch, with padding.
+    and their derivatives are multiplied by its weight. `keep`: takes the rows to where they are computed, in this
+    process or on workers. `sizes`: trajectories of each batch, with padding.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -89,7 +90,7 @@ class Problem:
         chunk: int = CHUNK,
         priors: Sequence[Prior] = (),
         weights: Sequence[Float[np.ndarray, " B"]] | None = None,
-        place: Place = LocalParts,
+        keep: Keep = LocalParts,
     ):
         self.priors = tuple(priors)
         self.objective, self.parameters = objective.for_tracker(tracker), list(parameters)
@@ -97,7 +98,7 @@ class Problem:
         self.tracker = as_dtype(tracker, dtype)
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
         self.start = Point(self.tracker, self.objective, self.parameters, start)
-        self.parts = place(self.start, Pieces(batches, chunk))
+        self.parts = keep(self.start, Pieces(batches, chunk))
         self.sizes = [padded_size(batch, chunk) for batch in batches]
         self.weights = by_chunks(weights, self.sizes)
         self.valid = np.concatenate(self.parts.rows) > 0
@@ -107,7 +108,9 @@ class Problem:
         # row.
         fitting = CHUNK // (1 << (trajectories - 1).bit_length())
         self.few = few(trajectories)
-        self.vectors_per_call = 1 if self.few or has_particles(self.tracker) else max(1, min(MAX_VECTORS, fitting))
+        alone = self.few or has_particles(self.tracker) or not self.parameters
+        self.vectors_per_call = 1 if alone else max(1, min(MAX_VECTORS, fitting))
+        self.lately: dict[tuple[Any, ...], Sequence[tuple[np.ndarray, ...]]] = {}
 
     def evaluate(
         self,
@@ -205,14 +208,31 @@ class Problem:
         vectors = np.atleast_2d(np.asarray(vectors, float))
         size, width = len(vectors), self.vectors_per_call
         padded = np.concatenate([vectors, np.repeat(vectors[-1:], -size % width, axis=0)])
-        blocks = list(padded.reshape(-1, width, vectors.shape[1]))
+        blocks = list(padded.reshape(len(padded) // width, width, vectors.shape[1]))
         # Of the repeated vectors of an only block nothing travels.
         reduced = partial(_summed_rows if self.few else _as_found, min(width, size))
-        found = self.parts.run(function, blocks, reduced, subset, realisation if self.stochastic else 0)
+        realisation = realisation if self.stochastic else 0
+        if self.few and subset is None:
+            found = self._run_once(function, blocks, reduced, realisation)
+        else:
+            found = self.parts.run(function, blocks, reduced, subset, realisation)
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
             for of_part in found
         ]
+
+    def _run_once(
+        self, function: Callable[..., Any], blocks: list[Vectors], reduced: Callable[..., Any], realisation: int
+    ) -> list[list[tuple[np.ndarray, ...]]]:
+        """As `Parts.run` of all chunks, without those vectors, a block each, that it had lately."""
+        keys = [(function, realisation, block.tobytes()) for block in blocks]
+        new = {key: block for key, block in zip(keys, blocks, strict=True) if key not in self.lately}
+        if new:
+            found = self.parts.run(function, list(new.values()), reduced, None, realisation)
+            self.lately |= dict(zip(new, zip(*found, strict=True), strict=True))
+        by_vector = [self.lately[key] for key in keys]
+        self.lately = dict(list(self.lately.items())[-REMEMBERED:])
+        return [list(of_part) for of_part in zip(*by_vector, strict=True)]
 
     def _share(self, subset: Sequence[int] | None) -> float:
         """Part of the trajectories in a subset of the chunks: the priors weigh in proportion."""

@@ -32,9 +32,8 @@ from trackwright.experiments.cli.tracking import endings, tracker_names, write_s
 from trackwright.experiments.jobs.executors import Threads, cluster_executor
 from trackwright.experiments.jobs.portable import PortableTracker, file_of
 from trackwright.experiments.jobs.run import run as run_parts
+from trackwright.experiments.pages.reports.comparison import Table, comparison_text, write_comparison
 from trackwright.experiments.pages.reports.track import run_data
-from trackwright.experiments.pages.reports.comparison import Table, comparison_text
-from trackwright.experiments.pages.reports.comparison import write_comparison
 from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
 from trackwright.experiments.text.evaluation_text import archive_text, content
 from trackwright.experiments.text.tables import terminal_width
@@ -42,13 +41,11 @@ from trackwright.experiments.text.terminal import Begin, notice, stages
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.chunks import CHUNK
-from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names
 from trackwright.trackers.evaluation.events import EVENTS
-from trackwright.trackers.recordings.atomic import config_hash
-from trackwright.trackers.recordings.atomic import held
+from trackwright.trackers.recordings.atomic import config_hash, held
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
 

@@ -26,8 +26,9 @@ from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.portable import PortableTracker, spec_here
 from trackwright.experiments.jobs.run import Store, written
 from trackwright.experiments.text.evaluation_text import to_json
-from trackwright.trackers.catalogue import fitting, split_name
+from trackwright.trackers.catalogue import fitting
 from trackwright.trackers.core.errors import UnusableInput, one_line
+from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.evaluation.association import associate_truth, refuse_without_overlap
 from trackwright.trackers.evaluation.evaluate import Evaluation, TrackScores
 from trackwright.trackers.evaluation.events import EVENTS, events_of

@@ -67,8 +67,7 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
         raise UnusableInput(
             f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"
         )
-    from trackwright.experiments.cli.archive_folders import RECORDINGS
-    from trackwright.experiments.cli.archive_folders import is_archive
+    from trackwright.experiments.cli.archive_folders import RECORDINGS, is_archive
     from trackwright.experiments.cli.evaluating import evaluate_folder, evaluate_poses, sources
     from trackwright.trackers.recordings.tracks_table import TRACKS
 

@@ -25,9 +25,10 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.trajectories import Trajectory, mapped
 from trackwright.tuning import checkpoint
-from trackwright.tuning.cross_calibration import by_halves, by_others
+from trackwright.tuning.batches import Weigh
+from trackwright.tuning.calibrating import by_halves, by_others
 from trackwright.tuning.data import FitData, fit_data, fit_segments, judged_dimensions, segments_data
-from trackwright.tuning.fitting import FitResult, fit
+from trackwright.tuning.fitting import FitOptions, FitResult, Place, fit
 from trackwright.tuning.guessing import first_guess
 from trackwright.tuning.identifiability import cautions
 from trackwright.tuning.intervals import require_possible
@@ -40,9 +41,8 @@ from trackwright.tuning.parameters import (
     select_parameters,
     tuned_by_default,
 )
-from trackwright.tuning.parts import LocalParts, Place
+from trackwright.tuning.parts import Keep, LocalParts
 from trackwright.tuning.priors import Prior, parse_prior, require_fitting
-from trackwright.tuning.weights import Weigh
 
 PARTS = ".tune-parts"
 """The folder of the rows, in that of the results, while the command runs."""
@@ -100,8 +100,8 @@ def fit_folders(
     for text in cautions(data.tracker, select_parameters(data.tracker, tune, options.freeze), data.objective):
         notice(f"notice: {text}")
     output_folder(options.out)
-    place = LocalParts if workers is None else partial(HeldParts, workers, named)
-    result = _fitted(data, tune, options, bounds, priors, begin, by_default, place)
+    keep = LocalParts if workers is None else partial(HeldParts, workers, named)
+    result = _fitted(data, tune, options, bounds, priors, begin, by_default, keep)
     if not isinstance(folders, FoldersInTurn):
         shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
         return Fitted(options, named, data, result, data, shown, others)
@@ -244,11 +244,11 @@ def _fitted(
     priors: Sequence[Prior],
     begin: Begin,
     by_default: bool,
-    place: Place,
+    keep: Keep,
 ) -> FitResult:
     """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite.
 
-    `by_default`: whether the objective was chosen by the data. `place`: of the rows.
+    `by_default`: whether the objective was chosen by the data. `keep`: takes the rows to where they are computed.
     """
     training, held_out = data.batches(), data.batches(held_out=True)
     # Intervals are computed from the result and don't change the fit, nor does the place where it is computed.
@@ -279,18 +279,17 @@ def _fitted(
             data,
             data.objective,
             tune,
-            frozen=freeze,
-            bounds=bounds,
-            optimiser=OPTIMISERS[options.optimiser](steps),
-            steps=steps,
-            starts=starts,
-            minibatch=options.minibatch,
-            priors=priors,
-            guesses=[first_guess(data.tracker, training, kept)] if starts > 1 and saved is None else [],
-            resume=saved,
-            report=steps_done.report,
-            stage=begin,
-            place=place,
+            FitOptions(
+                frozen=freeze,
+                bounds=bounds,
+                optimiser=OPTIMISERS[options.optimiser](steps),
+                steps=steps,
+                starts=starts,
+                minibatch=options.minibatch,
+                priors=priors,
+                guesses=[first_guess(data.tracker, training, kept)] if starts > 1 and saved is None else [],
+            ),
+            Place(keep=keep, resume=saved, report=steps_done.report, stage=begin),
         )
     except FloatingPointError as error:
         raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error

@@ -21,9 +21,8 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.tuning.parts import Computation, Parts, on_chunk
-from trackwright.tuning.point import Point
-from trackwright.tuning.unstacked import lengths_of
+from trackwright.tuning.batches import lengths_of
+from trackwright.tuning.parts import Computation, Parts, Point, on_chunk
 
 HeldChunk = tuple[str, str, bytes, bytes, list[np.ndarray]]
 """Name and file of the tracker, pickled point, pickled structure of a chunk, its arrays: nothing that imports jax."""

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import polars as pl
 
 from trackwright.experiments.jobs.run import finished
-from trackwright.trackers.catalogue import spec_of, split_name
+from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec

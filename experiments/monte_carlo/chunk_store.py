@@ -21,8 +21,7 @@ from trackwright.experiments.jobs.run import Store, written
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig
 from trackwright.experiments.monte_carlo.results import ChunkTotals, Results, Totals
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import json_text
-from trackwright.trackers.recordings.atomic import remove_abandoned
+from trackwright.trackers.recordings.atomic import json_text, remove_abandoned
 from trackwright.trackers.recordings.input_file import file_bytes, read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"

@@ -27,7 +27,6 @@ from tests.faults.jobs import LIMIT_S, Job, jobs
 from tests.in_process import trackwright
 from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import write_json
-from trackwright.experiments.pages.charts.style import BLUE, VERMILION, figure_file
 from trackwright.experiments.text.tables import replace_tables
 
 FRESH = 10

@@ -1,7 +1,17 @@
+"""Violated noise assumptions of innovations, the band of NIS, and the spread that a scale of Student's t implies."""
+
 import numpy as np
 import pytest
 
-from trackwright.tuning.diagnostics import Innovations, nis_band, nis_quantile, violated_assumptions
+import trackwright as tw
+from trackwright.tuning.diagnostics import (
+    Innovations,
+    implied_spread,
+    nis_band,
+    nis_quantile,
+    student_t_spread,
+    violated_assumptions,
+)
 
 ROWS = 20_000
 
@@ -68,3 +78,23 @@ def test_the_quantile_of_one_row_is_that_of_its_noise():
     for p in (0.025, 0.5, 0.975):
         assert np.mean(q <= nis_quantile(p, 1.0, 1.8)) == pytest.approx(p, abs=3e-3)
         assert nis_quantile(p, 2.0) == pytest.approx(-2 * np.log(1 - p))
+
+
+@pytest.mark.parametrize(("dof", "skew"), [(30.0, 1.0), (6.0, 3.0), (1.8, 4.0), (1.0, 1.0)])
+def test_the_spread_is_that_of_draws(dof, skew):
+    rng = np.random.default_rng(4)
+    up = rng.random(2_000_000) < skew / (1 + skew)
+    drawn = 0.02 * np.abs(rng.standard_t(dof, len(up))) * np.where(up, skew, -1.0)
+    found = student_t_spread(0.02, dof, skew)
+    assert found.is_deviation is (dof > 2)
+    expected = drawn.std() if found.is_deviation else np.subtract(*np.quantile(drawn, [0.84, 0.16])) / 2
+    assert found.value == pytest.approx(expected, rel=0.02)
+
+
+def test_only_a_scale_of_students_t_has_one():
+    tracker = tw.range_tracker(4)
+    found, expected = implied_spread(tracker, "sensors.ranges.sigma_r"), student_t_spread(0.09, 1.8, 4.0)
+    assert (found.value, found.is_deviation) == (pytest.approx(expected.value), False)
+    assert implied_spread(tracker, "sensors.ranges.dof") is None
+    assert implied_spread(tracker, "motion.sigma_a") is None
+    assert implied_spread(tw.fix_tracker(dof=None), "sensors.fixes.sigma_horizontal") is None

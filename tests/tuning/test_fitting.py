@@ -1,5 +1,7 @@
 """Fits by gradient: the gradient itself, recovered parameters, standard errors, and failing steps."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,18 +9,17 @@ import pytest
 
 from tests.tuning.worlds import STATION, beams, line_tracker, walks
 from trackwright.trackers.aoa.beam import beam_tracker
-from trackwright.trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.core.run.chunks import jitted
 from trackwright.tuning.checkpoint import to_arrays
-from trackwright.tuning.fitting import fit
+from trackwright.tuning.fitting import FitOptions, Place, fit
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.optimisation import PATIENCE
 from trackwright.tuning.optimisers import LBFGS, Adam
 from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
-from trackwright.tuning.point import term_sums
+from trackwright.tuning.parts import term_sums
 from trackwright.tuning.priors import Prior
 from trackwright.tuning.problem import Problem
 
@@ -45,54 +46,9 @@ def _assert_gradient_is_the_central_difference(problem, vector, step=1e-5):
     np.testing.assert_allclose(gradient, numeric, rtol=1e-6, atol=1e-9)
 
 
-def _bearings(rows, seed):
-    """A tag walking in a circle, seen alternately by two stations, with unknown height and some missing angles."""
-    rng = np.random.default_rng(seed)
-    times = np.cumsum(rng.uniform(0.05, 0.3, rows))
-    place = np.stack([2 * np.cos(0.3 * times), 1.5 * np.sin(0.3 * times), 1.0 + 0 * times], axis=1)
-    corners = ([-3.0, -3.0, 2.5], [3.0, -2.0, 2.2])
-    stations = [STATION.__class__(np.array(p), np.array([0.5, -0.5, 0.5, 0.5])) for p in corners]
-    turn = np.arange(rows) % 2
-    angles = np.array([stations[k].angles(p) for k, p in zip(turn, place, strict=True)]) + 0.1 * rng.normal(
-        size=(rows, 2)
-    )
-    where = np.array([bearing_inputs(stations[k]) for k in turn])
-    seen = rng.random((rows, 2)) > 0.2
-    nearby = np.concatenate([place + 0.2, np.ones((rows, 1))], axis=1)
-    reported = np.tile([0.05**2, 0.0, 0.08**2], (rows, 1))
-    inputs = {"origin": where[:, :3], "axes": where[:, 3:], "station": turn.astype(float), "nearby": nearby}
-    readings = {BEARINGS: Readings(np.where(seen, angles, 0.0), seen, reported)}
-    return Recording(times - times[0], readings, inputs, {"position": (place, np.ones(rows, bool))})
-
-
 @pytest.fixture(scope="module")
 def beam_world():
     return stack(beams(64, 100, SIGMA_A, SIGMA_P, seed=0, missing=0.25))
-
-
-@pytest.mark.slow
-def test_the_gradient_of_the_beam_trackers_noise_levels_is_the_central_difference(beam_world):
-    tracker = beam_tracker(STATION, "1", 0.3, 0.25)
-    parameters = select_parameters(tracker, NOISE)
-    problem = Problem(tracker, [beam_world], NLL, parameters, 512)
-    _assert_gradient_is_the_central_difference(problem, flatten(parameters))
-
-
-@pytest.mark.slow
-def test_the_gradient_of_the_beam_tracker_is_the_central_difference_for_every_tunable():
-    tracker = beam_tracker(STATION, "1", 0.3, 0.25)
-    problem, vector = _problem(tracker, beams(3, 20, SIGMA_A, SIGMA_P, seed=1, missing=0.3), "*")
-    assert len(vector) == len(STATION.antennas) + 4
-    _assert_gradient_is_the_central_difference(problem, vector)
-
-
-@pytest.mark.slow
-def test_the_gradient_of_the_bearing_tracker_is_the_central_difference_for_every_tunable():
-    # With small biases the speed exceeds its uncertainty, so that the length of the biases counts.
-    tracker = bearing_tracker(2, sigma_a=0.1, memory=20.0, sigma_bias=(0.02, 0.02), dof=4.0)
-    problem, vector = _problem(tracker, [_bearings(n, n) for n in (20, 31)], "*", rows=32)
-    assert len(vector) == len(tunables(tracker)) - 3 + 4  # three thresholds; four tunables have two numbers
-    _assert_gradient_is_the_central_difference(problem, vector)
 
 
 def test_the_gradient_of_the_root_mean_square_error_is_the_central_difference():
@@ -132,7 +88,7 @@ def test_forward_and_reverse_mode_agree_on_beams():
 @pytest.mark.slow
 def test_noise_levels_are_recovered_from_starts_wrong_by_a_factor_of_ten(beam_world, optimiser, wrong_a, wrong_p):
     start = beam_tracker(STATION, "1", SIGMA_A * wrong_a, SIGMA_P * wrong_p)
-    result = fit(start, beam_world, NLL, NOISE, optimiser=optimiser)
+    result = fit(start, beam_world, NLL, NOISE, FitOptions(optimiser=optimiser))
     for name, true in zip(("motion.sigma_a", "sensors.1.sigma_p"), (SIGMA_A, SIGMA_P), strict=True):
         error = result.standard_errors[name]
         assert 0 < error < 0.05 * true
@@ -167,7 +123,9 @@ def line_world():
 def test_standard_errors_match_the_spread_of_fits():
     replicas = 40
     worlds = (stack(walks([40] * 8, 100 + k)) for k in range(replicas))
-    results = [fit(line_tracker(), world, NLL, LEVELS, steps=1, optimiser=Adam(1, 0.01)) for world in worlds]
+    results = [
+        fit(line_tracker(), world, NLL, LEVELS, FitOptions(steps=1, optimiser=Adam(1, 0.01))) for world in worlds
+    ]
     for name, true in zip(LEVELS, (0.3, 0.2), strict=True):
         values = np.array([r.values[name] for r in results])
         errors = np.array([r.standard_errors[name] for r in results])
@@ -177,7 +135,7 @@ def test_standard_errors_match_the_spread_of_fits():
 
 
 def test_undetermined_parameters_have_no_standard_error(line_world):
-    result = fit(line_tracker(), line_world, NLL, ("*.sigma", "*.offset", "*.bias"), steps=2)
+    result = fit(line_tracker(), line_world, NLL, ("*.sigma", "*.offset", "*.bias"), FitOptions(steps=2))
     errors = result.standard_errors
     assert np.isnan(errors["sensors.gauge.offset"])
     assert np.isnan(errors["sensors.gauge.bias"])
@@ -186,8 +144,8 @@ def test_undetermined_parameters_have_no_standard_error(line_world):
 
 @pytest.mark.slow
 def test_tied_tunables_are_fitted_as_one(line_world):
-    both = fit(line_tracker(), line_world, NLL, "tied:sensors.gauge.[ob]*", steps=20)
-    alone = fit(line_tracker(), line_world, NLL, "sensors.gauge.offset", steps=20)
+    both = fit(line_tracker(), line_world, NLL, "tied:sensors.gauge.[ob]*", FitOptions(steps=20))
+    alone = fit(line_tracker(), line_world, NLL, "sensors.gauge.offset", FitOptions(steps=20))
     values = {k: float(v.value) for k, v in tunables(both.tracker).items()}
     assert values["sensors.gauge.offset"] == values["sensors.gauge.bias"]
     # two equal offsets, each half of the one; both fits end with Newton steps on a quadratic
@@ -197,7 +155,11 @@ def test_tied_tunables_are_fitted_as_one(line_world):
 
 def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world):
     result = fit(
-        line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, steps=12, optimiser=Adam(12, 3.0)
+        line_tracker(),
+        line_world,
+        RootMeanSquareError(dimensions=1),
+        LEVELS,
+        FitOptions(steps=12, optimiser=Adam(12, 3.0)),
     )
     values = [step.value for step in result.trace]
     assert max(values) > values[0], "steps this long overshoot"
@@ -217,13 +179,13 @@ def test_the_filter_runs_of_a_result_are_those_that_were_made(line_world, monkey
         return run(self, function, vectors, subset, realisation)
 
     monkeypatch.setattr(Problem, "_run", counted)
-    result = fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, steps=3, chunk=4, **options)
+    result = fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, FitOptions(steps=3, chunk=4, **options))
     assert result.filter_runs == sum(made)
 
 
 def test_a_minibatch_is_smaller_than_a_chunk_that_holds_all(line_world):
     seen = []
-    fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, steps=2, minibatch=4, report=seen.append)
+    fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, FitOptions(steps=2, minibatch=4), Place(report=seen.append))
     # All 8 trajectories score every point; the gradient is of 4, at the start and at both ends of each step.
     assert [int(state.filter_runs) for state in seen] == [4 + 8, 12 + 16, 28 + 16]
 
@@ -231,7 +193,7 @@ def test_a_minibatch_is_smaller_than_a_chunk_that_holds_all(line_world):
 def test_every_step_is_reported_and_nothing_else_is_touched(line_world):
     seen = []
     start = line_tracker()
-    result = fit(start, line_world, NLL, LEVELS, steps=5, optimiser=Adam(5), report=seen.append)
+    result = fit(start, line_world, NLL, LEVELS, FitOptions(steps=5, optimiser=Adam(5)), Place(report=seen.append))
     assert [int(state.number) for state in seen] == list(range(6))
     assert [float(state.values[0]) for state in seen] == [step.value for step in result.trace[:6]]
     # a likelihood ends with Newton steps
@@ -254,7 +216,7 @@ def test_a_step_to_a_non_finite_objective_is_halved(monkeypatch):
     monkeypatch.setattr(Problem, "evaluate", fenced)
     # the best noise level, 0.7 m, is beyond the fence
     world = stack(walks([40] * 8, 4, sigma=0.7))
-    result = fit(line_tracker(sigma=0.3), world, NLL, LEVELS, steps=10, optimiser=Adam(10, 0.4))
+    result = fit(line_tracker(sigma=0.3), world, NLL, LEVELS, FitOptions(steps=10, optimiser=Adam(10, 0.4)))
     assert all(step.values["sensors.gauge.sigma"] <= 0.5 for step in result.trace)
     first = next(k for k, v in enumerate(tried) if v > fence)
     assert tried[first + 1] - tried[first - 1] == pytest.approx((tried[first] - tried[first - 1]) / 2)
@@ -272,7 +234,7 @@ def test_a_fit_that_cannot_move_stays_at_its_start(monkeypatch, line_world, opti
         return found._replace(values=np.where(there, found.values, np.inf))
 
     monkeypatch.setattr(Problem, "evaluate", only_the_first)
-    result = fit(line_tracker(), line_world, NLL, LEVELS, steps=3, optimiser=optimiser)
+    result = fit(line_tracker(), line_world, NLL, LEVELS, FitOptions(steps=3, optimiser=optimiser))
     assert result.value == result.start_value
     assert result.values["motion.sigma_v"] == pytest.approx(0.3, rel=1e-12)
 
@@ -305,28 +267,28 @@ def test_recordings_without_a_scored_row_are_refused(objective, error, words):
     nowhere = {"position": (np.zeros((40, 1)), np.zeros(40, bool))}
     blind = [Recording(r.times, r.readings, r.inputs, nowhere) for r in silent]
     with pytest.raises(error, match=words):
-        fit(line_tracker(), stack(blind), objective, LEVELS, steps=2)
+        fit(line_tracker(), stack(blind), objective, LEVELS, FitOptions(steps=2))
 
 
 @pytest.mark.parametrize("optimiser", [LBFGS(), Adam(5)], ids=["LBFGS", "Adam"])
 def test_a_fit_resumed_at_any_step_is_bit_identical(line_world, optimiser):
     saved = []
-    options = {"steps": 5, "starts": 3, "optimiser": optimiser}
-    whole = fit(line_tracker(), line_world, NLL, LEVELS, report=lambda s: saved.append(to_arrays(s)), **options)
+    options, on = FitOptions(steps=5, starts=3, optimiser=optimiser), Place(report=lambda s: saved.append(to_arrays(s)))
+    whole = fit(line_tracker(), line_world, NLL, LEVELS, options, on)
     for arrays in saved[:-1:2]:
-        again = fit(line_tracker(), line_world, NLL, LEVELS, resume=arrays, **options)
+        again = fit(line_tracker(), line_world, NLL, LEVELS, options, Place(resume=arrays))
         assert np.array_equal(again.vector, whole.vector)
         assert again.starts == whole.starts
         assert again.filter_runs == whole.filter_runs
 
 
 def test_starts_of_adam_end_where_they_no_longer_improve_or_meet_a_better_one(line_world):
-    seen = []
-    options = {"steps": 300, "optimiser": Adam(300), "report": seen.append}
-    alone = fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, **options)
+    seen, rmse = [], RootMeanSquareError(dimensions=1)
+    options, on = FitOptions(steps=300, optimiser=Adam(300)), Place(report=seen.append)
+    alone = fit(line_tracker(), line_world, rmse, LEVELS, options, on)
     assert PATIENCE < seen[-1].number < 150
     # Other starts, a factor of ten away, end where they come near the best point of a better one.
-    several = fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, starts=3, **options)
+    several = fit(line_tracker(), line_world, rmse, LEVELS, replace(options, starts=3), on)
     assert seen[-1].number < 150
     assert several.value <= alone.value * 1.001
 
@@ -336,7 +298,7 @@ def test_an_interrupted_fit_keeps_its_best_point(line_world):
         if state.number == 2:
             raise KeyboardInterrupt
 
-    result = fit(line_tracker(sigma=2.0), line_world, NLL, LEVELS, report=stop)
+    result = fit(line_tracker(sigma=2.0), line_world, NLL, LEVELS, on=Place(report=stop))
     assert result.uncertainty is None
     assert result.value < result.start_value
     assert len(result.trace) == 3
@@ -345,7 +307,9 @@ def test_an_interrupted_fit_keeps_its_best_point(line_world):
 def test_bounds_and_frozen_numbers_hold(line_world):
     bounds = {"sensors.gauge.*": (0.25, 0.5)}
     tune = ("motion.*", "sensors.*.sigma", "*.offset")
-    result = fit(line_tracker(sigma=0.3), line_world, NLL, tune, frozen=["*.offset"], bounds=bounds, starts=4)
+    result = fit(
+        line_tracker(sigma=0.3), line_world, NLL, tune, FitOptions(frozen=["*.offset"], bounds=bounds, starts=4)
+    )
     # the best noise level, 0.2 m, lies below
     assert result.values["sensors.gauge.sigma"] == pytest.approx(0.25, rel=1e-12)
     assert set(result.values) == {"motion.sigma_v", "sensors.gauge.sigma"}
@@ -361,12 +325,12 @@ def test_bounds_and_frozen_numbers_hold(line_world):
 )
 def test_impossible_bounds_are_refused(line_world, bounds, words):
     with pytest.raises(ValueError, match=words):
-        fit(line_tracker(), line_world, NLL, LEVELS, bounds=bounds, steps=1)
+        fit(line_tracker(), line_world, NLL, LEVELS, FitOptions(bounds=bounds, steps=1))
 
 
 def test_many_starts_find_at_least_what_each_of_them_finds(line_world):
     wrong = line_tracker(sigma=30.0)
-    together = fit(wrong, line_world, NLL, LEVELS, starts=4)
+    together = fit(wrong, line_world, NLL, LEVELS, FitOptions(starts=4))
     alone = fit(wrong, line_world, NLL, LEVELS)
     assert len(together.starts) == 4
     assert together.starts[0][0].value == alone.start_value
@@ -378,7 +342,9 @@ def test_parameters_without_effect_keep_the_users_values_whichever_start_wins():
     still = walks([40] * 8, 5)
     simultaneous = [Recording(0 * r.times, r.readings, r.inputs, r.truth) for r in still]
     near = line_tracker(sigma_v=5.0)
-    result = fit(line_tracker(sigma=30.0), stack(simultaneous), NLL, LEVELS, guesses=[near], starts=2, steps=1)
+    result = fit(
+        line_tracker(sigma=30.0), stack(simultaneous), NLL, LEVELS, FitOptions(guesses=[near], starts=2, steps=1)
+    )
     assert result.trace is result.starts[1], "the guess is to win, in one step"
     assert result.trace[0].values["motion.sigma_v"] == pytest.approx(5.0)
     assert result.values["motion.sigma_v"] == pytest.approx(0.3, rel=1e-12)
@@ -386,7 +352,7 @@ def test_parameters_without_effect_keep_the_users_values_whichever_start_wins():
 
 def test_held_out_recordings_select_the_best_point():
     quiet, loud = stack(walks([40] * 8, 3)), stack(walks([40] * 8, 4, sigma=0.7))
-    result = fit(line_tracker(), quiet, NLL, LEVELS, held_out=loud)
+    result = fit(line_tracker(), quiet, NLL, LEVELS, FitOptions(held_out=loud))
     alone = fit(line_tracker(), quiet, NLL, LEVELS)
     # the best fit to the quiet ones is overconfident on the loud ones
     assert result.values["sensors.gauge.sigma"] > alone.values["sensors.gauge.sigma"]
@@ -396,7 +362,7 @@ def test_held_out_recordings_select_the_best_point():
 def test_minibatches_come_close_to_the_full_batch():
     world = stack(walks([40] * 64, 3))
     whole = fit(line_tracker(sigma=0.4), world, NLL, LEVELS)
-    part = fit(line_tracker(sigma=0.4), world, NLL, LEVELS, minibatch=16, steps=60, seed=1)
+    part = fit(line_tracker(sigma=0.4), world, NLL, LEVELS, FitOptions(minibatch=16, steps=60, seed=1))
     for name in LEVELS:
         # a minibatch determines a level to about 5 %, and a falling rate averages the steps
         assert part.values[name] == pytest.approx(float(whole.values[name]), rel=0.1)
@@ -405,8 +371,8 @@ def test_minibatches_come_close_to_the_full_batch():
 
 def test_a_tight_prior_outweighs_the_measurements(line_world):
     tight = Prior("sensors.gauge.sigma", 0.4, factor=1.0001)
-    result = fit(line_tracker(), line_world, NLL, LEVELS, priors=[tight])
+    result = fit(line_tracker(), line_world, NLL, LEVELS, FitOptions(priors=[tight]))
     # 320 measurements determine a level to 4 %, the prior to 0.01 %
     assert result.values["sensors.gauge.sigma"] == pytest.approx(0.4, rel=1e-3)
     with pytest.raises(ValueError, match="likelihood"):
-        fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, priors=[tight])
+        fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, FitOptions(priors=[tight]))

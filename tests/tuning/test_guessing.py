@@ -30,10 +30,18 @@ from trackwright.trackers.mhk.tracker import mhk_tracker
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.recordings.tracks import batches as in_batches
 from trackwright.trackers.uwb_imu.fusion import range_tracker
-from trackwright.tuning.differences import FixNoiseLevels, noise_levels_of_fixes
-from trackwright.tuning.guessing import TOLERANCE, _Search, first_guess, noise_levels, sample_segments, tolerant
+from trackwright.tuning.guessing import (
+    TOLERANCE,
+    FixNoiseLevels,
+    _Search,
+    first_guess,
+    noise_levels,
+    noise_levels_of_fixes,
+    sample_segments,
+    tolerant,
+)
+from trackwright.tuning.optimisation import coarse_grid
 from trackwright.tuning.parameters import select_parameters
-from trackwright.tuning.starts import coarse_grid
 
 FAR = [(10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0)]
 LEVELS = {"motion.sigma_a": 0.7, "motion.sigma_z": 0.1, "sensors.fixes.sigma_horizontal": 0.15}

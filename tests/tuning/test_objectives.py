@@ -1,16 +1,28 @@
 """The objectives: figures made of sums, whatever batches the recordings stand in."""
 
 import dataclasses
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
+import polars as pl
 import pytest
+from scipy import stats
 
 import trackwright as tw
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
+from trackwright.sim.agv import simulate_agv
+from trackwright.sim.stations import simulate_phases, work_station
+from trackwright.sim.worlds import ranges as ranges_world
+from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.data.recording import Recording, stack
-from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
+from trackwright.trackers.core.run.smoother import Smoothed
+from trackwright.trackers.evaluation.evaluate import associate
+from trackwright.trackers.evaluation.scoring import covariances, score
+from trackwright.tuning.data import fit_data
+from trackwright.tuning.named_objectives import HEIGHT_WEIGHT, all_metrics, parse_objective
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 
@@ -136,7 +148,7 @@ def test_a_function_of_state_and_truth_is_an_objective():
     def miss(state, truth):
         return jnp.hypot(*(state.position[k] - truth["position"][k] for k in range(2)))
 
-    result = tw.fit(tracker, rows, miss, "motion.sigma_a", steps=6)
+    result = tw.fit(tracker, rows, miss, "motion.sigma_a", tw.FitOptions(steps=6))
     assert result.value < result.start_value
     for model, value in ((tracker, result.start_value), (result.tracker, result.value)):
         estimates = [np.stack(list(model.run(r).mean.position), axis=-1) for r in rows]
@@ -159,10 +171,134 @@ def test_a_function_is_an_objective_of_folders_and_named_where_it_does_not_fit()
     def height_alone(state, truth):
         return (state.position[2] - truth["position"][2]) ** 2
 
-    found = tw.fit(tracker, folder, height_alone, "motion.sigma_z", steps=2, dimensions=3)
+    found = tw.fit(tracker, folder, height_alone, "motion.sigma_z", tw.FitOptions(steps=2, dimensions=3))
     tracks = tw.build("fix-kf", folder).run(folder).table.join(folder.tables["truth"], on=["tag", "t_s"])
     error = (tracks["z_m"] - tracks["z_m_right"]).to_numpy()
     assert found.start_value == pytest.approx(np.mean(error**2), rel=1e-6)
     blind = dataclasses.replace(folder, tables={"fixes": folder.tables["fixes"]})
     with pytest.raises(tw.UnusableInput, match="objective height_alone needs truth, and these recordings have none"):
         tw.fit(tracker, blind, height_alone, "motion.sigma_z")
+
+
+LATENCY = {"sensors.fixes.latency": 0.3}
+
+
+def _folder(name):
+    if name in ("beam", "cascade", "direct"):
+        return simulate_phases(work_station(), n=2, n_points=60).folder("phases")
+    if name == "uwb":
+        folder = ranges_world(n=2, rows=200, seed=1).folder()
+        ranges = folder.tables["ranges"].with_columns(t_s=(pl.col("t_s") / 0.2).floor() * 0.2)
+        # Rows that share a time: the ranges of 0.2 s.
+        return replace(folder, tables=folder.tables | {"ranges": ranges.sort("tag", "t_s", maintain_order=True)})
+    folder = simulate_agv(2, rows=300).folder("agv")
+    if name != "mhk-stamped":
+        return folder
+    fixes = folder.tables["fixes"]
+    # Every fourth fix or so is empty, and once a dozen in a row.
+    row = np.arange(len(fixes)) % 300
+    empty = pl.Series((np.random.default_rng(0).random(len(fixes)) < 0.25) | ((row > 150) & (row < 163)))
+    holes = [pl.when(empty).then(None).otherwise(pl.col(f"{a}_m")).alias(f"{a}_m") for a in "xyz"]
+    return replace(folder, tables=folder.tables | {"fixes": fixes.with_columns(*holes)})
+
+
+def _density(errors, P):
+    """The negative log density of errors under normal distributions, nats."""
+    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(P), errors)
+    return 0.5 * (nees + np.linalg.slogdet(2 * np.pi * P)[1])
+
+
+def _shown(tracker, folder):
+    """RMSE, negative log density and NEES shape, in NumPy from the table of estimates and the table of truth."""
+    association = associate(tracker.run(folder), folder)
+    scored = score(association, {folder.name: folder.rig.stations})
+    if scored.nees_3d is None:
+        return {"rmse": np.sqrt(np.mean(np.sum(scored.errors**2, axis=1)))}
+    errors, P = scored.errors, covariances(association.rows[scored.index])
+    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(P), errors)
+    plane, space = (_density(errors[:, :d], P[:, :d, :d]) for d in (2, 3))
+    u = stats.chi2.cdf(nees, 3)
+    means = [np.mean(np.sqrt(2 * k + 1) * np.polynomial.legendre.Legendre.basis(k)(2 * u - 1)) for k in range(1, 5)]
+    return {
+        "rmse": np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))),
+        "rmse-3d": np.sqrt(np.mean(np.sum(errors**2, axis=1))),
+        "state-nll": np.mean(plane + HEIGHT_WEIGHT * (space - plane)),
+        "nees-shape": np.sum(np.square(means)),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "smooth", "rtol"),
+    [
+        pytest.param("beam", {}, False, 1e-9, marks=pytest.mark.slow),
+        pytest.param("cascade", {}, False, 1e-9, marks=pytest.mark.slow),
+        ("uwb", {}, False, 1e-9),
+        pytest.param("mhk", {}, False, 1e-9, marks=pytest.mark.slow),
+        pytest.param("mhk-stamped", {}, False, 1e-9, marks=pytest.mark.slow),
+        # Six of 600 estimates are valid before the truth begins: the objective continues it there, `evaluate` does not.
+        pytest.param("fix-kf", LATENCY, False, 0.02, marks=pytest.mark.slow),
+        ("fix-kf", LATENCY, True, 0.02),
+    ],
+    ids=[
+        "beam",
+        "cascade",
+        "ranges at one time",
+        "mhk",
+        "mhk-stamped with empty rows",
+        "fixes with latency",
+        "smoothed fixes with latency",
+    ],
+)
+def test_the_objective_is_the_figure_of_the_estimates_shown(name, values, smooth, rtol):
+    folder = _folder(name)
+    tracker = build(name, [folder]).with_values(values)
+    data = fit_data(tracker.only_batch([folder]), "rmse", dimensions=3)
+    model = Smoothed(data.tracker) if smooth else data.tracker
+    quantity = "direction" if name == "beam" else "position"
+    found = all_metrics(model, data.rows(), quantity, 2 if name == "beam" else 3)
+    shown = _shown(tracker.smoothing() if smooth else tracker, folder)
+    for objective, figure in shown.items():
+        assert found[objective] == pytest.approx(figure, rel=rtol, abs=rtol), objective
+
+
+SUMS = np.array([12.0, 3.0])
+"""A mean of 4, a root mean square of 2."""
+
+
+def test_a_name_alone_is_its_objective():
+    assert parse_objective("nll") == NegativeLogLikelihood()
+    assert parse_objective(" 1*rmse ", "position", 3) == RootMeanSquareError("position", 3)
+    assert parse_objective("state-nll", "direction", 2) == StateLogLikelihood("direction", 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("2*nll", 8.0), ("0.5 * rmse", 1.0), ("1e1*rmse", 20.0), ("1*nll", 4.0), ("rmse", 2.0)]
+)
+def test_a_weight_multiplies_the_objective(text, value):
+    assert float(parse_objective(text).value(SUMS)) == pytest.approx(value)
+
+
+def test_a_sum_adds_its_parts_in_the_order_of_the_text():
+    objective = parse_objective("0.25*rmse + 3*nll", dimensions=1)
+    assert objective == Weighted((RootMeanSquareError("position", 1), NegativeLogLikelihood()), (0.25, 3.0))
+    assert float(objective.value(np.array([12.0, 3.0, 10.0, 4.0]))) == pytest.approx(0.25 * 2.0 + 3 * 2.5)
+    # A likelihood in another unit is one still; a sum of two objectives is none.
+    assert parse_objective("2*nll").nats_per_unit(np.array([5.0, 6.0])) == pytest.approx(3.0)
+    assert not objective.is_likelihood
+    assert objective.needs_truth
+
+
+@pytest.mark.parametrize(
+    "text", ["", "nll+", "nll+nll", "2nll", "mse", "nll rmse", "1.2.3*nll", "0*nll", "nll+-rmse", "nll*2"]
+)
+def test_texts_that_name_no_objective_are_refused(text):
+    with pytest.raises(ValueError):
+        parse_objective(text)
+
+
+def test_a_tag_whose_true_place_is_the_origin_has_an_error():
+    (walk,) = walks([8], 1)
+    walk.truth["position"] = np.zeros((8, 1)), np.ones(8, bool)
+    tracker, batch = line_tracker(), stack([walk])
+    places = np.asarray(tracker.run(batch).mean.position[0])
+    assert all_metrics(tracker, batch, dimensions=1)["rmse"] == pytest.approx(np.sqrt(np.mean(places**2)), rel=1e-6)

@@ -8,11 +8,10 @@ import pytest
 from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.core.data.recording import stack
 from trackwright.tuning.objectives import NegativeLogLikelihood
-from trackwright.tuning.optimisation import MultiStart
+from trackwright.tuning.optimisation import MultiStart, initial_state
 from trackwright.tuning.optimisers import LBFGS
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.starts import initial_state
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 ANYWHERE = np.full(2, -np.inf), np.full(2, np.inf)

@@ -13,16 +13,16 @@ from tests.tuning.worlds import line_tracker, walks
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.data.recording import stack
+from trackwright.tuning.batches import Pieces, lengths_of
 from trackwright.tuning.checkpoint import fingerprint
 from trackwright.tuning.data import fit_data
-from trackwright.tuning.fitting import fit
+from trackwright.tuning.fitting import FitOptions, Place, fit
 from trackwright.tuning.guessing import sample_segments
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.optimisers import Adam
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.parts import LocalParts, Parts, on_chunk
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.unstacked import Pieces, lengths_of
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 
@@ -56,8 +56,8 @@ FITS = {
 def test_a_fit_has_the_same_bits_wherever_its_rows_are(name):
     recordings, objective, options = FITS[name]
     here, there = (
-        fit(line_tracker(sigma=0.4), recordings, objective, LEVELS, steps=3, place=place, **options)
-        for place in (LocalParts, Elsewhere)
+        fit(line_tracker(sigma=0.4), recordings, objective, LEVELS, FitOptions(steps=3, **options), Place(keep=keep))
+        for keep in (LocalParts, Elsewhere)
     )
     assert there.problem.parts.held
     assert not np.array_equal(here.vector, here.start_vector)
@@ -77,8 +77,8 @@ def test_random_numbers_are_those_of_the_same_realisation_wherever_the_rows_are(
     tracker = line_tracker()
     parameters = select_parameters(tracker, LEVELS)
     here, there = (
-        Problem(tracker, [stack(walks([5] * 6, 2))], LIKELIHOOD, parameters, 4, place=place).parts
-        for place in (LocalParts, Elsewhere)
+        Problem(tracker, [stack(walks([5] * 6, 2))], LIKELIHOOD, parameters, 4, keep=keep).parts
+        for keep in (LocalParts, Elsewhere)
     )
     blocks = [flatten(parameters)[None]]
     drawn = [[parts.run(_keys, blocks, _as_found, [1], k) for parts in (here, there)] for k in (0, 3)]

@@ -25,8 +25,8 @@ from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.mhk.tracker import mhk_tracker
-from trackwright.tuning.named_objectives import all_metrics, parse_objective
-from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
+from trackwright.tuning.named_objectives import all_metrics
+from trackwright.tuning.objectives import StateLogLikelihood
 from trackwright.tuning.pit_uniformity import (
     PITUniformity,
     chi_square_cdf,
@@ -222,26 +222,3 @@ def test_the_shape_of_the_nis_needs_the_tracker():
     assert student_t_dof_of(direct_tracker(work_station().stations)) is None
     with pytest.raises(ValueError, match="for_tracker"):
         PITUniformity("nis").terms(_output(np.random.default_rng(0), Beam(*np.zeros((4, LANES))), 4)[0], {})
-
-
-def test_a_sum_of_objectives_is_the_sum_of_their_figures(figures):
-    world = stack(walks([20] * 3, 2))
-    nll, rmse = NegativeLogLikelihood(), RootMeanSquareError("position", 1)
-    both = parse_objective("nll + 0.5*rmse", "position", 1)
-    assert both == Weighted((nll, rmse), (1.0, 0.5))
-    sums = np.array([7.0, 2.0, 16.0, 4.0])
-    assert both.value(sums) == pytest.approx(3.5 + 0.5 * 2.0)
-    assert both.size == 4
-    assert both.needs_truth
-    assert len(line_tracker().accumulate(world, both.terms)) == 4
-    assert np.isnan(both.nats_per_unit(sums))
-    assert parse_objective("2e+0*nll").nats_per_unit(sums) == pytest.approx(1.0)
-    assert parse_objective("nll") == nll
-
-
-@pytest.mark.parametrize(
-    "text", ["", "nll+", "nil", "nll rmse", "nll-rmse", "-1*nll", "0*nll", "1.2.3*nll", "nll+nll", "nll*2"]
-)
-def test_what_is_no_objective_is_refused(text):
-    with pytest.raises(ValueError):
-        parse_objective(text)

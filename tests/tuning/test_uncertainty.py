@@ -12,14 +12,20 @@ from scipy.optimize import brentq
 from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.core.data.recording import Readings, stack
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
-from trackwright.tuning.identifiability import flat_components, identifiability_issues
+from trackwright.tuning.identifiability import flat_components, identifiability_issues, kept_at_start
+from trackwright.tuning.intervals import bootstrap, percentile_intervals, profile, refit
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
-from trackwright.tuning.optimum import Optimum, optimum
 from trackwright.tuning.parameters import Parameter, flatten, select_parameters
 from trackwright.tuning.problem import Evaluation, Problem
-from trackwright.tuning.profiles import bootstrap, percentile_intervals, profile, refit
-from trackwright.tuning.uncertainty import Uncertainty, uncertainty, uncertainty_at, unidentifiable, unused
-from trackwright.tuning.undetermined import kept_at_start
+from trackwright.tuning.uncertainty import (
+    Optimum,
+    Uncertainty,
+    optimum,
+    uncertainty,
+    uncertainty_at,
+    unidentifiable,
+    unused,
+)
 
 TYPICAL = 0.5
 

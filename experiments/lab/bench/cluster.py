@@ -232,7 +232,7 @@ def travelling(paths: Sequence[Path], folder: Path) -> Row:
         held = FitWorkers(client, expected, folder)
         problem = Problem(
             data.tracker, data.batches(), data.objective, parameters,
-            place=lambda point, pieces: HeldParts(held, named, point, pieces),
+            keep=lambda point, pieces: HeldParts(held, named, point, pieces),
         )  # fmt: skip
         vector = flatten(parameters)
         problem.evaluate(vector)

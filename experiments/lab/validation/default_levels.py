@@ -25,8 +25,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.uwb_imu.fusion import range_tracker
 from trackwright.tuning.calibrating import calibrate
-from trackwright.tuning.data import fit_data
-from trackwright.tuning.fit_arrays import FitArrays
+from trackwright.tuning.data import FitArrays, fit_data
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 

@@ -18,9 +18,8 @@ from trackwright.trackers.catalogue import build
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
-from trackwright.tuning.calibrating import calibrate
-from trackwright.tuning.cross_calibration import by_halves, by_others
-from trackwright.tuning.fitting import fit
+from trackwright.tuning.calibrating import by_halves, by_others, calibrate
+from trackwright.tuning.fitting import FitOptions, fit
 
 WALKS = tuple(f"ble51-walk-u{k}-r1" for k in (1, 2, 3))
 
@@ -231,7 +230,7 @@ def _tuned(fold: Fold) -> dict[str, Any]:
     if not fold.tuned_on:
         return {}
     folders = recorded(fold.tuned_on)
-    result = fit(build(fold.tracker, folders), folders, "rmse", tune=fold.tuned, dimensions=3)
+    result = fit(build(fold.tracker, folders), folders, "rmse", fold.tuned, FitOptions(dimensions=3))
     return dict(result.tracker.values)
 
 

@@ -26,7 +26,7 @@ from trackwright.trackers.aoa.beam import Beam
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.motion import PathState
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
-from trackwright.tuning.fitting import fit
+from trackwright.tuning.fitting import FitOptions, fit
 from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import Parameter, component_names, flatten, select_parameters, with_parameters
 from trackwright.tuning.uncertainty import By, unused
@@ -167,7 +167,9 @@ def recovered(name: str, replicates: int, seed: int) -> list[Row]:
     covered: dict[By, list[np.ndarray]] = {"curvature": [], "scatter": [], "either": []}
     with progress(f"system {name}", replicates) as advance:
         for k, recordings in enumerate(system.replicates(replicates, seed)):
-            result = fit(wrong(system, k), tw.stack(recordings), NegativeLogLikelihood(), system.tune, starts=4)
+            result = fit(
+                wrong(system, k), tw.stack(recordings), NegativeLogLikelihood(), system.tune, FitOptions(starts=4)
+            )
             worse += int(result.value > result.start_value)
             assert result.uncertainty is not None
             errors.append(result.vector - truth)

@@ -18,9 +18,9 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.selection import Selection
-from trackwright.tuning.cross_calibration import halves
+from trackwright.tuning.calibrating import halves
+from trackwright.tuning.fit_cautions import left_out_values
 from trackwright.tuning.fitting import FitResult, fit
-from trackwright.tuning.left_out import left_out_values
 
 
 def tuned_sites(*, seconds: float | None = None, site: tuple[str, ...] = (), output: Output = DEFAULTS) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 
 from trackwright.experiments.lab.verify import oracles
 from trackwright.experiments.lab.verify.check_result import MAX_STANDARD_ERRORS, CheckResult, random_check
+from trackwright.experiments.lab.verify.marginal_score import marginal_scores
 from trackwright.experiments.lab.verify.worlds import (
     CORRIDOR_TUNABLES,
     HALT_DT,
@@ -37,7 +38,6 @@ from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import PathOutputMap
 from trackwright.trackers.mhk.fusion import chain_predicted, chain_updated
 from trackwright.trackers.parts.fixes import FIXES
-from trackwright.tuning.marginal_score import marginal_scores
 from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem

@@ -32,7 +32,7 @@ from trackwright.experiments.pages.reports.before_after import TrackChange
 from trackwright.experiments.pages.reports.tuning_data import ErrorTrack, OptimiserTrace, TuningReportData
 from trackwright.experiments.text.wording import number
 from trackwright.tuning.diagnostics import Innovations
-from trackwright.tuning.surface import Surface
+from trackwright.tuning.sweeping import Surface
 
 PALE = "#c3ccd6"
 POINTS = 250

@@ -34,8 +34,7 @@ from trackwright.trackers.recordings.calibration import (
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import calibrate
-from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs
-from trackwright.tuning.calibration_structure import differs_by_distance
+from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
 
 WIDTH = 150
 SHOWN = 12

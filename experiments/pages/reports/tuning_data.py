@@ -17,14 +17,13 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.tracks import batches, for_positions
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
-from trackwright.tuning.diagnostics import Innovations, absolute_errors, innovations_of
+from trackwright.tuning.diagnostics import Innovations, absolute_errors, implied_spread, innovations_of
 from trackwright.tuning.fitting import FitResult, Step
 from trackwright.tuning.identifiability import IdentifiabilityIssue
-from trackwright.tuning.implied_spread import implied_spread
 from trackwright.tuning.intervals import Interval
 from trackwright.tuning.named_objectives import all_metrics
 from trackwright.tuning.parameters import Parameter, component_names
-from trackwright.tuning.surface import Surface, surface_of
+from trackwright.tuning.sweeping import Surface, surface_of
 
 
 @dataclass(frozen=True)

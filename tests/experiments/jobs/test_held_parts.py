@@ -21,11 +21,11 @@ from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.tuning.batches import Pieces
 from trackwright.tuning.data import fit_data
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.parts import LocalParts
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.unstacked import Pieces
 
 MINE = """
 import dataclasses
@@ -51,7 +51,7 @@ def vehicles():
 
 def _problem(named, data, place):
     return Problem(
-        data.tracker, data.batches(), data.objective, select_parameters(named.tracker, ["motion.*"]), place=place
+        data.tracker, data.batches(), data.objective, select_parameters(named.tracker, ["motion.*"]), keep=place
     )
 
 

@@ -10,7 +10,6 @@ import polars as pl
 import pytest
 
 from tests.in_process import trackwright
-from trackwright import sim
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor
 from trackwright.experiments.jobs.portable import run_on

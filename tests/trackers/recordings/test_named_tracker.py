@@ -76,7 +76,13 @@ def test_a_recording_without_the_table_is_refused(tracker, folders):
 
 
 def test_a_fit_by_name_returns_the_tracker_by_name_with_other_values(tracker, folders):
-    result = tw.fit(tracker, folders[0], "nll", tune="sensors.fixes.sigma_horizontal", steps=3, held_out=folders[1])
+    result = tw.fit(
+        tracker,
+        folders[0],
+        "nll",
+        tune="sensors.fixes.sigma_horizontal",
+        options=tw.FitOptions(steps=3, held_out=folders[1]),
+    )
     assert result.value <= result.start_value
     assert isinstance(result.tracker, type(tracker))
     found = float(result.tracker.tunables["sensors.fixes.sigma_horizontal"].value)

@@ -22,7 +22,7 @@ from trackwright.trackers.core.model.algebra import (
     total,
     triangle,
 )
-from trackwright.trackers.core.model.covariance import AnyCovariance, as_scalars
+from trackwright.trackers.core.model.covariance import AnyCovariance, as_scalars, size_of
 from trackwright.trackers.core.model.state import State, coordinates, steps_of
 
 
@@ -106,12 +106,14 @@ def covariance_of(
 ) -> dict[tuple[int, int], Scalar]:
     """The covariance of a quantity of one trajectory's state, linearised at the mean: its upper triangle by index.
 
-    `upper`: covariance of the small step about `mean`. A component of the state is selected by its name, whatever the
+    `upper`: covariance of the small step about `mean`, or of its leading components where the quantity is a function of
+    these alone. A component of the state is selected by its name, whatever the
     order of the fields, at no cost in the compiled program.
     """
     point, rebuild = coordinates(mean)
     _, rows = linearise(lambda *x: list(quantity(rebuild(x))), point)
-    P = full(as_scalars(upper), len(point))
+    entries = as_scalars(upper)
+    P = full(entries, size_of(entries))
     return {
         (i, j): total(times(times(a, P[m][n]), b) for m, a in rows[i].items() for n, b in rows[j].items())
         for i, j in triangle(len(rows))

@@ -22,7 +22,7 @@ from trackwright.experiments.lab.validation.real_recordings import all_checks, q
 from trackwright.trackers.catalogue import tracker_for
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
-from trackwright.tuning.cross_calibration import halves
+from trackwright.tuning.calibrating import halves
 
 INSIDE = Outside(0.0, 0.1, 1.0, 0)
 HONEST = {"rmse_m": 0.2, "rmse_3d_m": 0.3, "coverage_95": 0.95, "coverage_95_3d": 0.95, "nees_ratio": 1.0}

@@ -12,7 +12,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.data import FitData, fit_data
-from trackwright.tuning.fitting import fit
+from trackwright.tuning.fitting import FitOptions, fit
 from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.intervals import intervals_of
 from trackwright.tuning.named_objectives import parse_objective
@@ -40,7 +40,7 @@ def run():
     (group,) = spec_of("fix-kf").batches([_walk(name, k) for k, name in enumerate("abcd")], "fix-kf", False)
     training, held_out = group.trajectories[:2], group.trajectories[2:]
     rows = [batch for _, batch in batches(training)]
-    result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, steps=6, starts=2)
+    result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, FitOptions(steps=6, starts=2))
     request = Request("trackwright tune a b", ("trackwright track c",), "fix-kf", "a Kalman filter", NLL, 1.5)
     issues = [IdentifiabilityIssue((PATTERNS[0],), "an issue")]
     data = FitData(group.tracker, parse_objective(NLL), NLL, group.planar, 3, training, held_out, "recordings")
@@ -126,7 +126,7 @@ def test_of_directions_errors_are_in_degrees_and_metrics_in_radians():
     folder = tw.simulate.station(n=1, rows=40, seed=2).folder()
     data = fit_data(tw.build("beam", folder).only_batch([folder]), NLL)
     sigma = next(name for name in tw.tunables(data.tracker) if name.endswith("sigma_p"))
-    result = fit(data.tracker, data.rows(), data.objective, (sigma,), steps=1, starts=1)
+    result = fit(data.tracker, data.rows(), data.objective, (sigma,), FitOptions(steps=1, starts=1))
     request = Request("trackwright tune a", (), "beam", "a beamformer", NLL, 1.5)
     collected = collect(request, result, data, intervals_of(result), [])
     (rmse,) = [one for one in collected.metrics if one.key.startswith("rmse")]
@@ -143,7 +143,7 @@ def test_errors_are_one_for_each_time_as_track_has_them_and_begin_at_zero():
     named = tw.build("uwb", folder)
     data = fit_data(named.only_batch([folder]), NLL)
     sigma = "sensors.ranges.sigma_r"
-    result = fit(data.tracker, data.rows(), data.objective, (sigma,), steps=1, starts=1)
+    result = fit(data.tracker, data.rows(), data.objective, (sigma,), FitOptions(steps=1, starts=1))
     request = Request("trackwright tune a", (), "uwb", "ranges", NLL, 1.5)
     collected = collect(request, result, data, intervals_of(result), [])
     assert collected.parameters[0].spread.startswith("68 % of the readings within ± 0.")

@@ -10,7 +10,7 @@ from trackwright.experiments.pages.reports.tuning_data import (
     TuningReportData,
 )
 from trackwright.tuning.diagnostics import Innovations
-from trackwright.tuning.surface import Surface
+from trackwright.tuning.sweeping import Surface
 
 
 def innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 300) -> Innovations:

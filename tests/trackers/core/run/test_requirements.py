@@ -303,9 +303,9 @@ def test_a_mistake_is_refused_in_one_sentence_before_anything_is_traced(mistake)
 @pytest.mark.slow
 def test_one_recording_several_and_a_batch_are_fitted_alike():
     recording = tw.fix_recording(TIMES, PATH + 0.1 * np.random.default_rng(0).normal(size=PATH.shape))
-    tracker, numbers = tw.fix_tracker(dof=None), {"tune": "sensors.fixes.sigma_horizontal", "steps": 2}
+    tracker, options = tw.fix_tracker(dof=None), tw.FitOptions(steps=2)
     alike = [recording, [recording], (r for r in [recording]), stack([recording]), [stack([recording])]]
-    values = [tw.fit(tracker, given, "nll", **numbers).value for given in alike]
+    values = [tw.fit(tracker, given, "nll", "sensors.fixes.sigma_horizontal", options).value for given in alike]
     assert values == [values[0]] * len(alike)
 
 
