@@ -55,7 +55,7 @@ def studies(*, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), outpu
     set_flags()
     trackers = chosen(tracker, dict.fromkeys(t for every in WORLDS.values() for t in every))
     pairs = [(w, t) for w in chosen(world, WORLDS) for t in WORLDS[w] if t in trackers]
-    rows = shown(of_a_chunk(*pair, bench) for pair in pairs)
+    rows = shown(of_a_chunk(*pair, output) for pair in pairs)
     output.publish("bench studies", Table(rows))
     return int(any(row["run/whole"] < LEAST_SHARE for row in rows))
 

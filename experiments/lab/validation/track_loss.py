@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 import trackwright as tw
-from trackwright.experiments.lab.cases import DEFAULTS, Output, Table
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.recordings.rig_file import mounted
 
@@ -113,13 +113,14 @@ def lost(folder: tw.RecordingFolder, tracker: str) -> tuple[int, int, int]:
 
 def track_loss(*, output: Output = DEFAULTS) -> int:
     """False alarms and delays of track loss, on simulated tags that are carried away, and in worlds where none is."""
-    count, walks, worlds = 20 if output.small else TRAJECTORIES, [], []
+    count, walks, worlds = 20 if output.small else TRAJECTORIES, list[Row](), list[Row]()
     for sensor in ("ranges", "bearings"):
         for label, limit in (("score", None), ("none", NEVER)):
             found = detection(sensor, count, limit)
-            row = {"walks": sensor, "test": label, "lost before": found.false_alarms}
-            row |= {"detected %": 100 * found.detected, "delay s": found.delay if np.isfinite(found.delay) else None}
-            walks.append(row | {f"error m after {t:g} s": e for t, e in zip(JUDGED_S, found.errors, strict=True)})
+            errors = {f"error m after {t:g} s": e for t, e in zip(JUDGED_S, found.errors, strict=True)}
+            delay = found.delay if np.isfinite(found.delay) else None
+            lost_of = {"lost before": found.false_alarms, "detected %": 100 * found.detected, "delay s": delay}
+            walks.append({"walks": sensor, "test": label, **lost_of, **errors})
     for make, tracker in ((tw.simulate.ranges, "uwb"), (tw.simulate.tool, "uwb"), (tw.simulate.tool, "uwb-imu")):
         tags, rows, gone = lost(make(n=count, seed=7).folder(), tracker)
         worlds.append({"world": make.__name__, "tracker": tracker, "tags": tags, "rows": rows, "tags lost": gone})
