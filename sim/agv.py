@@ -9,9 +9,8 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, outliers
-from trackwright.sim.fixes import correlated_noise
-from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_keys, uniforms
+from trackwright.sim.corruptions import Corruption, correlated_noise, corrupted, gauss_markov, outliers
+from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -120,7 +119,7 @@ class SimulatedFixes:
 
 
 def simulate_agv(
-    n: int | Sequence[int] = 1,
+    n: int | Sequence[int] | np.ndarray = 1,
     seed: int = 0,
     *,
     route: Route = Route(),
@@ -141,7 +140,7 @@ def simulate_agv(
             f"speed {speed} m/s, {sideways:.3g} m/s² in corners of radius {route.radius} m: expected at most "
             f"{LARGEST_SPEED} m/s and {LARGEST_ACCELERATION} m/s², the limits of the vehicle"
         )
-    ids = np.arange(n) if isinstance(n, int) else np.asarray(n)
+    ids = trajectory_ids(n)
     keys = trajectory_keys(seed, ids)
     times = np.arange(rows) / rate_hz
     # ½ t² until t = `speed`, when 1 m/s² has led to `speed`; constant speed from there.

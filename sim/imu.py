@@ -226,7 +226,7 @@ class SimulatedUwbImu:
 def simulate_uwb_imu(
     rig: Rig,
     path: PathFunction = WALK,
-    n: int = 1,
+    n: int | Sequence[int] | np.ndarray = 1,
     seed: int = 0,
     *,
     rate_hz: float = 40.0,
@@ -238,21 +238,20 @@ def simulate_uwb_imu(
     gyro: Mapping[str, Corruption] = MEMS_GYRO,
     gap_s: tuple[float, float] | None = None,
     attitude: Callable[[Keys, Times], Attitudes] = swinging,
-    ids: Sequence[int] | np.ndarray | None = None,
 ) -> SimulatedUwbImu:
-    """`n` tags, each with an IMU, on smooth paths; by default one anchor's range at a time.
+    """Tags, each with an IMU, on smooth paths; by default one anchor's range at a time.
 
-    `rate_hz`, `n_points`, `protocol`, `corruptions` and `ids` as for `simulate_ranges`. `samples`: IMU samples per row
+    `n`, `rate_hz`, `n_points`, `protocol` and `corruptions` as for `simulate_ranges`. `samples`: IMU samples per row
     of ranges. `accel`, `gyro`: corruptions of the IMU by name, in order. `gap_s`: start and end, s, of a gap in the
     IMU's samples. `attitude`: the body's attitudes (n, T, 4) as a function of (keys, times).
     """
     ranges = simulate_ranges(
-        rig, path, n, seed, rate_hz=rate_hz, n_points=n_points, protocol=protocol, corruptions=corruptions, ids=ids
+        rig, path, n, seed, rate_hz=rate_hz, n_points=n_points, protocol=protocol, corruptions=corruptions
     )
     keys = trajectory_keys(seed, ranges.ids)
     times = np.arange((n_points - 1) * samples + 1) / (rate_hz * samples)
     (positions,) = in_blocks(lambda keys: (path(stream(keys, "path"), times),), keys, size=32)
-    seen = np.ones((n, len(times)), bool)
+    seen = np.ones((len(ranges.ids), len(times)), bool)
     if gap_s is not None:
         seen &= ~((times >= gap_s[0]) & (times < gap_s[1]))
 

@@ -15,7 +15,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float32, Key, Shaped, UInt32
+from jaxtyping import Float32, Int, Key, Shaped, UInt32
 
 from trackwright.trackers.core.model.keys import threefry
 
@@ -24,6 +24,11 @@ Keys = Key[jax.Array, " n"]
 
 LARGEST_ID = 2**32 - 1
 _GENERATOR = "threefry2x32"
+
+
+def trajectory_ids(n: int | Sequence[int] | np.ndarray) -> Int[np.ndarray, " n"]:
+    """The ids of trajectories of which their number is given, 0 … n − 1, or their ids."""
+    return np.arange(n) if isinstance(n, int | np.integer) else np.asarray(n)
 
 
 def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:

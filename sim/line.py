@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
-from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_keys, uniforms
+from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.rig import Tag
@@ -92,7 +92,7 @@ class SimulatedLine:
 
 def simulate_line(
     situation: str | Situation = "constant",
-    n: int | Sequence[int] = 1,
+    n: int | Sequence[int] | np.ndarray = 1,
     seed: int = 0,
     *,
     knots: Float[np.ndarray, "k 2"] = THESIS_KNOTS,
@@ -115,7 +115,7 @@ def simulate_line(
         raise ValueError(f"speed {speed} m/s, rest {rest_s} s, rate {rate_hz} Hz: expected positive numbers")
     line = Polyline(knots)
     lengths = np.asarray(line.lengths)
-    ids = np.arange(n) if isinstance(n, int) else np.asarray(n)
+    ids = trajectory_ids(n)
     keys = trajectory_keys(seed, ids)
     travel, rest = (SITUATIONS[situation] if isinstance(situation, str) else situation)(keys, lengths, speed)
     legs = np.stack([travel, rest], axis=-1).reshape(len(ids), -1)

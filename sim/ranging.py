@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.sim.corruptions import Corruption, Seen, Times, Values, corrupted, in_bursts
-from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
+from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_ids, trajectory_keys, uniforms
 from trackwright.sim.paths import PathFunction, hand_motion
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.core.model.rig import Rig, Tag
@@ -168,27 +168,23 @@ def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
 def simulate_ranges(
     rig: Rig,
     path: PathFunction = WALK,
-    n: int = 1,
+    n: int | Sequence[int] | np.ndarray = 1,
     seed: int = 0,
     *,
     rate_hz: float = 10.0,
     n_points: int = 200,
     protocol: Protocol | None = None,
     corruptions: Mapping[str, Corruption] = MappingProxyType({}),
-    ids: Sequence[int] | np.ndarray | None = None,
 ) -> SimulatedRanges:
-    """`n` trajectories of `n_points` rows of ranges to all anchors of the rig, with truth.
+    """Trajectories, `n` or those of the ids `n`, of `n_points` rows of ranges to all anchors of the rig, with truth.
 
-    `corruptions`: by name, which is the random stream, in order. `ids`: trajectory ids, 0 … n − 1 by default; a
-    trajectory depends on the seed and its id alone. Raises ValueError for a rig without anchors and for ids that aren't
-    `n`.
+    `corruptions`: by name, which is the random stream, in order. A trajectory depends on the seed and its id alone.
+    Raises ValueError for a rig without anchors.
     """
     if not rig.anchors:
         raise ValueError("ranges need anchors, found a rig without")
-    every = np.arange(n) if ids is None else np.asarray(ids)
-    if len(every) != n:
-        raise ValueError(f"expected as many ids as trajectories, n = {n}: found {len(every)}")
-    keys = trajectory_keys(seed, every)
+    ids = trajectory_ids(n)
+    keys = trajectory_keys(seed, ids)
     times = np.arange(n_points) / rate_hz
     anchors = np.stack(list(rig.anchors.values()))
 
@@ -202,4 +198,4 @@ def simulate_ranges(
         return positions, np.where(seen, ranges, 0.0), seen
 
     positions, ranges, seen = in_blocks(ranged, keys, size=32)
-    return SimulatedRanges(times, positions, ranges, seen, rig, every)
+    return SimulatedRanges(times, positions, ranges, seen, rig, ids)

@@ -11,10 +11,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int
 
 from trackwright.sim.corruptions import Corruption, corrupted, white_noise
-from trackwright.sim.keys import stream, trajectory_keys, uniforms
+from trackwright.sim.keys import stream, trajectory_ids, trajectory_keys, uniforms
 from trackwright.sim.paths import PATHS, WORK_VOLUME, PathFunction
-from trackwright.sim.phases import antenna_arrays, plane_phases, spherical_phases, wrapped
-from trackwright.sim.signal import Radar, Reflector, signal_phases
+from trackwright.sim.phases import (
+    Radar,
+    Reflector,
+    antenna_arrays,
+    plane_phases,
+    signal_phases,
+    spherical_phases,
+    wrapped,
+)
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackwright.trackers.core.model.rig import Rig, Station
@@ -107,7 +114,7 @@ def facing(
 def simulate_phases(
     rig: Rig,
     path: str | PathFunction = "helix",
-    n: int = 1,
+    n: int | Sequence[int] | np.ndarray = 1,
     seed: int = 0,
     *,
     rate_hz: float = 10.0,
@@ -117,22 +124,18 @@ def simulate_phases(
     radar: Radar | None = None,
     reflectors: Sequence[Reflector] = (),
     corruptions: Mapping[str, Corruption] = MappingProxyType({}),
-    ids: Sequence[int] | np.ndarray | None = None,
 ) -> SimulatedPhases:
-    """`n` trajectories of `n_points` rows of phases at all stations of the rig, with truth.
+    """Trajectories, `n` or those of the ids `n`, of `n_points` rows of phases at all stations of the rig, with truth.
 
     Phase level: phases of a spherical (or plane) wave, a random common offset per row and station, white noise of
     `sigma_p` rad. With a `radar`, signal level: phases estimated from sampled signals with the radar's noise and with
     `reflectors`; `sigma_p` and `wave` are unused; about a hundred times slower. `corruptions`: by name, which is the
-    random stream, in order. `ids`: trajectory ids, 0 … n − 1 by default; a trajectory depends on the seed and its id
-    alone. Raises ValueError for an unknown path or wave, for reflectors without a radar, for ids that aren't `n`, for a
-    rate or number of points that isn't positive and for stations without arrays.
+    random stream, in order. A trajectory depends on the seed and its id alone. Raises ValueError for an unknown path or
+    wave, for reflectors without a radar, for a rate or number of points that isn't positive and for stations without
+    arrays.
     """
     stations = list(rig.stations.values())
     shape = antenna_arrays(stations)[0].shape[:2]
-    every = np.arange(n) if ids is None else np.asarray(ids)
-    if len(every) != n:
-        raise ValueError(f"expected as many ids as trajectories, n = {n}: found {len(every)}")
     if wave not in ("spherical", "plane"):
         raise ValueError(f"wave = {wave!r}: expected 'spherical' or 'plane'")
     if radar is None and reflectors:
@@ -143,11 +146,12 @@ def simulate_phases(
     noise = {"phase noise": white_noise(sigma_p)} if sigma_p > 0 and radar is None else {}
     times = np.arange(n_points) / rate_hz
 
-    positions = np.empty((n, n_points, 3))
-    phases = np.empty((n, n_points, *shape), np.float32)
+    every = trajectory_ids(n)
+    positions = np.empty((len(every), n_points, 3))
+    phases = np.empty((len(every), n_points, *shape), np.float32)
     seen = np.empty(phases.shape, bool)
     size = _CHUNK if radar is None else _SIGNAL_CHUNK
-    for start in range(0, n, size):
+    for start in range(0, len(every), size):
         chunk = every[start : start + size]
         here = slice(start, start + len(chunk))
         keys = trajectory_keys(seed, np.pad(chunk, (0, size - len(chunk)), mode="edge"))

@@ -5,21 +5,21 @@ the ids 0 … n − 1, or those of `ids`, which replaces `n`. A trajectory depen
 seed gives the same numbers whatever other trajectories are simulated.
 
 The signatures here are the only declaration of the worlds' parameters: the options of `trackwright simulate…` and the
-keys of `[worlds.NAME]` in a study are made of them. What simulates is imported when a world is called, so that they
-can be listed at once.
+keys of `[worlds.NAME]` in a study are made of them. A parameter is annotated `Annotated[float, Range(0.0, 10.0)]`, or
+`Literal[...]` for a choice, and `checked` holds the arguments to that. What simulates is imported when a world is
+called, so that they can be listed at once.
 """
 
 from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, wraps
+from numbers import Integral, Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from trackwright.sim.parameters import ParameterError, Range, checked, refuse_unknown
+from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,6 +32,75 @@ if TYPE_CHECKING:
     from trackwright.trackers.recordings.trajectories import Trajectory
 
 __all__ = ["WORLDS", "SimulatedWorld", "agv", "line", "ranges", "station", "tool"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers from `low` to `high`, without `high` itself where `open`."""
+
+    low: float
+    high: float
+    open: bool = False
+
+    def contains(self, value: float) -> bool:
+        """Whether the value is one of them; NaN is not."""
+        return self.low <= value < self.high or (value == self.high and not self.open)
+
+    def __str__(self) -> str:
+        return f"from {self.low:g} to {'below ' if self.open else ''}{self.high:g}"
+
+
+class ParameterError(ValueError):
+    """An argument of a world outside its range or choices: the parameter's `name`, the `value`, what was `expected`."""
+
+    def __init__(self, name: str, value: Any, expected: str) -> None:
+        super().__init__(f"{name} = {value!r}: expected {expected}")
+        self.name, self.value, self.expected = name, value, expected
+
+
+def checked(world: Callable[P, R]) -> Callable[P, R]:
+    """The function with its arguments checked against their annotations before the call.
+
+    It raises TypeError for an unknown parameter, ParameterError for a value outside its range or choices.
+    """
+    signature = inspect.signature(world)
+    hints = get_type_hints(world, include_extras=True)
+
+    @wraps(world)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        refuse_unknown(kwargs, signature.parameters)
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            _check(name, value, hints[name])
+        return world(*args, **kwargs)
+
+    return call
+
+
+def refuse_unknown(names: Iterable[str], parameters: Iterable[str]) -> None:
+    """Raise TypeError for the first of the names that is no parameter."""
+    known = list(parameters)
+    for name in names:
+        if name not in known:
+            raise TypeError(f"parameter '{name}' is unknown; expected one of {', '.join(known)}")
+
+
+def _check(name: str, value: Any, hint: Any) -> None:
+    if get_origin(hint) is Literal and value not in get_args(hint):
+        raise ParameterError(name, value, f"one of {', '.join(get_args(hint))}")
+    if get_origin(hint) is Annotated:
+        kind, *metadata = get_args(hint)
+        for allowed in (x for x in metadata if isinstance(x, Range)):
+            whole = kind is int
+            if (
+                not isinstance(value, Integral if whole else Real)
+                or isinstance(value, bool)
+                or not allowed.contains(float(value))
+            ):
+                raise ParameterError(name, value, f"a {'whole ' if whole else ''}number {allowed}")
+
 
 Trajectories = Annotated[int, Range(1, 10**7)]
 Seed = Annotated[int, Range(0, 2**63 - 1)]
@@ -120,9 +189,8 @@ def station(
             expected = f"one of the stations {', '.join(stations)} and an antenna from 1 to 8"
             raise ParameterError("masked_antenna", masked_antenna, expected)
         errors["masked antenna"] = corruptions.mask_antenna(stations.index(name), antenna - 1)
-    ids = _ids(n, ids)
     world = simulate_phases(
-        rig, path, len(ids), seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=errors, ids=ids
+        rig, path, _ids(n, ids), seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=errors
     )
     return SimulatedWorld(f"simulated-{path}-{seed}", world)
 
@@ -146,7 +214,7 @@ def line(
     """
     from trackwright.sim.line import simulate_line
 
-    world = simulate_line(situation, _ids(n, ids).tolist(), seed, speed=speed, rate_hz=rate_hz)
+    world = simulate_line(situation, _ids(n, ids), seed, speed=speed, rate_hz=rate_hz)
     return SimulatedWorld(f"simulated-line-{situation}-{seed}", world)
 
 
@@ -185,10 +253,7 @@ def ranges(
         errors["white"] = corruptions.white_noise(sigma_r)
     if lost > 0:
         errors["lost"] = corruptions.drop_outs(lost)
-    ids = _ids(n, ids)
-    world = simulate_ranges(
-        chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=errors, ids=ids
-    )
+    world = simulate_ranges(chamber(), n=_ids(n, ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=errors)
     return SimulatedWorld(f"simulated-ranges-{seed}", world)
 
 
@@ -214,9 +279,8 @@ def tool(
 
     if gap is not None and not 0 <= gap[0] < gap[1]:
         raise ParameterError("gap", gap, "two times in seconds, the first before the second")
-    ids = _ids(n, ids)
     silent = None if gap is None else (gap[0], gap[1])
-    world = simulate_uwb_imu(chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, gap_s=silent, ids=ids)
+    world = simulate_uwb_imu(chamber(), n=_ids(n, ids), seed=seed, rate_hz=rate_hz, n_points=rows, gap_s=silent)
     return SimulatedWorld(f"simulated-imu-{seed}", world)
 
 
@@ -243,18 +307,17 @@ def agv(
     """
     from trackwright.sim import corruptions
     from trackwright.sim.agv import ANCHOR_HEIGHT, FIX_ERRORS, simulate_agv
-    from trackwright.sim.fixes import delayed, mirrored_heights
 
     # Corruptions that depend on the true path come before those that add noise.
     errors: dict[str, Corruption] = {}
     if latency > 0:
-        errors["late"] = delayed(latency)
+        errors["late"] = corruptions.delayed(latency)
     if mirror > 0:
-        errors["mirrored"] = mirrored_heights(ANCHOR_HEIGHT, mirror, 3.0)
+        errors["mirrored"] = corruptions.mirrored_heights(ANCHOR_HEIGHT, mirror, 3.0)
     errors |= FIX_ERRORS
     if wild > 0:
         errors["wild"] = corruptions.outliers(wild, 2.0)
-    world = simulate_agv(_ids(n, ids).tolist(), seed, speed=speed, rows=rows, errors=errors)
+    world = simulate_agv(_ids(n, ids), seed, speed=speed, rows=rows, errors=errors)
     return SimulatedWorld(f"simulated-agv-{seed}", world)
 
 
@@ -268,10 +331,9 @@ def _in_arrays(trajectory: Trajectory) -> Recording:
     return replace(recording, inputs={name: x for name, x in recording.inputs.items() if name != "height"})
 
 
-def _ids(n: int, ids: Ids) -> Int[np.ndarray, " n"]:
-    import numpy as np
-
-    return np.arange(n) if ids is None else np.asarray(ids)
+def _ids(n: int, ids: Ids) -> int | list[int]:
+    """The number of trajectories, or their ids."""
+    return n if ids is None else list(ids)
 
 
 def _folder(

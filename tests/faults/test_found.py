@@ -15,7 +15,7 @@ from trackwright.experiments.text.tables import width_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.tracks_table import source_paths
-from trackwright.trackers.worksteps.points_file import read_points
+from trackwright.trackers.worksteps.tracks import read_points
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.optimisers import Adam
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.oracles import distances_to_path
 from trackwright.sim.agv import Route, simulate_agv
-from trackwright.sim.fixes import correlated_noise, delayed, first_order_lag, mirrored_heights
+from trackwright.sim.corruptions import correlated_noise, delayed, first_order_lag, mirrored_heights
 from trackwright.sim.keys import trajectory_keys
 from trackwright.trackers.mhk.tracker import STILL
 

@@ -5,8 +5,7 @@ import pytest
 
 from trackwright.sim.keys import trajectory_keys
 from trackwright.sim.paths import hand_motion
-from trackwright.sim.phases import spherical_phases, wrapped
-from trackwright.sim.signal import Radar, Reflector, phase_sigma, signal_phases
+from trackwright.sim.phases import Radar, Reflector, phase_sigma, signal_phases, spherical_phases, wrapped
 from trackwright.sim.stations import work_station
 
 STATIONS = list(work_station().stations.values())

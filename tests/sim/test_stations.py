@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from trackwright import sim
+from trackwright.sim import stations
 from trackwright.sim.corruptions import constant_offsets, drop_outs, gauss_markov, lose_station, outliers
 from trackwright.sim.paths import WORK_VOLUME, hand_motion
-from trackwright.sim.phases import plane_phases, spherical_phases, wrapped
-from trackwright.sim.signal import Radar, Reflector
+from trackwright.sim.phases import Radar, Reflector, plane_phases, spherical_phases, wrapped
 from trackwright.sim.stations import PATHS, facing, simulate_phases, work_station
 from trackwright.trackers.core.model.rig import Rig, Station
 
@@ -54,8 +53,8 @@ def test_no_bit_of_a_trajectory_depends_on_chunk_batch_or_order(path, monkeypatc
     }
     whole = simulate_phases(RIG, path, 150, seed=4, **settings)
     ids = [149, 3, 77, 64, 63]
-    some = simulate_phases(RIG, path, 5, seed=4, ids=ids, **settings)
-    monkeypatch.setattr(sim.stations, "_CHUNK", 7)
+    some = simulate_phases(RIG, path, ids, seed=4, **settings)
+    monkeypatch.setattr(stations, "_CHUNK", 7)
     other = simulate_phases(RIG, path, 150, seed=4, **settings)
     for name in ("positions", "phases", "seen"):
         assert np.array_equal(getattr(some, name), getattr(whole, name)[ids])
@@ -134,7 +133,6 @@ def test_every_named_path_simulates():
     ("arguments", "message"),
     [
         ({"path": "spiral"}, "known: helix"),
-        ({"n": 3, "ids": [1, 2]}, "as many ids"),
         ({"wave": "square"}, "plane"),
         ({"rate_hz": 0.0}, "positive"),
         ({"reflectors": [Reflector(np.zeros(3), np.ones(3), 0.1)]}, "radar"),

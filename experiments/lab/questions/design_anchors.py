@@ -40,8 +40,8 @@ def walks(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
     """Tags that move through the hall at 0.7 m/s, with ranges to all four anchors ten times a second."""
     path = partial(hand_motion, volume=of.TAGS, speed=0.7)
     world = simulate_ranges(
-        chamber(DESIGNS[layout].positions), path, len(ids), seed, rate_hz=10.0, n_points=200, protocol=EXACT,
-        corruptions={"white": white_noise(SIGMA_R)}, ids=ids,
+        chamber(DESIGNS[layout].positions), path, ids, seed, rate_hz=10.0, n_points=200, protocol=EXACT,
+        corruptions={"white": white_noise(SIGMA_R)},
     )  # fmt: skip
     return world.folder("hall")
 

@@ -37,7 +37,7 @@ MAGNIFIED = 10.0
 def helices(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
     """Phases along helices of the paper's size anywhere in the volume, for stations with the layout's array."""
     rig = work_station(DESIGNS[layout].positions)
-    world = simulate_phases(rig, "varied-helix", len(ids), seed, sigma_p=SIGMA_P, rate_hz=10.0, n_points=200, ids=ids)
+    world = simulate_phases(rig, "varied-helix", ids, seed, sigma_p=SIGMA_P, rate_hz=10.0, n_points=200)
     return world.folder("work-stand")
 
 

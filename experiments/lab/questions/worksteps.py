@@ -54,13 +54,11 @@ def points_of(spacing: float) -> np.ndarray:
 def bench(ids: np.ndarray, seed: int, spacing: float) -> RecordingFolder:
     """Rounds of the tool with phases, ranges and IMU; the table `points` holds the fastening points."""
     points = points_of(spacing)
-    path, n = partial(point_to_point, points=points), len(ids)
-    phases = simulate_phases(
-        work_station(), path, n, seed, sigma_p=SIGMA_P, rate_hz=10.0, n_points=int(10 * SECONDS), ids=ids
-    )
+    path = partial(point_to_point, points=points)
+    phases = simulate_phases(work_station(), path, ids, seed, sigma_p=SIGMA_P, rate_hz=10.0, n_points=int(10 * SECONDS))
     errors = {"biases": antenna_biases(BIAS), "white": white_noise(SIGMA_R), "turn": round_robin()}
     ranges = simulate_uwb_imu(
-        chamber(ROOM), path, n, seed, rate_hz=40.0, n_points=int(40 * SECONDS), corruptions=errors, ids=ids
+        chamber(ROOM), path, ids, seed, rate_hz=40.0, n_points=int(40 * SECONDS), corruptions=errors
     )
     stations, inertial = phases.folder("bench"), ranges.folder("bench")
     named = pl.DataFrame({"name": [str(k) for k in range(9)]} | dict(zip(("x_m", "y_m", "z_m"), points.T, strict=True)))

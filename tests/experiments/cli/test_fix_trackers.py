@@ -8,7 +8,7 @@ import pytest
 
 from tests.in_process import assert_refused, trackwright
 from trackwright.sim.agv import ANCHOR_HEIGHT, simulate_agv
-from trackwright.sim.fixes import correlated_noise, delayed
+from trackwright.sim.corruptions import correlated_noise, delayed
 from trackwright.trackers.baselines.rows import lacks_coplanar_anchors, mirror_trajectories
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.mhk.rows import spatial_trajectories

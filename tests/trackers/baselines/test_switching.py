@@ -9,7 +9,7 @@ import pytest
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
 from trackwright.sim.agv import simulate_agv
-from trackwright.sim.fixes import correlated_noise, mirrored_heights
+from trackwright.sim.corruptions import correlated_noise, mirrored_heights
 from trackwright.trackers.baselines.rows import mirror_trajectories
 from trackwright.trackers.baselines.switching import MirrorSensor, mirror_tracker
 from trackwright.trackers.core.data.recording import Readings, Recording, stack

@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.worksteps.points_file import read_points
+from trackwright.trackers.worksteps.tracks import read_points
 
 POINTS = {"name": ["a", "b"], "x_m": [1.5, -2.0], "y_m": [0.0, 3.25]}
 

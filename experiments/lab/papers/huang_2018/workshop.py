@@ -20,8 +20,7 @@ from trackwright.experiments.lab.papers.declared import RAW, Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
 from trackwright.experiments.text.wording import listed
 from trackwright.sim.agv import Route, simulate_agv
-from trackwright.sim.corruptions import gauss_markov, outliers
-from trackwright.sim.fixes import correlated_noise
+from trackwright.sim.corruptions import correlated_noise, gauss_markov, outliers
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
 

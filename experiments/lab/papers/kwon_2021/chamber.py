@@ -49,12 +49,11 @@ def corner(
     world = simulate_ranges(
         chamber(anchors(height)),
         lambda keys, times: np.tile(np.asarray(place, float), (len(keys), len(times), 1)),
-        len(ids),
+        ids,
         seed,
         n_points=ROWS,
         protocol=Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"]),
         corruptions={"biases": antenna_biases(sigma_bias)},
-        ids=ids,
     )
     return world.folder("chamber")
 

@@ -50,12 +50,11 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
     world = simulate_ranges(
         chamber(HALL),
         lambda keys, times: np.tile(stops, (len(keys), 1, 1)),
-        len(ids),
+        ids,
         seed,
         n_points=len(stops),
         protocol=Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"]),
         corruptions=pieces,
-        ids=ids,
     )
     return world.folder("hall")
 

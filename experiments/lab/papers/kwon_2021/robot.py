@@ -63,14 +63,13 @@ def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> Recor
     world = simulate_uwb_imu(
         chamber(anchors(height)),
         strokes,
-        len(ids),
+        ids,
         seed,
         rate_hz=RATE_HZ,
         n_points=round(3 * AXIS_S * RATE_HZ),
         protocol=Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"]),
         corruptions={"biases": antenna_biases(sigma_bias)},
         attitude=level,
-        ids=ids,
     )
     return world.folder("robot")
 

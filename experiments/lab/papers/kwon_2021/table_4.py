@@ -64,7 +64,7 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
     world = simulate_uwb_imu(
         chamber(anchors),
         lambda keys, times: np.tile(TAG, (len(keys), len(times), 1)),
-        len(ids),
+        ids,
         seed,
         rate_hz=RATE_HZ,
         n_points=SETTLING + SCORED,
@@ -73,7 +73,6 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
         accel={"bias": constant_bias(0.1), "noise": white_density(SIGMA_ACCEL)},
         gyro={"bias": constant_bias(0.01), "noise": white_density(0.002)},
         attitude=level,
-        ids=ids,
     )
     return _with_fixes(world.folder("still tag"))
 

@@ -31,7 +31,7 @@ def walk(ids: np.ndarray, seed: int, hidden: float = 0.0, rows: int = 300) -> Re
     if hidden:
         pieces["hidden"] = obstruction(hidden, 2.0, 0.2, 0.15)
     path = partial(hand_motion, volume=FLOOR, speed=0.5)
-    world = simulate_ranges(chamber(), path, len(ids), seed, n_points=rows, corruptions=pieces, ids=ids)
+    world = simulate_ranges(chamber(), path, ids, seed, n_points=rows, corruptions=pieces)
     return world.folder("chamber")
 
 

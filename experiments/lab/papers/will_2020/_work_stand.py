@@ -99,9 +99,8 @@ def recorded(
     if outlying:
         corruptions["outliers"] = outliers(outlying, size)
     world = simulate_phases(
-        stand(numbers, radius, aperture), HELIX, len(ids), seed, rate_hz=rate_hz,
+        stand(numbers, radius, aperture), HELIX, ids, seed, rate_hz=rate_hz,
         n_points=round(POINTS * rate_hz / RATE_HZ), sigma_p=numbers["sigma_p"], wave=wave, corruptions=corruptions,
-        ids=ids,
     )  # fmt: skip
     return world.folder("work stand")
 
