@@ -49,9 +49,9 @@ def _covariance(phases, seen=np.ones(8, bool)):  # noqa: B008
 
 
 def _assert_found(spectrum, tolerance=STEP):
-    found = np.asarray(strongest(GRID, spectrum))
+    directions = np.asarray(strongest(GRID, spectrum))
     # A grid point away in each angle: the peak itself lies between points.
-    assert np.abs(found - TRUE).max() <= tolerance
+    assert np.abs(directions - TRUE).max() <= tolerance
 
 
 def test_the_grid_of_the_paper_has_101_by_101_directions_out_to_30_degrees():
@@ -121,8 +121,8 @@ def test_a_flat_array_finds_directions_all_round_in_its_own_plane():
     heading = np.random.default_rng(7).uniform(-np.pi, np.pi, 50)
     u = np.stack([np.cos(heading), np.sin(heading)])
     phases = (2 * np.pi / FLAT_RING.wavelength * FLAT_RING.antennas @ u).T + 1.2
-    found = np.asarray(strongest(grid, _das(phases, grid=grid)))[:, 0]
-    assert np.abs(np.angle(np.exp(1j * (found - heading)))).max() <= np.deg2rad(0.5) + 1e-9
+    directions = np.asarray(strongest(grid, _das(phases, grid=grid)))[:, 0]
+    assert np.abs(np.angle(np.exp(1j * (directions - heading)))).max() <= np.deg2rad(0.5) + 1e-9
 
 
 def test_a_station_without_antennas_is_refused():
@@ -137,10 +137,10 @@ def test_the_direction_of_a_row_is_that_of_the_largest_power_on_the_whole_grid(s
     phases = _phases(rng.uniform(-0.5, 0.5, (300, 2)), rng, sigma)
     seen = rng.uniform(size=phases.shape) >= missing
     seen[:2] = False
-    found = np.asarray(jax.jit(jax.vmap(direction, in_axes=(None, 0, 0)))(GRID, phases, seen))
+    directions = np.asarray(jax.jit(jax.vmap(direction, in_axes=(None, 0, 0)))(GRID, phases, seen))
     spectrum = np.asarray(delay_and_sum(GRID, jnp.asarray(phases), seen))
     of_angles = {tuple(angles): k for k, angles in enumerate(np.asarray(GRID.angles))}
-    powers = spectrum[np.arange(300), [of_angles[tuple(angles)] for angles in found]]
+    powers = spectrum[np.arange(300), [of_angles[tuple(angles)] for angles in directions]]
     # With few antennas several directions have the same power up to rounding.
     np.testing.assert_allclose(powers, spectrum.max(axis=1), rtol=1e-12)
-    np.testing.assert_array_equal(found[:2], GRID.angles[[0, 0]])
+    np.testing.assert_array_equal(directions[:2], GRID.angles[[0, 0]])

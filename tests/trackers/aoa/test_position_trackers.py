@@ -151,9 +151,9 @@ def test_exact_rays_intersect_at_the_position():
     times, origins, axes, angles, _ = _rays(np.random.default_rng(4), 60, 0.0)
     for height in (None, MIDDLE[2]):
         points = recent_points(times, origins, axes, angles, np.ones(60, bool), height)
-        found = points[:, 3] == 1
-        assert found[10:].all()
-        np.testing.assert_allclose(points[found, :3], np.broadcast_to(MIDDLE, (found.sum(), 3)), atol=1e-9)
+        determined = points[:, 3] == 1
+        assert determined[10:].all()
+        np.testing.assert_allclose(points[determined, :3], np.broadcast_to(MIDDLE, (determined.sum(), 3)), atol=1e-9)
 
 
 def _two_rays(first, second, height=None, seen=(True, True), gap=0.5):
@@ -199,7 +199,7 @@ def test_the_point_nearest_to_beams_is_the_stacked_least_squares(height):
     directions, counts = _directions(angles, turn), np.array([True, True, False, True])
     centre = np.array([2.5, 2.0, 1.0])
     rays = [(jnp.asarray(o), jnp.asarray(u), c) for o, u, c in zip(origins, directions, counts, strict=True)]
-    found = nearest_to_rays(rays, jnp.asarray(centre), height)
+    point = nearest_to_rays(rays, jnp.asarray(centre), height)
     # each ray measures the component of p − o across it as zero; the centre has a weight of a tenth, a height of 100
     across = [np.eye(3) - np.outer(u, u) for u in directions[counts]]
     weights, target = np.full(3, 0.1), centre.copy()
@@ -207,7 +207,7 @@ def test_the_point_nearest_to_beams_is_the_stacked_least_squares(height):
         weights[2], target[2] = 100.0, height
     rows = np.concatenate([*across, np.diag(weights)])
     values = np.concatenate([*(a @ o for a, o in zip(across, origins[counts], strict=True)), weights * target])
-    np.testing.assert_allclose(found, np.linalg.lstsq(rows, values, rcond=None)[0], rtol=1e-9)
+    np.testing.assert_allclose(point, np.linalg.lstsq(rows, values, rcond=None)[0], rtol=1e-9)
 
 
 def test_without_a_ray_the_point_is_the_centre():

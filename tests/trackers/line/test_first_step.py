@@ -69,11 +69,11 @@ def _run(kind, filter, keys):
 @pytest.mark.parametrize("kind", [pytest.param("plain", marks=pytest.mark.slow), "halting"])
 def test_no_tag_begins_with_a_negative_speed(kind, filter):
     keys = KEYS if filter == "particles" else 1
-    found = _run(kind, FILTERS[filter], keys)
+    estimates = _run(kind, FILTERS[filter], keys)
     log_likelihood, speed = _quadrature(HALTING if kind == "halting" else 0.0)
-    likelihoods = np.exp(found.log_likelihood.sum(axis=1))
+    likelihoods = np.exp(estimates.log_likelihood.sum(axis=1))
     # The grid's own likelihood is right to 2e-4.
     error = 3 * likelihoods.std() / np.sqrt(keys) / likelihoods.mean() + 0.001
     assert np.log(likelihoods.mean()) == pytest.approx(log_likelihood, abs=error)
-    at_first = np.hypot(*found.mean.velocity)[:, 0]
+    at_first = np.hypot(*estimates.mean.velocity)[:, 0]
     assert at_first.mean() == pytest.approx(speed, abs=3 * at_first.std() / np.sqrt(keys) + 0.001)

@@ -24,8 +24,8 @@ TAGS = 24
 
 
 def _tracked(folders, name):
-    found = spec_of(name).batches(folders, name, False)
-    return track(found).table, found
+    groups = spec_of(name).batches(folders, name, False)
+    return track(groups).table, groups
 
 
 @pytest.fixture(scope="module")
@@ -67,9 +67,9 @@ def test_particles_and_grid_are_about_as_good(folders, tracked):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["line-grid", "line-pf"])
 def test_a_tag_that_is_carried_off_gives_an_event_and_its_return_another(tracked, name):
-    tracks, found = tracked(name)
+    tracks, groups = tracked(name)
     trajectories = {
-        (trajectory.folder.name, trajectory.tag): trajectory for group in found for trajectory in group.trajectories
+        (trajectory.folder.name, trajectory.tag): trajectory for group in groups for trajectory in group.trajectories
     }
     rows = left_the_line(trajectories["away", "0"], tracks.filter(pl.col("recording") == "away"))
     assert [event for _, event, _ in rows] == ["left the line", "back on the line"]
@@ -104,9 +104,9 @@ def test_ranges_to_one_anchor_after_the_other_give_the_position_on_the_path():
     ranges = np.linalg.norm(place - np.stack([*anchors.values()])[heard], axis=1) + 0.05 * rng.normal(size=120)
     table = pl.DataFrame({"t_s": times, "tag": "0", "anchor": np.array(["a", "b"])[heard], "range_m": ranges})
     tracks, _ = _tracked([RecordingFolder("x", None, rig, {"ranges": table})], "line-grid")
-    found = tracks.filter(pl.col("t_s") > 3.0)
-    np.testing.assert_allclose(found["x_m"], 0.5 * found["t_s"].to_numpy(), atol=0.15)
-    assert found.height == 89
+    settled = tracks.filter(pl.col("t_s") > 3.0)
+    np.testing.assert_allclose(settled["x_m"], 0.5 * settled["t_s"].to_numpy(), atol=0.15)
+    assert settled.height == 89
 
 
 # The best of the recordings' own baselines, tuned on the truth, is 0.034, 0.342 and 1.488 m.
@@ -122,9 +122,9 @@ def test_the_halting_motion_overshoots_rests_less(monkeypatch):
         tracks, _ = _tracked([folder], "line-grid")
         rows = np.searchsorted(world.times, tracks["t_s"].to_numpy() - 1e-6)
         true = world.arclength[tracks["tag"].cast(pl.Int64).to_numpy(), rows]
-        found, _ = path_of(folder).nearest(tracks.select("x_m", "y_m").to_numpy())
+        arclength, _ = path_of(folder).nearest(tracks.select("x_m", "y_m").to_numpy())
         resting = np.abs(true[:, None] - [4.05, 6.159, 10.209, 12.295]).min(axis=1) < 1e-9
-        overshoot[make] = np.mean((found - true)[resting])
+        overshoot[make] = np.mean((arclength - true)[resting])
     # 24 tags x 4 rests: 0.15 m without, 0.085 m with.
     assert overshoot[HaltingMotion] < 0.7 * overshoot[LineMotion]
 

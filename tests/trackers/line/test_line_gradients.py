@@ -31,12 +31,12 @@ def slopes():
 
 @pytest.mark.slow
 def test_the_mean_score_of_rests_departures_fixes_and_start_is_the_grids_gradient(slopes):
-    exact, found = slopes
+    exact, scores = slopes
     assert len(exact) == 6
-    error = np.abs(found.mean(axis=1) - exact)
+    error = np.abs(scores.mean(axis=1) - exact)
     # The grid's own gradient is off by the square of its cells: 0.002. Of six numbers one is beyond four standard
     # errors in one of 2,600 choices of keys.
-    assert np.all(error < 4 * found.std(axis=1) / np.sqrt(KEYS) + 0.002)
+    assert np.all(error < 4 * scores.std(axis=1) / np.sqrt(KEYS) + 0.002)
 
 
 @pytest.mark.slow

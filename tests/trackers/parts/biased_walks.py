@@ -33,7 +33,7 @@ def stations():
 def walk(seed):
     """A recording of one walk with its true position, and the true biases (T, 8) of all stations."""
     rng = np.random.default_rng(seed)
-    names, own = list(CORNERS), stations()
+    names, layout = list(CORNERS), stations()
     times, station = np.arange(ROWS) * DT, np.arange(ROWS) % 4
     decay = np.exp(-DT / LEVELS["memory"])
     spread = LEVELS["sigma_a"] * np.sqrt(LEVELS["memory"] / 2)
@@ -52,19 +52,19 @@ def walk(seed):
         velocity = np.where(leaving, -velocity, velocity)
         k = station[row]
         noise = rng.normal(size=2) * [LEVELS["sigma_azimuth"], LEVELS["sigma_elevation"]]
-        angles[row] = own[names[k]].angles(np.append(position, HEIGHT)) + bias[2 * k : 2 * k + 2] + noise
+        angles[row] = layout[names[k]].angles(np.append(position, HEIGHT)) + bias[2 * k : 2 * k + 2] + noise
         truth[row], biases[row] = position, bias
-    recording = tw.bearing_recording(times, angles, [names[k] for k in station], own, height=HEIGHT, truth=truth)
+    recording = tw.bearing_recording(times, angles, [names[k] for k in station], layout, height=HEIGHT, truth=truth)
     return recording, truth, biases
 
 
 def inside_shares(worlds):
     """Shares of rows, after 10 s, with the true position in the 95 % ellipse, and true biases in 95 % intervals."""
     tracker = tw.bearing_tracker(4, planar=True, **LEVELS)
-    found = [walk(seed) for seed in range(worlds)]
-    estimates = tracker.run([recording for recording, _, _ in found])
+    walks = [walk(seed) for seed in range(worlds)]
+    estimates = tracker.run([recording for recording, _, _ in walks])
     positions, intervals = [], []
-    for k, (_, truth, biases) in enumerate(found):
+    for k, (_, truth, biases) in enumerate(walks):
         mean = np.stack([np.asarray(x)[k] for x in (*estimates.mean.position, *estimates.mean.bias)], axis=1)
         cov = np.delete(np.delete(np.asarray(estimates.covariance[k]), [2, 3], axis=1), [2, 3], axis=2)
         error = (mean - np.concatenate([truth, biases], axis=1))[50:]

@@ -33,13 +33,13 @@ def _after(motion, state, dt, w=None):
 def test_biases_decay_at_the_rate_of_time_and_way_and_keep_their_variance(velocity):
     dt = 0.7
     kept = np.exp(-dt * (1 / TIME + np.hypot(*velocity) / LENGTH))
-    found = _after(_motion(), _state(*velocity), dt)
-    np.testing.assert_allclose(np.array(found.bias.parts, float), kept * np.array([0.1, -0.2, 0.3, 0.4]), rtol=1e-12)
+    quiet = _after(_motion(), _state(*velocity), dt)
+    np.testing.assert_allclose(np.array(quiet.bias.parts, float), kept * np.array([0.1, -0.2, 0.3, 0.4]), rtol=1e-12)
     # In equilibrium what decays is replaced: variance · kept² + noise² = variance, of azimuth and elevation in turn.
     for number in range(4):
         w = np.zeros(10)
         w[6 + number] = 1.0
-        noise = float(_after(_motion(), _state(*velocity), dt, w).bias[number] - found.bias[number])
+        noise = float(_after(_motion(), _state(*velocity), dt, w).bias[number] - quiet.bias[number])
         variance = SIGMAS[number % 2] ** 2
         assert variance * kept**2 + noise**2 == pytest.approx(variance, rel=1e-12)
 

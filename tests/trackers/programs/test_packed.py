@@ -23,9 +23,9 @@ def _tree(scale, rows):
     return _Pair({"a": floats, "b": floats[:, :0]}, (jnp.int8(3), _Pair(floats > 1, (None, scale * jnp.ones((2, 1))))))
 
 
-def _assert_same(found, tree):
-    assert jax.tree_util.tree_structure(found) == jax.tree_util.tree_structure(tree)
-    for one, other in zip(jax.tree_util.tree_leaves(found), jax.tree_util.tree_leaves(tree), strict=True):
+def _assert_same(unpacked, tree):
+    assert jax.tree_util.tree_structure(unpacked) == jax.tree_util.tree_structure(tree)
+    for one, other in zip(jax.tree_util.tree_leaves(unpacked), jax.tree_util.tree_leaves(tree), strict=True):
         assert (one.dtype, one.shape) == (other.dtype, other.shape)
         np.testing.assert_array_equal(one, other)
         assert one.flags.writeable
@@ -33,14 +33,14 @@ def _assert_same(found, tree):
 
 def test_a_packed_tree_unpacks_to_its_arrays():
     tree = _tree(0.1, 3)
-    found = packed(tree)
-    assert len(found.arrays) == 3
-    _assert_same(found.unpacked(), tree)
+    result = packed(tree)
+    assert len(result.arrays) == 3
+    _assert_same(result.unpacked(), tree)
 
 
 def test_a_compiled_function_returns_its_result_packed():
-    found = eqx.filter_jit(PackedResult(_tree))(jnp.asarray(0.1), 3)
-    _assert_same(found.unpacked(), _tree(jnp.asarray(0.1), 3))
+    result = eqx.filter_jit(PackedResult(_tree))(jnp.asarray(0.1), 3)
+    _assert_same(result.unpacked(), _tree(jnp.asarray(0.1), 3))
 
 
 def test_places_are_those_of_their_shapes_and_survive_pickling():

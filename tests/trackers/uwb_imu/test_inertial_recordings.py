@@ -13,14 +13,14 @@ from trackwright.trackers.uwb_imu.rows import inertial_trajectories
 
 def _rmse(tracker, recordings):
     """Over the last row of every tenth of a second with a truth, all tags together."""
-    estimates, found = tracker.run(stack(recordings)), []
+    estimates, errors = tracker.run(stack(recordings)), []
     for k, one in enumerate(recordings):
         position = [np.asarray(x)[k, : len(one)] for x in estimates.mean.position]
         position = np.stack(position if len(position) == 3 else [*position, one.inputs["height"]], axis=1)
         truth, known = one.truth["position"]
         last = np.append(np.diff(np.floor(one.times * 10)) > 0, True)
-        found.append((position - truth)[known & last & estimates.usable[k, : len(one)]])
-    return np.sqrt((np.concatenate(found) ** 2).sum(axis=1).mean())
+        errors.append((position - truth)[known & last & estimates.usable[k, : len(one)]])
+    return np.sqrt((np.concatenate(errors) ** 2).sum(axis=1).mean())
 
 
 def _with_and_without(folder, planar):

@@ -29,12 +29,12 @@ def _blind(recording):
 
 def _errors(estimates, recordings, last_s=6.0):
     """Of all recordings, after the start has settled."""
-    found = []
+    errors = []
     for k, recording in enumerate(recordings):
         rows = recording.times > recording.times[-1] - last_s
         position = np.stack([np.asarray(x)[k, : len(recording)] for x in estimates.mean.position], axis=-1)
-        found.append((position - recording.truth["position"][0])[rows])
-    return np.concatenate(found)
+        errors.append((position - recording.truth["position"][0])[rows])
+    return np.concatenate(errors)
 
 
 def _rmse(x):
@@ -110,15 +110,15 @@ def test_the_start_has_a_large_variance_of_the_yaw_alone():
 
 @pytest.mark.parametrize("planar", [False, True])
 def test_a_body_at_rest_starts_with_the_measured_gyro_bias_known_ten_times_better(planar):
-    nearby, found = np.array([1.0, 2.0, 1.5, 1.0]), []
+    nearby, biases = np.array([1.0, 2.0, 1.5, 1.0]), []
     for at_rest in (0.0, 1.0):
         inputs = {"nearby": nearby, "rest": np.array([0.0, 0.0, 9.81, 0.01, -0.02, 0.04, at_rest])}
         belief = InertialStart(planar, sigma_gyro_bias=0.06).belief(nearby[:3], Row(0.0, True, {}, inputs, None, None))
         n = 8 if planar else 15
         diagonal = [p for p, (i, j) in zip(belief.cov, zip(*np.triu_indices(n), strict=True), strict=True) if i == j]
         first, count = (7, 1) if planar else (12, 3)
-        found.append((np.ravel(belief.mean.gyro_bias), np.sqrt(np.array(diagonal[first : first + count], float))))
-    (unknown, loose), (measured, tight) = found
+        biases.append((np.ravel(belief.mean.gyro_bias), np.sqrt(np.array(diagonal[first : first + count], float))))
+    (unknown, loose), (measured, tight) = biases
     np.testing.assert_array_equal(unknown, 0.0)
     np.testing.assert_allclose(measured, [0.04] if planar else [0.01, -0.02, 0.04], rtol=1e-12)
     np.testing.assert_allclose(loose, 0.06, rtol=1e-12)

@@ -51,9 +51,9 @@ def test_noisy_ranges_give_the_minimum_of_the_loss(locate):
     call, n = locate
     rng = np.random.default_rng(0)
     ranges = _exact() + rng.normal(0.0, 0.1, len(ANCHORS))
-    found = np.asarray(call(ranges).position)
-    least = _loss(found, ranges)
-    around = [_loss(found + d, ranges) for d in rng.normal(0.0, 0.02, (200, n))]
+    position = np.asarray(call(ranges).position)
+    least = _loss(position, ranges)
+    around = [_loss(position + d, ranges) for d in rng.normal(0.0, 0.02, (200, n))]
     # Convergence is linear: the remaining excess of the loss is far below the effect of 2 cm.
     assert least <= min(around) + 1e-5
 

@@ -33,20 +33,20 @@ def _recent(times, anchors, numbers, ranges, seen, height):
 @pytest.mark.parametrize("height", [HEIGHT, None])
 def test_recent_positions_are_the_tags_with_ranges_to_three_or_four_anchors(height):
     times, numbers, ranges, positions = _rows(np.random.default_rng(0), sigma=0.0, still=True)
-    found = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
+    recent = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
     least = 3 if height is not None else 4
-    assert not found[: least - 1, 3].any()
-    assert found[least - 1 :, 3].all()
+    assert not recent[: least - 1, 3].any()
+    assert recent[least - 1 :, 3].all()
     # A weak ridge keeps undetermined directions finite; noise-free ranges leave a thousandth of a step of it.
-    np.testing.assert_allclose(found[least + 5 :, :3], positions[least + 5 :], atol=1e-3)
+    np.testing.assert_allclose(recent[least + 5 :, :3], positions[least + 5 :], atol=1e-3)
 
 
 def test_an_outlier_of_kilometres_does_not_change_recent_positions():
     times, numbers, ranges, positions = _rows(np.random.default_rng(1), still=True)
     ranges[200], ranges[203] = 9000.0, 0.01
-    found = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
+    recent = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
     # 2 cm of noise, five anchors round the tag; the median of an anchor's latest five ignores the outlier.
-    assert np.abs(found[195:230, :2] - positions[195:230, :2]).max() < 0.08
+    assert np.abs(recent[195:230, :2] - positions[195:230, :2]).max() < 0.08
 
 
 def test_collinear_anchors_determine_no_position():
@@ -80,8 +80,8 @@ def runs():
         if name == "clean":
             times = times + np.where(np.arange(len(times)) >= 300, 60.0, 0.0)
         estimates = tracker.run(_recording(times, numbers, ranges, HEIGHT))
-        found = np.stack([np.asarray(x) for x in estimates.mean.position], axis=1)
-        out[name] = np.linalg.norm(found - positions[:, :2], axis=1), estimates
+        estimated = np.stack([np.asarray(x) for x in estimates.mean.position], axis=1)
+        out[name] = np.linalg.norm(estimated - positions[:, :2], axis=1), estimates
     return out
 
 
@@ -165,8 +165,8 @@ def test_the_covariance_is_consistent_where_the_world_is_the_model():
         sigma_shared=sigma_shared,
     )
     estimates = tracker.run(stack(recordings))
-    found = np.stack([np.asarray(x)[:, -1] for x in (*estimates.mean.position, *estimates.mean.velocity)], axis=1)
-    errors = found - np.column_stack([position, velocity])
+    estimated = np.stack([np.asarray(x)[:, -1] for x in (*estimates.mean.position, *estimates.mean.velocity)], axis=1)
+    errors = estimated - np.column_stack([position, velocity])
     cov = estimates.covariance[:, -1, :4, :4]
     nees = np.einsum("ri,rij,rj->r", errors, np.linalg.inv(cov), errors)
     # The mean of 300 chi-squared numbers of 4 degrees of freedom: 4 ± 3 √(8/300); linearising adds a few per cent.

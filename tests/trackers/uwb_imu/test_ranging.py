@@ -33,8 +33,8 @@ MICROMETRES = 5e-6
 @pytest.mark.parametrize("drift", [0.0, 1e-5, -2e-5])
 def test_single_sided_ranging_with_the_drift_known_is_the_distance(drift):
     (asked, back, _), (arrived, answered, _) = _stamps(drift)
-    found = single_sided(elapsed(asked, back), elapsed(arrived, answered), drift)
-    np.testing.assert_allclose(found, DISTANCE, atol=MICROMETRES)
+    distance = single_sided(elapsed(asked, back), elapsed(arrived, answered), drift)
+    np.testing.assert_allclose(distance, DISTANCE, atol=MICROMETRES)
 
 
 def test_the_error_of_single_sided_ranging_is_half_the_drift_times_the_reply_delay():

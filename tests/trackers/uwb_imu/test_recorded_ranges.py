@@ -30,8 +30,8 @@ def _errors(folder, name, tracker):
         position, known = trajectory.recording.truth["position"]
         rows = len(trajectory.recording)
         last = known & np.append(np.diff(trajectory.recording.times) > 0, True) & estimates[k].usable[:rows]
-        found = np.stack([np.asarray(x)[k, :rows] for x in estimates.mean.position], axis=1)
-        parts.append((found - position[:, : found.shape[1]])[last])
+        estimated = np.stack([np.asarray(x)[k, :rows] for x in estimates.mean.position], axis=1)
+        parts.append((estimated - position[:, : estimated.shape[1]])[last])
     return np.concatenate(parts)
 
 

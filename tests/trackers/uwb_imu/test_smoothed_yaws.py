@@ -68,9 +68,9 @@ def test_the_mean_of_the_mixture_is_the_components_weighted_by_likelihood(runs):
     # About the likelier one's yaw, as angles are averaged.
     best = int(np.argmax(weights))
     mean = parts[best][1:] + (weights[1] if best == 0 else -weights[0]) * apart
-    found = flat(bank.mean)[1:]
-    found[:, angle] += 2 * np.pi * np.round((mean - found)[:, angle] / (2 * np.pi))
-    np.testing.assert_allclose(found, mean, rtol=1e-9, atol=1e-9)
+    estimated = flat(bank.mean)[1:]
+    estimated[:, angle] += 2 * np.pi * np.round((mean - estimated)[:, angle] / (2 * np.pi))
+    np.testing.assert_allclose(estimated, mean, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -114,9 +114,9 @@ def test_exact_ranges_give_the_position(locate):
 def test_anchors_on_one_line_leave_two_mirror_images_and_no_nan(locate):
     anchors = np.array([[0.0, 0.0], [2.0, 2.0], [5.0, 5.0]])
     position = np.array([3.0, 1.0])
-    found = locate(anchors, np.linalg.norm(position - anchors, axis=1))
+    located = locate(anchors, np.linalg.norm(position - anchors, axis=1))
     # Each pair's point is on either side of the line; along the line they agree.
-    assert abs((found - position) @ [1.0, 1.0]) < 1e-9
+    assert abs((located - position) @ [1.0, 1.0]) < 1e-9
 
 
 def test_compensation_lengthens_every_range_and_moves_no_tag_in_the_middle(locate):
@@ -144,6 +144,6 @@ def test_the_tracker_waits_for_rows_with_three_ranges():
     inputs = {"anchors": np.tile(anchors.ravel(), (3, 1)), "height": np.full(3, 0.5)}
     recording = Recording(np.arange(3.0), {RANGES: Readings(ranges, seen)}, inputs)
     estimates = trilateration_tracker(compensated=False).run(recording)
-    found = np.stack([np.asarray(x) for x in estimates.mean.position], axis=1)
+    estimated = np.stack([np.asarray(x) for x in estimates.mean.position], axis=1)
     assert estimates.usable.tolist() == [True, False, True]
-    np.testing.assert_allclose(found[[0, 2]], positions[[0, 2], :2], atol=1e-9)
+    np.testing.assert_allclose(estimated[[0, 2]], positions[[0, 2], :2], atol=1e-9)

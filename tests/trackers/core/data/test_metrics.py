@@ -76,9 +76,9 @@ def test_nees_of_a_damaged_covariance_is_no_number_or_infinite_and_the_others_ar
     covs, errors = _covariances(rng, 4, 2), np.ones((4, 2))
     right = metrics.nees(errors, covs)
     covs[0] = [[1e-300, 1e200], [1e200, 1.0]]
-    found = metrics.nees(errors, covs)
-    assert not np.isfinite(found[0])
-    np.testing.assert_array_equal(found[1:], right[1:])
+    values = metrics.nees(errors, covs)
+    assert not np.isfinite(values[0])
+    np.testing.assert_array_equal(values[1:], right[1:])
 
 
 def test_nees_changes_neither_errors_nor_covariances(rng):
@@ -94,29 +94,29 @@ def test_mean_nees_of_true_covariances_lies_inside_its_bounds_as_often_as_promis
     covs = _covariances(rng, runs, d)
     inside = []
     for _ in range(studies):
-        found = metrics.consistency(metrics.nees(_draws(rng, covs), covs), d)
-        inside.append(found.low <= found.mean <= found.high)
+        interval = metrics.consistency(metrics.nees(_draws(rng, covs), covs), d)
+        inside.append(interval.low <= interval.mean <= interval.high)
     # Four standard errors of a share of 0.95 in 2,000 studies.
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / studies))
 
 
 def test_bounds_of_values_with_different_dof_are_those_of_their_sum(rng):
     dof = np.array([2.0, 8.0, 5.0, 5.0])
-    found = metrics.consistency(np.array([2.0, 8.0, 5.0, 5.0]), dof)
-    assert (found.mean, found.expected, found.n) == (5.0, 5.0, 4)
-    assert _even_chi_square_cdf(4 * found.low, 20) == pytest.approx(0.025, abs=1e-9)
-    assert _even_chi_square_cdf(4 * found.high, 20) == pytest.approx(0.975, abs=1e-9)
+    interval = metrics.consistency(np.array([2.0, 8.0, 5.0, 5.0]), dof)
+    assert (interval.mean, interval.expected, interval.n) == (5.0, 5.0, 4)
+    assert _even_chi_square_cdf(4 * interval.low, 20) == pytest.approx(0.025, abs=1e-9)
+    assert _even_chi_square_cdf(4 * interval.high, 20) == pytest.approx(0.975, abs=1e-9)
 
 
 def test_consistency_leaves_out_rows_without_a_value():
-    found = metrics.consistency(np.array([3.0, math.nan, 5.0]), np.array([4.0, 100.0, 4.0]))
-    assert (found.mean, found.expected, found.n) == (4.0, 4.0, 2)
+    interval = metrics.consistency(np.array([3.0, math.nan, 5.0]), np.array([4.0, 100.0, 4.0]))
+    assert (interval.mean, interval.expected, interval.n) == (4.0, 4.0, 2)
 
 
 def test_a_covariance_too_small_by_half_is_outside_the_bounds(rng):
     covs = _covariances(rng, 200, 2)
-    found = metrics.consistency(metrics.nees(_draws(rng, covs), covs / 2), 2)
-    assert found.mean > found.high
+    interval = metrics.consistency(metrics.nees(_draws(rng, covs), covs / 2), 2)
+    assert interval.mean > interval.high
 
 
 @pytest.mark.parametrize("level", [0.68, 0.95])

@@ -108,13 +108,13 @@ def test_the_arrays_of_a_recording_are_read_only_views():
     heights, true, known = np.ones(3), np.zeros((3, 3)), np.ones(3, bool)
     readings = {"north": Readings(values, seen, reported)}
     made = Recording(times, readings, {"height": heights}, {"position": (true, known)})
-    own = made.readings["north"]
-    arrays = [made.times, own.values, own.seen, own.reported, made.inputs["height"], *made.truth["position"]]
+    north = made.readings["north"]
+    arrays = [made.times, north.values, north.seen, north.reported, made.inputs["height"], *made.truth["position"]]
     for array, given in zip(arrays, (times, values, seen, reported, heights, true, known), strict=True):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
         assert np.shares_memory(array, given)
-        # The caller's own array stays writable, and an array made from the view is a new one.
+        # The caller's array stays writable, and an array made from the view is a new one.
         given[0] = 0
         array.copy()[0] = 1
 

@@ -218,7 +218,7 @@ def test_variances_stay_positive_where_precise_readings_leave_large_ones_that_ca
         for k in range(300):
             sensor, reading = _Sums(jnp.asarray(rows[k % 3])), Reading([zero], [jnp.asarray(True)])
             belief, _ = ExtendedKalman().update(belief, ConstantVelocity(0.1, 2), sensor, reading, {})
-        found = np.asarray(matrix(belief.cov), float)
-    assert np.linalg.eigvalsh(found)[0] > 0
+        P = np.asarray(matrix(belief.cov), float)
+    assert np.linalg.eigvalsh(P)[0] > 0
     unseen = np.linalg.svd(rows)[2][-1]
-    assert unseen @ found @ unseen == pytest.approx(1.0, rel=1e-3)
+    assert unseen @ P @ unseen == pytest.approx(1.0, rel=1e-3)

@@ -149,13 +149,13 @@ def _carried(scan):
 
 def _equations(jaxpr):
     """The equations of a program and of those within it."""
-    found = []
+    equations = []
     for equation in jaxpr.eqns:
-        found.append(equation)
+        equations.append(equation)
         for part in jax.tree_util.tree_leaves(list(equation.params.values())):
             if hasattr(part, "jaxpr") or hasattr(part, "eqns"):
-                found += _equations(getattr(part, "jaxpr", part))
-    return found
+                equations += _equations(getattr(part, "jaxpr", part))
+    return equations
 
 
 def test_hundreds_of_trajectories_are_smoothed_in_blocks_by_one_loop(world):

@@ -96,9 +96,9 @@ def test_one_model_under_two_names_is_smoothed_as_the_plain_filter(motion):
     sensor, start = {"z": LinearSensor(H, R, 1)}, KnownStart(_state)
     plain = Tracker(ConstantVelocity(1.0, 1), sensor, start, track_loss=NEVER_LOST)
     expected = _smoothed(plain)
-    found = _smoothed(Tracker(motion, sensor, start, InteractingModels(0.8, [1.0, 2.0]), NEVER_LOST))
-    np.testing.assert_allclose(flat(found.mean), flat(expected.mean), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-9, atol=1e-9)
+    mixture = _smoothed(Tracker(motion, sensor, start, InteractingModels(0.8, [1.0, 2.0]), NEVER_LOST))
+    np.testing.assert_allclose(flat(mixture.mean), flat(expected.mean), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(mixture.covariance, expected.covariance, rtol=1e-9, atol=1e-9)
 
 
 def test_smoothed_trajectories_of_a_mixture_do_not_know_of_each_other():

@@ -74,12 +74,12 @@ def test_mixture_has_the_moments_of_its_components(problem):
     expected = sum(w * (P + np.outer(d, d)) for w, d in zip(weights, deviations, strict=True))
     for upper in _forms(P).values():
         d = [[jnp.asarray(x) for x in row] for row in deviations]
-        found = covariance.matched([jnp.asarray(w) for w in weights], [upper, upper], d)
-        np.testing.assert_allclose(covariance.matrix(found), expected, rtol=1e-12)
+        cov = covariance.matched([jnp.asarray(w) for w in weights], [upper, upper], d)
+        np.testing.assert_allclose(covariance.matrix(cov), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("form", ["scalars", "matrix"])
 def test_the_leading_block_is_that_of_the_matrix(problem, form):
     P = problem[0]
-    found = covariance.leading(_forms(P)[form], N, 2)
-    np.testing.assert_array_equal(covariance.matrix(found), P[:2, :2])
+    block = covariance.leading(_forms(P)[form], N, 2)
+    np.testing.assert_array_equal(covariance.matrix(block), P[:2, :2])

@@ -41,8 +41,8 @@ def _recursive(tracker: AbstractTracker) -> list[Any]:
     """The recursive trackers inside a tracker, which may be one itself."""
     if isinstance(tracker, Cascade):
         return [*tracker.beams.values(), tracker.fusion]
-    found = getattr(tracker, "fusion", tracker)
-    return [found] if hasattr(found, "motion") else []
+    inner = getattr(tracker, "fusion", tracker)
+    return [inner] if hasattr(inner, "motion") else []
 
 
 def _readers(tracker: AbstractTracker) -> list[Any]:

@@ -50,11 +50,11 @@ def test_one_device_and_two_give_the_same_bits():
 
 def test_floats_alone_become_numbers_of_the_type():
     whole = [3, True, np.int64(4), np.arange(2), np.array([True]), jnp.arange(2), "name"]
-    found = as_numbers([*whole, 0.5, np.float64(0.25), np.ones(2), jnp.ones(2), None], np.float32)
-    assert all(x is y for x, y in zip(found, whole, strict=False))
-    assert [x.dtype for x in found[len(whole) : -1]] == [np.float32] * 4
-    assert [type(x) for x in found[len(whole) : -2]] == [np.ndarray] * 3
-    assert isinstance(found[-2], jax.Array)
+    numbers = as_numbers([*whole, 0.5, np.float64(0.25), np.ones(2), jnp.ones(2), None], np.float32)
+    assert all(x is y for x, y in zip(numbers, whole, strict=False))
+    assert [x.dtype for x in numbers[len(whole) : -1]] == [np.float32] * 4
+    assert [type(x) for x in numbers[len(whole) : -2]] == [np.ndarray] * 3
+    assert isinstance(numbers[-2], jax.Array)
 
 
 def test_parts_side_by_side_are_those_one_after_another_in_their_order():
@@ -77,8 +77,8 @@ def test_threads_work_in_the_callers_precision_and_compile_once():
 
     with jax.enable_x64(False):
         parts = list(chunks(_many(4 * 16, 6), 16))
-        found = run_chunks(function, [(model(k), part) for k, part in enumerate(parts)])
-    assert {x.dtype for x in found} == {np.dtype(np.float32)}
+        results = run_chunks(function, [(model(k), part) for k, part in enumerate(parts)])
+    assert {x.dtype for x in results} == {np.dtype(np.float32)}
     assert compiled == [np.dtype(np.float32)]
 
 

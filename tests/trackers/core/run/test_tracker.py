@@ -124,8 +124,8 @@ def test_an_error_is_a_function_of_a_noise_level_for_vmap_and_grad():
     tracker = fix_tracker(planar=True)
 
     def error(sigma):
-        found = filter_batch(tracker.with_values({"motion.sigma_a": sigma}), batch).mean.position
-        return jnp.mean((found[0][:, 0] - path[:, 0]) ** 2 + (found[1][:, 0] - path[:, 1]) ** 2)
+        position = filter_batch(tracker.with_values({"motion.sigma_a": sigma}), batch).mean.position
+        return jnp.mean((position[0][:, 0] - path[:, 0]) ** 2 + (position[1][:, 0] - path[:, 1]) ** 2)
 
     together = jax.vmap(error)(sigmas)
     np.testing.assert_allclose(together, [error(s) for s in sigmas], rtol=1e-9)
