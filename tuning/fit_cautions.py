@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Num
@@ -18,14 +18,10 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.recordings.reading_grids import REPEATED, ReadingGrid
-from trackwright.tuning.intervals import refit
-from trackwright.tuning.parameters import Parameter, by_label, component_kinds, component_names, grid_of
+from trackwright.tuning.parameters import Parameter, component_kinds, component_names, grid_of
 from trackwright.tuning.parts import BESIDE, Point, plain_rows
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined
-
-if TYPE_CHECKING:
-    from trackwright.tuning.fitting import FitResult
+from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined, refit
 
 COLLAPSED = 1e-3
 """Part of its starting value below which a noise level has collapsed."""
@@ -41,16 +37,6 @@ ROUNDS = 8
 
 INFLATION = 2.0
 """Rows with the information of one from which on innovations are correlated."""
-
-
-def fit_cautions(result: FitResult) -> list[str]:
-    """Clauses on what speaks against a fit."""
-    found = [*standstill(result.start_vector, result.vector, result.selected), *result.collapsed]
-    if result.uncertainty is not None:
-        found += deciding(result.problem, result.uncertainty, result.recordings)
-    if result.problem.objective.is_likelihood:
-        found += [*repetitions(result.readings), *correlation(result.problem, result.vector)]
-    return found
 
 
 def standstill(start: Float[np.ndarray, " p"], end: Float[np.ndarray, " p"], selected: bool = False) -> list[str]:
@@ -263,30 +249,3 @@ def _nis_of_rows(point: Point, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
 
     nis, dof = point.tracker_at(point.vectors[0]).accumulate(batch, score, every_row=True)
     return nis, dof
-
-
-MOST_FOLDS = 10
-"""Fits at most: of more recordings several are left out at once."""
-
-
-def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
-    """For each recording, the values by label that are fitted to the others, all at once.
-
-    Numbers at a bound, and those that keep their starting values, stay there. Empty for one recording, for an
-    interrupted fit, and for particle filters, whose gradients are too noisy for a few steps.
-    """
-    found, names = result.uncertainty, list(dict.fromkeys(name for name in result.recordings if name))
-    if found is None or result.problem.stochastic or len(names) < 2 or not np.all(np.isfinite(found.optimum.hessian)):
-        return {}
-    folds = [names[k::MOST_FOLDS] for k in range(min(len(names), MOST_FOLDS))]
-    own = np.asarray(result.recordings)
-    weights = np.stack([found.optimum.used & ~np.isin(own, fold) for fold in folds]).astype(float)
-    starts = np.tile(result.vector, (len(folds), 1))
-    vectors = refit(result.problem, starts, found.optimum.hessian, ~found.at_bound, weights, ROUNDS).vectors
-    vectors = np.clip(vectors, *result.limits)
-    return {
-        name: by_label(result.parameters, vector)
-        for fold, vector, others in zip(folds, vectors, weights, strict=True)
-        for name in fold
-        if others.any()
-    }

@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.reading_grids import ReadingGrid, of_raw_re
 from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
-from trackwright.tuning.fit_cautions import collapsed, fit_cautions
+from trackwright.tuning.fit_cautions import collapsed, correlation, deciding, repetitions, standstill
 from trackwright.tuning.identifiability import kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
 from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still
@@ -114,7 +114,12 @@ class FitResult(Generic[AnyTracker]):
     @cached_property
     def cautions(self) -> list[str]:
         """Caveats on the result (`tuning.fit_cautions`). For a likelihood this runs the filter once more."""
-        return fit_cautions(self)
+        found = [*standstill(self.start_vector, self.vector, self.selected), *self.collapsed]
+        if self.uncertainty is not None:
+            found += deciding(self.problem, self.uncertainty, self.recordings)
+        if self.problem.objective.is_likelihood:
+            found += [*repetitions(self.readings), *correlation(self.problem, self.vector)]
+        return found
 
     @cached_property
     def collapsed(self) -> list[str]:

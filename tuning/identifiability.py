@@ -13,11 +13,10 @@ from jaxtyping import Bool, Float, Int
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.tunable import Scale, tunables
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.tuning.intervals import refit
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, component_kinds, component_names
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import MIN_COMPONENT, Uncertainty, determined, unidentifiable, unused
+from trackwright.tuning.uncertainty import MIN_COMPONENT, Uncertainty, determined, refit, unidentifiable, unused
 
 LARGE_SIGMA = 1.0
 """Standard deviation of an unconstrained number from which on it is hardly determined: a factor of e either way."""

@@ -1,23 +1,23 @@
-"""95 % intervals of tuned numbers: by curvature and scatter, by profile likelihood, or by bootstrap."""
+"""95 % intervals of tuned numbers: by curvature and scatter, by profile likelihood, or by bootstrap.
+
+And the values that are fitted to all recordings but one (cross-validation).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import chdtri
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import Parameter, physical, physical_vector
+from trackwright.tuning.parameters import Parameter, by_label, physical, physical_vector
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined
-
-if TYPE_CHECKING:
-    from trackwright.tuning.fitting import FitResult
+from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined, refit
 
 HALF_WIDTH = 3.5
 """Half width of a profile in standard deviations, where the likelihood of a normal shape has fallen by 6 nats."""
@@ -95,54 +95,6 @@ def _stretch(found: Optimum, others: Bool[np.ndarray, " p"], component: int) -> 
     return float(weighted / own) if found.squared is not None and own > 0 and weighted > 0 else 1.0
 
 
-class Refitted(NamedTuple):
-    """Vectors (S, p), and the objective (S,) there, over the same trajectories; NaN where one is not finite."""
-
-    vectors: Float[np.ndarray, "S p"]
-    values: Float[np.ndarray, " S"]
-
-
-def refit(
-    problem: Problem,
-    vectors: Float[np.ndarray, "S p"],
-    hessian: Float[np.ndarray, "p p"],
-    free: Bool[np.ndarray, " p"] | None = None,
-    weights: Float[np.ndarray, "*S n"] | None = None,
-    rounds: int = 3,
-) -> Refitted:
-    """Vectors (S, p) improved by quasi-Newton steps (BFGS on the inverse Hessian), all at once.
-
-    Each for its own `weights` (S, n) of trajectories, over the `free` (p,) numbers, starting with the same `hessian`. A
-    step has length 1 at most, and is rejected and halved where the objective rises.
-    """
-    free = np.ones(vectors.shape[1], bool) if free is None else free
-    inverse = determined(hessian, free)[1][np.ix_(free, free)]
-    inverses = np.tile(inverse, (len(vectors), 1, 1))
-    here = vectors.copy()
-    count = problem.valid if weights is None else np.atleast_2d(weights)
-    evaluated = problem.evaluate(here, weights)
-    terms, used, gradients = evaluated.terms.copy(), evaluated.used.copy(), evaluated.gradients[:, free].copy()
-    scale = np.ones(len(here))
-    for _ in range(rounds if free.any() else 0):
-        step = -np.einsum("spq,sq->sp", inverses, gradients)
-        step *= (scale / np.maximum(1.0, np.linalg.norm(step, axis=1)))[:, None]
-        trial = here.copy()
-        trial[:, free] += step
-        evaluated = problem.evaluate(trial, weights)
-        both = used & evaluated.used
-        before, after = (problem.values_over(both * count, v, t) for v, t in ((here, terms), (trial, evaluated.terms)))
-        with np.errstate(invalid="ignore"):
-            better = (after < before) & evaluated.finite
-        inverses = np.where(
-            better[:, None, None], _updated(inverses, step, evaluated.gradients[:, free] - gradients), inverses
-        )
-        here = np.where(better[:, None], trial, here)
-        terms[better], used[better] = evaluated.terms[better], evaluated.used[better]
-        gradients = np.where(better[:, None], evaluated.gradients[:, free], gradients)
-        scale = np.where(better, np.minimum(1.0, 2.0 * scale), 0.5 * scale)
-    return Refitted(here, problem.values_over(np.broadcast_to(count, used.shape), here, terms))
-
-
 def bootstrap(
     problem: Problem,
     found: Optimum,
@@ -178,19 +130,6 @@ def percentile_intervals(
         low, high = np.percentile(np.stack([np.asarray(v[k], float) for v in physical_values]), tails, axis=0)
         found[p.label] = (low, high)
     return found
-
-
-def _updated(
-    inverses: Float[np.ndarray, "S p p"], steps: Float[np.ndarray, "S p"], changes: Float[np.ndarray, "S p"]
-) -> Float[np.ndarray, "S p p"]:
-    """The BFGS update of inverses (S, p, p) by steps and gradient changes (S, p), of positive curvature."""
-    along = np.einsum("sp,sp->s", steps, changes)
-    size = np.linalg.norm(steps, axis=1) * np.linalg.norm(np.nan_to_num(changes), axis=1)
-    sound = along > 1e-8 * size
-    rho = np.where(sound, 1.0 / np.where(sound, along, 1.0), 0.0)
-    left = np.eye(steps.shape[1]) - rho[:, None, None] * steps[:, :, None] * changes[:, None, :]
-    new = left @ inverses @ left.transpose(0, 2, 1) + rho[:, None, None] * steps[:, :, None] * steps[:, None, :]
-    return np.where(sound[:, None, None], new, inverses)
 
 
 def _crossings(offsets: Float[np.ndarray, " G"], rise: Float[np.ndarray, " G"], height: float) -> tuple[float, float]:
@@ -279,3 +218,34 @@ def _ends(result: FitResult, uncertainty: Uncertainty, component: int) -> tuple[
         return np.nan, np.nan
     found = profile(result.problem, uncertainty.optimum, component, at_bound=uncertainty.at_bound)
     return found.low, found.high
+
+
+MOST_FOLDS = 10
+"""Fits at most: of more recordings several are left out at once."""
+
+
+LEFT_OUT_ROUNDS = 8
+"""Steps of each fit from the optimum of all recordings."""
+
+
+def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
+    """For each recording, the values by label that are fitted to the others, all at once.
+
+    Numbers at a bound, and those that keep their starting values, stay there. Empty for one recording, for an
+    interrupted fit, and for particle filters, whose gradients are too noisy for a few steps.
+    """
+    found, names = result.uncertainty, list(dict.fromkeys(name for name in result.recordings if name))
+    if found is None or result.problem.stochastic or len(names) < 2 or not np.all(np.isfinite(found.optimum.hessian)):
+        return {}
+    folds = [names[k::MOST_FOLDS] for k in range(min(len(names), MOST_FOLDS))]
+    own = np.asarray(result.recordings)
+    weights = np.stack([found.optimum.used & ~np.isin(own, fold) for fold in folds]).astype(float)
+    starts = np.tile(result.vector, (len(folds), 1))
+    vectors = refit(result.problem, starts, found.optimum.hessian, ~found.at_bound, weights, LEFT_OUT_ROUNDS).vectors
+    vectors = np.clip(vectors, *result.limits)
+    return {
+        name: by_label(result.parameters, vector)
+        for fold, vector, others in zip(folds, vectors, weights, strict=True)
+        for name in fold
+        if others.any()
+    }

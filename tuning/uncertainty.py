@@ -352,3 +352,64 @@ def _information(
     blocked = np.add.reduceat(scores.astype(float), starts, axis=1)
     information = np.einsum("ibn,jbn->ijn", blocked, blocked)
     return log_likelihoods.sum(axis=0, dtype=float), blocked.sum(axis=1), information
+
+
+class Refitted(NamedTuple):
+    """Vectors (S, p), and the objective (S,) there, over the same trajectories; NaN where one is not finite."""
+
+    vectors: Float[np.ndarray, "S p"]
+    values: Float[np.ndarray, " S"]
+
+
+def refit(
+    problem: Problem,
+    vectors: Float[np.ndarray, "S p"],
+    hessian: Float[np.ndarray, "p p"],
+    free: Bool[np.ndarray, " p"] | None = None,
+    weights: Float[np.ndarray, "*S n"] | None = None,
+    rounds: int = 3,
+) -> Refitted:
+    """Vectors (S, p) improved by quasi-Newton steps (BFGS on the inverse Hessian), all at once.
+
+    Each for its own `weights` (S, n) of trajectories, over the `free` (p,) numbers, starting with the same `hessian`. A
+    step has length 1 at most, and is rejected and halved where the objective rises.
+    """
+    free = np.ones(vectors.shape[1], bool) if free is None else free
+    inverse = determined(hessian, free)[1][np.ix_(free, free)]
+    inverses = np.tile(inverse, (len(vectors), 1, 1))
+    here = vectors.copy()
+    count = problem.valid if weights is None else np.atleast_2d(weights)
+    evaluated = problem.evaluate(here, weights)
+    terms, used, gradients = evaluated.terms.copy(), evaluated.used.copy(), evaluated.gradients[:, free].copy()
+    scale = np.ones(len(here))
+    for _ in range(rounds if free.any() else 0):
+        step = -np.einsum("spq,sq->sp", inverses, gradients)
+        step *= (scale / np.maximum(1.0, np.linalg.norm(step, axis=1)))[:, None]
+        trial = here.copy()
+        trial[:, free] += step
+        evaluated = problem.evaluate(trial, weights)
+        both = used & evaluated.used
+        before, after = (problem.values_over(both * count, v, t) for v, t in ((here, terms), (trial, evaluated.terms)))
+        with np.errstate(invalid="ignore"):
+            better = (after < before) & evaluated.finite
+        inverses = np.where(
+            better[:, None, None], _updated(inverses, step, evaluated.gradients[:, free] - gradients), inverses
+        )
+        here = np.where(better[:, None], trial, here)
+        terms[better], used[better] = evaluated.terms[better], evaluated.used[better]
+        gradients = np.where(better[:, None], evaluated.gradients[:, free], gradients)
+        scale = np.where(better, np.minimum(1.0, 2.0 * scale), 0.5 * scale)
+    return Refitted(here, problem.values_over(np.broadcast_to(count, used.shape), here, terms))
+
+
+def _updated(
+    inverses: Float[np.ndarray, "S p p"], steps: Float[np.ndarray, "S p"], changes: Float[np.ndarray, "S p"]
+) -> Float[np.ndarray, "S p p"]:
+    """The BFGS update of inverses (S, p, p) by steps and gradient changes (S, p), of positive curvature."""
+    along = np.einsum("sp,sp->s", steps, changes)
+    size = np.linalg.norm(steps, axis=1) * np.linalg.norm(np.nan_to_num(changes), axis=1)
+    sound = along > 1e-8 * size
+    rho = np.where(sound, 1.0 / np.where(sound, along, 1.0), 0.0)
+    left = np.eye(steps.shape[1]) - rho[:, None, None] * steps[:, :, None] * changes[:, None, :]
+    new = left @ inverses @ left.transpose(0, 2, 1) + rho[:, None, None] * steps[:, :, None] * steps[:, None, :]
+    return np.where(sound[:, None, None], new, inverses)

@@ -38,10 +38,9 @@ from trackwright.trackers.recordings.calibration import identity
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.data import FitData
-from trackwright.tuning.fit_cautions import left_out_values
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue, identifiability_issues
-from trackwright.tuning.intervals import Interval, intervals_of
+from trackwright.tuning.intervals import Interval, intervals_of, left_out_values
 from trackwright.tuning.tuned_file import tuned_content, write_tuned
 
 INTERRUPTED = 130

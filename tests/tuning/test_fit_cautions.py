@@ -13,15 +13,15 @@ from tests.known_start import recording
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.model.covariance import FEW
-from trackwright.tuning import fit_cautions
+from trackwright.tuning import intervals
 from trackwright.tuning.fit_cautions import (
     WINDOWS_S,
     correlation,
-    left_out_values,
     rows_and_inflation,
     standstill,
     window_sums,
 )
+from trackwright.tuning.intervals import left_out_values
 from trackwright.tuning.objectives import NegativeLogLikelihood, StateLogLikelihood
 from trackwright.tuning.optimisers import AbstractOptimiser
 from trackwright.tuning.parameters import flatten, select_parameters
@@ -170,7 +170,7 @@ def test_the_values_without_a_recording_are_those_of_a_fit_to_the_others(objecti
 
 
 def test_more_recordings_than_folds_are_left_out_several_at_once(monkeypatch):
-    monkeypatch.setattr(fit_cautions, "MOST_FOLDS", 2)
+    monkeypatch.setattr(intervals, "MOST_FOLDS", 2)
     every = tw.fit(line_tracker(), _world(), "nll", LEVELS)
     found = left_out_values(every)
     assert sorted(found) == ["1", "2", "3"]

@@ -13,7 +13,7 @@ from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.core.data.recording import Readings, stack
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
 from trackwright.tuning.identifiability import flat_components, identifiability_issues, kept_at_start
-from trackwright.tuning.intervals import bootstrap, percentile_intervals, profile, refit
+from trackwright.tuning.intervals import bootstrap, percentile_intervals, profile
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.parameters import Parameter, flatten, select_parameters
 from trackwright.tuning.problem import Evaluation, Problem
@@ -21,6 +21,7 @@ from trackwright.tuning.uncertainty import (
     Optimum,
     Uncertainty,
     optimum,
+    refit,
     uncertainty,
     uncertainty_at,
     unidentifiable,

@@ -19,8 +19,8 @@ from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.selection import Selection
 from trackwright.tuning.calibrating import halves
-from trackwright.tuning.fit_cautions import left_out_values
 from trackwright.tuning.fitting import FitResult, fit
+from trackwright.tuning.intervals import left_out_values
 
 
 def tuned_sites(*, seconds: float | None = None, site: tuple[str, ...] = (), output: Output = DEFAULTS) -> int:
