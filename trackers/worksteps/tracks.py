@@ -14,7 +14,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.association import Association, associate_truth
 from trackwright.trackers.evaluation.scoring import covariances, last_of_every
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.rig_file import LARGEST
+from trackwright.trackers.recordings.input_file import LARGEST_NUMBER
 from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 from trackwright.trackers.recordings.tracks_table import is_bearing
 from trackwright.trackers.worksteps.decisions import LEVEL, NO_POINT, FasteningPoints
@@ -198,11 +198,12 @@ def _metres(file: TableFile, column: str) -> np.ndarray:
     if not (metres.dtype.is_numeric() or metres.dtype == pl.Null):
         raise UnusableInput(f"{file.path}: column {column} has type {metres.dtype}, expected numbers in metres")
     values = metres.cast(pl.Float64).fill_null(np.nan).to_numpy()
-    wrong = np.flatnonzero(~(np.abs(values) <= LARGEST))
+    wrong = np.flatnonzero(~(np.abs(values) <= LARGEST_NUMBER))
     if len(wrong):
         row = int(wrong[0])
         text = "empty" if not (texts[row] or "").strip() else repr(texts[row][:40])
         raise UnusableInput(
-            f"{file.location(row, column)}: {text}, expected a finite number, m, at most {LARGEST:g}; correct the cell"
+            f"{file.location(row, column)}: {text}, expected a finite number, m, at most {LARGEST_NUMBER:g}; "
+            "correct the cell"
         )
     return values
