@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.patheffects import withStroke
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator
 
 from trackwright.experiments.pages.charts.style import GREY, VERMILION, literal
@@ -19,7 +19,7 @@ from trackwright.trackers.core.model.rig import Rig
 TRUTH = "#9aa5b0"
 """The colour of true paths, drawn below the tracks and wider: neither hides the other."""
 
-HALO = [withStroke(linewidth=2.0, foreground="white")]
+HALO: list[AbstractPathEffect] = [withStroke(linewidth=2.0, foreground="white")]
 
 LARGE = 3.0
 """An ellipse with a major axis so many times the median, as that of a start, is not drawn."""
