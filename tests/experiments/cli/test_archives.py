@@ -20,6 +20,7 @@ from trackwright.experiments.cli import archive_part as part
 from trackwright.experiments.cli.archive_part import RecordingStore
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor
+from trackwright.experiments.pages.charts import figures
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.atomic import held

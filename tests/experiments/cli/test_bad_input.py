@@ -14,6 +14,7 @@ from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli import tuning_job as tune_command
+from trackwright.experiments.pages.charts import figures
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.tuning.checkpoint import save
 from trackwright.tuning.intervals import require_possible

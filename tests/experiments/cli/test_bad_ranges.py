@@ -9,6 +9,7 @@ import pytest
 from tests.faulty import then, with_table
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli.console import errors_of
+from trackwright.experiments.pages.charts import figures
 from trackwright.trackers.recordings.folder import read_recording
 
 TRACKERS = ("uwb", "multilateration")
