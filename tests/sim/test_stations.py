@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackwright.sim import stations
+from trackwright import sim
 from trackwright.sim.corruptions import constant_offsets, drop_outs, gauss_markov, lose_station, outliers
 from trackwright.sim.paths import WORK_VOLUME, hand_motion
 from trackwright.sim.phases import Radar, Reflector, plane_phases, spherical_phases, wrapped
@@ -54,7 +54,7 @@ def test_no_bit_of_a_trajectory_depends_on_chunk_batch_or_order(path, monkeypatc
     whole = simulate_phases(RIG, path, 150, seed=4, **settings)
     ids = [149, 3, 77, 64, 63]
     some = simulate_phases(RIG, path, ids, seed=4, **settings)
-    monkeypatch.setattr(stations, "_CHUNK", 7)
+    monkeypatch.setattr(sim.stations, "_CHUNK", 7)
     other = simulate_phases(RIG, path, 150, seed=4, **settings)
     for name in ("positions", "phases", "seen"):
         assert np.array_equal(getattr(some, name), getattr(whole, name)[ids])
