@@ -52,7 +52,7 @@ def full(name: str, times: int, draw: Draw, place: Path) -> Seen:
             if ended.code == 0:  # what lay there for a moment made the estimate too large
                 continue
             seen.times += 1
-            seen.refused(ended, disk, 2, "No space left")
+            seen.refused(ended, disk, 2, "space")  # Polars does not always say "No space left"
             seen.left += len(temporary(out))
             before = seen.look(job, out, set())
             _remounted(disk, "size=64m")

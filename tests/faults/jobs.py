@@ -212,7 +212,7 @@ def begun(job: Job, out: Path, parts: int) -> Moment:
 
 def temporary(out: Path) -> set[str]:
     """The temporary files of commands in a folder and in those inside it."""
-    return {name for _, _, files in os.walk(out) for name in files if name.startswith(PREFIX)}
+    return {name for _, *names in os.walk(out) for name in (*names[0], *names[1]) if name.startswith(PREFIX)}
 
 
 def half_written(out: Path) -> list[str]:
