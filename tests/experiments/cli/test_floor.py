@@ -114,7 +114,7 @@ def test_without_a_floor_plan_the_tracker_is_refused(there):
     [
         ("[floor]", "neither walls_m nor outline_m"),
         ("[floor]\nwalls_m = []", "at least one"),
-        ("[floor]\nwalls_m = [[0, 0, 1]]", "4 numbers"),
+        ("[floor]\nwalls_m = [[0, 0, 1]]", "4 finite numbers"),
         ("[floor]\noutline_m = [[0, 0], [1, 1]]", "at least three"),
         ("[floor]\nwall_m = [[0, 0, 1, 1]]", "expected walls_m"),
     ],
