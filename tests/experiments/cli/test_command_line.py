@@ -144,6 +144,7 @@ def test_a_simulated_recording_passes_all_checks(world):
     assert "errors: 0, warnings: 0" in said.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tracker", ["direct", "cascade"])
 def test_position_trackers_write_one_row_per_estimate(runs, there, tracker):
     assert runs[tracker].code == 0, runs[tracker]

@@ -30,7 +30,7 @@ def rooms(tmp_path_factory):
 @pytest.mark.parametrize(
     ("options", "left"),
     [
-        (("--no-figures",), {"report.html"}),
+        pytest.param(("--no-figures",), {"report.html"}, marks=pytest.mark.slow),
         pytest.param(("--no-report",), {"tuning.png"}, marks=pytest.mark.slow),
         (("--no-report", "--format", "pdf"), {"tuning.pdf"}),
     ],

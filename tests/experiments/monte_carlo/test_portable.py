@@ -90,6 +90,7 @@ def test_a_study_without_a_declaration_or_changed_in_memory_is_refused(studies):
         PortableStudy.of(changed)
 
 
+@pytest.mark.slow
 def test_worker_processes_give_the_bits_of_threads(studies, shas, tmp_path):
     pytest.importorskip("distributed")
     with cluster_executor("local:2") as workers:

@@ -14,7 +14,7 @@ from trackwright.trackers.line.truth import knot_times
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 
-@pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])
+@pytest.mark.parametrize("situation", ["constant", pytest.param("halts", marks=pytest.mark.slow), "speeds"])
 def test_without_errors_the_knot_times_are_found(situation):
     world = simulate_line(situation, 1, seed=5, errors={})
     fitted = knot_times(THESIS_KNOTS, world.times, world.fixes[0])

@@ -24,6 +24,7 @@ from trackwright.trackers.core.data.estimates import Status
 CORNERS = [Cell(*one) for one in product((1e-6, 1.0), (0.0, 1.0, 1e6), (10.0, 1e5))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fix-kf"])
 def test_no_corner_of_the_envelope_is_silent_nonsense(name):
     found, off = verdicts(name, CORNERS, tags=12)

@@ -86,6 +86,7 @@ class Moving(NamedTuple):
     still: jnp.ndarray
 
 
+@pytest.mark.slow
 def test_the_jacobian_of_a_moving_body_is_that_of_jacfwd_in_fewer_columns():
     rng = np.random.default_rng(3)
     state = Moving(Vector(*rng.normal(size=3)), Rotation.exp(rng.normal(size=3)), jnp.asarray(rng.normal(size=4)))
