@@ -13,7 +13,7 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.run.tracker import filter_batch
 from trackwright.trackers.recordings.trajectories import cut
 
-QUICK = ("fix-kf", "particles", "median", "mhk with memory", "das in the plane of the array")
+QUICK = ("fix-kf", "particles", "median", "das in the plane of the array")
 """One of each kind: a Kalman filter, random numbers, a window, composed trackers, a tracker without memory."""
 
 CAUSAL = [
@@ -127,7 +127,8 @@ def test_the_pure_function_under_jit_gives_the_run_to_rounding(whole):
     [
         pytest.param(CASES[name], marks=[] if name == "fix-kf" else [pytest.mark.slow], id=name)
         for name in (
-            *QUICK[:4],
+            *QUICK[:3],
+            "mhk with memory",
             "multilateration in space",
             "uwb-imu in space",
             "fix-mirror",

@@ -75,6 +75,7 @@ def test_evaluations_on_workers_have_the_bits_of_those_here_and_send_only_what_i
     assert numbers < sum(np.size(x) for x in data.rows()[0].readings["fixes"]) / 10
 
 
+@pytest.mark.slow
 def test_chunks_whose_worker_is_killed_are_loaded_by_others(vehicles, tmp_path):
     pytest.importorskip("distributed")
     named, data = vehicles

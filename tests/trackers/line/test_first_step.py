@@ -65,8 +65,9 @@ def _run(kind, filter, keys):
     return tracker.run(stack([recording(DT * np.arange(3), one, mean, cov, name=f"key {k}") for k in range(keys)]))
 
 
-@pytest.mark.parametrize("filter", ["grid", pytest.param("particles", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", [pytest.param("plain", marks=pytest.mark.slow), "halting"])
+@pytest.mark.slow
+@pytest.mark.parametrize("filter", ["grid", "particles"])
+@pytest.mark.parametrize("kind", ["plain", "halting"])
 def test_no_tag_begins_with_a_negative_speed(kind, filter):
     keys = KEYS if filter == "particles" else 1
     estimates = _run(kind, FILTERS[filter], keys)

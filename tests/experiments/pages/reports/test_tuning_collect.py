@@ -122,6 +122,7 @@ def test_without_any_interval_it_is_unknown_what_is_determined(run):
     ]
 
 
+@pytest.mark.slow
 def test_of_directions_errors_are_in_degrees_and_metrics_in_radians():
     folder = tw.simulate.station(n=1, rows=40, seed=2).folder()
     data = fit_data(tw.build("beam", folder).only_batch([folder]), NLL)
