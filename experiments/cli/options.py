@@ -217,6 +217,8 @@ class TrackOptions(TrackerOptions):
             raise UnusableInput(
                 f"--lag {self.lag:g}: expected seconds above zero; leave it out to use the whole recording"
             )
+        if not 0 <= self.seed < 2**64:
+            raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
 
     @property
     def file(self) -> Path | None:

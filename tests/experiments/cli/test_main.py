@@ -73,6 +73,7 @@ def test_a_family_of_commands_lists_its_members():
         (("tune", "x", "--out", "o", "--minibatch", "0"), "--minibatch 0: expected at least 1"),
         (("tune", "x", "--out", "o", "--optimiser", "adamm"), "expected auto or lbfgs or adam (did you mean adam?)"),
         (("track", "x", "--out", "o", "--lag", "0"), "--lag 0: expected seconds above zero"),
+        (("track", "x", "--out", "o", "--seed", "-1"), "--seed -1: expected a whole number from 0 to 2^64 - 1"),
         (("track", "x", "--out", "o", "--set", "sigma"), "--set sigma: expected NAME=VALUE"),
         (("track", "x", "--out", "o", "--from", "9", "--to", "3"), "--from 9 --to 3: expected the first below"),
         (("track", "x", "--out", "o", "--every", "0"), "--every 0: expected seconds above zero"),
