@@ -14,8 +14,17 @@ from trackwright.sim import worlds
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import write_recording
 
-FIT = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "sensors.*.sigma*", "--objective", "nll")
-FIT = (*FIT, "--no-figures", "--force")
+FIT = (
+    "--tracker",
+    "fix-kf",
+    "--tune",
+    "motion.sigma_a",
+    "sensors.*.sigma*",
+    "--objective",
+    "nll",
+    "--no-figures",
+    "--force",
+)
 
 
 def _write(path, seed, **changed):

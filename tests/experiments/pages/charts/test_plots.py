@@ -101,26 +101,6 @@ def _plan(path, tracks, truth=None, **rig):
     return _drawn(path, floor_plan, _scored(tracks, truth, **rig), size=None)
 
 
-def _scored(tracks, truth=None, **rig):
-    """The tracks with their errors, of a recording with that truth and installation."""
-    tables = {} if truth is None else {"truth": truth.select("t_s", "tag", "x_m", "y_m", "z_m")}
-    folder = RecordingFolder("hall", None, Rig("hall", **rig), tables)
-    return ScoredTracks(associate_truth(tracks, {"hall": truth} if tables else {}), [folder], []).recordings[0]
-
-
-def _drawn(path, chart, *given, size=(6.0, 3.0), **named):
-    """The file of a chart on axes of its own."""
-    return write_panels(path, [lambda axes: chart(*given, ax=axes, **named)], size)
-
-
-def _on_axes(path, draw, *given, size=(6.0, 3.0), **named):
-    return write_panels(path, [lambda axes: draw(axes, *given, **named)], size)
-
-
-def _plan(path, tracks, truth=None, **rig):
-    return _drawn(path, floor_plan, _scored(tracks, truth, **rig), size=None)
-
-
 def _parameter(name):
     return Parameter((name,), Scale(1.0, "m/s^2"), name)
 
