@@ -15,7 +15,7 @@ from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.input_file import beginning, read_toml
 from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
-from trackwright.trackers.recordings.table_file import TableFile, read_table_file
+from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file
 
 UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048},
@@ -321,7 +321,9 @@ def _identifiers(file: TableFile, name: str, expression: Expression) -> pl.Serie
     text = column.cast(pl.String).str.strip_chars()
     missing = text.is_null() | (text == "")
     if missing.any():
-        raise UnusableInput(f"{file.location(_first(missing), expression.source)}: empty; expected the id for {name}")
+        raise UnusableInput(
+            f"{file.location(first_row(missing), expression.source)}: empty; expected the id for {name}"
+        )
     return text
 
 
@@ -334,13 +336,13 @@ def _values(file: TableFile, name: str, expression: Expression) -> pl.Series:
     else:
         numbers = numbers_of(file, source)
     if name == "t_s" and numbers.has_nulls():
-        raise UnusableInput(f"{file.location(_first(numbers.is_null()), source)}: no time; remove the row")
+        raise UnusableInput(f"{file.location(first_row(numbers.is_null()), source)}: no time; remove the row")
     if source == expression.text.strip("`"):
         return numbers
     if expression.root:
         negative = (numbers < 0).fill_null(False)
         if negative.any():
-            raise UnusableInput(f"{file.location(_first(negative), source)}: a negative number under the root")
+            raise UnusableInput(f"{file.location(first_row(negative), source)}: a negative number under the root")
         numbers = numbers.sqrt()
     return (
         numbers * expression.factor + expression.shift if (expression.factor, expression.shift) != (1, 0) else numbers
@@ -355,7 +357,7 @@ def _seconds(file: TableFile, source: str) -> pl.Series:
         stamps = stamps.str.to_datetime(time_unit="ns", time_zone="UTC", strict=False)
         wrong = stamps.is_null()
         if wrong.any():
-            raise UnusableInput(_no_date(file, source, _first(wrong)))
+            raise UnusableInput(_no_date(file, source, first_row(wrong)))
         column = stamps
     whole = column.dt.epoch("ns")
     # The seconds are exact; only their sum with the fraction is rounded.
@@ -375,12 +377,6 @@ def _no_date(file: TableFile, source: str, row: int) -> str:
     return f"{file.location(row, source)}: {texts[row]!r}; expected a date such as 2026-05-01T12:00:00.25"
 
 
-def _first(rows: pl.Series) -> int:
-    found = rows.arg_max()
-    assert found is not None
-    return int(found)
-
-
 def numbers_of(file: TableFile, column: str) -> pl.Series:
     """The column as Float64, null where empty or NaN; raises UnusableInput with the row of a text."""
     found = file.frame[column]
@@ -396,8 +392,7 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
     numbers = points.cast(pl.Float64, strict=False)
     wrong = numbers.is_null() & text.is_not_null() & (text != "")
     if wrong.any():
-        row = wrong.arg_max()
-        assert row is not None
+        row = first_row(wrong)
         raise UnusableInput(
             f"{file.location(row, column)}: {text[row][:40]!r}; expected a number; {_remedy(text[row], column)}"
         )

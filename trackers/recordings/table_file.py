@@ -57,6 +57,13 @@ class TableFile:
         return f"{self.path}: row {row + 1}{line}, column {column}"
 
 
+def first_row(rows: pl.Series) -> int:
+    """The number of the first row that is true, of which there is one."""
+    row = rows.arg_max()
+    assert row is not None
+    return int(row)
+
+
 def read_table_file(path: Path, separator: str = ",") -> TableFile:
     """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file.
 

@@ -12,7 +12,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.kinds import QUATERNION, Kind, Layout, table_kinds, unit_of
-from trackwright.trackers.recordings.table_file import TableFile, read_table_file
+from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file
 
 JITTER_S, JITTER = 1.0, 5.0
 """Rows count as late, and are sorted, up to this many s, or median steps of their sensor and tag."""
@@ -36,7 +36,7 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str]
     times = _numbers(file, "t_s", _LATEST)
     if times.has_nulls():
         raise UnusableInput(
-            f"{file.location(_first(times.is_null()), 't_s')}: no time, expected seconds; remove the row"
+            f"{file.location(first_row(times.is_null()), 't_s')}: no time, expected seconds; remove the row"
         )
     numbers = [_numbers(file, c, _LARGEST) for c in (*expected.values, *expected.optional) if c in file.frame.columns]
     frame = pl.DataFrame([times, *ids, *numbers])
@@ -98,7 +98,7 @@ def _ids(file: TableFile, column: str) -> pl.Series:
     # The few different ids first.
     different = ids.unique()
     if different.str.strip_chars().str.contains(_CONTROL).any():
-        row = _first(ids.str.strip_chars().str.contains(_CONTROL).fill_null(False))
+        row = first_row(ids.str.strip_chars().str.contains(_CONTROL).fill_null(False))
         raise UnusableInput(
             f"{file.location(row, column)}: {ids[row]!r} has a control character; remove it from the id"
         )
@@ -108,7 +108,7 @@ def _ids(file: TableFile, column: str) -> pl.Series:
     missing = ids.is_null() | (ids == "")
     if missing.any():
         raise UnusableInput(
-            f"{file.location(_first(missing), column)}: empty, expected an id; remove the row or name it"
+            f"{file.location(first_row(missing), column)}: empty, expected an id; remove the row or name it"
         )
     return ids
 
@@ -121,7 +121,7 @@ def _numbers(file: TableFile, column: str, largest: float) -> pl.Series:
         numbers = text.cast(pl.Float64, strict=False)
         wrong = numbers.is_null() & text.is_not_null() & (text != "")
         if wrong.any():
-            row = _first(wrong)
+            row = first_row(wrong)
             raise UnusableInput(
                 f"{file.location(row, column)}: {text[row][:40]!r}, expected a number; leave a missing cell empty"
             )
@@ -132,7 +132,7 @@ def _numbers(file: TableFile, column: str, largest: float) -> pl.Series:
     numbers = numbers.fill_nan(None)
     beyond = (numbers.abs() > largest).fill_null(False)
     if beyond.any():
-        row = _first(beyond)
+        row = first_row(beyond)
         raise UnusableInput(
             f"{file.location(row, column)}: {numbers[row]:g}, expected a finite number in SI units; "
             "leave the cell empty if it is missing"
@@ -145,7 +145,7 @@ def _check_stds(file: TableFile, frame: pl.DataFrame, expected: Layout) -> None:
         if column in frame.columns and column not in QUATERNION:
             wrong = (frame[column] <= 0).fill_null(False)
             if wrong.any():
-                row = _first(wrong)
+                row = first_row(wrong)
                 raise UnusableInput(
                     f"{file.location(row, column)}: {frame[column][row]:g}, expected a standard deviation above zero; "
                     "leave the cell empty if it is unknown"
@@ -157,7 +157,7 @@ def _check_quaternions(file: TableFile, frame: pl.DataFrame) -> None:
         zero = frame.select(pl.sum_horizontal(pl.col(QUATERNION).abs(), ignore_nulls=False) == 0).to_series()
         if zero.any():
             raise UnusableInput(
-                f"{file.location(_first(zero), 'qw')}: a zero quaternion, expected a unit quaternion; "
+                f"{file.location(first_row(zero), 'qw')}: a zero quaternion, expected a unit quaternion; "
                 "leave its four cells empty if the attitude is unknown"
             )
 
@@ -167,7 +167,7 @@ def _check_sensors(file: TableFile, frame: pl.DataFrame, kind: Kind, rig: Rig) -
     for column in kind.sensors:
         for sensor in frame[column].unique(maintain_order=True):
             if sensor not in known:
-                row = _first(frame[column] == sensor)
+                row = first_row(frame[column] == sensor)
                 there = ", ".join(list(known)[:12]) + (" …" if len(known) > 12 else "") if known else "none"
                 raise UnusableInput(
                     f"{file.location(row, column)}: {column} {sensor!r} is not in rig.toml, expected one of: {there}; "
@@ -223,9 +223,3 @@ def restarted_at(t: np.ndarray) -> int | None:
         if len(again) >= LEAST_AGAIN and (~behind & (t > again.min()) & (t < again.max())).any():
             return int(start)
     return None
-
-
-def _first(rows: pl.Series) -> int:
-    found = rows.arg_max()
-    assert found is not None
-    return int(found)
