@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import polars as pl
+
 from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.console import notice_unused_calibration, output_folder
 from trackwright.experiments.cli.manifest import write_manifest
@@ -27,8 +29,8 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.association import Association, associate_truth
-from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, evaluate_association
+from trackwright.trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
+from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate_association
 from trackwright.trackers.evaluation.events import EVENTS, events_of
 from trackwright.trackers.evaluation.residuals import residual_ratios
 from trackwright.trackers.programs.freed_memory import give_back
@@ -210,7 +212,7 @@ def _track(
         if of == 1:
             print(to_text(evaluation, terminal_width()), end="")
     else:
-        evaluation = _without_truth(association, folders, tracks)
+        evaluation = _without_truth(association, truths, tracks)
     metrics = to_json(evaluation)
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)
@@ -263,11 +265,11 @@ def _write_page(out: Path, pages: Sequence[Mapping[str, Any]]) -> None:
     write_track_page(out / PAGE, pages, shlex.join(["trackwright", *sys.argv[1:]]))
 
 
-def _without_truth(association: Association, folders: Sequence[RecordingFolder], tracks: Tracks) -> Evaluation:
+def _without_truth(association: Association, truths: Mapping[str, pl.DataFrame], tracks: Tracks) -> Evaluation:
     """The metrics of the innovations; prints what these show, and if there is a truth, why it is not used."""
-    if any("truth" in f.tables for f in folders):
+    if truths:
         try:
-            evaluate(association, folders)
+            refuse_without_overlap(association, truths)
         except UnusableInput as problem:
             notice(f"notice: not evaluated: {problem}")
     evaluation = evaluate_association(association, ratios=residual_ratios(tracks))
