@@ -57,8 +57,8 @@ class Route:
         part = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
         along = s - np.concatenate([[0.0], ends]).take(part)
         # Of each part: each side starts at the end of the corner before it; the first side starts at its middle.
-        every = np.arange(len(ends))
-        quarter, turns = every // 2 % 4, every % 2 == 1
+        parts = np.arange(len(ends))
+        quarter, turns = parts // 2 % 4, parts % 2 == 1
         heading = quarter * (np.pi / 2)
         corner = np.array([[1, -1], [1, 1], [-1, 1], [-1, -1]]) * (np.array([self.width, self.depth]) / 2 - self.radius)
         corner, direction = corner[quarter], np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -66,14 +66,14 @@ class Route:
         side = np.array([self.width, self.depth, self.width, self.depth])[quarter] - 2 * self.radius
         side[0] /= 2
         back = side.take(part) - along
-        found = np.stack(
+        positions = np.stack(
             [x.take(part) - back * d.take(part) for x, d in zip(begin.T, direction.T, strict=True)], axis=-1
         )
         turning = turns.take(part)
         at = part[turning]
         angle = heading[at] + along[turning] / self.radius
-        found[turning] = corner[at] + self.radius * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
-        return found
+        positions[turning] = corner[at] + self.radius * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
+        return positions
 
     def distance(self, points: Float[np.ndarray, "*rows 2"]) -> Float[np.ndarray, "*rows"]:
         """The distance of points (..., 2), m, from the route, inside or outside: an error without regard to time."""

@@ -258,9 +258,9 @@ def simulate_uwb_imu(
     def sampled(keys: Keys, positions: Vectors, seen: Bool[np.ndarray, "n T"]) -> Samples:
         attitudes = attitude(stream(keys, "attitude"), times)
         force, rate = ideal_readings(times, positions, attitudes)
-        every = np.ones(force.shape, bool)
-        force, _ = corrupted(accel, stream(keys, "accelerometer"), times, force, every)
-        rate, _ = corrupted(gyro, stream(keys, "gyro"), times, rate, every)
+        all_seen = np.ones(force.shape, bool)
+        force, _ = corrupted(accel, stream(keys, "accelerometer"), times, force, all_seen)
+        rate, _ = corrupted(gyro, stream(keys, "gyro"), times, rate, all_seen)
         force, rate = (np.where(seen[..., None], x, 0.0) for x in (force, rate))
         return Samples(force, rate, attitudes)
 

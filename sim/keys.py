@@ -76,8 +76,8 @@ def in_blocks(
         rows = np.minimum(np.arange(first, first + size), count - 1)
         block = draw(jax.random.wrap_key_data(jnp.asarray(data[rows]), impl=_GENERATOR), *(x[rows] for x in arrays))
         whole = whole or tuple(np.empty((count, *x.shape[1:]), x.dtype) for x in block)
-        for all_rows, own in zip(whole, block, strict=True):
-            all_rows[first : first + size] = own[: count - first]
+        for all_rows, block_rows in zip(whole, block, strict=True):
+            all_rows[first : first + size] = block_rows[: count - first]
     return whole
 
 

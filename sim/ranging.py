@@ -193,8 +193,8 @@ def simulate_ranges(
         x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
         distances = np.sqrt(x * x + y * y + z * z)
         ranges = two_way_ranges(stream(keys, "two-way ranging"), distances, protocol or Protocol())
-        own, every = stream(keys, "corruptions"), np.ones(ranges.shape, bool)
-        ranges, seen = corrupted(corruptions, own, times, ranges, every)
+        corruption_keys, all_seen = stream(keys, "corruptions"), np.ones(ranges.shape, bool)
+        ranges, seen = corrupted(corruptions, corruption_keys, times, ranges, all_seen)
         return positions, np.where(seen, ranges, 0.0), seen
 
     positions, ranges, seen = in_blocks(ranged, keys, size=32)

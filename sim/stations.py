@@ -146,13 +146,13 @@ def simulate_phases(
     noise = {"phase noise": white_noise(sigma_p)} if sigma_p > 0 and radar is None else {}
     times = np.arange(n_points) / rate_hz
 
-    every = trajectory_ids(n)
-    positions = np.empty((len(every), n_points, 3))
-    phases = np.empty((len(every), n_points, *shape), np.float32)
+    ids = trajectory_ids(n)
+    positions = np.empty((len(ids), n_points, 3))
+    phases = np.empty((len(ids), n_points, *shape), np.float32)
     seen = np.empty(phases.shape, bool)
     size = _CHUNK if radar is None else _SIGNAL_CHUNK
-    for start in range(0, len(every), size):
-        chunk = every[start : start + size]
+    for start in range(0, len(ids), size):
+        chunk = ids[start : start + size]
         here = slice(start, start + len(chunk))
         keys = trajectory_keys(seed, np.pad(chunk, (0, size - len(chunk)), mode="edge"))
         where = move(stream(keys, "path"), times)
@@ -169,7 +169,7 @@ def simulate_phases(
         positions[here] = where[: len(chunk)]
         phases[here] = np.where(visible, values, np.float32(0))[: len(chunk)]
         seen[here] = visible[: len(chunk)]
-    return SimulatedPhases(times, positions, phases, seen, rig, every)
+    return SimulatedPhases(times, positions, phases, seen, rig, ids)
 
 
 def _path_of(path: str | PathFunction) -> PathFunction:

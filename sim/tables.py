@@ -102,14 +102,14 @@ class ArrayRows(TagRows):
     def floats(self, names: Sequence[str]) -> Float[np.ndarray, "N m"]:
         if tuple(names) in self._columns:
             return self._columns[tuple(names)]
-        places = {name: (own, k) for own in self._columns for k, name in enumerate(own) if name in names}
-        every = {name: self._columns[own][:, k] for name, (own, k) in places.items()}
+        places = {name: (columns, k) for columns in self._columns for k, name in enumerate(columns) if name in names}
+        values = {name: self._columns[columns][:, k] for name, (columns, k) in places.items()}
         missing = np.full(len(self.times), np.nan)
-        return np.stack([every.get(name, missing) for name in names], axis=1)
+        return np.stack([values.get(name, missing) for name in names], axis=1)
 
     def codes(self, name: str, ids: Sequence[str]) -> Int[np.ndarray, " N"]:
-        numbers, own = self._ids[name]
-        return np.array([list(ids).index(x) for x in own])[numbers]
+        numbers, stored_ids = self._ids[name]
+        return np.array([list(ids).index(x) for x in stored_ids])[numbers]
 
     def frame(self) -> pl.DataFrame:
         """The table, sorted by time."""
@@ -117,7 +117,7 @@ class ArrayRows(TagRows):
             "t_s": self.times,
             "tag": pl.Series(self.tags).gather(self.of_each(np.arange(len(self.tags)))),
         }
-        columns |= {name: pl.Series(list(own)).gather(numbers) for name, (numbers, own) in self._ids.items()}
+        columns |= {name: pl.Series(list(ids)).gather(numbers) for name, (numbers, ids) in self._ids.items()}
         for names, values in self._columns.items():
             columns |= {name: pl.Series(values[:, k], nan_to_null=True) for k, name in enumerate(names)}
         return pl.DataFrame(columns).sort("t_s", maintain_order=True)

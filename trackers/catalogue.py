@@ -221,8 +221,7 @@ def spec_of(name: str) -> TrackerSpec:
     if split_name(name)[0]:
         from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 
-        found: TrackerSpec = from_file(name, "tracker", "TrackerSpec", lambda x: isinstance(x, TrackerSpec))
-        return found
+        return from_file(name, "tracker", "TrackerSpec", lambda x: isinstance(x, TrackerSpec))
     raise UnusableInput(
         f"tracker {name}: unknown{near(name, TRACKERS)}; expected FILE.py:NAME or one of {', '.join(TRACKERS)}"
     )

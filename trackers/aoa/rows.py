@@ -75,18 +75,18 @@ def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
     names = list(folder.rig.stations)
     station = rows.codes("station", names)
     row, starts, times = _shared_rows(rows, station)
-    found, mask = rows.values(_phase_columns(max(folder.rig.stations.values(), key=_antennas)))
+    phases, mask = rows.values(_phase_columns(max(folder.rig.stations.values(), key=_antennas)))
     readings = {}
-    for name, own in folder.rig.stations.items():
-        if own.antennas is None:
+    for name, rig_station in folder.rig.stations.items():
+        if rig_station.antennas is None:
             continue
-        here, count = np.flatnonzero(station == names.index(name)), len(own.antennas)
+        here, count = np.flatnonzero(station == names.index(name)), len(rig_station.antennas)
         if np.array_equal(row[here], np.arange(len(times))):
             part = _evenly_spaced(here)
-            readings[name] = Readings(found[part, :count], mask[part, :count])
+            readings[name] = Readings(phases[part, :count], mask[part, :count])
             continue
         values, seen = np.zeros((len(times), count)), np.zeros((len(times), count), bool)
-        values[row[here]], seen[row[here]] = found[here, :count], mask[here, :count]
+        values[row[here]], seen[row[here]] = phases[here, :count], mask[here, :count]
         readings[name] = Readings(values, seen)
     return trajectories_of(folder, rows.tags, starts, times, readings, {})
 
@@ -114,21 +114,21 @@ def beam_trajectories(folder: RecordingFolder, free_height: bool) -> Iterable[Tr
     values, seen = rows.values(_phase_columns(max(folder.rig.stations.values(), key=_antennas)))
     readings = {PHASES: Readings(values[order], seen[order])}
     tags, stations = [rows.tags[k] for k in tag], [names[k] for k in station]
-    every = trajectories_of(folder, tags, starts, rows.times[order], readings, {}, stations)
+    trajectories = trajectories_of(folder, tags, starts, rows.times[order], readings, {}, stations)
     sizes = np.array([_antennas(s) for s in folder.rig.stations.values()])[station]
-    return every if len(set(sizes.tolist())) <= 1 else _of_several_sizes(every, sizes)
+    return trajectories if len(set(sizes.tolist())) <= 1 else _of_several_sizes(trajectories, sizes)
 
 
 def _of_several_sizes(trajectories: Trajectories, sizes: np.ndarray) -> list[Trajectory]:
     """The trajectories with as many channels as their stations have antennas, `sizes` (n,)."""
-    found: dict[int, Trajectory] = {}
+    by_number: dict[int, Trajectory] = {}
     for size in set(sizes.tolist()):
         numbers = np.flatnonzero(sizes == size)
         part = trajectories.chosen(numbers)
         phases = part.columns.readings[PHASES]
         cut = part.replaced({PHASES: Readings(phases.values[:, :size], phases.seen[:, :size])})
-        found |= dict(zip(numbers.tolist(), cut, strict=True))
-    return [found[number] for number in range(len(sizes))]
+        by_number |= dict(zip(numbers.tolist(), cut, strict=True))
+    return [by_number[number] for number in range(len(sizes))]
 
 
 def _antennas(station: Station) -> int:
@@ -169,8 +169,8 @@ def stations_of(table: str, least: int) -> Callable[[RecordingFolder], str | Non
     def lacks(folder: RecordingFolder) -> str | None:
         if table not in folder.tables:
             return f"a {table} table with at least {least} station(s), found no such table"
-        found = folder.rows(table).count("station", list(folder.rig.stations))
-        return None if found >= least else f"a {table} table with at least {least} station(s), found {found} station(s)"
+        count = folder.rows(table).count("station", list(folder.rig.stations))
+        return None if count >= least else f"a {table} table with at least {least} station(s), found {count} station(s)"
 
     return lacks
 

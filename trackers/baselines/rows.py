@@ -47,8 +47,8 @@ def lacks_coplanar_anchors(folder: RecordingFolder) -> str | None:
     """What a folder lacks for a tracker of mirrored heights, in words; None if nothing."""
     heights = [p[2] for p in folder.rig.anchors.values()]
     if len(heights) < 3 or np.ptp(heights) > COPLANAR:
-        found = f"{len(heights)} anchors" + (f" over {np.ptp(heights):.2f} m of height" if heights else "")
-        return f"at least 3 anchors within {COPLANAR} m of one height, found {found}"
+        anchors = f"{len(heights)} anchors" + (f" over {np.ptp(heights):.2f} m of height" if heights else "")
+        return f"at least 3 anchors within {COPLANAR} m of one height, found {anchors}"
     return lacks_fixes(folder)
 
 

@@ -33,12 +33,12 @@ def from_file(name: str, what: str, kind: str, fits: Callable[[Any], bool]) -> A
     except Exception as error:
         line = str(error).splitlines()[0] if str(error) else "no message"
         raise UnusableInput(f"{file}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
-    found = getattr(module, attribute, None)
-    if not fits(found):
+    target = getattr(module, attribute, None)
+    if not fits(target):
         mine = ", ".join(key for key, value in vars(module).items() if fits(value)) or "none"
         wrong = f"{attribute} is no {kind}" if attribute else f"no {kind} is named"
         raise UnusableInput(f"{file}: {wrong}; the file's are: {mine}; name one as {file}:NAME")
-    return found
+    return target
 
 
 @lru_cache(maxsize=16)

@@ -79,13 +79,13 @@ def fit_path_truth(folder: RecordingFolder) -> tuple[RecordingFolder, dict[str, 
         times, measured = raw_positions(trajectory)
         known = np.isfinite(measured).all(axis=1)
         try:
-            found = knot_times(np.asarray(folder.rig.path_knots), times[known], measured[known])
+            knots = knot_times(np.asarray(folder.rig.path_knots), times[known], measured[known])
         except ValueError as problem:
             raise UnusableInput(f"{where}: tag '{trajectory.tag}': {problem}; record for longer") from problem
-        fitted[trajectory.tag] = found
+        fitted[trajectory.tag] = knots
         # Rows at the knot times, too: interpolation between measurement times would cut the corners of the path.
-        at = np.unique(np.concatenate([times, found.departed, found.arrived]))
-        x, y = found.positions(at).T
+        at = np.unique(np.concatenate([times, knots.departed, knots.arrived]))
+        x, y = knots.positions(at).T
         height = pl.lit(known_height(folder, trajectory.tag), pl.Float64)
         tables.append(
             pl.DataFrame({"t_s": at, "tag": [trajectory.tag] * len(at), "x_m": x, "y_m": y}).with_columns(z_m=height)

@@ -32,7 +32,7 @@ from trackwright.trackers.programs.program_cache import ProgramStore, compiling_
 
 OURS = ("trackers", "tuning")
 OTHERS = ("builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy")
-KNOWN = tuple(f"{name}." for name in (*(f"trackwright.{own}" for own in OURS), *OTHERS))
+KNOWN = tuple(f"{name}." for name in (*(f"trackwright.{package}" for package in OURS), *OTHERS))
 """The packages whose classes and functions may occur in a key, since it has their text or version."""
 
 USERS_FILE = "trackwright_"

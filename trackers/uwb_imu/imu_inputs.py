@@ -30,8 +30,8 @@ def imu_inputs(times: np.ndarray, imu_times: np.ndarray, accel: np.ndarray, gyro
         fresh[fresh] = times[fresh] - sampled[last[fresh]] <= HOLD_S
         inputs["imu"][:, k] = fresh
         inputs[name] = np.where(fresh[:, None], samples[np.maximum(last, 0)] if len(sampled) else np.zeros((1, 3)), 0.0)
-    both = np.isfinite(accel).all(axis=1)
-    sampled, pairs = imu_times[both], np.concatenate([accel, np.nan_to_num(gyro)], axis=1)[both]
+    measured = np.isfinite(accel).all(axis=1)
+    sampled, pairs = imu_times[measured], np.concatenate([accel, np.nan_to_num(gyro)], axis=1)[measured]
     inputs["rest"] = _rests(times, sampled, pairs) if len(sampled) else np.zeros((len(times), 7))
     return inputs
 

@@ -87,8 +87,8 @@ def _with_imu(
     if len(bodies[tags[0]]) > 1:
         carriers = bodies[tags[0]]
         offsets = np.stack([_offset(folder, carrier) for carrier in carriers])
-        own = np.stack([_offset(folder, tag) for tag in rows.tags])
-        inputs["levers"] = offsets[rows.codes("carrier", carriers)] - rows.of_each(own)
+        tag_offsets = np.stack([_offset(folder, tag) for tag in rows.tags])
+        inputs["levers"] = offsets[rows.codes("carrier", carriers)] - rows.of_each(tag_offsets)
     samples = folder.rows("imu")
     accel, gyro = _imu_samples(samples)
     at = {tag: slice(*samples.starts[k : k + 2]) for k, tag in enumerate(samples.tags)}
@@ -107,7 +107,7 @@ def _with_imu(
     starts = np.cumsum([0, *(len(times) for times in merged_times)])
     index = np.concatenate(merged_rows)
     merged = {name: _with_zeros(values)[index] for name, values in inputs.items()}
-    merged |= {name: np.concatenate([one[name] for one in merged_imu]) for name in merged_imu[0]}
+    merged |= {name: np.concatenate([of_tag[name] for of_tag in merged_imu]) for name in merged_imu[0]}
     merged |= room_of_anchors(folder, int(starts[-1]))
     merged["arm"] = np.repeat(np.stack([_offset(folder, tag) for tag in tags]), np.diff(starts), axis=0)
     assert readings.reported is not None
@@ -160,24 +160,26 @@ class Snapshots(NamedTuple):
 
 def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's ranges, one row per time, with the latest range of every anchor in a slot of its own."""
-    found = _snapshots(folder, free_height)
-    inputs = {"anchors": np.tile(anchor_positions(folder).ravel(), (len(found.times), 1))}
-    readings = {RANGES: Readings(found.latest, found.fresh)}
-    return trajectories_of(folder, found.rows.tags, found.starts, found.times, readings, inputs)
+    snapshots = _snapshots(folder, free_height)
+    inputs = {"anchors": np.tile(anchor_positions(folder).ravel(), (len(snapshots.times), 1))}
+    readings = {RANGES: Readings(snapshots.latest, snapshots.fresh)}
+    return trajectories_of(folder, snapshots.rows.tags, snapshots.starts, snapshots.times, readings, inputs)
 
 
 def triple_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """As `snapshot_trajectories`, with the three anchors of each row that span the largest triangle."""
-    anchors, found = anchor_positions(folder), _snapshots(folder, free_height)
+    anchors, snapshots = anchor_positions(folder), _snapshots(folder, free_height)
     triples = np.array(list(combinations(range(len(anchors)), 3)))
     legs = anchors[triples][:, 1:, :2] - anchors[triples][:, :1, :2]
     areas = np.abs(legs[:, 0, 0] * legs[:, 1, 1] - legs[:, 0, 1] * legs[:, 1, 0])
-    patterns, which = np.unique(found.fresh, axis=0, return_inverse=True)
+    patterns, which = np.unique(snapshots.fresh, axis=0, return_inverse=True)
     complete = patterns[:, triples].all(axis=2)
     best = triples[np.argmax(np.where(complete, areas, -1.0), axis=1)][which.ravel()]
-    values, seen = (np.take_along_axis(x, best, axis=1) for x in (found.latest, found.fresh))
-    inputs = {"anchors": anchors[best].reshape(len(found.times), 9)}
-    return trajectories_of(folder, found.rows.tags, found.starts, found.times, {RANGES: Readings(values, seen)}, inputs)
+    values, seen = (np.take_along_axis(x, best, axis=1) for x in (snapshots.latest, snapshots.fresh))
+    inputs = {"anchors": anchors[best].reshape(len(snapshots.times), 9)}
+    return trajectories_of(
+        folder, snapshots.rows.tags, snapshots.starts, snapshots.times, {RANGES: Readings(values, seen)}, inputs
+    )
 
 
 def _snapshots(folder: RecordingFolder, free_height: bool) -> Snapshots:
@@ -199,11 +201,11 @@ def _snapshots(folder: RecordingFolder, free_height: bool) -> Snapshots:
 
 def _snapshot_windows(starts: np.ndarray, age: np.ndarray, least: np.ndarray) -> np.ndarray:
     """Of each tag (n,): the shortest of the `WINDOWS`, s, in which half of its times have at least `least` anchors."""
-    found = np.full(len(least), WINDOWS[-1])
+    windows = np.full(len(least), WINDOWS[-1])
     for window in reversed(WINDOWS):
         enough = (age <= window).sum(axis=1) >= np.repeat(least, np.diff(starts))
-        found[np.add.reduceat(enough, starts[:-1], dtype=float) / np.diff(starts) >= 0.5] = window
-    return found
+        windows[np.add.reduceat(enough, starts[:-1], dtype=float) / np.diff(starts) >= 0.5] = window
+    return windows
 
 
 def lacks_ranges_or_imu(folder: RecordingFolder) -> str | None:
@@ -211,8 +213,8 @@ def lacks_ranges_or_imu(folder: RecordingFolder) -> str | None:
     for name in ("ranges", "imu"):
         if name not in folder.tables:
             return f"a {name} table, found no such table"
-    found = folder.rows("ranges").count("anchor", sorted(folder.rig.anchors))
-    return None if found >= MIN_ANCHORS else f"ranges to at least {MIN_ANCHORS} anchors, found {found}"
+    count = folder.rows("ranges").count("anchor", sorted(folder.rig.anchors))
+    return None if count >= MIN_ANCHORS else f"ranges to at least {MIN_ANCHORS} anchors, found {count}"
 
 
 def lacks_ranges(folder: RecordingFolder) -> str | None:

@@ -99,12 +99,12 @@ def decide(
     level: float = LEVEL,
 ) -> Decisions:
     """The most probable point of each estimate (n, d), and whether the tool is unlocked for it."""
-    every = probabilities(means, covariances, points, play)
-    known = np.isfinite(every).all(axis=1)
-    best = np.where(known, np.argmax(np.where(known[:, None], every, 0.0), axis=1), NO_POINT)
-    probability = np.where(known, every.max(axis=1), np.nan)
+    probabilities_of_points = probabilities(means, covariances, points, play)
+    known = np.isfinite(probabilities_of_points).all(axis=1)
+    best = np.where(known, np.argmax(np.where(known[:, None], probabilities_of_points, 0.0), axis=1), NO_POINT)
+    probability = np.where(known, probabilities_of_points.max(axis=1), np.nan)
     near = np.linalg.norm(means - points.positions[best], axis=1) <= tolerance
-    return Decisions(best, probability, known & near & (probability >= level), every)
+    return Decisions(best, probability, known & near & (probability >= level), probabilities_of_points)
 
 
 def nearest_point(truth: np.ndarray, points: FasteningPoints, tolerance: float) -> np.ndarray:

@@ -141,9 +141,9 @@ def share(hits: np.ndarray, cluster: np.ndarray, level: float = 0.95) -> Share:
     if n == 0:
         return Share(np.nan, np.nan, np.nan, 0)
     _, which = np.unique(cluster, return_inverse=True)
-    sizes, found = np.bincount(which).astype(float), np.bincount(which, hits)
+    sizes, cluster_hits = np.bincount(which).astype(float), np.bincount(which, hits)
     p, clusters = float(np.mean(hits)), len(sizes)
-    between = float(np.sum((found - p * sizes) ** 2)) * clusters / max(clusters - 1, 1)
+    between = float(np.sum((cluster_hits - p * sizes) ** 2)) * clusters / max(clusters - 1, 1)
     independent = p * (1 - p) * n
     effective = min(n, n * independent / between) if between > 0 and clusters > 1 else clusters
     z = NormalDist().inv_cdf((1 + level) / 2)

@@ -192,9 +192,9 @@ def _names(file: TableFile) -> list[str]:
 
 
 def _metres(file: TableFile, column: str) -> np.ndarray:
-    found = file.frame[column]
-    texts = found.cast(pl.String).to_list()
-    metres = found.str.strip_chars().cast(pl.Float64, strict=False) if found.dtype == pl.String else found
+    cells = file.frame[column]
+    texts = cells.cast(pl.String).to_list()
+    metres = cells.str.strip_chars().cast(pl.Float64, strict=False) if cells.dtype == pl.String else cells
     if not (metres.dtype.is_numeric() or metres.dtype == pl.Null):
         raise UnusableInput(f"{file.path}: column {column} has type {metres.dtype}, expected numbers in metres")
     values = metres.cast(pl.Float64).fill_null(np.nan).to_numpy()

@@ -20,9 +20,9 @@ MOST_ROWS = 12
 
 def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """A small HTML table under a caption: at most `MOST_ROWS` rows, numbers with four significant digits."""
-    every = list(rows)
-    cells = "".join(f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in every[:MOST_ROWS])
-    more = f"<tr><td colspan={len(head)}>… {len(every) - MOST_ROWS} more</td></tr>" if len(every) > MOST_ROWS else ""
+    body = list(rows)
+    cells = "".join(f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in body[:MOST_ROWS])
+    more = f"<tr><td colspan={len(head)}>… {len(body) - MOST_ROWS} more</td></tr>" if len(body) > MOST_ROWS else ""
     names = "".join(f"<th>{escape(name)}</th>" for name in head)
     return f"<div>{escape(caption)}<table><thead><tr>{names}</tr></thead><tbody>{cells}{more}</tbody></table></div>"
 
@@ -61,12 +61,12 @@ def evaluation_html(evaluation: Any) -> str:
 
 def evaluation_text(evaluation: Any) -> str:
     """As `evaluation_html`, in aligned columns for a terminal."""
-    head, every = _main_metrics(evaluation)
-    cells = [list(head), *([_text(cell) for cell in row] for row in every[:MOST_ROWS])]
+    head, rows = _main_metrics(evaluation)
+    cells = [list(head), *([_text(cell) for cell in row] for row in rows[:MOST_ROWS])]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     sides = "<<" + ">" * (len(widths) - 2)
     lines = ["  ".join(f"{x:{side}{n}}" for x, side, n in zip(row, sides, widths, strict=True)) for row in cells]
-    more = [f"… {len(every) - MOST_ROWS} more"] if len(every) > MOST_ROWS else []
+    more = [f"… {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else []
     return "\n".join([*(line.rstrip() for line in lines), *more, *evaluation.statements])
 
 

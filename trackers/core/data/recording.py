@@ -233,7 +233,7 @@ class Columns:
             },
             inputs={name: pile(x, dtype) for name, x in self.inputs.items()},
             truth={k: (pile(x, dtype), pile(known, bool)) for k, (x, known) in self.truth.items() if truth},
-            key=trajectory_key_data(seed, [k if one is None else one for k, one in enumerate(self.ids)]),
+            key=trajectory_key_data(seed, [k if ident is None else ident for k, ident in enumerate(self.ids)]),
         )
 
 

@@ -25,7 +25,7 @@ def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
     values = np.asarray(times)
     if values.dtype == object and values.size and hasattr(values.flat[0], "timestamp"):
         # Time stamps with a time zone.
-        values = np.array([np.nan if one is None or one != one else one.timestamp() for one in values.flat])
+        values = np.array([np.nan if stamp is None or stamp != stamp else stamp.timestamp() for stamp in values.flat])
     elif values.dtype.kind in "mM":
         unit, _ = np.datetime_data(values.dtype)
         if unit in ("generic", "Y", "M"):

@@ -162,13 +162,13 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
             self.filter.update(component, _in_mode(motion, mode), _in_mode(sensor, mode), reading, inputs)
             for mode, component in enumerate(belief.components)
         ]
-        joint = [w + one.log_likelihood for w, (_, one) in zip(belief.log_weights, updated, strict=True)]
+        joint = [w + innovation.log_likelihood for w, (_, innovation) in zip(belief.log_weights, updated, strict=True)]
         top = joint[0]
         for x in joint[1:]:
             top = jnp.maximum(top, x)
         log_likelihood = compute_once(top + jnp.log(total(jnp.exp(x - top) for x in joint)))
         log_weights = tuple(x - log_likelihood for x in joint)
-        nis = total(jnp.exp(w) * one.nis for w, (_, one) in zip(log_weights, updated, strict=True))
+        nis = total(jnp.exp(w) * innovation.nis for w, (_, innovation) in zip(log_weights, updated, strict=True))
         first = updated[0][1]
         innovation = Innovation(log_likelihood, nis, first.nis_dof, first.wrapped)
         return Mixture(tuple(g for g, _ in updated), log_weights), innovation

@@ -240,14 +240,14 @@ def matching(tree: Any, patterns: str | Sequence[str]) -> dict[str, AbstractTuna
     Raises UnusableInput, listing the tunables, for a pattern that matches none.
     """
     patterns = [patterns] if isinstance(patterns, str) else list(patterns)
-    every = tunables(tree)
+    by_name = tunables(tree)
     for pattern in patterns:
-        if not fnmatch.filter(every, pattern):
+        if not fnmatch.filter(by_name, pattern):
             raise UnusableInput(
-                f"the pattern '{pattern}' matches no tunable{near(pattern, every)}; this tracker has: "
-                f"{', '.join(every) or 'none'}"
+                f"the pattern '{pattern}' matches no tunable{near(pattern, by_name)}; this tracker has: "
+                f"{', '.join(by_name) or 'none'}"
             )
-    return {name: node for name, node in every.items() if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
+    return {name: node for name, node in by_name.items() if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
 
 
 def replaced(tree: Tree, new: Mapping[str, AbstractTunable]) -> Tree:

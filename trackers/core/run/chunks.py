@@ -246,8 +246,8 @@ def joined(parts: Sequence[tuple[Output, Any]], batch: Batch) -> tuple[Output, A
 
     each = [output for output, _ in parts]
     cov = np.empty((len(output.cov), len(batch.dt), batch.size), batch.dt.dtype)
-    for entry, arrays in zip(cov, zip(*(one.cov for one in each), strict=True), strict=True):
+    for entry, arrays in zip(cov, zip(*(output.cov for output in each), strict=True), strict=True):
         filled(arrays, entry)
-    whole = jax.tree_util.tree_map(all_of, *(one._replace(cov=()) for one in each))
+    whole = jax.tree_util.tree_map(all_of, *(output._replace(cov=()) for output in each))
     final = jax.tree_util.tree_map(lambda *x: np.concatenate(x)[: batch.size], *[after for _, after in parts])
     return whole._replace(cov=cov), final

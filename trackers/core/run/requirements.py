@@ -310,9 +310,9 @@ def _initial_view(layout: Layout, tracker: RecursiveTracker) -> Any:
     """
     inputs = dict(layout.inputs)
     for _, declared, channels in _readers(tracker):
-        for one in declared:
-            if one.need is not Need.IF_GIVEN and one.name not in inputs:
-                inputs[one.name] = one.row_shape(channels)
+        for entry in declared:
+            if entry.need is not Need.IF_GIVEN and entry.name not in inputs:
+                inputs[entry.name] = entry.row_shape(channels)
     leaves, tree = jax.tree_util.tree_flatten((tracker.motion, tracker.sensors, tracker.start))
     numeric = [isinstance(x, (float, np.ndarray, np.floating, jax.Array)) for x in leaves]
     fixed = tuple(None if n else x for n, x in zip(numeric, leaves, strict=True))
