@@ -95,10 +95,10 @@ def paired_differences(
     if not common:
         return {}
     a, b = _in_pieces(common, first, second)
-    both = np.intersect1d(a.piece, b.piece)
-    a, b = a.of(both), b.of(both)
+    pieces = np.intersect1d(a.piece, b.piece)
+    a, b = a.of(pieces), b.of(pieces)
     kind = "tracks" if len(common) >= MANY_TRACKS else "pieces of time, several times longer than errors last"
-    before, after = (run.metrics(metrics, both) for run in (a, b))
+    before, after = (run.metrics(metrics, pieces) for run in (a, b))
     return {
         name: jackknifed(x[0].item(), y[0].item(), y[1:] - x[1:])._replace(kind=kind)
         for (name, x), y in zip(before.items(), after.values(), strict=True)
@@ -171,9 +171,9 @@ def _in_pieces(
     for k, (begin, end) in enumerate(spans):
         count = max(int((end - begin) / length), 1) if end > begin else 1
         for rows, of, piece in zip(joined, recording, numbers, strict=True):
-            own = np.flatnonzero((of == k) & (rows.times >= begin) & (rows.times <= end))
-            share = (rows.times[own] - begin) / max(end - begin, 1e-9)
-            piece[own] = before + np.minimum((share * count).astype(int), count - 1)
+            in_span = np.flatnonzero((of == k) & (rows.times >= begin) & (rows.times <= end))
+            share = (rows.times[in_span] - begin) / max(end - begin, 1e-9)
+            piece[in_span] = before + np.minimum((share * count).astype(int), count - 1)
         before += count
     return tuple(  # type: ignore[return-value]
         _Pieces(rows, piece).of(np.arange(before)) for rows, piece in zip(joined, numbers, strict=True)
@@ -188,10 +188,10 @@ def _piece_length(joined: Sequence[TrackErrors], recording: Sequence[np.ndarray]
         count = max(int((end - begin) / width), 1)
         means = []
         for rows, of in zip(joined, recording, strict=True):
-            own = (of == k) & (rows.times >= begin) & (rows.times <= end)
-            place = np.minimum(((rows.times[own] - begin) / width).astype(int), count - 1)
+            in_span = (of == k) & (rows.times >= begin) & (rows.times <= end)
+            place = np.minimum(((rows.times[in_span] - begin) / width).astype(int), count - 1)
             n = np.bincount(place, minlength=count)
-            means.append(np.bincount(place, rows.error[own] ** 2, minlength=count) / np.where(n, n, np.nan))
+            means.append(np.bincount(place, rows.error[in_span] ** 2, minlength=count) / np.where(n, n, np.nan))
         difference = means[1] - means[0]
         runs.append(difference[np.isfinite(difference)])
     return max(total / MOST_PIECES, CORRELATION_TIMES * width * _correlation_time(runs), 1e-9)
@@ -199,13 +199,13 @@ def _piece_length(joined: Sequence[TrackErrors], recording: Sequence[np.ndarray]
 
 def _correlation_time(runs: Sequence[np.ndarray]) -> float:
     """The integrated autocorrelation time, in rows, of series about their common mean (Sokal's window of 5 times)."""
-    every = np.concatenate(runs)
-    if len(every) < 4 or np.ptp(every) == 0:
+    values = np.concatenate(runs)
+    if len(values) < 4 or np.ptp(values) == 0:
         return 1.0
-    mean, variance, time = every.mean(), every.var(), 1.0
-    for lag in range(1, len(every) // 3):
+    mean, variance, time = values.mean(), values.var(), 1.0
+    for lag in range(1, len(values) // 3):
         products = [(x[lag:] - mean) * (x[:-lag] - mean) for x in runs if len(x) > lag]
-        time += 2.0 * float(np.concatenate(products).sum()) / len(every) / variance if products else 0.0
+        time += 2.0 * float(np.concatenate(products).sum()) / len(values) / variance if products else 0.0
         if lag >= 5 * time:
             break
     return max(time, 1.0)

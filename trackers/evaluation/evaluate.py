@@ -155,9 +155,9 @@ class TrackScores(NamedTuple):
         first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
         single = len(first) == len(names)
         scores = self.scores if single else self.scores.grouped(np.array([*first, len(names)]))
-        own = [names[k] for k in first]
-        ratio = np.array([ratios.get(name, np.nan) for name in own])
-        return own, replace(scores, largest={**scores.largest, "residual_ratio_5s": ratio})
+        recordings = [names[k] for k in first]
+        ratio = np.array([ratios.get(name, np.nan) for name in recordings])
+        return recordings, replace(scores, largest={**scores.largest, "residual_ratio_5s": ratio})
 
     def evaluation(self, ratios: Mapping[str, float] | None = None) -> Evaluation:
         """The metrics by track, by recording and overall."""
@@ -197,8 +197,8 @@ def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMor
     if isinstance(estimates, Estimates):
         _refuse_other_places(estimates.names, [recording.name for recording in several])
         table = estimates.to_polars().with_columns(tag=pl.lit(""))
-        arrays = [one for one in several if not isinstance(one, RecordingFolder)]
-        if len(arrays) == len(several) and any("position" in one.truth for one in arrays):
+        arrays = [recording for recording in several if not isinstance(recording, RecordingFolder)]
+        if len(arrays) == len(several) and any("position" in recording.truth for recording in arrays):
             return associate_paths(table, _true_paths(arrays))
         return associate_truth(table, _required_truths(recordings))
     return associate_truth(estimates.to_polars(), _required_truths(recordings))
@@ -215,7 +215,7 @@ def _required_truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
 def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
     # Of recording folders alone jax need not be imported.
     kinds: tuple[type[RecordingFolder | Recording], ...] = (RecordingFolder,)
-    if not (isinstance(recordings, Sequence) and all(isinstance(one, RecordingFolder) for one in recordings)):
+    if not (isinstance(recordings, Sequence) and all(isinstance(r, RecordingFolder) for r in recordings)):
         from trackwright.trackers.core.data.recording import Recording
 
         kinds = (RecordingFolder, Recording)
@@ -235,9 +235,9 @@ def _refuse_other_places(estimated: Sequence[str], given: Sequence[str]) -> None
 def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
     """The truth tables of the recordings that have one, by name."""
     several = _several(recordings)
-    refuse_same_names([one.name for one in several if isinstance(one, RecordingFolder)])
+    refuse_same_names([recording.name for recording in several if isinstance(recording, RecordingFolder)])
     truths = {}
-    for name, recording in zip(numbered_names([one.name for one in several]), several, strict=True):
+    for name, recording in zip(numbered_names([recording.name for recording in several]), several, strict=True):
         if isinstance(recording, RecordingFolder):
             if "truth" in recording.tables:
                 truths[name] = recording.tables["truth"]
@@ -248,14 +248,16 @@ def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
 
 def _true_paths(recordings: Sequence[Recording]) -> TruePaths:
     """The true paths of recordings in arrays, each of one trajectory, which its name identifies."""
-    names = numbered_names([one.name for one in recordings])
-    true = [(name, one) for name, one in zip(names, recordings, strict=True) if "position" in one.truth]
-    starts = np.cumsum([0, *(len(one.times) for _, one in true)])
-    times = np.concatenate([one.times for _, one in true])
-    known = np.concatenate([one.truth["position"][1] for _, one in true])
+    names = numbered_names([recording.name for recording in recordings])
+    true = [
+        (name, recording) for name, recording in zip(names, recordings, strict=True) if "position" in recording.truth
+    ]
+    starts = np.cumsum([0, *(len(recording.times) for _, recording in true)])
+    times = np.concatenate([recording.times for _, recording in true])
+    known = np.concatenate([recording.truth["position"][1] for _, recording in true])
     positions = np.full((len(times), 3), np.nan)
-    for start, (_, one) in zip(starts, true, strict=False):
-        values = one.truth["position"][0]
+    for start, (_, recording) in zip(starts, true, strict=False):
+        values = recording.truth["position"][0]
         positions[start : start + len(values), : values.shape[1]] = values
     path = np.repeat(np.arange(len(true)), np.diff(starts))[known]
     # Of rows of one time the first counts, as in a table.

@@ -214,14 +214,14 @@ METRICS = {
 
 def metrics(scores: Scores) -> dict[str, np.ndarray]:
     """The metrics (g,) of g groups: those whose sums the scores have; NaN where there are no data."""
-    found = {}
+    values = {}
     with np.errstate(invalid="ignore", divide="ignore"):
         for name, metric in METRICS.items():
             try:
-                found[name] = metric.formula(scores)
+                values[name] = metric.formula(scores)
             except KeyError:  # of other estimates, or of sums that are not taken
                 continue
-    return found
+    return values
 
 
 def metric_rows(scores: Scores, labels: Mapping[str, Sequence[str]] | None = None) -> list[dict[str, Any]]:

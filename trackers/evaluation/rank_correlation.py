@@ -30,11 +30,11 @@ PAIRED, WINDOWED = ("product", "first", "second", "pairs"), ("window sums", "win
 """The sums of each lag, and those over windows of time."""
 
 
-def correlation(both: np.ndarray, first: np.ndarray, second: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+def correlation(product: np.ndarray, first: np.ndarray, second: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """The autocorrelation (g,) from sums of u_i u_j, u_i², u_j² and 1; NaN with fewer than `MIN_PAIRS` pairs."""
     scale = np.sqrt(first * second)
     enough = (pairs >= MIN_PAIRS) & (scale > 0)
-    return np.where(enough, both / np.where(enough, scale, 1.0), math.nan)
+    return np.where(enough, product / np.where(enough, scale, 1.0), math.nan)
 
 
 def inflation(sums: np.ndarray, squares: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -64,25 +64,25 @@ def rank_sums(
     without time or value, take no part.
     """
     n_tracks = len(starts) - 1
-    found: dict[str, np.ndarray] = {f"{what} {lag}": np.zeros(n_tracks) for lag in LAGS_S for what in PAIRED}
-    found |= {name: np.zeros(n_tracks) for name in WINDOWED}
+    result: dict[str, np.ndarray] = {f"{what} {lag}": np.zeros(n_tracks) for lag in LAGS_S for what in PAIRED}
+    result |= {name: np.zeros(n_tracks) for name in WINDOWED}
     rows = np.flatnonzero(np.isfinite(times) & np.isfinite(values) & (dof > 0))
     if not len(rows):
-        return found
+        return result
     track = np.repeat(np.arange(n_tracks), np.diff(starts))[rows]
     u = _ranks(values[rows], dof[rows], track)
     first = np.flatnonzero(_changes(track))
-    own = times[rows] - np.repeat(times[rows[first]], np.diff(np.append(first, len(rows))))
+    elapsed = times[rows] - np.repeat(times[rows[first]], np.diff(np.append(first, len(rows))))
     for name, lag in LAGS_S.items():
-        i, j = _pairs(own, track, lag)
+        i, j = _pairs(elapsed, track, lag)
         for what, x in zip(PAIRED, (u[i] * u[j], u[i] ** 2, u[j] ** 2, np.ones(len(i))), strict=True):
-            found[f"{what} {name}"] = np.bincount(track[i], x, minlength=n_tracks)
-    first = np.flatnonzero(_changes(track, np.floor(own / WINDOW_S)))
+            result[f"{what} {name}"] = np.bincount(track[i], x, minlength=n_tracks)
+    first = np.flatnonzero(_changes(track, np.floor(elapsed / WINDOW_S)))
     sums = np.add.reduceat(u, first)
     of_windows = (track[first], sums**2), (track, u**2), (track, np.ones(len(u)))
     for name, (of_track, x) in zip(WINDOWED, of_windows, strict=True):
-        found[name] = np.bincount(of_track, x, minlength=n_tracks)
-    return found
+        result[name] = np.bincount(of_track, x, minlength=n_tracks)
+    return result
 
 
 def _ranks(values: np.ndarray, dof: np.ndarray, track: np.ndarray) -> np.ndarray:
@@ -105,8 +105,8 @@ def _order_within(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """The order (n,) that sorts the values of each group; `starts` (g + 1,): the first of each group, then n."""
     lengths = np.diff(starts)
     if (lengths == lengths[0]).all():
-        own = np.argsort(values.reshape(len(lengths), -1), axis=1)
-        return np.ravel(own + starts[:-1, None])
+        order = np.argsort(values.reshape(len(lengths), -1), axis=1)
+        return np.ravel(order + starts[:-1, None])
     return np.concatenate([a + np.argsort(values[a:b]) for a, b in pairwise(starts.tolist())])
 
 
@@ -117,18 +117,18 @@ def _changes(*columns: np.ndarray) -> np.ndarray:
     return changed
 
 
-def _pairs(own: np.ndarray, track: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of rows (i, j) of one track, j nearest to the lag after i; `own`: s since the start of the track."""
+def _pairs(elapsed: np.ndarray, track: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of rows (i, j) of one track, j nearest to the lag after i; `elapsed`: s since the start of the track."""
     # All tracks one after the other, so that one search serves all. Differences are taken within a track: the pairs of
     # a track then do not depend on the others.
     last = np.flatnonzero(np.append(_changes(track)[1:], True))
-    spans = own[last] + 2 * lag
-    at = own + np.repeat(np.cumsum(spans) - spans, np.diff(np.append(-1, last)))
+    spans = elapsed[last] + 2 * lag
+    at = elapsed + np.repeat(np.cumsum(spans) - spans, np.diff(np.append(-1, last)))
     i = np.arange(len(at))
     after = np.minimum(np.searchsorted(at, at + lag), len(at) - 1)
     before = np.maximum(after - 1, 0)
     miss_before, miss_after = (
-        np.where(track[j] == track, np.abs(own[j] - own - lag), math.inf) for j in (before, after)
+        np.where(track[j] == track, np.abs(elapsed[j] - elapsed - lag), math.inf) for j in (before, after)
     )
     # Half-way between two rows the earlier one counts, whatever the rounding.
     j = np.where(miss_before <= miss_after + ROUNDING_S, before, after)

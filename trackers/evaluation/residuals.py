@@ -38,7 +38,7 @@ def residual_ratios(tracks: Tracks) -> dict[str, float]:
     robust standard deviation (median absolute deviation) of all residuals. At most about 1 for normal residuals,
     however correlated. Of sensors that measure a position, the largest of their channels.
     """
-    found: dict[str, dict[str, list[np.ndarray]]] = {}
+    residuals: dict[str, dict[str, list[np.ndarray]]] = {}
     rows: dict[str, int] = {}
     if "x_m" not in tracks.table.columns:
         return {}
@@ -49,20 +49,20 @@ def residual_ratios(tracks: Tracks) -> dict[str, float]:
         tracker = batch.tracker.tracker if isinstance(batch.tracker, Smoothed) else batch.tracker
         sensors = tracker.sensors if isinstance(tracker, Tracker) else {}
         for trajectory in batch.trajectories:
-            own = of_tags.get((trajectory.folder.name, trajectory.tag))
-            if own is None or rows.get(trajectory.folder.name, 0) > MOST_ROWS:
+            of_tag = of_tags.get((trajectory.folder.name, trajectory.tag))
+            if of_tag is None or rows.get(trajectory.folder.name, 0) > MOST_ROWS:
                 continue
-            channels, number = found.setdefault(trajectory.folder.name, {}), rows.get(trajectory.folder.name, 0)
+            channels, number = residuals.setdefault(trajectory.folder.name, {}), rows.get(trajectory.folder.name, 0)
             for name, sensor in sensors.items():
                 if sensor.view_fields == ("position",):
-                    for channel, values in _residuals(name, sensor, trajectory, own, batch.planar):
+                    for channel, values in _residuals(name, sensor, trajectory, of_tag, batch.planar):
                         # The rows so far tell trajectories apart.
                         values = np.column_stack([values, np.full(len(values), number)])
                         channels.setdefault(channel, []).append(values)
             rows[trajectory.folder.name] = number + len(trajectory.recording)
     ratios = {
-        name: [r for parts in every.values() if (r := _ratio(np.concatenate(parts))) is not None]
-        for name, every in found.items()
+        name: [r for parts in channels.values() if (r := _ratio(np.concatenate(parts))) is not None]
+        for name, channels in residuals.items()
     }
     return {name: max(each) for name, each in ratios.items() if each}
 

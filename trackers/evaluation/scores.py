@@ -52,15 +52,15 @@ class Ordered(NamedTuple):
         """The quantile (g,), linear between order statistics (Hyndman & Fan 1996, definition 7); NaN of none."""
         count = np.diff(self.starts)
         rank = 100 * share * ((count - 1) / 100.0)
-        found, some = np.full(len(count), np.nan), count > 0
+        quantiles, some = np.full(len(count), np.nan), count > 0
         lower = np.floor(rank[some]).astype(int)
         first = self.starts[:-1][some]
         below = self.values[first + lower]
         above = self.values[first + np.minimum(lower + 1, count[some] - 1)]
         # An infinite value above one of rank 0 has no weight.
         part = rank[some] - lower
-        found[some] = np.where(part > 0, below + part * (above - below), below)
-        return found
+        quantiles[some] = np.where(part > 0, below + part * (above - below), below)
+        return quantiles
 
 
 @dataclass(frozen=True)
@@ -108,9 +108,9 @@ class Scores:
 
         values = {}
         for name in parts[0].values:
-            own = [part.values[name] for part in parts]
-            counts = np.concatenate([np.diff(one.starts) for one in own])
-            values[name] = Ordered(np.concatenate([one.values for one in own]), np.append(0, np.cumsum(counts)))
+            ordered = [part.values[name] for part in parts]
+            counts = np.concatenate([np.diff(part.starts) for part in ordered])
+            values[name] = Ordered(np.concatenate([part.values for part in ordered]), np.append(0, np.cumsum(counts)))
         return cls(all_of("sums"), all_of("largest"), {}, values)
 
     def grouped(self, starts: np.ndarray) -> Scores:
@@ -224,8 +224,7 @@ class Groups:
     def _reduced(self, how: np.ufunc, values: np.ndarray, first: float) -> np.ndarray:
         padded = np.full(len(self._rows), first, values.dtype)
         padded[self._rows] = values
-        found: np.ndarray = how.reduceat(padded, self._first)
-        return found
+        return how.reduceat(padded, self._first)
 
 
 def error_sums(kind: str, size: np.ndarray, rows: Rows) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
@@ -270,5 +269,4 @@ def _of_rank(histogram: np.ndarray, below: np.ndarray, rank: np.ndarray) -> np.n
     after = np.take_along_axis(below, at, -1)[..., 0] - rank - 0.5
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.where(below[..., -1] > 0, after / inside, np.nan)
-    found: np.ndarray = EDGES[at[..., 0]] * np.exp(-BIN_WIDTH * part)
-    return found
+    return EDGES[at[..., 0]] * np.exp(-BIN_WIDTH * part)

@@ -63,18 +63,18 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
     values = {}
     for kind, size in scored.sizes.items():
         which = ~np.isnan(size)
-        own = rows.where(which)
-        more, top = error_sums(kind, size[which], own)
-        sums, largest, values[kind] = sums | more, largest | top, Ordered.of(size[which], own.starts)
+        groups = rows.where(which)
+        more, top = error_sums(kind, size[which], groups)
+        sums, largest, values[kind] = sums | more, largest | top, Ordered.of(size[which], groups.starts)
     for component, errors in zip(COMPONENTS[scored.errors.shape[1]], scored.errors.T, strict=True):
         which = ~np.isnan(scored.sizes.get(component, errors))
         sums[f"bias {component}"] = rows.where(which).sum(errors[which])
     for name, nees, dof in (("nees", scored.nees, 2), ("nees_3d", scored.nees_3d, 3)):
         if nees is not None:
             known = np.isfinite(nees)
-            own = rows.where(known)
-            sums |= nees_sums(name, nees[known], dof, own)
-            values[name] = Ordered.of(nees[known], own.starts)
+            groups = rows.where(known)
+            sums |= nees_sums(name, nees[known], dof, groups)
+            values[name] = Ordered.of(nees[known], groups.starts)
     sums |= _innovations(association, all_rows) | _lost(association, all_rows)
     return Scores(sums, largest, {}, values)
 

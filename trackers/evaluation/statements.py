@@ -137,11 +137,11 @@ def _losses(overall: Mapping[str, Any]) -> list[str]:
 
 def _lasting(recordings: Sequence[Mapping[str, Any]]) -> list[str]:
     """The sentence on residuals that last, with the largest ratio; none where they do not."""
-    found = [r for r in recordings if (r.get("residual_ratio_5s") or 0.0) >= LASTING]
-    if not found:
+    lasting = [r for r in recordings if (r.get("residual_ratio_5s") or 0.0) >= LASTING]
+    if not lasting:
         return []
-    of = f" of {listed([r['recording'] for r in found])}" if len(recordings) > 1 else ""
-    largest = max(r["residual_ratio_5s"] for r in found)
+    of = f" of {listed([r['recording'] for r in lasting])}" if len(recordings) > 1 else ""
+    largest = max(r["residual_ratio_5s"] for r in lasting)
     return [
         f"Residuals of some stations or anchors{of} last: their 5 s means are {significant(largest, 2)} times as large "
         "as most residuals, which the reported covariances do not allow for."
@@ -150,9 +150,9 @@ def _lasting(recordings: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _correlation(recordings: Sequence[Mapping[str, Any]]) -> str:
     """The autocorrelation and inflation of the recording with the most, and the names of all that are correlated."""
-    found = [r for r in recordings if correlated(r)]
-    worst = max(found, key=lambda r: r["nis_inflation_1s"] or 0.0)
-    of = f" of {listed([r['recording'] for r in found])}" if len(recordings) > 1 else ""
+    affected = [r for r in recordings if correlated(r)]
+    worst = max(affected, key=lambda r: r["nis_inflation_1s"] or 0.0)
+    of = f" of {listed([r['recording'] for r in affected])}" if len(recordings) > 1 else ""
     r, n = worst["nis_correlation_1s"], worst["nis_inflation_1s"]
     # Errors that last for less than a second show in the means of a second, and not at that lag.
     over = r is not None and r > CORRELATION
