@@ -132,13 +132,13 @@ def compare_tracks(
     moved, compared = [], []
     for (recording, tag), rows in tracks.partition_by(["recording", "tag"], as_dict=True, maintain_order=True).items():
         truth = truths.get(str(recording))
-        own = None if truth is None else truth.filter(pl.col("tag").cast(pl.String) == str(tag))
-        if own is None or own.is_empty():
+        true_rows = None if truth is None else truth.filter(pl.col("tag").cast(pl.String) == str(tag))
+        if true_rows is None or true_rows.is_empty():
             continue
         name = f"track of tag {tag} in '{recording}'"
         errors = compare_trajectories(
             trajectory_of_table(rows, name),
-            trajectory_of_table(own, f"truth of tag {tag} in '{recording}'"),
+            trajectory_of_table(true_rows, f"truth of tag {tag} in '{recording}'"),
             align, time_offset, tolerance, rpe, all_pairs,
         )  # fmt: skip
         moved.append(errors.similarity.table(rows).with_columns(pl.col("t_s") + errors.time_offset))
@@ -162,10 +162,10 @@ def pooled(compared: Sequence[ComparedTrack]) -> dict[str, float]:
     """Root mean squares over all tracks, for `--fail-if`: ape_m, rpe_STEP_m, speed_mps."""
     parts: dict[str, list[Statistics]] = {}
     for track in compared:
-        found = {"ape_m": track.errors.ape_m}
-        found |= {f"rpe_{step}_m": errors for step, errors in track.errors.rpe_m.items()}
+        by_name = {"ape_m": track.errors.ape_m}
+        by_name |= {f"rpe_{step}_m": errors for step, errors in track.errors.rpe_m.items()}
         if track.errors.speed_mps is not None:
-            found["speed_mps"] = track.errors.speed_mps
-        for name, errors in found.items():
+            by_name["speed_mps"] = track.errors.speed_mps
+        for name, errors in by_name.items():
             parts.setdefault(name, []).append(errors)
     return {name: math.sqrt(sum(e["sse"] for e in all_) / sum(e["n"] for e in all_)) for name, all_ in parts.items()}

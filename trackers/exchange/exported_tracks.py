@@ -52,11 +52,11 @@ def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
         usable &= ~pl.col("status").is_in(NO_ESTIMATE).fill_null(False)
     kept = table.filter(usable)
     tracks = []
-    for (recording, own), rows in kept.partition_by(["recording", "tag"], as_dict=True, maintain_order=True).items():
+    for (recording, tag), rows in kept.partition_by(["recording", "tag"], as_dict=True, maintain_order=True).items():
         rows = rows.sort("t_s", maintain_order=True)
         given = covariances(rows) if "std_x_m" in rows.columns else None
-        poses = trajectory_of_table(rows, f"tag {own} of '{recording}'")
-        tracks.append(ExportedTrack(str(recording), str(own), poses, given))
+        poses = trajectory_of_table(rows, f"tag {tag} of '{recording}'")
+        tracks.append(ExportedTrack(str(recording), str(tag), poses, given))
     if not tracks:
         raise UnusableInput("no track holds an estimate; run `trackwright check` on the recording")
     return tracks

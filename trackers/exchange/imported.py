@@ -39,8 +39,7 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
         )
     if name in FORMATS:
         module = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}")
-        found: Source = module.read_source(path, name, asked)
-        return found
+        return module.read_source(path, name, asked)
     return _by_file(path, name, *asked.mappings)
 
 
@@ -59,13 +58,13 @@ def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
         raise UnusableInput(f"{path}: {name} fails ({type(error).__name__}: {error}); correct either") from error
     if not isinstance(frames, Mapping) or not frames:
         raise UnusableInput(f"{name}: gave {type(frames).__name__} of {path}; expected tables by name, one at least")
-    found = Source()
+    source = Source()
     for table, frame in frames.items():
         try:
-            found.add(table, *_of_frame(path, frame, TableMapping(table, tag=mapping.tag)))
+            source.add(table, *_of_frame(path, frame, TableMapping(table, tag=mapping.tag)))
         except UnusableInput as problem:
             raise UnusableInput(f"{name}: {str(problem).partition('; add --columns')[0]}") from problem
-    return found
+    return source
 
 
 def _of_frame(path: Path, frame: Any, mapping: TableMapping) -> tuple[pl.DataFrame, list[str]]:
@@ -93,10 +92,10 @@ def import_frames(
     for table, frame in frames.items():
         try:
             mapping = TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag)
-            tables[table], found = _of_frame(Path(f"frame {table}"), frame, mapping)
+            tables[table], lines = _of_frame(Path(f"frame {table}"), frame, mapping)
         except UnusableInput as problem:
             raise UnusableInput(_in_python(str(problem), table)) from None
-        notices += [f"{table}: {line}" for line in found]
+        notices += [f"{table}: {line}" for line in lines]
     if origin is not None:
         tables = since(tables, origin_of(str(origin), tables))
     folder = assembled(name, read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig, tables)
@@ -148,8 +147,8 @@ def assembled(
     for table, kind in KINDS.items():
         section, known = f"{kind.noun}s", kind.places(rig)
         for column in kind.sensors if table in tables else ():
-            found = tables[table][column].unique(maintain_order=True).to_list()
-            unknown = [sensor for sensor in found if sensor not in known]
+            ids = tables[table][column].unique(maintain_order=True).to_list()
+            unknown = [sensor for sensor in ids if sensor not in known]
             if unknown:
                 raise UnusableInput(
                     f"{table}: {column} {listed(map(repr, unknown))} without a position; the rig has "

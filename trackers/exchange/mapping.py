@@ -106,7 +106,7 @@ def _scale(target: str, name: str, unit: str) -> float:
 
 def columns_of(entries: Sequence[str]) -> dict[str, Expression]:
     """The expressions of entries TARGET=EXPRESSION, by target; raises UnusableInput."""
-    found: dict[str, Expression] = {}
+    expressions: dict[str, Expression] = {}
     for entry in entries:
         target, sign, text = entry.partition("=")
         target = target.strip()
@@ -115,10 +115,10 @@ def columns_of(entries: Sequence[str]) -> dict[str, Expression]:
                 f"--columns {entry!r}: expected TARGET=EXPRESSION, such as 'range_m=distance_mm*0.001' or "
                 "'range_m=distance in mm'"
             )
-        if target in found:
+        if target in expressions:
             raise UnusableInput(f"--columns {entry!r}: {target} is given twice; expected it once")
-        found[target] = parsed(target, text)
-    return found
+        expressions[target] = parsed(target, text)
+    return expressions
 
 
 def sensor_of(target: str) -> tuple[str, str | None]:
@@ -198,16 +198,16 @@ class Asked(NamedTuple):
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The tables that the mappings make of a CSV or Parquet file; raises UnusableInput with file and line."""
-    found = Source()
+    source = Source()
     for mapping in asked.mappings:
         separator = mapping.separator or _separator_of(path, mapping.decimal)
         if mapping.separator is None and separator != ",":
-            found.notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
+            source.notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
         if len(separator) != 1:
             raise UnusableInput(f"--separator {separator!r}; expected one character, such as ';'")
         file = replace(read_table_file(path, separator), decimal=mapping.decimal)
-        found.add(mapping.table, *mapped_table(file, mapping))
-    return found
+        source.add(mapping.table, *mapped_table(file, mapping))
+    return source
 
 
 def _separator_of(path: Path, decimal: str) -> str:
@@ -229,7 +229,7 @@ def mapped_table(file: TableFile, mapping: TableMapping) -> tuple[pl.DataFrame, 
         name, sensor = sensor_of(target)
         by_sensor.setdefault(sensor, {})[name] = expression
     shared = by_sensor.pop(None, {})
-    parts = [_part(file, mapping, shared | own, sensor) for sensor, own in by_sensor.items()] or [
+    parts = [_part(file, mapping, shared | columns, sensor) for sensor, columns in by_sensor.items()] or [
         _part(file, mapping, shared, None)
     ]
     table = pl.concat(parts)
@@ -253,8 +253,8 @@ def _part(
 ) -> pl.DataFrame:
     """The rows of one sensor, or of all where the source names it."""
     expressions = dict(columns)
-    own_names = [name for name in file.frame.columns if name not in expressions]
-    wanted = layout(mapping.table, [*expressions, *own_names])
+    unmapped = [name for name in file.frame.columns if name not in expressions]
+    wanted = layout(mapping.table, [*expressions, *unmapped])
     ids = wanted.ids
     if mapping.tag is not None:
         expressions["tag"] = Expression(repr(mapping.tag), constant=mapping.tag)
@@ -288,12 +288,12 @@ def _part(
 
 
 def _missing(file: TableFile, table: str, name: str) -> str:
-    found = file.frame.columns
-    own = {"t_s", "tag", *layout(table, found).values}
-    unmapped = f"{file.path}: {table} needs {name}, which is not mapped; found {listed(map(repr, found), 12)}"
+    columns = file.frame.columns
+    standard = {"t_s", "tag", *layout(table, columns).values}
+    unmapped = f"{file.path}: {table} needs {name}, which is not mapped; found {listed(map(repr, columns), 12)}"
     if name == "tag":
         return f"{unmapped}; give --tag ID"
-    near = difflib.get_close_matches(name.rpartition("_")[0] or name, [c for c in found if c not in own], 1, 0.3)
+    near = difflib.get_close_matches(name.rpartition("_")[0] or name, [c for c in columns if c not in standard], 1, 0.3)
     source = near[0] if near else "COLUMN"
     unit = _UNIT_IN_NAME.search(source)
     example = f"{name}={source}" + (f" in {(unit[1] or unit[2]).lower()}" if unit and "_" in name else "")
@@ -369,7 +369,7 @@ def _no_date(file: TableFile, source: str, row: int) -> str:
     texts = file.frame[source]
     first, other = (_ZONE.search(str(texts[k]).strip()) for k in (0, row))
     if _DATE.match(str(texts[row]).strip()) and (first is None) != (other is None):
-        zones = [f"has {found[1]}" if found else "has no time zone" for found in (other, first)]
+        zones = [f"has {zone[1]}" if zone else "has no time zone" for zone in (other, first)]
         return (
             f"{file.path}: column {source}: row {row + 1} {zones[0]}, row 1 {zones[1]}; expected a time zone in every "
             "row, or in none"
@@ -379,12 +379,12 @@ def _no_date(file: TableFile, source: str, row: int) -> str:
 
 def numbers_of(file: TableFile, column: str) -> pl.Series:
     """The column as Float64, null where empty or NaN; raises UnusableInput with the row of a text."""
-    found = file.frame[column]
-    if found.dtype != pl.String:
-        if not (found.dtype.is_numeric() or found.dtype in (pl.Null, pl.Boolean)):
-            raise UnusableInput(f"{file.path}: column {column} has type {found.dtype}; expected numbers")
-        return found.cast(pl.Float64).fill_nan(None)
-    text = found.str.strip_chars()
+    cells = file.frame[column]
+    if cells.dtype != pl.String:
+        if not (cells.dtype.is_numeric() or cells.dtype in (pl.Null, pl.Boolean)):
+            raise UnusableInput(f"{file.path}: column {column} has type {cells.dtype}; expected numbers")
+        return cells.cast(pl.Float64).fill_nan(None)
+    text = cells.str.strip_chars()
     points = text
     if file.decimal == ",":
         # A point, as it groups thousands, is then no part of a number.

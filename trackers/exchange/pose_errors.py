@@ -65,8 +65,8 @@ def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) 
 def _origin(estimate: PoseTrajectory, truth: PoseTrajectory) -> Similarity:
     rotation = np.eye(3)
     if estimate.quaternions is not None and truth.quaternions is not None:
-        own, true = rotation_matrices(estimate.quaternions[:1])[0], rotation_matrices(truth.quaternions[:1])[0]
-        rotation = true @ own.T
+        estimated, true = rotation_matrices(estimate.quaternions[:1])[0], rotation_matrices(truth.quaternions[:1])[0]
+        rotation = true @ estimated.T
     return Similarity(rotation, truth.positions[0] - rotation @ estimate.positions[0])
 
 
@@ -124,9 +124,9 @@ def _by_speed(estimate: PoseTrajectory, truth: PoseTrajectory) -> float:
     starts, speeds = zip(*(_grid_speeds(t) for t in (estimate, truth)), strict=True)
     lags, correlations = _correlations(*speeds)
     if not len(lags) or not correlations.max() >= _LEAST_CORRELATION:
-        found = f"{correlations.max():.2f}" if len(lags) else "undefined"
+        best = f"{correlations.max():.2f}" if len(lags) else "undefined"
         raise UnusableInput(
-            f"{estimate.name}: no time offset fits: the best correlation of its speed with the true speed is {found}, "
+            f"{estimate.name}: no time offset fits: the best correlation of its speed with the true speed is {best}, "
             f"expected at least {_LEAST_CORRELATION}; motion with changes of speed is needed; give --time-offset"
         )
     return float(starts[1] - starts[0] + lags[int(correlations.argmax())] * _GRID_S)
@@ -141,27 +141,27 @@ def _grid_speeds(poses: PoseTrajectory) -> tuple[float, np.ndarray]:
     return float(grid[0]), np.linalg.norm(places[window:] - places[:-window], axis=1) / SPEED_WINDOW_S
 
 
-def _correlations(own: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lags, in steps, at which enough overlaps, and the correlation of own[k] with true[k + lag] at each."""
-    size = 1 << (len(own) + len(true) - 1).bit_length()
+def _correlations(estimated: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lags, in steps, at which enough overlaps, and the correlation of estimated[k] with true[k + lag] at each."""
+    size = 1 << (len(estimated) + len(true) - 1).bit_length()
 
     def sums(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         # Element `lag` is the sum over k of a[k] b[k + lag]; negative lags stand at the end.
         return np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
 
     # Without their means the sums below lose fewer digits.
-    own, true = own - own.mean(), true - true.mean()
-    ones = np.ones(len(own)), np.ones(len(true))
+    estimated, true = estimated - estimated.mean(), true - true.mean()
+    ones = np.ones(len(estimated)), np.ones(len(true))
     count = np.round(sums(*ones))
     lags = np.concatenate([np.arange(size // 2), np.arange(-(size // 2), 0)])
-    enough = count >= max(_LEAST_OVERLAP * min(len(own), len(true)), 2)
+    enough = count >= max(_LEAST_OVERLAP * min(len(estimated), len(true)), 2)
     n = np.where(enough, count, 1.0)
-    mean_own, mean_true = sums(own, ones[1]) / n, sums(ones[0], true) / n
-    covariance = sums(own, true) / n - mean_own * mean_true
-    variance_own = sums(own**2, ones[1]) / n - mean_own**2
+    mean_estimated, mean_true = sums(estimated, ones[1]) / n, sums(ones[0], true) / n
+    covariance = sums(estimated, true) / n - mean_estimated * mean_true
+    variance_estimated = sums(estimated**2, ones[1]) / n - mean_estimated**2
     variance_true = sums(ones[0], true**2) / n - mean_true**2
-    product = variance_own * variance_true
-    kept = enough & (variance_own > 1e-9) & (variance_true > 1e-9)
+    product = variance_estimated * variance_true
+    kept = enough & (variance_estimated > 1e-9) & (variance_true > 1e-9)
     return lags[kept], covariance[kept] / np.sqrt(product[kept])
 
 
@@ -173,9 +173,9 @@ def _distance(estimate: PoseTrajectory, truth: PoseTrajectory, offset: float, al
         return math.inf
     known, first = np.unique(truth.times, return_index=True)
     places = np.stack([np.interp(times[rows], known, truth.positions[first, k]) for k in range(3)], axis=1)
-    own, true = estimate.at_rows(rows), PoseTrajectory(times[rows], places, None, truth.name)
+    estimated, true = estimate.at_rows(rows), PoseTrajectory(times[rows], places, None, truth.name)
     # The first pose alone would follow the noise of one row.
-    moved = alignment("none" if align == "origin" else align, own, true).points(own.positions)
+    moved = alignment("none" if align == "origin" else align, estimated, true).points(estimated.positions)
     return float(np.sqrt(np.mean(np.nansum((moved - places) ** 2, axis=1))))
 
 
@@ -274,9 +274,9 @@ def relative_errors(
         return np.linalg.norm(moved[0] - moved[1], axis=1), None
     turns = []
     for k, quaternions in enumerate((estimate.quaternions, truth.quaternions)):
-        own = rotation_matrices(quaternions)
-        moved[k] = np.einsum("nji,nj->ni", own[first], moved[k])
-        turns.append(np.einsum("nji,njk->nik", own[first], own[last]))
+        rotations = rotation_matrices(quaternions)
+        moved[k] = np.einsum("nji,nj->ni", rotations[first], moved[k])
+        turns.append(np.einsum("nji,njk->nik", rotations[first], rotations[last]))
     between = np.einsum("nji,njk->nik", turns[1], turns[0])
     return np.linalg.norm(moved[0] - moved[1], axis=1), _angles_of(between)
 
@@ -319,8 +319,8 @@ def _all_pairs(along: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
 def _angles(estimate: PoseTrajectory, truth: PoseTrajectory) -> np.ndarray | None:
     if estimate.quaternions is None or truth.quaternions is None:
         return None
-    own, true = rotation_matrices(estimate.quaternions), rotation_matrices(truth.quaternions)
-    return _angles_of(np.einsum("nji,njk->nik", own, true))
+    estimated, true = rotation_matrices(estimate.quaternions), rotation_matrices(truth.quaternions)
+    return _angles_of(np.einsum("nji,njk->nik", estimated, true))
 
 
 def _angles_of(rotations: np.ndarray) -> np.ndarray:
@@ -366,7 +366,7 @@ class TrajectoryErrors:
         } | {name: getattr(self, name) for name in names}
 
     def __repr__(self) -> str:
-        relative = ", ".join(f"RPE {step} {found['rmse']:.4g} m" for step, found in self.rpe_m.items())
+        relative = ", ".join(f"RPE {step} {errors['rmse']:.4g} m" for step, errors in self.rpe_m.items())
         return f"<TrajectoryErrors of {self.name!r}, {self.pairs} poses: APE {self.ape_m['rmse']:.4g} m, {relative}>"
 
 
@@ -390,23 +390,23 @@ def compare_trajectories(
     if not tolerance >= 0:
         raise UnusableInput(f"a tolerance of {tolerance:g} s; expected a time of zero or more")
     offset = estimate_offset(estimate, truth, align) if time_offset == "auto" else float(time_offset)
-    own_rows, true_rows = associate(estimate, truth, tolerance, offset)
-    if not len(own_rows):
+    rows, true_rows = associate(estimate, truth, tolerance, offset)
+    if not len(rows):
         raise UnusableInput(
             f"{estimate.name}: no pose lies within {tolerance:g} s of a true pose: estimates from "
             f"{span(estimate.times[0] + offset, estimate.times[-1] + offset)}, truth from "
             f"{span(truth.times[0], truth.times[-1])}; {_way_to_pairs(estimate, truth, offset)}"
         )
-    similarity = alignment(align, estimate.at_rows(own_rows), truth.at_rows(true_rows))
+    similarity = alignment(align, estimate.at_rows(rows), truth.at_rows(true_rows))
     aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)
     planar = not (np.isfinite(estimate.positions).all() and np.isfinite(truth.positions).all())
-    own, true = (_flat(t) if planar else t for t in (aligned.at_rows(own_rows), truth.at_rows(true_rows)))
-    distances, angles = absolute_errors(own, true)
-    relative = {str(step): relative_errors(own, true, step, all_pairs) for step in steps}
-    found = {step: errors for step, errors in relative.items() if errors is not None}
+    estimated, true = (_flat(t) if planar else t for t in (aligned.at_rows(rows), truth.at_rows(true_rows)))
+    distances, angles = absolute_errors(estimated, true)
+    relative = {str(step): relative_errors(estimated, true, step, all_pairs) for step in steps}
+    by_step = {step: errors for step, errors in relative.items() if errors is not None}
     return TrajectoryErrors(
         name=estimate.name,
-        pairs=len(own_rows),
+        pairs=len(rows),
         possible=min(len(estimate), len(truth)),
         planar=planar,
         time_offset=offset,
@@ -415,9 +415,9 @@ def compare_trajectories(
         aligned=aligned,
         ape_m=statistics(distances),
         ape_rad=None if angles is None else statistics(angles),
-        rpe_m={step: statistics(errors[0]) for step, errors in found.items()},
-        rpe_rad={step: statistics(errors[1]) for step, errors in found.items() if errors[1] is not None},
-        speed_mps=_speed_errors(aligned, truth, own.times),
+        rpe_m={step: statistics(errors[0]) for step, errors in by_step.items()},
+        rpe_rad={step: statistics(errors[1]) for step, errors in by_step.items() if errors[1] is not None},
+        speed_mps=_speed_errors(aligned, truth, estimated.times),
     )
 
 
@@ -427,8 +427,8 @@ def _way_to_pairs(estimate: PoseTrajectory, truth: PoseTrajectory, offset: float
     if end < truth.times[0] or begin > truth.times[-1]:
         together = round(truth.times[0] - estimate.times[0], 6)
         return f"give a --time-offset: with {together:.16g} both begin together"
-    own, true = associate(estimate, truth, np.inf, offset)
-    apart = np.median(np.abs(estimate.times[own] + offset - truth.times[true]))
+    rows, true_rows = associate(estimate, truth, np.inf, offset)
+    apart = np.median(np.abs(estimate.times[rows] + offset - truth.times[true_rows]))
     return f"give a larger --time-tolerance: half of the poses have a true one within {apart:.3g} s"
 
 
@@ -437,8 +437,8 @@ def _flat(trajectory: PoseTrajectory) -> PoseTrajectory:
     return replace(trajectory, positions=np.column_stack([trajectory.positions[:, :2], np.zeros(len(trajectory))]))
 
 
-def _speed_errors(own: PoseTrajectory, true: PoseTrajectory, times: np.ndarray) -> Statistics | None:
-    differences = _speeds(own, times) - _speeds(true, times)
+def _speed_errors(estimated: PoseTrajectory, true: PoseTrajectory, times: np.ndarray) -> Statistics | None:
+    differences = _speeds(estimated, times) - _speeds(true, times)
     known = differences[np.isfinite(differences)]
     return statistics(np.abs(known)) | {"bias": float(known.mean())} if len(known) else None
 

@@ -103,12 +103,12 @@ def _messages(reader: Any, connections: Sequence[Any], topic: str) -> Iterator[t
     raw, size = reader.messages(connections=connections), 0
     for number in count(1):
         try:
-            found = next(raw, None)
+            record = next(raw, None)
         except Exception as error:
             raise UnusableInput(f"{topic}: the bag is broken: {_first_line(error)}; record or copy it again") from error
-        if found is None:
+        if record is None:
             return
-        connection, stamp, data = found
+        connection, stamp, data = record
         size += len(data)
         if size > LARGEST:
             raise UnusableInput(f"{topic}: its messages hold more than {LARGEST / 1e9:.1f} GB; split the bag")
@@ -130,13 +130,13 @@ def _messages(reader: Any, connections: Sequence[Any], topic: str) -> Iterator[t
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The tables that the mappings make of a bag; raises UnusableInput with the topic and the number of the message."""
-    found = Source()
+    source = Source()
     with opened(path, asked.definitions) as reader:
         for mapping in asked.mappings:
             if mapping.topic is None:
                 raise UnusableInput(f"{path}: no --topic for {mapping.table}; expected one of {topics_of(reader)}")
-            found.add(mapping.table, *mapped_table(*message_columns(reader, path, mapping)))
-    return found
+            source.add(mapping.table, *mapped_table(*message_columns(reader, path, mapping)))
+    return source
 
 
 def topics_of(reader: Any) -> str:
@@ -177,12 +177,12 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
         )
     rows: dict[str, list[Any]] = {source: [] for source in dict.fromkeys(sources)}
     for where, message, stamp in _messages(reader, connections, f"{path}: topic {mapping.topic}"):
-        found = {source: _values(message, source, stamp, where, reader, kinds[0]) for source in rows}
-        lengths = {len(values) for values in found.values() if isinstance(values, list)}
+        fields = {source: _values(message, source, stamp, where, reader, kinds[0]) for source in rows}
+        lengths = {len(values) for values in fields.values() if isinstance(values, list)}
         if len(lengths) > 1:
             raise UnusableInput(f"{where}: lists of lengths {sorted(lengths)} in {listed(rows)}; expected equal ones")
         size = lengths.pop() if lengths else 1
-        for source, values in found.items():
+        for source, values in fields.items():
             rows[source] += values if isinstance(values, list) else [values] * size
     frame = pl.DataFrame({source: _series(values, source, path) for source, values in rows.items()})
     if frame.is_empty():
@@ -202,10 +202,10 @@ def _standard(kind: str, table: str) -> dict[str, str]:
         return {"t_s": "header.stamp", "range_m": "range"}
     if kind in _POSES and table in ("truth", "fixes"):
         position, attitude = _POSES[kind]
-        found = {"t_s": "header.stamp"} | {f"{a}_m": f"{position}.{a}" for a in axes}
+        expressions = {"t_s": "header.stamp"} | {f"{a}_m": f"{position}.{a}" for a in axes}
         if table == "truth" and attitude is not None:
-            found |= {f"q{a}": f"{attitude}.{a}" for a in "wxyz"}
-        return found
+            expressions |= {f"q{a}": f"{attitude}.{a}" for a in "wxyz"}
+        return expressions
     return {}
 
 

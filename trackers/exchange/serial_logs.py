@@ -73,16 +73,16 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
             bad.append(number)
     if not log.ranges and not log.fixes:
         raise UnusableInput(f"{path}: no readings; expected {_EXPECTED[name]}")
-    found = Source(anchors=log.anchors)
+    source = Source(anchors=log.anchors)
     if bad:
         shown = ", ".join(map(str, bad[:5])) + (" …" if len(bad) > 5 else "")
-        found.notices.append(f"{counted(len(bad), 'line')} could not be read, left out: {shown}")
+        source.notices.append(f"{counted(len(bad), 'line')} could not be read, left out: {shown}")
     if raw:
-        found.notices.append(f"{counted(raw, 'line')} of raw (mr) and anchor (ma) ranges left out; mc lines are used")
+        source.notices.append(f"{counted(raw, 'line')} of raw (mr) and anchor (ma) ranges left out; mc lines are used")
     for table, rows, values in (("ranges", log.ranges, ("anchor", "range_m")), ("fixes", log.fixes, AXES)):
         if rows:
-            found.tables[table] = pl.DataFrame(rows, ["t_s", "tag", *values], orient="row")
-    return found
+            source.tables[table] = pl.DataFrame(rows, ["t_s", "tag", *values], orient="row")
+    return source
 
 
 _EXPECTED = {
@@ -161,20 +161,20 @@ class _Log:
         if body.startswith("POS"):
             command = "lep"
             position = _POS.fullmatch(body)
-            found, understood = [], position is not None
+            readings, understood = [], position is not None
         elif body.startswith("DIST"):
             command = "lec"
             line = _LEC_LINE.fullmatch(body)
-            found = _LEC.findall(body)
-            understood = line is not None and int(line[1]) == len(found)
+            readings = _LEC.findall(body)
+            understood = line is not None and int(line[1]) == len(readings)
             position = _POS.search(body)
         else:
-            understood, found = _LES_LINE.fullmatch(body) is not None, _LES.findall(body)
+            understood, readings = _LES_LINE.fullmatch(body) is not None, _LES.findall(body)
             position = _ESTIMATE.search(body)
         if not understood:
             raise _NoSuchLine(f"{self.path}: line {number}: {body[:60]!r}; expected {_EXPECTED[command]}")
         time = self.clock.at(number, prefix)
-        for anchor, x, y, z, distance in found:
+        for anchor, x, y, z, distance in readings:
             place = (float(x), float(y), float(z))
             if self.anchors.setdefault(anchor, place) != place:
                 raise UnusableInput(

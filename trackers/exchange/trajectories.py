@@ -257,7 +257,7 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The poses of a file as a table truth or fixes of each mapping; raises UnusableInput with file and line."""
-    found = Source()
+    source = Source()
     for mapping in asked.mappings:
         if mapping.table not in ("truth", "fixes"):
             raise UnusableInput(f"{path}: poses are a table truth or fixes, not {mapping.table}; give --table truth")
@@ -269,10 +269,10 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
             raise UnusableInput(f"{path}: {name} files do not name the tag; give it: --tag ID")
         poses = read_trajectory(path, name)  # type: ignore[arg-type]
         table = poses.to_polars(mapping.tag)
-        found.add(
+        source.add(
             mapping.table, table if mapping.table == "truth" else table.select("t_s", "tag", *AXES), poses.notices
         )
-    return found
+    return source
 
 
 def write_trajectory(trajectory: PoseTrajectory, path: Path | str, kind: Kind | None = None) -> Path:
@@ -330,10 +330,10 @@ def _numbers(path: Path, kind: Kind) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            found = np.loadtxt([line for _, line in lines], delimiter=separator, ndmin=2)
-        enough = found.shape[1] >= wanted if kind == "euroc" else found.shape[1] == wanted
-        if enough and np.isfinite(found[:, :wanted]).all():
-            return found[:, :wanted]
+            numbers = np.loadtxt([line for _, line in lines], delimiter=separator, ndmin=2)
+        enough = numbers.shape[1] >= wanted if kind == "euroc" else numbers.shape[1] == wanted
+        if enough and np.isfinite(numbers[:, :wanted]).all():
+            return numbers[:, :wanted]
     except (ValueError, UserWarning):
         pass  # the loop below finds the line
     for number, line in lines:

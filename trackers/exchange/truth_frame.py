@@ -100,16 +100,16 @@ def _errors(view: Compared, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
 def _searched(view: Compared, centre: np.ndarray) -> np.ndarray:
     """The best of some turns at each difference of the clocks, each with the shift that fits it."""
     middle = np.nanmean((view.values if view.kind.position else view.sensors.places)[:, :2], axis=0)
-    found = []
+    fits = []
     for later in np.arange(-LONGEST_S, LONGEST_S + STEP_S, STEP_S):
-        own = view.later(float(later))
-        known = np.isfinite(own.positions).all(axis=1)
+        shifted = view.later(float(later))
+        known = np.isfinite(shifted.positions).all(axis=1)
         if 2 * known.sum() < len(known):
             continue
-        own = own.of_rows(known)
-        errors = partial(_errors, own, centre)
+        shifted = shifted.of_rows(known)
+        errors = partial(_errors, shifted, centre)
         starts = [np.append(yaw, [*middle, centre[2]]) for yaw in np.arange(24) * np.pi / 12]
         starts.sort(key=lambda x: float(np.nanmean(np.log1p(np.abs(errors(x))))))
         x, size = min((robust_fit(errors, start, 8) for start in starts[:NEAR]), key=lambda fit: fit[1])
-        found.append((size, np.append(x, later)))
-    return min(found, key=lambda one: one[0])[1]
+        fits.append((size, np.append(x, later)))
+    return min(fits, key=lambda fit: fit[0])[1]
