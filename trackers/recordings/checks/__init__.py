@@ -80,16 +80,16 @@ def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in KINDS if name in tables}
     sizes = [*check_units(rig, tables), *check_heights(rig, tables)]
-    found = [one for one in check_time_base(measured or tables) if one.level == "error"]
-    found += [one for one in sizes if one.level != "info"]
+    results = [result for result in check_time_base(measured or tables) if result.level == "error"]
+    results += [result for result in sizes if result.level != "info"]
     if measured and "truth" in tables:
-        found += [one for one in check_overlap(tables["truth"], measured) if one.level == "error"]
-    if any(one.level == "error" for one in found):
-        return found
-    found += check_imu(tables, against_truth)
+        results += [result for result in check_overlap(tables["truth"], measured) if result.level == "error"]
+    if any(result.level == "error" for result in results):
+        return results
+    results += check_imu(tables, against_truth)
     for name in measured if against_truth else ():
-        found += _mistakes(recording, name, compared(recording, name))
-    return found
+        results += _mistakes(recording, name, compared(recording, name))
+    return results
 
 
 def _mistakes(recording: RecordingFolder, name: str, view: Compared | None) -> list[CheckResult]:
@@ -101,8 +101,8 @@ def _check_errors(recording: RecordingFolder, name: str) -> list[CheckResult]:
     """Checks of the errors of a table's readings: repeats, quantisation steps, correlation."""
     read = readings(recording, name)
     about = about_local_line(read)
-    found = [*check_repeats(name, read), *check_quantisation(name, read, robust_std(about))]
+    results = [*check_repeats(name, read), *check_quantisation(name, read, robust_std(about))]
     if not KINDS[name].averaged:
-        return found  # a local line through an IMU or phases does not follow the motion
+        return results  # a local line through an IMU or phases does not follow the motion
     true = bool(np.isfinite(read.errors).any())
-    return [*found, *check_correlation(name, read, read.errors if true else about, true)]
+    return [*results, *check_correlation(name, read, read.errors if true else about, true)]

@@ -55,7 +55,7 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
 
 def _never_observed(tags: Mapping[str, pl.Series], rig: Rig) -> list[str]:
     """Tags of the rig without a value in any table of measurements; `tags`: those with a value, by table."""
-    observed = {tag for name, own in tags.items() if name != "truth" for tag in own}
+    observed = {tag for name, tags_of_table in tags.items() if name != "truth" for tag in tags_of_table}
     unobserved = [tag for tag in rig.tags if tag not in observed]
     if not unobserved or not observed:
         return []
@@ -102,13 +102,13 @@ def _duplicates(name: str, ordered: pl.DataFrame, values: tuple[str, ...]) -> li
 
 
 def _gaps(name: str, ordered: pl.DataFrame, ids: pl.DataFrame, zero: float) -> list[str]:
-    found = long_gaps(ordered)
-    if found.height == 0:
+    gaps = long_gaps(ordered)
+    if gaps.height == 0:
         return []
-    longest = found.row(int(found["dt"].arg_max() or 0), named=True)
-    where = ", ".join(f"{column} {one}" for column, one in ids.row(longest["row"], named=True).items())
+    longest = gaps.row(int(gaps["dt"].arg_max() or 0), named=True)
+    where = ", ".join(f"{column} {ident}" for column, ident in ids.row(longest["row"], named=True).items())
     example = f"the longest {longest['dt']:.3g} s before {place_in_time(longest['t_s'], zero)} ({where})"
-    return [f"{name}: gaps longer than 1 s: {found.height}, {example}"]
+    return [f"{name}: gaps longer than 1 s: {gaps.height}, {example}"]
 
 
 def _impossible(kind: Kind, table: pl.DataFrame, values: tuple[str, ...]) -> list[str]:

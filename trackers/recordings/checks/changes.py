@@ -37,17 +37,17 @@ class Change:
     """`words`: what makes the errors small, to follow "with"; `cause`: the most likely mistake, and its fix.
 
     `fields`: those of `Compared`, or of its sensors, that the change replaces. `parameters`: how many numbers were
-    fitted for it. `own`: each group has numbers of its own, or the change may concern some groups alone. `groups` (G,):
-    those that it may concern, all of them or none if `together`, and few of them if it changes a `place`: of many it is
-    the frame. `harmless`: a property of the sensor and no mistake. `parts`: what to name of each group, if anything.
-    `handicap`: the factor of the errors with it by which simpler changes are preferred.
+    fitted for it. `by_group`: each group has numbers of its own, or the change may concern some groups alone. `groups`
+    (G,): those that it may concern, all of them or none if `together`, and few of them if it changes a `place`: of many
+    it is the frame. `harmless`: a property of the sensor and no mistake. `parts`: what to name of each group, if
+    anything. `handicap`: the factor of the errors with it by which simpler changes are preferred.
     """
 
     words: str
     cause: str
     fields: Mapping[str, np.ndarray]
     parameters: int = 0
-    own: bool = False
+    by_group: bool = False
     groups: Bool[np.ndarray, " G"] | None = None
     together: bool = False
     place: bool = False
@@ -105,10 +105,10 @@ def _scaled(kind: Kind, factor: float, what: str) -> ValueChange:
 
 def _of_phases(columns: int) -> list[ValueChange]:
     cause = "phases that grow with the distance, or with the opposite sign; flip it"
-    found = [ValueChange("the sign of the phases flipped", cause, np.negative)]
+    result = [ValueChange("the sign of the phases flipped", cause, np.negative)]
     for factor, unit, typical in ((2 * np.pi, "turns", (0.1, 0.5)), (np.radians(1.0), "degrees", (np.pi, 360.0))):
         words, cause = f"the phases multiplied by {factor:.4g}", f"phases in {unit}, expected radians; convert them"
-        found.append(ValueChange(words, cause, partial(np.multiply, factor), typical))
+        result.append(ValueChange(words, cause, partial(np.multiply, factor), typical))
     correct = "correct rig.toml or the columns"
     orders = [("the antennas in reverse order", "the order of the antennas is reversed", np.arange(columns)[::-1])]
     for shift in range(1, columns):
@@ -117,8 +117,8 @@ def _of_phases(columns: int) -> list[ValueChange]:
     for i, j in combinations(range(columns), 2):
         orders.append((f"phases {i + 1} and {j + 1} exchanged", "two antennas are swapped", exchanged(columns, i, j)))
     for words, cause, order in orders:
-        found.append(ValueChange(words, f"{cause}; {correct}", partial(np.take, indices=order, axis=-1)))
-    return found
+        result.append(ValueChange(words, f"{cause}; {correct}", partial(np.take, indices=order, axis=-1)))
+    return result
 
 
 def exchanged(count: int, i: int, j: int) -> np.ndarray:
@@ -131,12 +131,14 @@ def exchanged(count: int, i: int, j: int) -> np.ndarray:
 def changes(view: Compared) -> Iterator[Change]:
     """The changes of readings, truth and rig that may explain their errors; none of them has fitted numbers."""
     kind, sensors = view.kind, view.sensors
-    for one in value_changes(kind, len(view.columns)):
+    for change in value_changes(kind, len(view.columns)):
         groups = None
-        if one.typical is not None:
+        if change.typical is not None:
             sizes = np.array([np.nanmedian(np.abs(view.values[view.group == k])) for k in range(len(view.ids))])
-            groups = (sizes > one.typical[0]) & (sizes < one.typical[1])
-        yield Change(one.words, one.cause, {"values": one.of(view.values)}, own=bool(kind.sensors), groups=groups)
+            groups = (sizes > change.typical[0]) & (sizes < change.typical[1])
+        yield Change(
+            change.words, change.cause, {"values": change.of(view.values)}, by_group=bool(kind.sensors), groups=groups
+        )
     if kind.sensors:
         yield from _of_places(view)
     if kind.noun == "station":
@@ -186,7 +188,7 @@ def _of_rotations(view: Compared) -> Iterator[Change]:
     for words, (rotations, cause) in changed.items():
         other = np.abs(np.abs(np.einsum("gi,gi->g", rotations, q)) - 1.0) > 1e-3
         axes = rotation_matrices(rotations / np.linalg.norm(rotations, axis=1, keepdims=True))
-        yield Change(words, cause, {"axes": axes}, own=True, groups=other)
+        yield Change(words, cause, {"axes": axes}, by_group=True, groups=other)
 
 
 def _of_antennas(view: Compared) -> Iterator[Change]:
@@ -199,23 +201,22 @@ def _of_antennas(view: Compared) -> Iterator[Change]:
         "x and y of antennas_m swapped": (antennas[..., ::-1], "x and y of antennas_m are swapped"),
     }
     for words, (other, cause) in changed.items():
-        yield Change(words, f"{cause}; correct rig.toml", {"antennas": other}, own=True)
+        yield Change(words, f"{cause}; correct rig.toml", {"antennas": other}, by_group=True)
     for factor, unit in FACTORS[:2]:
         yield Change(
             f"antennas_m multiplied by {factor:g}", f"antennas_m in {unit}, expected metres; convert them",
-            {"antennas": factor * antennas}, own=True, groups=resolving(view, factor),
+            {"antennas": factor * antennas}, by_group=True, groups=resolving(view, factor),
         )  # fmt: skip
         yield Change(
             f"wavelength_m multiplied by {factor:g}", f"wavelength_m in {unit}, expected metres; convert it",
-            {"wavelengths": factor * wavelengths}, own=True, groups=resolving(view, 1 / factor),
+            {"wavelengths": factor * wavelengths}, by_group=True, groups=resolving(view, 1 / factor),
         )  # fmt: skip
 
 
 def resolving(view: Compared, factor: float | np.ndarray) -> np.ndarray:
     """Whether each array (G,), so many times as large, resolves directions: else phases are equal, or fit many."""
     size = factor * np.nanmax(np.abs(view.sensors.antennas), axis=(1, 2)) / view.sensors.wavelengths
-    found: np.ndarray = (size > ANTENNA_SIZES[0]) & (size < ANTENNA_SIZES[1])
-    return found
+    return (size > ANTENNA_SIZES[0]) & (size < ANTENNA_SIZES[1])
 
 
 def frame_cause(view: Compared, what: str, placement: Float[np.ndarray, " 4"] | None = None) -> str:

@@ -85,8 +85,8 @@ class Moments(NamedTuple):
             J = away / distance[..., None] * known[..., None] * allowed[:, None]
             normal = np.einsum("egi,egj->eij", J, J) + 0.02 * np.eye(3)
             p = p + np.linalg.solve(normal, np.einsum("egi,eg->ei", J, errors)[..., None])[..., 0] * allowed
-        found = np.where(known, r - np.linalg.norm(p[:, None] - self.places, axis=2), np.nan)
-        return found[..., None]
+        differences = np.where(known, r - np.linalg.norm(p[:, None] - self.places, axis=2), np.nan)
+        return differences[..., None]
 
     def _of_bearings(self) -> Float[np.ndarray, "E G 2"]:
         azimuth, elevation = np.moveaxis(self.values, 2, 0)
@@ -101,8 +101,8 @@ class Moments(NamedTuple):
         normal[:, 2, 2] += weight
         side[:, 2] += weight * height
         p = np.linalg.solve(normal, side[..., None])[..., 0]
-        found = self.values - angles_in_array(np.einsum("gij,egi->jeg", self.axes, p[:, None] - self.places))
-        return np.where(known[..., None], wrapped(found, self.kind.least), np.nan)
+        differences = self.values - angles_in_array(np.einsum("gij,egi->jeg", self.axes, p[:, None] - self.places))
+        return np.where(known[..., None], wrapped(differences, self.kind.least), np.nan)
 
 
 def moments(recording: RecordingFolder, table: str) -> Moments | None:
@@ -119,13 +119,13 @@ def moments(recording: RecordingFolder, table: str) -> Moments | None:
     given = [rig.tags[name].height if name in rig.tags else None for name in rows.tags]
     heights = np.array([np.nan if height is None else height for height in given])
     for span in SPANS_S:
-        found = _grid(np.floor(times / span), tag, number, values, len(ids))
-        seen = np.isfinite(found[1]).all(axis=2).sum(axis=1)
-        free = np.isnan(heights[found[0]])
+        tags, latest = _grid(np.floor(times / span), tag, number, values, len(ids))
+        seen = np.isfinite(latest).all(axis=2).sum(axis=1)
+        free = np.isnan(heights[tags])
         enough = np.flatnonzero(seen >= least_sensors(kind, free))
         if len(enough) >= LEAST_MOMENTS and 2 * len(enough) >= len(seen):
             chosen = enough[np.unique(np.linspace(0, len(enough) - 1, MOST_MOMENTS).astype(int))]
-            return Moments(kind, ids, found[1][chosen], places, axes, heights[found[0][chosen]])
+            return Moments(kind, ids, latest[chosen], places, axes, heights[tags[chosen]])
     return None
 
 
@@ -141,9 +141,9 @@ def _grid(
     order = np.lexsort((moment, tag))
     new = (np.diff(moment[order], prepend=np.nan) != 0) | (np.diff(tag[order], prepend=-1) != 0)
     row = np.cumsum(new) - 1
-    found = np.full((int(new.sum()), sensors, values.shape[1]), np.nan)
-    found[row, sensor[order]] = values[order]
-    return tag[order][new], found
+    latest = np.full((int(new.sum()), sensors, values.shape[1]), np.nan)
+    latest[row, sensor[order]] = values[order]
+    return tag[order][new], latest
 
 
 def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
@@ -153,13 +153,13 @@ def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
     """
     kind = KINDS[table]
     closes = len(kind.sensors) == 1 and (kind.angles or kind.distance)
-    found = moments(recording, table) if closes else None
-    if found is None or (before := found.closing()) <= ONE_LARGE[kind.unit]:
+    readings = moments(recording, table) if closes else None
+    if readings is None or (before := readings.closing()) <= ONE_LARGE[kind.unit]:
         return []
     large = before > LARGE[kind.unit]
-    tried = [(changed.closing(), change, cause) for change, cause, changed in (_changes(found) if large else ())]
+    tried = [(changed.closing(), change, cause) for change, cause, changed in (_changes(readings) if large else ())]
     least = min(tried, default=(before,))[0]
-    apart = min(_without_each(found), default=(np.inf, ""))
+    apart = min(_without_each(readings), default=(np.inf, ""))
     unit, factor = kind.shown
     message = f"readings of one moment contradict each other by {significant(factor * before, 2)}{unit}"
     if apart[0] <= CLEARER * min(before, least):
@@ -171,36 +171,37 @@ def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
     if least > min(SMALLER * before, REMAINING[kind.unit]):
         line = f"{message}, and no change of units, signs or ids explains it; check positions and rotations in rig.toml"
         return [CheckResult("warning", table, line)] if before > 2 * REMAINING[kind.unit] else []
-    alike = [one for one in sorted(tried) if one[0] <= ALIKE * least][:NAMED]
-    changes, causes = ", or ".join(one[1] for one in alike), "; or ".join(dict.fromkeys(one[2] for one in alike))
+    alike = [trial for trial in sorted(tried) if trial[0] <= ALIKE * least][:NAMED]
+    changes = ", or ".join(trial[1] for trial in alike)
+    causes = "; or ".join(dict.fromkeys(trial[2] for trial in alike))
     line = f"{message}, and by {significant(factor * least, 2)}{unit} with {changes}: {causes}"
     return [CheckResult("error", table, line)]
 
 
-def _without_each(found: Moments) -> Iterator[tuple[float, str]]:
+def _without_each(readings: Moments) -> Iterator[tuple[float, str]]:
     """What contradictions are left without each anchor or station, where the others are enough for a position."""
-    for k, name in enumerate(found.ids):
-        values = found.values.copy()
+    for k, name in enumerate(readings.ids):
+        values = readings.values.copy()
         values[:, k] = np.nan
-        enough = np.isfinite(values).all(axis=2).sum(axis=1) >= least_sensors(found.kind, np.isnan(found.heights))
+        enough = np.isfinite(values).all(axis=2).sum(axis=1) >= least_sensors(readings.kind, np.isnan(readings.heights))
         if enough.sum() >= LEAST_MOMENTS:
-            yield found._replace(values=values[enough], heights=found.heights[enough]).closing(), name
+            yield readings._replace(values=values[enough], heights=readings.heights[enough]).closing(), name
 
 
-def _changes(found: Moments) -> Iterator[tuple[str, str, Moments]]:
+def _changes(readings: Moments) -> Iterator[tuple[str, str, Moments]]:
     """Changes of units, signs and ids in words, the mistake that they undo, and the readings with them."""
-    kind, noun, count = found.kind, found.kind.noun, len(found.ids)
+    kind, noun, count = readings.kind, readings.kind.noun, len(readings.ids)
     if kind.angles:
         cause = "another zero of the azimuth, or stations that face the other way in rig.toml; turn one of both"
-        yield "the azimuth turned by 180°", cause, found._replace(values=found.values + np.array([np.pi, 0.0]))
-    for words, cause, of, _ in value_changes(kind, found.values.shape[2]):
-        values = of(found.values)
-        yield words, cause, found._replace(values=values)
-        for k, name in enumerate(found.ids if kind.angles else ()):
-            own = np.arange(count)[:, None] == k
-            yield f"{words} of {noun} {name}", cause, found._replace(values=np.where(own, values, found.values))
+        yield "the azimuth turned by 180°", cause, readings._replace(values=readings.values + np.array([np.pi, 0.0]))
+    for words, cause, of, _ in value_changes(kind, readings.values.shape[2]):
+        values = of(readings.values)
+        yield words, cause, readings._replace(values=values)
+        for k, name in enumerate(readings.ids if kind.angles else ()):
+            mask = np.arange(count)[:, None] == k
+            yield f"{words} of {noun} {name}", cause, readings._replace(values=np.where(mask, values, readings.values))
     for i, j in combinations(range(count), 2):
         order = exchanged(count, i, j)
-        words, cause = f"{noun}s {found.ids[i]} and {found.ids[j]} swapped", f"the ids of {noun}s are mixed up"
-        other = found._replace(places=found.places[order], axes=found.axes[order])
+        words, cause = f"{noun}s {readings.ids[i]} and {readings.ids[j]} swapped", f"the ids of {noun}s are mixed up"
+        other = readings._replace(places=readings.places[order], axes=readings.axes[order])
         yield words, f"{cause}; correct rig.toml or the table", other

@@ -60,9 +60,9 @@ class Compared(NamedTuple):
 
     def changed(self, **fields: np.ndarray) -> Compared:
         """The same readings with other fields, of these or of the sensors."""
-        own = {name: x for name, x in fields.items() if name in self._fields}
-        of_sensors = {name: x for name, x in fields.items() if name not in own}
-        return self._replace(**own, sensors=self.sensors._replace(**of_sensors))  # type: ignore[arg-type]
+        of_view = {name: x for name, x in fields.items() if name in self._fields}
+        of_sensors = {name: x for name, x in fields.items() if name not in of_view}
+        return self._replace(**of_view, sensors=self.sensors._replace(**of_sensors))  # type: ignore[arg-type]
 
     def predicted(self) -> Float[np.ndarray, "N m"]:
         """The readings that true positions and geometry imply."""
@@ -80,15 +80,15 @@ class Compared(NamedTuple):
         """
         errors = self.errors() if errors is None else errors
         ends = np.searchsorted(self.group, np.arange(len(self.ids) + 1))
-        found = np.full((len(self.ids), errors.shape[1]), np.nan)
+        sizes = np.full((len(self.ids), errors.shape[1]), np.nan)
         for column, bound in enumerate(self.kind.sizes("bias", errors.shape[1]) * bias):
             x = errors[:, column]
             for k, (a, b) in enumerate(pairwise(ends)):
-                own = x[a:b][np.isfinite(x[a:b])]
-                if 2 * len(own) >= max(b - a, 1):
-                    middle = min(max(median_of(own), -bound), bound) if bound else 0.0
-                    found[k, column] = median_of(np.abs(own - middle))
-        return found
+                known = x[a:b][np.isfinite(x[a:b])]
+                if 2 * len(known) >= max(b - a, 1):
+                    middle = min(max(median_of(known), -bound), bound) if bound else 0.0
+                    sizes[k, column] = median_of(np.abs(known - middle))
+        return sizes
 
     def later(self, delay: float | Float[np.ndarray, " N"], of: Int[np.ndarray, " T"] | None = None) -> Compared:
         """The same readings with the true positions of `delay` seconds before, NaN where there are none.
@@ -138,11 +138,11 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
     order = stable_order(group * len(rows.tags) + tag)
     counts = np.bincount(group, minlength=len(ids))
     within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-    found = whole.of_rows(order[within % np.repeat(-(-counts // MOST_OF_GROUP), counts) == 0]).later(0.0)
-    known = np.isfinite(found.errors()).any(axis=1)
-    enough = np.bincount(found.group[known], minlength=len(ids)) >= LEAST_OF_GROUP
-    found = found.of_rows(known & enough[found.group])
-    return _with_used_groups(found, enough) if len(found.group) else None
+    view = whole.of_rows(order[within % np.repeat(-(-counts // MOST_OF_GROUP), counts) == 0]).later(0.0)
+    known = np.isfinite(view.errors()).any(axis=1)
+    enough = np.bincount(view.group[known], minlength=len(ids)) >= LEAST_OF_GROUP
+    view = view.of_rows(known & enough[view.group])
+    return _with_used_groups(view, enough) if len(view.group) else None
 
 
 def _with_used_groups(view: Compared, enough: np.ndarray) -> Compared:

@@ -103,13 +103,13 @@ def _azimuths_turned(view: Compared) -> Iterator[Change]:
 
 def _circular_medians(view: Compared, angles: np.ndarray) -> np.ndarray:
     """The median of angles of each group (G,), about their circular mean."""
-    found = np.zeros(len(view.ids))
-    for k in range(len(found)):
-        own = angles[(view.group == k) & np.isfinite(angles)]
-        if len(own):
-            centre = np.angle(np.mean(np.exp(1j * own)))
-            found[k] = centre + np.median(_half_turns(own - centre))
-    return _half_turns(found)
+    medians = np.zeros(len(view.ids))
+    for k in range(len(medians)):
+        known = angles[(view.group == k) & np.isfinite(angles)]
+        if len(known):
+            centre = np.angle(np.mean(np.exp(1j * known)))
+            medians[k] = centre + np.median(_half_turns(known - centre))
+    return _half_turns(medians)
 
 
 def _half_turns(angles: np.ndarray) -> np.ndarray:
@@ -148,9 +148,9 @@ def _station_turned(view: Compared) -> Change:
 def _about_vertical(yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 3"]:
     """The matrices of turns about z, rad."""
     c, s = np.cos(yaw), np.sin(yaw)
-    found = np.tile(np.eye(3), (len(yaw), 1, 1))
-    found[:, 0, 0], found[:, 0, 1], found[:, 1, 0], found[:, 1, 1] = c, -s, s, c
-    return found
+    matrices = np.tile(np.eye(3), (len(yaw), 1, 1))
+    matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1] = c, -s, s, c
+    return matrices
 
 
 def _searched(
@@ -308,7 +308,7 @@ def _swapped_sensors(view: Compared) -> Iterator[Change]:
         yield Change(
             _exchange(view.noun, view.ids, order),
             f"the ids of {view.noun}s are mixed up; correct rig.toml or the table",
-            {"places": sensors.places[order], "axes": sensors.axes[order]}, own=True,
+            {"places": sensors.places[order], "axes": sensors.axes[order]}, by_group=True,
             groups=order != np.arange(count), together=True,
         )  # fmt: skip
 
@@ -346,14 +346,14 @@ def _assignment(costs: np.ndarray) -> np.ndarray:
     from scipy.optimize import linear_sum_assignment  # a quarter of a second, and few recordings come here
 
     order = linear_sum_assignment(costs)[1]
-    found = np.arange(len(costs))
-    for first in found.tolist():
+    assigned = np.arange(len(costs))
+    for first in assigned.tolist():
         exchanged, last = [first], first
         while (last := int(order[last])) != first:
             exchanged.append(last)
         if costs[exchanged, exchanged].sum() - costs[exchanged, order[exchanged]].sum() > CLEAR:
-            found[exchanged] = order[exchanged]
-    return found
+            assigned[exchanged] = order[exchanged]
+    return assigned
 
 
 def _exchange(noun: str, ids: Sequence[str], order: np.ndarray) -> str:

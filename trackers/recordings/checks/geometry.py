@@ -48,8 +48,8 @@ def dilution(kind: Kind, rig: Rig, ids: Sequence[Sequence[str]], positions: np.n
     `ids`: the anchors or stations of each reading. Infinite where the readings do not determine a coordinate.
     """
     assert kind.predicted is not None
-    names = list(dict.fromkeys(name for one in ids for name in one))
-    number = np.array([[names.index(name) for name in one] for one in ids])
+    names = list(dict.fromkeys(name for row in ids for name in row))
+    number = np.array([[names.index(name) for name in row] for row in ids])
     count, columns = len(positions), len(kind.columns)
     sensors = kind.sensors_of(rig, names, np.tile(number, (count, 1)), columns)
     at = np.repeat(positions, len(ids), axis=0)
@@ -102,8 +102,8 @@ def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckRe
         results += _flat("anchors", np.stack(list(rig.anchors.values())), known_height)
     for name, kind in KINDS.items():
         ids = _observed(tables[name], kind) if name in tables and kind.sensors else []
-        every = kind.places(rig)
-        used = {key: every[key] for one in ids for key in one}
+        known = kind.places(rig)
+        used = {key: known[key] for row in ids for key in row}
         if not used:
             continue
         noun, among = kind.noun, np.stack(list(used.values()))
@@ -218,22 +218,22 @@ def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckRes
 def _true_heights(truth: pl.DataFrame, heights: Mapping[str, float]) -> dict[str, str]:
     """For each tag whose true heights are elsewhere: where."""
     typical = truth.filter(pl.col("tag").is_in(list(heights))).group_by("tag", maintain_order=True)
-    found = {}
+    elsewhere = {}
     for tag, z in typical.agg(pl.col("z_m").median()).iter_rows():
         if z is not None and abs(z - heights[tag]) > OFF_M:
             down = abs(z + heights[tag]) <= OFF_M
             fix = "z of the truth points down; flip its sign" if down else "one of the two is wrong"
-            found[tag] = f"z of its truth is typically {z:.2f} m: {fix}"
-    return found
+            elsewhere[tag] = f"z of its truth is typically {z:.2f} m: {fix}"
+    return elsewhere
 
 
 def _short_distances(rig: Rig, table: pl.DataFrame, kind: Kind, heights: Mapping[str, float]) -> dict[str, str]:
     """For each tag most of whose distances are too short for its height: how many."""
     distance = kind.columns[0].name
-    own = table.filter(pl.col("tag").is_in(list(heights)) & pl.col(distance).is_not_null())
+    rows = table.filter(pl.col("tag").is_in(list(heights)) & pl.col(distance).is_not_null())
     z = pl.col(kind.noun).replace_strict({key: float(at[2]) for key, at in rig.anchors.items()}, default=None)
     least = (z - pl.col("tag").replace_strict(dict(heights))).abs() - OFF_M
-    shares = own.group_by("tag", maintain_order=True).agg((pl.col(distance) < least).mean())
+    shares = rows.group_by("tag", maintain_order=True).agg((pl.col(distance) < least).mean())
     return {
         tag: f"{100 * share:.0f} % of its {kind.name} are shorter than the difference of height to their {kind.noun}s; "
         "correct it"

@@ -85,11 +85,11 @@ def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) ->
         rows = imu_rows(table, tag)
         truth = tables["truth"].filter(pl.col("tag") == tag) if against_truth and "truth" in tables else None
         if rows is not None:
-            found = None if truth is None else _against_attitude(rows, truth)
-            if found is None and truth is not None:
-                found = _against_heights(rows, truth)
-            found = found or [*_by_gravity(rows), *_mounting(rows)]
-            results += [CheckResult(one.level, one.where, f"tag {tag}: {one.message}") for one in found]
+            of_tag = None if truth is None else _against_attitude(rows, truth)
+            if of_tag is None and truth is not None:
+                of_tag = _against_heights(rows, truth)
+            of_tag = of_tag or [*_by_gravity(rows), *_mounting(rows)]
+            results += [CheckResult(result.level, result.where, f"tag {tag}: {result.message}") for result in of_tag]
     return results
 
 
@@ -236,15 +236,15 @@ def _axes(name: str, measured: np.ndarray, true: np.ndarray) -> Iterator[tuple[b
 
 def _other_quaternions(rows: ImuRows, attitude: Attitude) -> list[CheckResult]:
     """An error where turn rates fit the attitude once its quaternions are read otherwise, and with no other axes."""
-    found = {}
+    errors = {}
     for change, order, signs in READ_AS:
         other = attitude._replace(quaternions=attitude.quaternions[:, order] * signs)
         times, rates = other.rates()
         measured = _measured_rates(rows, times)
         known = np.isfinite(measured).all(axis=1)
-        found[change] = _best_axes(measured[known], rates[known], "")[0]
-    best = min(found, key=lambda change: found[change])
-    if best == READ_AS[0][0] or found[READ_AS[0][0]] < WORSE * found[best]:
+        errors[change] = _best_axes(measured[known], rates[known], "")[0]
+    best = min(errors, key=lambda change: errors[change])
+    if best == READ_AS[0][0] or errors[READ_AS[0][0]] < WORSE * errors[best]:
         return []
     message = f"turn rates fit the truth's attitude only with {best}; correct the columns qw, qx, qy, qz of the truth"
     return [CheckResult("error", "truth", message)]
@@ -253,7 +253,7 @@ def _other_quaternions(rows: ImuRows, attitude: Attitude) -> list[CheckResult]:
 def _best_axes(measured: np.ndarray, true: np.ndarray, of: str) -> tuple[float, SignedAxes]:
     """The axes with which the true vectors are nearest to the measured ones, and the error, larger for each change."""
     axes = list(signed_axes(of))
-    errors = [_error(measured, true @ one.matrix.T) * (1.0 + SIMPLER * one.changes) for one in axes]
+    errors = [_error(measured, true @ candidate.matrix.T) * (1.0 + SIMPLER * candidate.changes) for candidate in axes]
     best = int(np.argmin(errors))
     return errors[best], axes[best]
 
@@ -274,13 +274,13 @@ def between(
     times: Float[np.ndarray, " N"], x: Float[np.ndarray, "N k"], start: Float[np.ndarray, " n"], end: np.ndarray
 ) -> Float[np.ndarray, "n k"]:
     """The changes of a series `x` from `start` to `end` (n,) s; NaN outside its times and across gaps."""
-    found = np.stack([np.interp(end, times, c) - np.interp(start, times, c) for c in x.T], axis=1)
+    changes = np.stack([np.interp(end, times, c) - np.interp(start, times, c) for c in x.T], axis=1)
     gaps = np.concatenate([[0], np.cumsum(np.diff(times) > GAP_S)])
     first, last = np.searchsorted(times, start, side="right") - 1, np.searchsorted(times, end)
     inside = (first >= 0) & (last < len(times))
     inside &= gaps[np.maximum(first, 0)] == gaps[np.minimum(last, len(gaps) - 1)]
-    found[~inside] = np.nan
-    return found
+    changes[~inside] = np.nan
+    return changes
 
 
 def bent(
@@ -357,6 +357,6 @@ def true_attitude(truth: pl.DataFrame) -> Attitude | None:
     """The attitude in the truth of one tag; None without quaternions."""
     if "qw" not in truth.columns:
         return None
-    own = truth.select("t_s", *QUATERNION).drop_nulls().unique("t_s", keep="first").sort("t_s").head(MOST_ROWS)
-    q = own.select(QUATERNION).to_numpy()
-    return Attitude(own["t_s"].to_numpy(), q / np.linalg.norm(q, axis=1, keepdims=True)) if len(own) > 10 else None
+    rows = truth.select("t_s", *QUATERNION).drop_nulls().unique("t_s", keep="first").sort("t_s").head(MOST_ROWS)
+    q = rows.select(QUATERNION).to_numpy()
+    return Attitude(rows["t_s"].to_numpy(), q / np.linalg.norm(q, axis=1, keepdims=True)) if len(rows) > 10 else None

@@ -22,7 +22,7 @@ from trackwright.trackers.recordings.checks.readings import known_median
 PENALTY = 0.06
 """Log ratio of errors by which a fitted number must pay."""
 
-ALL_GAIN, OWN_GAIN = 0.65, 1.0
+ALL_GAIN, GROUP_GAIN = 0.65, 1.0
 """Mean log ratio of errors that a change must reach, and one with numbers fitted to single sensors."""
 
 UNCHANGED = 0.02
@@ -84,13 +84,13 @@ def _judged(
     gains = -ratio.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     # Errors that were small and stay small neither need an explanation nor contradict one.
     matters = known & ((before > limit) | (after > limit))
-    if not change.own:
+    if not change.by_group:
         if -float(ratio[matters].sum()) < ALL_GAIN * max(int(matters.sum()), 1):
             return None
         return PENALTY * (change.parameters + 1) - float(gains.mean()), np.ones(len(gains), bool)
     # Nor do errors that the change leaves as they are.
     changed = matters & (np.abs(ratio) > UNCHANGED)
-    least = OWN_GAIN if change.parameters else ALL_GAIN
+    least = GROUP_GAIN if change.parameters else ALL_GAIN
     groups = large & changed.any(axis=1)
     groups &= np.where(changed, -ratio, 0.0).sum(axis=1) >= least * changed.sum(axis=1)
     if change.groups is not None:
@@ -112,7 +112,7 @@ def _sentence(view: Compared, groups: np.ndarray, change: Change, sizes: np.ndar
     both = (x[chosen] for x in (view.sizes(bias=False), sizes))
     largest = [f"{significant(factor * float(np.nanmedian(np.nanmax(x, axis=1))), 2)}{unit}" for x in both]
     where = ""
-    if change.own:
+    if change.by_group:
         names = [f"{view.ids[k]}{f' ({change.parts[k]})' if change.parts else ''}" for k in chosen]
         noun = f"{view.noun}s" if len(chosen) > 1 else view.noun
         where = f" of {noun} {listed(names, 6)}"

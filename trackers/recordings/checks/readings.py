@@ -98,7 +98,7 @@ def readings(recording: RecordingFolder, name: str) -> Readings:
 
 def about_local_line(read: Readings) -> Float[np.ndarray, "N m"]:
     """The differences (N, m) of readings from a line through those around them; NaN where there are too few."""
-    found = np.full(read.values.shape, np.nan)
+    differences = np.full(read.values.shape, np.nan)
     for k, column in enumerate(read.columns):
         seen = np.flatnonzero(np.isfinite(read.values[:, k]))
         if not len(seen):
@@ -114,15 +114,14 @@ def about_local_line(read: Readings) -> Float[np.ndarray, "N m"]:
         variance = square - mean_t**2
         slope = (product - mean_t * mean_x) / np.where(variance > 0, variance, 1.0)
         line = mean_x + slope * (t - mean_t)
-        found[seen, k] = np.where((count >= LEAST_ROWS) & (variance > 0), x - line, np.nan)
-    return found
+        differences[seen, k] = np.where((count >= LEAST_ROWS) & (variance > 0), x - line, np.nan)
+    return differences
 
 
 def _sums(x: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:
     """The sums of x[first:end]."""
     sums = np.concatenate([[0.0], np.cumsum(x)])
-    found: np.ndarray = sums[end] - sums[first]
-    return found
+    return sums[end] - sums[first]
 
 
 def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
@@ -220,23 +219,24 @@ def check_correlation(name: str, read: Readings, errors: np.ndarray, true: bool)
     """The autocorrelation time of each column's `errors` (N, m): against truth, or about a local line."""
     results = []
     for k, column in enumerate(read.columns):
-        found = autocorrelation(read, errors[:, k])
-        if found is None or (not true and not found.resolved):
+        correlation = autocorrelation(read, errors[:, k])
+        if correlation is None or (not true and not correlation.resolved):
             continue
         unit = unit_of(column)
         what = f"errors of {column} against truth" if true else f"{column} about a line through {LINE_S:g} s"
-        line = f"{what}: standard deviation {found.sigma:.2g} {unit}, {_duration(found)}"
-        if found.resolved:
-            line += f"; effective sample size: 1 in {float(f'{2 * found.time / found.interval:.2g}'):g} readings"
+        line = f"{what}: standard deviation {correlation.sigma:.2g} {unit}, {_duration(correlation)}"
+        if correlation.resolved:
+            ratio = 2 * correlation.time / correlation.interval
+            line += f"; effective sample size: 1 in {float(f'{ratio:.2g}'):g} readings"
             line += "" if true else " at most; slower errors only show against truth"
         results.append(CheckResult("info", name, line))
     return results
 
 
-def _duration(found: Correlation) -> str:
-    if not found.resolved:
-        return f"uncorrelated after {found.interval:.2g} s"
-    return f"correlated for {'' if found.ended else 'more than '}{found.time:.2g} s"
+def _duration(correlation: Correlation) -> str:
+    if not correlation.resolved:
+        return f"uncorrelated after {correlation.interval:.2g} s"
+    return f"correlated for {'' if correlation.ended else 'more than '}{correlation.time:.2g} s"
 
 
 def autocorrelation(read: Readings, errors: np.ndarray) -> Correlation | None:

@@ -48,7 +48,7 @@ class Residuals(NamedTuple):
 
 def residuals(view: Compared) -> list[Residuals]:
     """The errors of each group and column against truth."""
-    errors, found = view.errors(), []
+    errors, result = view.errors(), []
     # The slope is that of the errors after the delay: over the delay a reading does not change linearly.
     delays = np.zeros(errors.shape)
     for _ in range(2):
@@ -62,8 +62,8 @@ def residuals(view: Compared) -> list[Residuals]:
             bias = float(np.median(e))
             spread = 1.4826 * float(np.median(np.abs(e - bias)))
             outliers = float(np.mean(_outlying(e, bias, spread)))
-            found.append(Residuals(view.ids[k], view.columns[c], len(e), bias, spread, slope, delay, outliers))
-    return found
+            result.append(Residuals(view.ids[k], view.columns[c], len(e), bias, spread, slope, delay, outliers))
+    return result
 
 
 def _outlying(e: np.ndarray, bias: float, spread: float) -> np.ndarray:
@@ -77,9 +77,9 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
     `delays` (N, m): those found before, about which the readings are linearised.
     """
     k, c = key
-    own = view.group == k
-    part = view.of_rows(own)
-    at = delays[own, c]
+    of_group = view.group == k
+    part = view.of_rows(of_group)
+    at = delays[of_group, c]
     true, before, after = (part.later(at + lag).predicted()[:, c] for lag in (0.0, LAG_S, -LAG_S))
     change = wrapped((after - before)[:, None], view.columns[c : c + 1])[:, 0]
     e = wrapped((part.values[:, c] - true)[:, None], view.columns[c : c + 1])[:, 0]
@@ -108,7 +108,7 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
 def delay_against_truth(recording: RecordingFolder, table: str) -> float:
     """Seconds by which the readings of a table come late against truth, NaN where most of them do not determine it."""
     view = compared(recording, table) if KINDS[table].averaged else None
-    delays = np.array([one.delay for one in residuals(view)] if view is not None else [math.nan])
+    delays = np.array([entry.delay for entry in residuals(view)] if view is not None else [math.nan])
     return float(np.nanmedian(delays)) if 2 * np.isfinite(delays).sum() > len(delays) else math.nan
 
 
@@ -116,18 +116,18 @@ def check_residuals(view: Compared) -> list[CheckResult]:
     """A line for each anchor, station or tag; the range of their biases where there are many."""
     if view.kind.numbered:
         return [CheckResult("info", view.table, line) for line in _of_arrays(view)]
-    found = residuals(view)
+    entries = residuals(view)
     if len(view.ids) > SHOWN:
-        lines = [_of_many([one for one in found if one.column == column], view) for column in view.columns]
+        lines = [_of_many([entry for entry in entries if entry.column == column], view) for column in view.columns]
     else:
-        of_groups = [[one for one in found if one.group == name] for name in view.ids]
+        of_groups = [[entry for entry in entries if entry.group == name] for name in view.ids]
         lines = [_line(rows, view) for rows in of_groups if rows]
-    return [*_all_turned(found, view), *(CheckResult("info", view.table, line) for line in lines)]
+    return [*_all_turned(entries, view), *(CheckResult("info", view.table, line) for line in lines)]
 
 
-def _all_turned(found: Sequence[Residuals], view: Compared) -> list[CheckResult]:
+def _all_turned(entries: Sequence[Residuals], view: Compared) -> list[CheckResult]:
     """A warning where the azimuths of all stations are off to one side by more than a station's own error."""
-    biases = np.array([one.bias for one in found if one.column == "azimuth_rad"])
+    biases = np.array([entry.bias for entry in entries if entry.column == "azimuth_rad"])
     if (
         not len(biases)
         or np.abs(np.sum(np.sign(biases))) < len(biases)
@@ -161,27 +161,27 @@ def _of_arrays(view: Compared) -> list[str]:
 
 def _line(rows: Sequence[Residuals], view: Compared) -> str:
     parts = []
-    for one in rows:
-        quantity = one.column.rpartition("_")[0]
+    for entry in rows:
+        quantity = entry.column.rpartition("_")[0]
         name = "" if len(view.columns) == 1 else f"{quantity} "
-        parts.append(f"{name}bias {_size(one.bias, view, '+')}, spread {_size(one.spread, view)}")
-        if math.isfinite(one.slope):
-            parts[-1] += f", slope {100 * one.slope:+.2g} %"
-    delays = [one.delay for one in rows if math.isfinite(one.delay)]
+        parts.append(f"{name}bias {_size(entry.bias, view, '+')}, spread {_size(entry.spread, view)}")
+        if math.isfinite(entry.slope):
+            parts[-1] += f", slope {100 * entry.slope:+.2g} %"
+    delays = [entry.delay for entry in rows if math.isfinite(entry.delay)]
     if delays:
         delay = float(np.median(delays))
         parts.append(f"{'late' if delay > 0 else 'early'} by {abs(delay):.2g} s")
-    parts.append(f"outliers {100 * max(one.outliers for one in rows):.2g} %")
+    parts.append(f"outliers {100 * max(entry.outliers for entry in rows):.2g} %")
     return f"{view.noun} {rows[0].group} against truth: {'; '.join(parts)}"
 
 
 def _of_many(rows: Sequence[Residuals], view: Compared) -> str:
-    bias, spread = (np.array([getattr(one, name) for one in rows]) for name in ("bias", "spread"))
+    bias, spread = (np.array([getattr(entry, name) for entry in rows]) for name in ("bias", "spread"))
     sizes = (_size(x, view, sign) for x, sign in ((bias.min(), "+"), (bias.max(), "+"), (np.median(spread), "")))
     low, high, typical = sizes
     return (
         f"{rows[0].column} of {len(rows)} {view.noun}s against truth: bias {low} to {high}, median spread {typical}, "
-        f"outliers {100 * float(np.mean([one.outliers for one in rows])):.2g} %"
+        f"outliers {100 * float(np.mean([entry.outliers for entry in rows])):.2g} %"
     )
 
 

@@ -34,7 +34,7 @@ def check_units(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResul
         elif kind.unit == "mps2":
             results += _accelerations(table) + _turn_rates(table)
         else:
-            results += [one for column in kind.columns for one in _values(name, column, table[column.name], size)]
+            results += [result for column in kind.columns for result in _values(name, column, table[column.name], size)]
     return results
 
 
@@ -84,7 +84,7 @@ def _anchor_lengths(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckR
         for name, kind in KINDS.items()
         if name in tables and kind.distance
     ]
-    if len(rig.anchors) < 2 or not any(one.count() for one in distances):
+    if len(rig.anchors) < 2 or not any(column.count() for column in distances):
         return []
     positions = np.stack(list(rig.anchors.values()))
     between = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
