@@ -159,14 +159,14 @@ class Calibration:
         return replace(
             self,
             stations={
-                name: one
-                for name, one in self.stations.items()
-                if name in stations and (one.mounted is None or not has_turned(one.mounted, stations[name]))
+                name: station
+                for name, station in self.stations.items()
+                if name in stations and (station.mounted is None or not has_turned(station.mounted, stations[name]))
             },
             anchors={
-                name: one
-                for name, one in self.anchors.items()
-                if name in anchors and (one.position is None or not has_moved(one.position, anchors[name]))
+                name: anchor
+                for name, anchor in self.anchors.items()
+                if name in anchors and (anchor.position is None or not has_moved(anchor.position, anchors[name]))
             },
         )
 
@@ -179,14 +179,14 @@ class Calibration:
         and elevation that the uncertainty of the terms adds (N, 2), rad². Stations without a calibration have no
         systematic errors.
         """
-        own = [self.stations.get(name, UNCALIBRATED) for name in stations]
+        calibrations = [self.stations.get(name, UNCALIBRATED) for name in stations]
         coefficients, spans = (
-            np.stack([x.coefficients for x in own])[number],
-            np.stack([x.spans for x in own])[number],
+            np.stack([x.coefficients for x in calibrations])[number],
+            np.stack([x.spans for x in calibrations])[number],
         )
         true = _true(measured, coefficients, spans)
         factors, variances = angle_terms(true, spans), np.zeros(true.shape)
-        for k, station in enumerate(own):
+        for k, station in enumerate(calibrations):
             part = number == k
             variances[part] = np.einsum("nai,aij,naj->na", factors[part], station.covariances, factors[part])
         rows = np.concatenate([coefficients.reshape(-1, 8), spans.reshape(-1, 4)], axis=1)
@@ -201,15 +201,15 @@ class Calibration:
         the mean tag; ranges to an anchor without one are as measured.
         """
         none = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
-        own = [self.anchors.get(name, none) for name in anchors]
+        calibrations = [self.anchors.get(name, none) for name in anchors]
         known = np.array([name in self.anchors for name in anchors])[number]
         other = TagCalibration(0.0, TAG_SIGMA if self.tags else 0.0)
         biases = np.array([(x.bias, x.sigma**2) for x in (self.tags.get(name, other) for name in tags)])[tag]
         tag_bias, tag_variance = np.where(known[:, None], biases, 0.0).T
-        bias, slope = np.stack([x.coefficients for x in own])[number].T
+        bias, slope = np.stack([x.coefficients for x in calibrations])[number].T
         distances = (measured - bias - tag_bias) / (1.0 + slope)
         factors, variances = range_terms(distances), tag_variance
-        for k, anchor in enumerate(own):
+        for k, anchor in enumerate(calibrations):
             part = number == k
             variances[part] += np.einsum("ni,ij,nj->n", factors[part], anchor.covariance, factors[part])
         return distances, variances / (1.0 + slope) ** 2
@@ -234,36 +234,36 @@ def _measured(true: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> 
 def _true(measured: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> np.ndarray:
     """The true angles, by Newton's method within the largest angles."""
     _, gain, cubic, cross = np.moveaxis(coefficients, -1, 0)
-    found = np.asarray(measured, float)
+    angles = np.asarray(measured, float)
     for _ in range(_NEWTON_STEPS):
-        inside = np.clip(found, spans[..., 0], spans[..., 1])
-        own = gain + 3.0 * cubic * inside**2 + cross * inside[..., ::-1]
-        other = np.where((inside == found)[..., ::-1], cross * found, 0.0)
-        miss = measured - _measured(found, coefficients, spans)
-        determinant = own[..., :1] * own[..., 1:] - other[..., :1] * other[..., 1:]
-        step = (own[..., ::-1] * miss - other * miss[..., ::-1]) / determinant
-        before, found = found, np.clip(found + step, -LARGEST_ANGLES, LARGEST_ANGLES)
-        if np.abs(found - before).max(initial=0.0) < _CONVERGED:
+        inside = np.clip(angles, spans[..., 0], spans[..., 1])
+        diagonal = gain + 3.0 * cubic * inside**2 + cross * inside[..., ::-1]
+        other = np.where((inside == angles)[..., ::-1], cross * angles, 0.0)
+        miss = measured - _measured(angles, coefficients, spans)
+        determinant = diagonal[..., :1] * diagonal[..., 1:] - other[..., :1] * other[..., 1:]
+        step = (diagonal[..., ::-1] * miss - other * miss[..., ::-1]) / determinant
+        before, angles = angles, np.clip(angles + step, -LARGEST_ANGLES, LARGEST_ANGLES)
+        if np.abs(angles - before).max(initial=0.0) < _CONVERGED:
             break
-    return found
+    return angles
 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> Path:
     """Writes the calibration to the file `path`, completely or not at all; raises UnusableInput where it cannot be."""
     stations = {
-        name: {"rows": one.rows}
-        | ({} if one.mounted is None else _mounting(one.mounted))
+        name: {"rows": station.rows}
+        | ({} if station.mounted is None else _mounting(station.mounted))
         | {
-            angle: _entries(_ANGLE, one.coefficients[k], one.spans[k], one.covariances[k])
+            angle: _entries(_ANGLE, station.coefficients[k], station.spans[k], station.covariances[k])
             for k, angle in enumerate(ANGLES)
         }
-        for name, one in calibration.stations.items()
+        for name, station in calibration.stations.items()
     }
     anchors = {
-        name: {"rows": one.rows}
-        | ({} if one.position is None else {"position_m": np.asarray(one.position, float).tolist()})
-        | _entries(_ANCHOR[1:], one.coefficients, one.span, one.covariance)
-        for name, one in calibration.anchors.items()
+        name: {"rows": anchor.rows}
+        | ({} if anchor.position is None else {"position_m": np.asarray(anchor.position, float).tolist()})
+        | _entries(_ANCHOR[1:], anchor.coefficients, anchor.span, anchor.covariance)
+        for name, anchor in calibration.anchors.items()
     }
     content = {
         "format": FORMAT,
@@ -272,8 +272,8 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
         "stations": stations,
         "anchors": anchors,
         "tags": {
-            name: dict(zip(_TAG, (one.rows, one.bias, one.sigma), strict=True))
-            for name, one in calibration.tags.items()
+            name: dict(zip(_TAG, (tag.rows, tag.bias, tag.sigma), strict=True))
+            for name, tag in calibration.tags.items()
         },
     }
     text = COMMENT + tomli_w.dumps(content)
@@ -319,9 +319,9 @@ class _Reader(TomlReader):
         if spread and self.number(_SPREAD, content[_SPREAD]) <= 0.0:
             self.wrong(_SPREAD, content[_SPREAD], "a number above zero")
         return Calibration(
-            {name: self.station(f"stations.{name}", one) for name, one in stations.items()},
-            {name: self.anchor(f"anchors.{name}", one) for name, one in anchors.items()},
-            {name: self.tag(f"tags.{name}", one) for name, one in tags.items()},
+            {name: self.station(f"stations.{name}", entry) for name, entry in stations.items()},
+            {name: self.anchor(f"anchors.{name}", entry) for name, entry in anchors.items()},
+            {name: self.tag(f"tags.{name}", entry) for name, entry in tags.items()},
             tuple(names),
             float(content[_SPREAD]) if spread else None,
         )
@@ -378,5 +378,5 @@ class _Reader(TomlReader):
         unknown = [key for key in content if key not in expected]
         lacking = [key for key in expected if key not in content]
         if unknown or lacking:
-            found = f"unknown key {unknown[0]!r}" if unknown else f"no {lacking[0]}"
-            self.refuse(f"{where} has {found}, expected {listed(expected, len(expected))}")
+            fault = f"unknown key {unknown[0]!r}" if unknown else f"no {lacking[0]}"
+            self.refuse(f"{where} has {fault}, expected {listed(expected, len(expected))}")

@@ -85,11 +85,11 @@ class TableRows(TagRows):
         return name in self._table.columns
 
     def floats(self, names: Sequence[str]) -> np.ndarray:
-        found = np.empty((len(names), len(self.times)))
-        for column, name in zip(found, names, strict=True):
+        values = np.empty((len(names), len(self.times)))
+        for column, name in zip(values, names, strict=True):
             column[:] = float_column(self._table, name)[self._order]
         # Each column is contiguous.
-        return found.T
+        return values.T
 
     def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
         key = name, tuple(ids)

@@ -86,12 +86,12 @@ class RecordingFolder:
         Stations and anchors that no longer stand where they were calibrated are uncalibrated, with a notice where none
         is left.
         """
-        own = None if calibration is None else calibration.at_rest(self.rig)
-        found = replace(self, calibration=own)
-        if own is None or len(found.uncalibrated()) < len(replace(self, calibration=None).uncalibrated()):
-            return found
+        at_rest = None if calibration is None else calibration.at_rest(self.rig)
+        calibrated = replace(self, calibration=at_rest)
+        if at_rest is None or len(calibrated.uncalibrated()) < len(replace(self, calibration=None).uncalibrated()):
+            return calibrated
         text = "not calibrated: the calibration has none of its stations and anchors, or they have moved"
-        return replace(found, notices=(*self.notices, text))
+        return replace(calibrated, notices=(*self.notices, text))
 
     def averaged(self, interval: float) -> RecordingFolder:
         """This recording with one range, fix or bearing per tag, anchor or station, and interval of so many s.
@@ -134,8 +134,8 @@ class RecordingFolder:
         """A line on how many of the stations and anchors with readings are calibrated, none without a calibration."""
         if self.calibration is None:
             return []
-        every = len(replace(self, calibration=None).uncalibrated())
-        return [f"  calibration: of {every - len(self.uncalibrated())} of {every} stations and anchors"]
+        total = len(replace(self, calibration=None).uncalibrated())
+        return [f"  calibration: of {total - len(self.uncalibrated())} of {total} stations and anchors"]
 
     def _repr_html_(self) -> str:
         """Its tables with rows, tags and span of time."""
@@ -306,9 +306,9 @@ def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[s
     files, others = _table_files(path, entries)
     if not files:
         another = f"found {listed(others)}; another kind needs --tracker FILE.py:NAME with it (docs/extending.md)"
-        found = another if others else "export one"
+        remedy = another if others else "export one"
         raise UnusableInput(
-            f"{path}: no tables, expected at least one of {', '.join(table_kinds())} as {', '.join(SUFFIXES)}; {found}"
+            f"{path}: no tables, expected at least one of {', '.join(table_kinds())} as {', '.join(SUFFIXES)}; {remedy}"
         )
     return rig, files, [*notices], others
 

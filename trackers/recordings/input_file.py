@@ -53,12 +53,12 @@ def _opened(path: str, flags: int) -> int:
 
 def size_of(path: Path | str) -> int:
     """The bytes of a regular file; raises OSError for anything else."""
-    found = os.stat(path)
-    if stat.S_ISDIR(found.st_mode):
+    status = os.stat(path)
+    if stat.S_ISDIR(status.st_mode):
         raise OSError(errno.EISDIR, "is a folder, not a file", path)
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "is a pipe or device, not a file", path)
-    return found.st_size
+    return status.st_size
 
 
 def too_large(path: Path) -> OSError:
@@ -147,9 +147,9 @@ class TomlReader:
 
     def of_format(self, version: int) -> None:
         """Refuses a file whose `format` is another one."""
-        found = self.content.get("format")
-        if found != version or isinstance(found, bool):
-            was = "no `format`" if found is None else f"format = {found!r}"
+        given = self.content.get("format")
+        if given != version or isinstance(given, bool):
+            was = "no `format`" if given is None else f"format = {given!r}"
             self.refuse(f"{was}, expected `format = {version}` for {self.expected}", self.fix or "correct it")
 
     def table(self, where: str, value: Any) -> dict[str, Any]:

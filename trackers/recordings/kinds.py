@@ -176,8 +176,8 @@ class Kind:
     def number_of(self, column: str) -> int | None:
         """The number of a numbered column, None for any other."""
         before, _, after = self.columns[0].name.partition("{n}")
-        found = re.fullmatch(rf"{before}([1-9]\d*){after}", column) if self.numbered else None
-        return None if found is None else int(found[1])
+        match = re.fullmatch(rf"{before}([1-9]\d*){after}", column) if self.numbered else None
+        return None if match is None else int(match[1])
 
     def column(self, name: str) -> Column:
         """The column of this name, or the one that is numbered."""
@@ -217,10 +217,10 @@ class Kind:
     ) -> Float[np.ndarray, "N m"]:
         """Values of columns less those predicted, angles in [−π, π); less an offset common to a row, if it has one."""
         assert self.predicted is not None
-        found = values - self.predicted(positions, sensors)
+        errors = values - self.predicted(positions, sensors)
         if self.common:
-            found = found - np.angle(np.nansum(np.exp(1j * found), axis=1, keepdims=True))
-        return wrapped(found, columns)
+            errors = errors - np.angle(np.nansum(np.exp(1j * errors), axis=1, keepdims=True))
+        return wrapped(errors, columns)
 
 
 class Measured(NamedTuple):
@@ -347,7 +347,7 @@ def first_time(frames: Mapping[str, pl.DataFrame]) -> float:
     """The earliest time, s, of the measurements, or of the truth where there are none; zero without rows."""
     measured = [frames[name] for name in KINDS if name in frames]
     times = [seconds(table["t_s"].to_numpy()) for table in measured or frames.values()]
-    return min((float(own.min()) for own in times if len(own)), default=0.0)
+    return min((float(column.min()) for column in times if len(column)), default=0.0)
 
 
 def add_kind(kind: Kind) -> Kind:

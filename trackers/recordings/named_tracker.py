@@ -82,9 +82,9 @@ class NamedTracker:
     def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The batches with this tracker's numbers as they are, not smoothed."""
         folders = folder_list(recordings)
-        own, groups = self.made_for
+        made_for, groups = self.made_for
         # Rows of long recordings take longer to make than to filter.
-        if len(folders) != len(own) or any(a is not b for a, b in zip(folders, own, strict=True)):
+        if len(folders) != len(made_for) or any(a is not b for a, b in zip(folders, made_for, strict=True)):
             groups = self.spec.batches([*map(near_origin, folders)], self.name, self.free_height)
         return [replace(group, tracker=with_values(group.tracker, self.values, self.source)) for group in groups]
 
@@ -121,8 +121,8 @@ class NamedTracker:
 
     def with_values(self, values: Mapping[str, Any], source: object = "values") -> NamedTracker:
         """This tracker with other values by tunable name or pattern; raises UnusableInput where they do not fit."""
-        found = with_values(self.tracker, values, source)
-        return replace(self, tracker=found, values={**self.values, **values}, source=str(source))
+        tracker = with_values(self.tracker, values, source)
+        return replace(self, tracker=tracker, values={**self.values, **values}, source=str(source))
 
     def smoothing(self, lag: float | None = None) -> NamedTracker:
         """This tracker with fixed-interval smoothing, or with the next `lag` seconds of each row only.
@@ -152,14 +152,14 @@ class NamedTracker:
 
 def folder_list(recordings: Recordings) -> list[RecordingFolder]:
     """One recording folder or several as a list; raises UnusableInput for anything else, and for two of one name."""
-    found = one_or_more(
+    folders = one_or_more(
         recordings,
         (RecordingFolder,),
         "one or more recording folders, as `read`, `read_all` and `world.folder()` return them; recordings in arrays "
         "are run by a tracker of arrays, as `range_tracker(4).run`",
     )
-    refuse_same_names([folder.name for folder in found])
-    return found
+    refuse_same_names([folder.name for folder in folders])
+    return folders
 
 
 def near_origin(folder: RecordingFolder) -> RecordingFolder:

@@ -73,19 +73,19 @@ def reading_grids(tracker: AbstractTracker, batches: Iterable[Batch]) -> list[Re
 
     `batches`: looked through once for each sensor, as far as its first `MOST_ROWS` rows.
     """
-    found: list[ReadingGrid] = []
+    grids: list[ReadingGrid] = []
     for name, sensor in tracker.sensors.items() if isinstance(tracker, Tracker) else ():
         read = _readings(name, sensor, (batch for batch in batches if name in batch.readings))
         if read is None:
             continue
         repeated = float(np.nan_to_num(repeated_share(read)))
         for unit in dict.fromkeys(channel.unit for channel in sensor.channels):
-            own = [k for k, channel in enumerate(sensor.channels) if channel.unit == unit]
-            steps = [step for k in own if (step := quantisation_step(read, k)) is not None]
-            changes = [change for k in own if (change := _typical_change(read, k)) > 0.0]
+            of_unit = [k for k, channel in enumerate(sensor.channels) if channel.unit == unit]
+            steps = [step for k in of_unit if (step := quantisation_step(read, k)) is not None]
+            changes = [change for k in of_unit if (change := _typical_change(read, k)) > 0.0]
             step, change = (min(numbers, default=math.nan) for numbers in (steps, changes))
-            found.append(ReadingGrid(name, unit, step, repeated, change))
-    return found
+            grids.append(ReadingGrid(name, unit, step, repeated, change))
+    return grids
 
 
 def of_raw_readings(grids: Sequence[ReadingGrid], folders: Sequence[RecordingFolder]) -> list[ReadingGrid]:
@@ -94,20 +94,20 @@ def of_raw_readings(grids: Sequence[ReadingGrid], folders: Sequence[RecordingFol
     The finest step of the first `MOST_FOLDERS` recordings; of no effect where one of them has none, or a finer one than
     the readings.
     """
-    found = []
+    result = []
     for grid in grids:
-        own = [folder.unaveraged or folder for folder in folders[:MOST_FOLDERS] if grid.sensor in folder.tables]
-        steps = [_raw_step(folder, grid) for folder in own if grid.sensor in KINDS]
+        sources = [folder.unaveraged or folder for folder in folders[:MOST_FOLDERS] if grid.sensor in folder.tables]
+        steps = [_raw_step(folder, grid) for folder in sources if grid.sensor in KINDS]
         raw = min((0.0 if math.isnan(step) else step for step in steps), default=0.0)
-        found.append(replace(grid, step=float(np.fmax(grid.step, raw or math.nan))))
-    return found
+        result.append(replace(grid, step=float(np.fmax(grid.step, raw or math.nan))))
+    return result
 
 
 def _raw_step(folder: RecordingFolder, grid: ReadingGrid) -> float:
     """The quantisation step of the columns of a table in the grid's unit, NaN without one."""
     read = readings(folder, grid.sensor)
-    own = [k for k, column in enumerate(read.columns) if column.endswith(f"_{grid.unit}")]
-    return min((step for k in own if (step := quantisation_step(read, k)) is not None), default=math.nan)
+    of_unit = [k for k, column in enumerate(read.columns) if column.endswith(f"_{grid.unit}")]
+    return min((step for k in of_unit if (step := quantisation_step(read, k)) is not None), default=math.nan)
 
 
 def _typical_change(read: Readings, column: int) -> float:
@@ -127,17 +127,17 @@ def above_rounding(group: TrackerBatch) -> list[TrackerBatch]:
     of their own, these add to the noise level, and it is left as it is.
     """
     tracker, trajectories = group.tracker, Trajectories.of(group.trajectories)
-    levels = {name: one for name, one in tunables(tracker).items() if fnmatch(name, "sensors.*.sigma*")}
+    levels = {name: level for name, level in tunables(tracker).items() if fnmatch(name, "sensors.*.sigma*")}
     if not (levels and isinstance(tracker, Tracker)):
         return [group]
     numbers: dict[int, list[int]] = {}
     for number, folder in enumerate(trajectories.folders):
         numbers.setdefault(id(folder), []).append(number)
-    found, unchanged = list[TrackerBatch](), list[int]()
+    separate, unchanged = list[TrackerBatch](), list[int]()
     lengths = np.diff(trajectories.columns.starts)
-    for own in numbers.values():
-        enough = int(np.searchsorted(np.cumsum(lengths[own]), MOST_ROWS)) + 1
-        looked_at = trajectories.chosen(np.array(own[:enough]))
+    for of_folder in numbers.values():
+        enough = int(np.searchsorted(np.cumsum(lengths[of_folder]), MOST_ROWS)) + 1
+        looked_at = trajectories.chosen(np.array(of_folder[:enough]))
         grids = reading_grids(tracker, [looked_at.columns.batch(truth=False)])
         raised, notices = dict[str, np.ndarray](), list[str]()
         for grid in grids:
@@ -154,16 +154,16 @@ def above_rounding(group: TrackerBatch) -> list[TrackerBatch]:
                         f"{grid.unit}"
                     )
         if raised:
-            part = trajectories.chosen(np.array(own))
-            found.append(
+            part = trajectories.chosen(np.array(of_folder))
+            separate.append(
                 replace(group, tracker=with_values(tracker, raised), trajectories=part, notices=tuple(notices))
             )
         else:
-            unchanged += own
-    if not found:
+            unchanged += of_folder
+    if not separate:
         return [group]
     kept = [replace(group, trajectories=trajectories.chosen(np.array(unchanged)))] if unchanged else []
-    return [*kept, *found]
+    return [*kept, *separate]
 
 
 def _readings(name: str, sensor: AbstractSensor, batches: Iterable[Batch]) -> Readings | None:
@@ -186,8 +186,8 @@ def _readings(name: str, sensor: AbstractSensor, batches: Iterable[Batch]) -> Re
         return None
     # The column of an angle is named so that its wraps are known.
     columns = tuple(f"{channel.name}_{channel.unit}" for channel in sensor.channels)
-    every = np.concatenate(values)
-    return Readings(columns, np.concatenate(streams), np.zeros(len(every)), every, np.full(every.shape, np.nan))
+    joined = np.concatenate(values)
+    return Readings(columns, np.concatenate(streams), np.zeros(len(joined)), joined, np.full(joined.shape, np.nan))
 
 
 def _sources(inputs: Float[np.ndarray, "n i"]) -> np.ndarray:

@@ -38,16 +38,16 @@ class Selection:
             raise UnusableInput(f"{path}: no tag {listed(map(repr, lacking))}; its tags: {listed(present, 10)}")
         tables = {}
         for name, table in folder.tables.items():
-            own = table.filter(pl.col("tag").is_in(list(self.tags))) if self.tags else table
+            rows = table.filter(pl.col("tag").is_in(list(self.tags))) if self.tags else table
             if name in KINDS:
-                kept = self._rows(own, name)
-                if own.height and not kept.height:
+                kept = self._rows(rows, name)
+                if rows.height and not kept.height:
                     raise UnusableInput(
-                        f"{path}: {name} has no row in the span of time asked for; expected a part of {_span(own)}"
+                        f"{path}: {name} has no row in the span of time asked for; expected a part of {_span(rows)}"
                     )
-                own = kept
-            if own.height:
-                tables[name] = own
+                rows = kept
+            if rows.height:
+                tables[name] = rows
         return replace(folder, tables=tables)
 
     def of_estimates(self, tracks: pl.DataFrame) -> pl.DataFrame:

@@ -227,12 +227,12 @@ def read_footer(data: bytes) -> Footer:
         rows = _count(content, _ROWS)
         groups = [(_count(group, _GROUP_ROWS), group[_GROUP_COLUMNS]) for group in content.get(_GROUPS, [])]
         columns = sum(_CHILDREN not in element for element in content[_SCHEMA])
-        chunks = [chunk[_COLUMN] for _, own in groups for chunk in own]
+        chunks = [chunk[_COLUMN] for _, group_columns in groups for chunk in group_columns]
         values, unpacked, packed = (sum(_count(c, field) for c in chunks) for field in (_VALUES, _UNPACKED, _PACKED))
     except (LookupError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError("its footer is damaged") from error
-    if rows != sum(own for own, _ in groups):
-        raise ValueError(f"its footer has {rows:,} rows, its parts {sum(own for own, _ in groups):,}")
+    if rows != sum(group_rows for group_rows, _ in groups):
+        raise ValueError(f"its footer has {rows:,} rows, its parts {sum(group_rows for group_rows, _ in groups):,}")
     if packed > len(data):
         raise ValueError(f"its columns have {packed:,} bytes, the file {len(data):,}")
     return Footer(rows, columns, values, unpacked, chunks)
@@ -272,14 +272,14 @@ class _Compact:
         self.data, self.at = data, 0
 
     def struct(self) -> dict[int, Any]:
-        found: dict[int, Any] = {}
+        fields: dict[int, Any] = {}
         field = 0
         while head := self.byte():
             field = field + (head >> 4) if head >> 4 else self.integer()
             kind = head & 15
             # A field that is true or false has its value in its type.
-            found[field] = kind == 1 if kind in (1, 2) else self.value(kind)
-        return found
+            fields[field] = kind == 1 if kind in (1, 2) else self.value(kind)
+        return fields
 
     def value(self, kind: int) -> Any:
         match kind:

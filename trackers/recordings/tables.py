@@ -59,15 +59,15 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str]
 
 
 def _columns(file: TableFile, kind: Kind) -> tuple[Layout, list[str]]:
-    found = file.frame.columns
-    expected = kind.layout(found)
+    present = file.frame.columns
+    expected = kind.layout(present)
     required = ("t_s", *expected.ids, *(expected.values or kind.least))
     known = {*required, *expected.optional}
-    unknown = [c for c in found if c not in known]
+    unknown = [c for c in present if c not in known]
     for column in required:
-        if column not in found:
+        if column not in present:
             near = difflib.get_close_matches(column, unknown, 1, 0.5)
-            there = ", ".join(repr(c[:30]) for c in found[:14])
+            there = ", ".join(repr(c[:30]) for c in present[:14])
             instead = f"rename {near[0][:30]!r} if it is that column (check the unit)" if near else f"found {there}"
             raise UnusableInput(f"{file.path}: no column {column}, expected {', '.join(required)}; {instead}")
     numbered = sorted(number for number in map(kind.number_of, expected.values) if number is not None)
@@ -77,10 +77,10 @@ def _columns(file: TableFile, kind: Kind) -> tuple[Layout, list[str]]:
             f"{file.path}: columns are numbered {numbered}, expected {first(n=1)} … {first(n='N')} without gaps; "
             "leave the column of an unused antenna empty"
         )
-    quaternion = [c for c in QUATERNION if c in found]
+    quaternion = [c for c in QUATERNION if c in present]
     if kind.attitude and 0 < len(quaternion) < 4:
         raise UnusableInput(f"{file.path}: columns {', '.join(quaternion)}, expected all of qw, qx, qy, qz or none")
-    absent = [c for c in expected.optional if c not in found]
+    absent = [c for c in expected.optional if c not in present]
     for column in unknown:
         near = difflib.get_close_matches(column.lower(), absent, 1, 0.75)
         if near or re.search(r"std|sigma|phase", column, re.IGNORECASE):
@@ -91,10 +91,10 @@ def _columns(file: TableFile, kind: Kind) -> tuple[Layout, list[str]]:
 
 
 def _ids(file: TableFile, column: str) -> pl.Series:
-    found = file.frame[column]
-    if not (found.dtype.is_integer() or found.dtype in (pl.String, pl.Categorical, pl.Enum, pl.Null)):
-        raise UnusableInput(f"{file.path}: column {column} has type {found.dtype}, expected text; ids are text")
-    ids = found.cast(pl.String)
+    cells = file.frame[column]
+    if not (cells.dtype.is_integer() or cells.dtype in (pl.String, pl.Categorical, pl.Enum, pl.Null)):
+        raise UnusableInput(f"{file.path}: column {column} has type {cells.dtype}, expected text; ids are text")
+    ids = cells.cast(pl.String)
     # The few different ids first.
     different = ids.unique()
     if different.str.strip_chars().str.contains(_CONTROL).any():
@@ -115,9 +115,9 @@ def _ids(file: TableFile, column: str) -> pl.Series:
 
 def _numbers(file: TableFile, column: str, largest: float) -> pl.Series:
     """The column as Float64, null where empty or NaN."""
-    found = file.frame[column]
-    if found.dtype == pl.String:
-        text = found.str.strip_chars()
+    cells = file.frame[column]
+    if cells.dtype == pl.String:
+        text = cells.str.strip_chars()
         numbers = text.cast(pl.Float64, strict=False)
         wrong = numbers.is_null() & text.is_not_null() & (text != "")
         if wrong.any():
@@ -125,10 +125,10 @@ def _numbers(file: TableFile, column: str, largest: float) -> pl.Series:
             raise UnusableInput(
                 f"{file.location(row, column)}: {text[row][:40]!r}, expected a number; leave a missing cell empty"
             )
-    elif found.dtype.is_numeric() or found.dtype == pl.Null:
-        numbers = found.cast(pl.Float64)
+    elif cells.dtype.is_numeric() or cells.dtype == pl.Null:
+        numbers = cells.cast(pl.Float64)
     else:
-        raise UnusableInput(f"{file.path}: column {column} has type {found.dtype}, expected plain numbers in SI units")
+        raise UnusableInput(f"{file.path}: column {column} has type {cells.dtype}, expected plain numbers in SI units")
     numbers = numbers.fill_nan(None)
     beyond = (numbers.abs() > largest).fill_null(False)
     if beyond.any():

@@ -71,8 +71,8 @@ def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
     squares = [pl.col(std).pow(2).mean().sqrt().alias(std) for std in stds]
     rows = table.filter(pl.any_horizontal(pl.col(columns.values).is_not_null()))
     groups = rows.with_columns(interval=(pl.col("t_s") / interval).floor()).group_by("interval", *columns.ids)
-    found = groups.agg(pl.col("t_s").mean(), *means, *squares).sort("t_s", *columns.ids)
-    return found.select(_ordered(table, columns))
+    averages = groups.agg(pl.col("t_s").mean(), *means, *squares).sort("t_s", *columns.ids)
+    return averages.select(_ordered(table, columns))
 
 
 def _mean(column: str) -> pl.Expr:

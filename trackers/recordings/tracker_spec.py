@@ -70,7 +70,7 @@ class TrackerSpec:
 
         Raises UnusableInput for a folder that does not fit; `name` is the tracker's in the message.
         """
-        found: dict[tuple[bool, Hashable], list[Trajectories]] = defaultdict(list)
+        grouped: dict[tuple[bool, Hashable], list[Trajectories]] = defaultdict(list)
         for folder in folders:
             missing = self.missing(folder)
             if missing is not None:
@@ -80,13 +80,13 @@ class TrackerSpec:
                 )
             trajectories = self.trajectories(folder, free_height)
             if isinstance(trajectories, Trajectories):
-                for key, own in self._parts(trajectories, free_height):
-                    found[key].append(own)
+                for key, part in self._parts(trajectories, free_height):
+                    grouped[key].append(part)
             else:
-                for one in trajectories:
-                    key = self.planar(one, free_height), self.geometry(one)
-                    found[key].append(Trajectories.of([one]))
-        joined = {key: Trajectories.joined(parts) for key, parts in found.items()}
+                for trajectory in trajectories:
+                    key = self.planar(trajectory, free_height), self.geometry(trajectory)
+                    grouped[key].append(Trajectories.of([trajectory]))
+        joined = {key: Trajectories.joined(parts) for key, parts in grouped.items()}
         return [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
 
     def _parts(

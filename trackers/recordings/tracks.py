@@ -63,9 +63,9 @@ def batches(trajectories: Iterable[Trajectory], seed: int = 0, truth: bool = Tru
 
     `seed`: of the random numbers of filters that draw any. `truth`: whether the batches have it.
     """
-    every = Trajectories.of(trajectories)
-    groups = [(every.chosen(numbers), steps) for numbers, steps in by_length(np.diff(every.columns.starts))]
-    return [(own, own.columns.batch(steps, None, seed, truth)) for own, steps in groups]
+    joined = Trajectories.of(trajectories)
+    groups = [(joined.chosen(numbers), steps) for numbers, steps in by_length(np.diff(joined.columns.starts))]
+    return [(group, group.columns.batch(steps, None, seed, truth)) for group, steps in groups]
 
 
 def by_length(lengths: np.ndarray) -> list[tuple[np.ndarray, int]]:
@@ -134,11 +134,11 @@ def _summaries(number: np.ndarray, status: np.ndarray, count: int) -> dict[str, 
         "lost and never re-started": has[Status.LOST] > 0,
         "ok": np.ones(count, bool),
     }
-    found, left = {}, np.ones(count, bool)
+    counts, left = {}, np.ones(count, bool)
     for words, ended in endings.items():
-        found[words] = int((left & ended).sum())
+        counts[words] = int((left & ended).sum())
         left &= ~ended
-    return {words: n for words, n in found.items() if n}
+    return {words: n for words, n in counts.items() if n}
 
 
 def _table(trajectories: Trajectories, number: np.ndarray, times: np.ndarray, estimates: Estimates) -> pl.DataFrame:

@@ -52,9 +52,9 @@ class Trajectories(Sequence[Trajectory]):
         """These trajectories; raises ValueError where they differ in the names or shapes of their arrays."""
         if isinstance(trajectories, Trajectories):
             return trajectories
-        every = list(trajectories)
-        columns = Columns.of([trajectory.recording for trajectory in every])
-        return cls([t.folder for t in every], [t.tag for t in every], [t.station for t in every], columns)
+        members = list(trajectories)
+        columns = Columns.of([trajectory.recording for trajectory in members])
+        return cls([t.folder for t in members], [t.tag for t in members], [t.station for t in members], columns)
 
     @classmethod
     def joined(cls, parts: Sequence[Trajectories]) -> Trajectories:
@@ -73,8 +73,8 @@ class Trajectories(Sequence[Trajectory]):
             return self.chosen(np.arange(len(self))[which])
         number = range(len(self))[which]
         if number not in self._views:
-            own = self.columns.recording(number)
-            self._views[number] = Trajectory(self.folders[number], self.tags[number], self.stations[number], own)
+            recording = self.columns.recording(number)
+            self._views[number] = Trajectory(self.folders[number], self.tags[number], self.stations[number], recording)
         return self._views[number]
 
     def chosen(self, index: np.ndarray) -> Trajectories:
@@ -119,15 +119,15 @@ def trajectories_of(
     known = (status == TruthStatus.SCORED) & np.isfinite(position).all(axis=1)
     position = position if known.all() else np.where(known[:, None], position, 0.0)
     truth = {"position": (position, known)} if stations is None else {"direction": (np.zeros((len(times), 2)), known)}
-    own = [""] * len(tags) if stations is None else stations
+    station_names = [""] * len(tags) if stations is None else stations
     for station in dict.fromkeys(stations or ()):
-        rows = np.repeat([name == station for name in own], np.diff(starts))
+        rows = np.repeat([name == station for name in station_names], np.diff(starts))
         truth["direction"][0][rows] = folder.rig.stations[station].angles(position[rows])
     heights = np.repeat(np.nan_to_num(known_heights(folder, tags)), np.diff(starts))
     names = [f"{folder.name}, tag {tag}" for tag in tags]
-    ids = trajectory_ids(folder.name, tags, own)
+    ids = trajectory_ids(folder.name, tags, station_names)
     columns = Columns(starts, times, readings, {**inputs, "height": heights}, truth, names, ids)
-    return Trajectories([folder] * len(tags), tags, own, columns)
+    return Trajectories([folder] * len(tags), tags, station_names, columns)
 
 
 def kind_trajectories(folder: RecordingFolder, kind: Kind) -> Trajectories:
@@ -164,17 +164,17 @@ def cut(recording: Recording, start: int, stop: int) -> Recording:
     inputs = {name: x[part] for name, x in recording.inputs.items()}
     truth = {name: (values[part], known[part]) for name, (values, known) in recording.truth.items()}
     # Segments of one trajectory draw different random numbers.
-    own = None if recording.id is None else (recording.id + int(start)) % 2**64
-    return Recording(recording.times[part], readings, inputs, truth, recording.name, own)
+    segment_id = None if recording.id is None else (recording.id + int(start)) % 2**64
+    return Recording(recording.times[part], readings, inputs, truth, recording.name, segment_id)
 
 
 def trajectory_ids(folder: str, tags: Sequence[str], stations: Sequence[str]) -> list[int]:
     """The ids of trajectories of a recording folder: random numbers do not depend on the others that run with it."""
     begun, ids = blake2b(f"{folder}\0".encode(), digest_size=8), []
     for tag, station in zip(tags, stations, strict=True):
-        own = begun.copy()
-        own.update(f"{tag}\0{station}".encode())
-        ids.append(int.from_bytes(own.digest(), "little"))
+        hasher = begun.copy()
+        hasher.update(f"{tag}\0{station}".encode())
+        ids.append(int.from_bytes(hasher.digest(), "little"))
     return ids
 
 
@@ -182,9 +182,9 @@ def with_floor_truth(trajectory: Trajectory) -> Trajectory:
     """The trajectory with true positions over the floor, (T, 2) m, known also where the truth has no height."""
     recording = trajectory.recording
     ends = np.array([0, len(recording)])
-    found, status = trajectory.folder.paths.at([trajectory.tag], ends, recording.times)
+    positions, status = trajectory.folder.paths.at([trajectory.tag], ends, recording.times)
     known = status == TruthStatus.SCORED
-    position = np.where(known[:, None], found[:, :2], 0.0)
+    position = np.where(known[:, None], positions[:, :2], 0.0)
     return replace(trajectory, recording=replace(recording, truth={"position": (position, known)}))
 
 
@@ -199,7 +199,7 @@ def known_heights(folder: RecordingFolder, tags: Sequence[str]) -> np.ndarray:
     known = folder.rig.tags
     if all(tag.height is None for tag in known.values()):
         return np.full(len(tags), np.nan)
-    return np.array([np.nan if (own := known.get(tag)) is None or own.height is None else own.height for tag in tags])
+    return np.array([np.nan if (tag := known.get(name)) is None or tag.height is None else tag.height for name in tags])
 
 
 def mapped(trajectories: Sequence[Trajectory], path: Path) -> list[Trajectory]:
@@ -230,7 +230,10 @@ def mapped(trajectories: Sequence[Trajectory], path: Path) -> list[Trajectory]:
         return content[begin : begin + array.nbytes].view(array.dtype).reshape(array.shape)
 
     folder = replace(trajectories[0].folder, tables={})
-    return [replace(own, folder=folder, recording=_with_arrays(own.recording, get)) for own in trajectories]
+    return [
+        replace(trajectory, folder=folder, recording=_with_arrays(trajectory.recording, get))
+        for trajectory in trajectories
+    ]
 
 
 def _with_arrays(recording: Recording, function: Callable[[np.ndarray], np.ndarray]) -> Recording:

@@ -84,9 +84,9 @@ class TruePaths:
     ) -> tuple[np.ndarray, np.ndarray]:
         number, lengths = np.array([self.number.get(tag, -1) for tag in tags], int), np.diff(starts)
         if len(self.times) and (number >= 0).all() and np.array_equal(lengths, np.diff(self.starts)[number]):
-            own = np.arange(len(times)) + np.repeat(self.starts[number] - starts[:-1], lengths)
-            if np.array_equal(self.times[own], times):
-                return self.positions[own], np.full(len(times), TruthStatus.SCORED, np.uint8)
+            rows = np.arange(len(times)) + np.repeat(self.starts[number] - starts[:-1], lengths)
+            if np.array_equal(self.times[rows], times):
+                return self.positions[rows], np.full(len(times), TruthStatus.SCORED, np.uint8)
         path = np.repeat(number, lengths)
         status = np.full(len(times), TruthStatus.NO_TRUTH, np.uint8)
         position = np.full((len(times), 3), np.nan)
@@ -97,11 +97,11 @@ class TruePaths:
         if not inside.all():
             path, times = path[inside], times[inside]
         after = self._first_not_before(path, times)
-        found, own = self.positions[after], np.zeros(len(times), np.uint8)
+        inside_position, inside_status = self.positions[after], np.zeros(len(times), np.uint8)
         between = np.flatnonzero(self.times[after] != times)
         if len(between):
-            found[between], own[between] = self._between(after[between], times[between])
-        position[inside], status[inside] = found, own
+            inside_position[between], inside_status[between] = self._between(after[between], times[between])
+        position[inside], status[inside] = inside_position, inside_status
         return position, status
 
     def _between(self, after: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,13 +110,13 @@ class TruePaths:
         span = self.times[after] - self.times[before]
         here, there = self.positions[before], self.positions[after]
         # In the order of np.interp.
-        found = (there - here) / span[:, None] * (times - self.times[before])[:, None] + here
+        positions = (there - here) / span[:, None] * (times - self.times[before])[:, None] + here
         long = np.flatnonzero(span > HOLE_S)
         moved = np.sqrt(np.nansum((there[long] - here[long]) ** 2, axis=1))
         status = np.full(len(times), TruthStatus.SCORED, np.uint8)
         status[long[moved > HOLE_M]] = TruthStatus.HOLE
-        found[status == TruthStatus.HOLE] = np.nan
-        return found, status
+        positions[status == TruthStatus.HOLE] = np.nan
+        return positions, status
 
     def _first_not_before(self, path: np.ndarray, times: np.ndarray) -> np.ndarray:
         """The first row of each path that is not before `times`, which lie within its span."""
