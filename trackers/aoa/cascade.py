@@ -51,7 +51,7 @@ class Cascade(AbstractEpochwiseTracker):
         """Checks the readings of each station; `bearings` and their inputs are made of the beams' estimates."""
         for beam in self.beams.values():
             beam.check_layout(layout)
-        made = {one.name: one.row_shape(2) for one in (ORIGIN, AXES, NEARBY)}
+        made = {declared.name: declared.row_shape(2) for declared in (ORIGIN, AXES, NEARBY)}
         self.fusion.check_layout(layout._replace(readings={BEARINGS: (2, 3)}, inputs={**layout.inputs, **made}))
 
     @property

@@ -69,20 +69,20 @@ def format_of(path: Path) -> str:
     Raises UnusableInput where it is not clear, and for a file that cannot be read.
     """
     if path.is_dir():
-        for name, one in FORMATS.items():
-            if one.folder and (path / one.folder).is_file():
+        for name, entry in FORMATS.items():
+            if entry.folder and (path / entry.folder).is_file():
                 return name
         raise UnusableInput(f"{path}: is a folder without metadata.yaml; expected a ROS 2 bag, or a file")
     ending = path.name.lower()
-    named = next((name for name, one in FORMATS.items() if ending.endswith(one.endings)), None)
+    named = next((name for name, entry in FORMATS.items() if ending.endswith(entry.endings)), None)
     # EuRoC's own files are called data.csv.
     if named is not None and not (named == "csv" and _beginning(path).startswith("#timestamp")):
         return named
     begin = _beginning(path)
-    for name, one in FORMATS.items():
-        if one.begins is not None and one.begins.search(begin):
+    for name, entry in FORMATS.items():
+        if entry.begins is not None and entry.begins.search(begin):
             return name
-    words = listed((one.words for one in FORMATS.values()), len(FORMATS))
+    words = listed((entry.words for entry in FORMATS.values()), len(FORMATS))
     raise UnusableInput(f"{path}: no format is recognised; expected {words}; --format names one, or your own")
 
 

@@ -81,7 +81,7 @@ def _check_files(path: Path) -> None:
     The files of a ROS 2 bag lie in its folder, whatever paths its metadata.yaml has.
     """
     try:
-        files = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else [path]
+        files = [entry for entry in path.iterdir() if not entry.is_dir()] if path.is_dir() else [path]
         size = sum(map(size_of, files))
     except OSError as error:
         raise UnusableInput(f"{error.filename}: cannot be read ({error.strerror}); check the path") from error

@@ -113,8 +113,8 @@ class Estimates:
 
     def __getitem__(self, trajectory: Any) -> Estimates:
         """One trajectory of a batch, or a slice of them."""
-        one = isinstance(trajectory, (int, np.integer))
-        several = slice(trajectory, trajectory + 1 or None) if one else trajectory
+        single = isinstance(trajectory, (int, np.integer))
+        several = slice(trajectory, trajectory + 1 or None) if single else trajectory
         return replace(
             self._part((trajectory,)),
             names=tuple(np.array(self.names)[several].tolist()) if self.names else (),
@@ -181,7 +181,7 @@ class Estimates:
         """
         last = self.last_rows(times)
         rows = self.status != Status.PADDING
-        one = np.array_equal(rows, last)
+        row_each = np.array_equal(rows, last)
         first = np.flatnonzero(np.append(True, last[rows])[:-1])
         counted = np.isfinite(self.nis)
 
@@ -192,7 +192,7 @@ class Estimates:
 
         def summed(values: np.ndarray) -> np.ndarray:
             each = chosen(values, rows).astype(float)
-            return each if one else np.add.reduceat(each, first)
+            return each if row_each else np.add.reduceat(each, first)
 
         merged = replace(
             self,

@@ -288,8 +288,8 @@ def draws(
     table = jnp.asarray(quantiles(), dtype)
     normals = []
     for row in range(rows):
-        both = words(key, row + 1, -(-count // 4)).reshape(-1)
-        bits = jnp.concatenate([both >> np.uint32(16), both & np.uint32(0xFFFF)])[:count].astype(jnp.int32)
+        pairs = words(key, row + 1, -(-count // 4)).reshape(-1)
+        bits = jnp.concatenate([pairs >> np.uint32(16), pairs & np.uint32(0xFFFF)])[:count].astype(jnp.int32)
         normals.append(table.at[bits].get(mode="promise_in_bounds"))
     return spare[:, 0], (spare[0, 1] >> np.uint32(9)).astype(dtype) * 2.0**-23, normals
 

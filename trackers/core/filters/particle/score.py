@@ -41,10 +41,10 @@ def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Weigh
         return value, tangent
 
     def density(*numbers: Any) -> Weights:
-        every = list(leaves)
+        replaced = list(leaves)
         for k, x in zip(differentiated, numbers, strict=True):
-            every[k] = x
-        return log_density(*jax.tree_util.tree_unflatten(structure, every))
+            replaced[k] = x
+        return log_density(*jax.tree_util.tree_unflatten(structure, replaced))
 
     score = jax.jvp(density, [leaves[k] for k in differentiated], [others[k] for k in differentiated])[1]
     return value, score if tangent is None else tangent + score
