@@ -15,8 +15,8 @@ from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.archive_part import (
     SCORED,
     TRACKED,
-    Found,
     Item,
+    RecordingResult,
     RecordingStore,
     Scoring,
     Tracking,
@@ -138,7 +138,7 @@ def _run(
             refused[item.path] = kept["refused"]
         advance(1)
 
-    def whole(item: Item) -> Found:
+    def whole(item: Item) -> RecordingResult:
         source: Any = part.read(item)
         return part(source)
 
@@ -174,9 +174,9 @@ def _show(
     run: Run, evaluation: Evaluation, tracking: Tracking, options: TrackOptions, out: Path, begin: Begin
 ) -> list[str]:
     """Writes the page and the figures of a few recordings; returns in words what was written."""
-    rmse = [one["rmse_direction_rad" if evaluation.bearing else "rmse_m"] for one in evaluation.recordings]
+    rmse = [metrics["rmse_direction_rad" if evaluation.bearing else "rmse_m"] for metrics in evaluation.recordings]
     chosen = [evaluation.recordings[k] for k in drawn_of(np.array(rmse, float), evaluation.bearing)]
-    names = [one["recording"] for one in chosen]
+    names = [metrics["recording"] for metrics in chosen]
     folders, batches, tables, events = [], [], [], []
     texts = dict(tracking.names)
     for name in names:
@@ -192,7 +192,7 @@ def _show(
         evaluation.bearing,
         evaluation.overall,
         chosen,
-        [one for one in evaluation.tracks if one["recording"] in names],
+        [metrics for metrics in evaluation.tracks if metrics["recording"] in names],
     )
     tracks, page = ScoredTracks(association, folders, batches), None
     if not options.no_report:
@@ -205,7 +205,7 @@ def _show(
 
 def _list_refused(verb: str, refused: Sequence[Sequence[str]], table: Path | None = None) -> None:
     """A line for each refusal, up to some; `table`: the file that has all."""
-    lines = [line for own in refused for line in own]
+    lines = [line for of_recording in refused for line in of_recording]
     for line in lines[:LISTED]:
         notice(f"not {verb}: {line}")
     if len(lines) > LISTED:
@@ -238,13 +238,13 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
         raise UnusableInput(f"{out / RESULTS}: names no recording that is kept beside it; run `track` again")
     if fail_if is not None:
         first = tracked.folder(paths[0])
-        for one in tracked.read(first)["outcomes"]:
-            conditions(fail_if, metric_names(read_tracks(first / one["short"])))
+        for outcome in tracked.read(first)["outcomes"]:
+            conditions(fail_if, metric_names(read_tracks(first / outcome["short"])))
     scoring = Scoring(options.used.part, tracked)
     with held(out), json_alone(options.json) as put, stages("evaluate") as begin:
         done, refused = _run("evaluated", store, paths, scoring, options.cluster, begin("scoring", len(paths)))
         # What could not be tracked keeps its line, but is no failure of this command.
-        lines = {path: own for path, own in known.items() if path not in paths} | refused
+        lines = {path: reasons for path, reasons in known.items() if path not in paths} | refused
         runs, rows, noticed = gathered(store, list(known), done, lines)
         write_results(out, rows)
         failed = False

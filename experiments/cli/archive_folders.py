@@ -32,12 +32,12 @@ def archive_of(paths: Sequence[Path], keep_going: bool) -> list[Path] | None:
 
     `keep_going`: few are an archive, too. Raises UnusableInput for an empty list and for a folder found twice.
     """
-    found = [recordings_under(path) for path in paths]
-    every = [path for own in found for path in own]
-    if not keep_going and len(every) <= MANY and found == [[path] for path in paths]:
+    groups = [recordings_under(path) for path in paths]
+    recordings = [path for group in groups for path in group]
+    if not keep_going and len(recordings) <= MANY and groups == [[path] for path in paths]:
         return None
-    refuse_repeated(every)
-    return every
+    refuse_repeated(recordings)
+    return recordings
 
 
 def recordings_under(path: Path) -> list[Path]:
@@ -45,19 +45,19 @@ def recordings_under(path: Path) -> list[Path]:
 
     Nothing is looked for inside a recording and in hidden folders. The folder itself where there is none.
     """
-    found: list[Path] = []
+    recordings: list[Path] = []
     seen: set[str] = set()
     for root, folders, files in os.walk(
-        path, onerror=lambda error: found.append(Path(error.filename)), followlinks=True
+        path, onerror=lambda error: recordings.append(Path(error.filename)), followlinks=True
     ):
         real = os.path.realpath(root)
         if real in seen or is_recording(files):
             folders.clear()
             if real not in seen:
-                found.append(Path(root))
+                recordings.append(Path(root))
         seen.add(real)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-    return sorted(found) or [path]
+    return sorted(recordings) or [path]
 
 
 def is_recording(files: Sequence[str]) -> bool:

@@ -60,7 +60,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Found:
+class RecordingResult:
     """What was found in one recording: outcomes, a line for each refusal, and notices."""
 
     outcomes: list[Outcome] = field(default_factory=list)
@@ -77,7 +77,7 @@ class Item(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RecordingStore(Store[Item, Found, dict[str, Any]]):
+class RecordingStore(Store[Item, RecordingResult, dict[str, Any]]):
     """The finished recordings in the output folder of an archive; `name`: of the file that is written last."""
 
     out: Path
@@ -92,8 +92,8 @@ class RecordingStore(Store[Item, Found, dict[str, Any]]):
 
     def read(self, folder: Path) -> dict[str, Any]:
         """What is kept of the recording with this folder."""
-        found: dict[str, Any] = json.loads(file_bytes(folder / self.name))
-        return found
+        kept: dict[str, Any] = json.loads(file_bytes(folder / self.name))
+        return kept
 
     def kept(self, item: Item) -> dict[str, Any] | None:
         """What is kept of a finished recording; None where it is not finished, of other content, or damaged."""
@@ -106,7 +106,7 @@ class RecordingStore(Store[Item, Found, dict[str, Any]]):
             return None
         return kept if whole else None
 
-    def keep(self, item: Item, result: Found) -> dict[str, Any]:
+    def keep(self, item: Item, result: RecordingResult) -> dict[str, Any]:
         """Keeps what was found of a recording; one of which nothing was found is tried again by the next run."""
         about = {
             "fingerprint": item.fingerprint,
@@ -158,15 +158,15 @@ def _versions() -> dict[str, Any]:
     return {name: value for name, value in environment().items() if name != "programs kept"}
 
 
-def refusal(item: Item, error: Exception) -> Found:
+def refusal(item: Item, error: Exception) -> RecordingResult:
     """What stands for a recording that could not be used: a line that names it, so that the others go on."""
     if isinstance(error, UnusableInput):
-        return Found(refused=[_naming(item.path, error)])
+        return RecordingResult(refused=[_naming(item.path, error)])
     if type(error).__name__ == "KilledWorker":
         fix = "expected enough memory for one recording a worker; see the workers' logs"
-        return Found(refused=[f"{item.path}: its workers ended while they computed it; {fix}"])
+        return RecordingResult(refused=[f"{item.path}: its workers ended while they computed it; {fix}"])
     lines = str(error).splitlines() or ["no message"]
-    return Found(refused=[f"{item.path}: cannot be used ({type(error).__name__}: {lines[0]})"])
+    return RecordingResult(refused=[f"{item.path}: cannot be used ({type(error).__name__}: {lines[0]})"])
 
 
 def _naming(path: Path | None, problem: UnusableInput) -> str:
@@ -211,22 +211,22 @@ class Tracking:
         """What is tracked; raises UnusableInput as `read_recording`."""
         return read_recording(item.path)
 
-    def __call__(self, recording: RecordingFolder) -> Found:
+    def __call__(self, recording: RecordingFolder) -> RecordingResult:
         """The estimates of one recording; raises UnusableInput where it has errors."""
         for name, text in self.names:
             spec_here(name, text)  # a user's file may add the kind of the recording's tables
         errors = errors_of(recording, self.force, self.calibration is not None)
         folder, lines = ready(recording, self.used, self.calibration)
-        found = Found(notices=[*errors, *lines])
+        result = RecordingResult(notices=[*errors, *lines])
         for name, text in self.names or [(fitting(folder), "")]:
             try:
                 outcome, lines = self._tracked(self.tracker._replace(name=name, text=text), folder)
             except UnusableInput as problem:
-                found.refused.append(_naming(folder.path, problem))
+                result.refused.append(_naming(folder.path, problem))
                 continue
-            found.outcomes.append(outcome)
-            found.notices.extend(lines)
-        return found
+            result.outcomes.append(outcome)
+            result.notices.extend(lines)
+        return result
 
     def _tracked(self, tracker: PortableTracker, folder: RecordingFolder) -> tuple[Outcome, list[str]]:
         """The outcome of one tracker, and its notices."""
@@ -275,13 +275,13 @@ class Scoring:
     def read(self, item: Item) -> Estimated:
         """What is scored; raises UnusableInput as `read_tracks` and `read_truth`."""
         kept = self.tracked.read(item.folder)
-        outcomes = [(one, read_tracks(item.folder / one["short"])) for one in kept["outcomes"]]
+        outcomes = [(outcome, read_tracks(item.folder / outcome["short"])) for outcome in kept["outcomes"]]
         return outcomes, kept["notices"], read_truth(item.path)
 
-    def __call__(self, estimated: Estimated) -> Found:
+    def __call__(self, estimated: Estimated) -> RecordingResult:
         """The metrics of one recording; raises UnusableInput without truth."""
         outcomes, notices, folder = estimated
-        found = Found(notices=notices)
+        result = RecordingResult(notices=notices)
         if "truth" not in folder.tables:
             raise UnusableInput(f"{folder.path}: no truth table, expected one to evaluate against")
         truths = {folder.name: folder.tables["truth"]}
@@ -290,11 +290,11 @@ class Scoring:
                 association = associate_truth(self.part.of_estimates(table), truths)
                 refuse_without_overlap(association, truths)
             except UnusableInput as problem:
-                found.refused.append(f"{folder.path}: {about['short']}: {problem}")
+                result.refused.append(f"{folder.path}: {about['short']}: {problem}")
                 continue
             scored = TrackScores.of(association, {folder.name: folder.rig.stations}, self.part.every)
-            found.outcomes.append(outcome_of(about, scored, {}, {}))
-        return found
+            result.outcomes.append(outcome_of(about, scored, {}, {}))
+        return result
 
 
 def outcome_of(

@@ -95,8 +95,8 @@ class Run:
 
     def add(self, path: Path, folder: Path, summary: Mapping[str, Any]) -> None:
         """Adds a recording at `path`, with its outcome and the folder of its tables."""
-        own, name = Scores.from_plain(summary["scores"]), summary["recording"]
-        self.scores = own if self.scores is None else self.scores + own
+        scores, name = Scores.from_plain(summary["scores"]), summary["recording"]
+        self.scores = scores if self.scores is None else self.scores + scores
         self.paths[name], self.folders[name] = path, folder
         self.recordings.append(summary["metrics"])
         for track in summary["tracks"]:
@@ -199,10 +199,10 @@ def read_results(out: Path) -> Refusals:
     except (OSError, pl.exceptions.PolarsError) as error:
         fix = "expected the table that `track` writes; run `track` again"
         raise UnusableInput(f"{path}: cannot be read; {fix}") from error
-    found: Refusals = {}
+    refusals: Refusals = {}
     for recording, line in rows.drop_nulls("path").iter_rows():
-        found.setdefault(Path(recording), []).extend([] if line is None else [line])
-    return found
+        refusals.setdefault(Path(recording), []).extend([] if line is None else [line])
+    return refusals
 
 
 def compared(runs: Sequence[Run]) -> list[Table]:
@@ -214,7 +214,7 @@ def compared(runs: Sequence[Run]) -> list[Table]:
         return []
     bearing, names = runs[0].bearing, [run.short for run in runs]
     metrics = [BEARING_NAMES.get(name, name) if bearing else name for name in SHOWN]
-    values = {name: found for name in metrics if (found := _common(runs, name)).size}
+    values = {name: common for name in metrics if (common := _common(runs, name)).size}
     rmse = values.get(metrics[0])
     if rmse is None:
         return []
@@ -222,7 +222,7 @@ def compared(runs: Sequence[Run]) -> list[Table]:
     unit = Unit("°", 180 / math.pi) if bearing else length_unit(float(medians[metrics[0]].min()))
     lowest = (rmse == rmse.min(axis=0)).mean(axis=1)
     rows = [
-        [name, *(fixed(own[k] * unit.factor, 2) for own in medians.values()), f"{100 * lowest[k]:.0f} %"]
+        [name, *(fixed(median[k] * unit.factor, 2) for median in medians.values()), f"{100 * lowest[k]:.0f} %"]
         for k, name in enumerate(names)
     ]
     what = "Angles between directions" if bearing else "Horizontal position errors"
@@ -230,9 +230,9 @@ def compared(runs: Sequence[Run]) -> list[Table]:
     note = f"Medians over the {counted(rmse.shape[1], 'recording')} that all trackers have."
     over = Table(f"{what} in {unit.name}", head, 1, rows, note)
     contrasts = [
-        Contrast("", metric, name, one := _difference(found[0], own), one.p)
-        for metric, found in values.items()
-        for name, own in zip(names[1:], found[1:], strict=True)
+        Contrast("", metric, name, difference := _difference(by_tracker[0], of_tracker), difference.p)
+        for metric, by_tracker in values.items()
+        for name, of_tracker in zip(names[1:], by_tracker[1:], strict=True)
     ]
     differences = difference_table(names[0], adjusted(contrasts), unit)
     note = differences.note if rmse.shape[1] >= LEAST_PIECES else f"No intervals with fewer than {LEAST_PIECES}."
@@ -241,12 +241,12 @@ def compared(runs: Sequence[Run]) -> list[Table]:
 
 def _common(runs: Sequence[Run], metric: str) -> np.ndarray:
     """The metric (k, n) of the k trackers in the n recordings in which all have it."""
-    found = [
+    frames = [
         run.recordings.frame.select("recording", pl.col(metric).cast(pl.Float64).alias(str(k)))
         for k, run in enumerate(runs)
     ]
-    joined = found[0]
-    for other in found[1:]:
+    joined = frames[0]
+    for other in frames[1:]:
         joined = joined.join(other, on="recording")
     return joined.drop("recording").drop_nulls().to_numpy().T
 

@@ -45,13 +45,13 @@ COLUMNS = {"command": 16, "parameter": 24}
 
 def _read(kind: Any, tokens: Sequence[Token]) -> Any:
     """As `cyclopts.convert`, but 1.5 is no whole number and an empty text no path."""
-    found = convert(kind, tokens)
-    for value, token in zip(found if isinstance(found, tuple) else (found,), tokens, strict=False):
+    converted = convert(kind, tokens)
+    for value, token in zip(converted if isinstance(converted, tuple) else (converted,), tokens, strict=False):
         if type(value) is int and not re.fullmatch(r"[+-]?[0-9_]+", token.value):
             raise CoercionError(token=token, target_type=int)
         if isinstance(value, Path) and not token.value:
             raise CoercionError(token=token, target_type=Path)
-    return found
+    return converted
 
 
 def new_app(name: str, about: str | None = None, version: Callable[[], str] | None = None) -> App:
@@ -132,18 +132,18 @@ def _sentence(error: CycloptsError) -> str:
             return f"no command {word}{near(word, names)}{known}"
         case UnknownOptionError(token=token, argument_collection=known):
             word = (token.keyword or token.value).partition("=")[0]
-            return f"no option {word}{near(word, [name for one in known for name in one.names if name[0] == '-'])}"
+            return f"no option {word}{near(word, [name for arg in known for name in arg.names if name[0] == '-'])}"
         case MissingArgumentError(argument=Argument() as argument, keyword=None, app=App() as app):
             about = {
-                one.name: one.parameter.help or "" for one in app.assemble_argument_collection(parse_docstring=True)
+                arg.name: arg.parameter.help or "" for arg in app.assemble_argument_collection(parse_docstring=True)
             }
             shown = "" if argument.index is not None else f"{_with_value(argument)}, "
             return f"no {argument.name} given; expected {shown}{about[argument.name].rstrip('.')}"
         case MissingArgumentError(argument=Argument() as argument, keyword=name, tokens_so_far=values):
             return f"{name}: found {' '.join(values) or 'nothing'}; expected {_with_value(argument)}"
         case CoercionError(token=Token() as token, argument=Argument() as argument):
-            found = f"{token.keyword or argument.name} {token.value or repr('')}"
-            return f"{found}: expected {_expected(error, token.value, argument)}"
+            given = f"{token.keyword or argument.name} {token.value or repr('')}"
+            return f"{given}: expected {_expected(error, token.value, argument)}"
         case UnusedCliTokensError(unused_tokens=[*words]):
             return f"found {' '.join(map(repr, words))} beyond what it takes"
     error.verbose = False

@@ -37,15 +37,15 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
     from trackwright.trackers.recordings.folder import read_recording
 
     run_tracker_files(tracker)
-    failed, found = False, {}
+    failed, by_folder = False, {}
     for path in recordings:
         results = check_recording(read_recording(path))
         failed |= any(result.level == "error" for result in results)
-        found[str(path)] = [asdict(result) for result in results]
+        by_folder[str(path)] = [asdict(result) for result in results]
         if not json:
             print(f"{printable(path)}\n{format_results(results)}")
     if json:
-        print(json_text(found), end="")
+        print(json_text(by_folder), end="")
     return int(failed)
 
 

@@ -56,9 +56,9 @@ def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> t
 
 def errors_of(recording: RecordingFolder, force: bool, calibrated: bool) -> list[str]:
     """A line for each mistake of `quick_check`; raises UnusableInput for errors without `force`."""
-    found = quick_check(recording, not calibrated)
-    lines = [f"{recording.path}: {one.where}: {one.message}" for one in found]
-    errors = [line for line, one in zip(lines, found, strict=True) if one.level == "error"]
+    mistakes = quick_check(recording, not calibrated)
+    lines = [f"{recording.path}: {mistake.where}: {mistake.message}" for mistake in mistakes]
+    errors = [line for line, mistake in zip(lines, mistakes, strict=True) if mistake.level == "error"]
     if errors and not force:
         more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
         raise UnusableInput(f"{errors[0]}{more}; --force tracks it as it is")
@@ -76,11 +76,11 @@ def read_with_notices(paths: Sequence[Path], used: ReadingOptions | None = None)
 def prepared(recordings: Sequence[RecordingFolder], used: ReadingOptions) -> list[RecordingFolder]:
     """Recordings that were read, as `read_with_notices` returns them; prints their notices."""
     calibration = used.read_calibration()
-    found = [ready(recording, used, calibration) for recording in recordings]
-    for _, lines in found:
+    pairs = [ready(recording, used, calibration) for recording in recordings]
+    for _, lines in pairs:
         for line in lines:
             notice(f"notice: {line}")
-    return [recording for recording, _ in found]
+    return [recording for recording, _ in pairs]
 
 
 def ready(

@@ -257,12 +257,13 @@ def _condition(text: str, expression: str, names: Sequence[str]) -> Condition:
             f"--fail-if '{expression}': cannot read '{text.strip()}'; expected NAME OPERATOR NUMBER joined by "
             f"and, or, e.g. p95_m>0.5; names: {', '.join(names)}"
         )
-    found = Condition(*match.groups())
-    if found.name not in names:
+    condition = Condition(*match.groups())
+    if condition.name not in names:
         raise UnusableInput(
-            f"--fail-if '{expression}': no metric '{found.name}'{near(found.name, names)}; names: {', '.join(names)}"
+            f"--fail-if '{expression}': no metric '{condition.name}'{near(condition.name, names)}; "
+            f"names: {', '.join(names)}"
         )
-    return found
+    return condition
 
 
 def _check(overall: Metrics, condition: Condition, expression: str) -> tuple[bool, str]:

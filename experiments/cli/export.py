@@ -111,10 +111,10 @@ def _recordings(run: Path) -> list[RecordingFolder]:
     from trackwright.trackers.recordings.folder import read_recording
     from trackwright.trackers.recordings.tracks_table import source_paths
 
-    found = []
+    recordings = []
     for path in source_paths(run):
         try:
-            found.append(read_recording(path))
+            recordings.append(read_recording(path))
         except UnusableInput as problem:
             notice(f"notice: without its anchors and truth: {problem}")
-    return found
+    return recordings

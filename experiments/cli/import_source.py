@@ -101,10 +101,10 @@ def import_source(
         )
     if there and rig is not None:
         raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
-    found = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
-    for line in found.notices:
+    imported = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
+    for line in imported.notices:
         notice(f"notice: {line}")
-    tables = found.tables
+    tables = imported.tables
     if origin is not None:
         begin = origin_of(origin, tables)
         tables = since(tables, begin)
@@ -112,7 +112,7 @@ def import_source(
     # Recordings of one installation share its rig, but not their name.
     title = None if there else out.resolve().name
     known = out / RIG_FILE if there else rig
-    folder = assembled(title, None if known is None else read_rig(known)[0], tables, found.anchors)
+    folder = assembled(title, None if known is None else read_rig(known)[0], tables, imported.anchors)
     if transform is not None or align_truth:
         folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform)
     written = save(folder, out)

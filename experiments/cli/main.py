@@ -68,13 +68,13 @@ def plain_streams() -> None:
 def _plain(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    text = "".join(map(_of_one, error.object[error.start : error.end]))
+    text = "".join(map(_ascii_of, error.object[error.start : error.end]))
     return text, error.end
 
 
-def _of_one(character: str) -> str:
-    found = PLAIN.get(character) or unicodedata.normalize("NFKD", character)
-    return "".join(x for x in found if x.isascii()) or "?"
+def _ascii_of(character: str) -> str:
+    replacement = PLAIN.get(character) or unicodedata.normalize("NFKD", character)
+    return "".join(x for x in replacement if x.isascii()) or "?"
 
 
 def _run(words: list[str]) -> int:

@@ -174,9 +174,9 @@ class TrackerOptions:
     def config(self, *without: str) -> dict[str, Any]:
         """The options as a manifest holds them, without those that change no result: what is written, and these."""
         silent = {"out", "set_", "used", "no_figures", "no_report", "format", "json", *without}
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in silent}
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in silent}
         used = {"calibration": self.used.calibration, "part": asdict(self.used.part), "average": self.used.average}
-        return own | {"set": self.set_} | used
+        return fields | {"set": self.set_} | used
 
 
 @OPTIONS

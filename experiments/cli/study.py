@@ -121,7 +121,7 @@ def study(
 
 
 def _shard(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", text)
-    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+    match = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", text)
+    if match is None or not 1 <= int(match[1]) <= int(match[2]):
         raise UnusableInput(f"--shard {text}: expected i/n with i from 1 to n, e.g. 2/8")
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])

@@ -61,17 +61,17 @@ def sweep_folders(
     unit = "rad" if group.trajectories[0].station else "m"
     drawn = out / f"sweep.{options.format}"
     sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective, traces)
-    found = {
+    result = {
         "best": swept.best,
         "least": float(swept.mean[swept.best_index]),
         "filter_runs": swept.filter_runs,
         "seconds": seconds,
     }
-    extra = {"recordings": [str(p) for p in recordings]} | found
+    extra = {"recordings": [str(p) for p in recordings]} | result
     write_manifest(out, sys.argv, options.config() | {"tracker": named.name}, started, extra=extra)
     print(_summary(swept, objective, unit if objective == "rmse" else "", seconds))
     print(f"wrote {out / 'sweep.csv'}, {drawn.name} and manifest.json")
-    return found
+    return result
 
 
 def _with_hint(problem: str) -> str:

@@ -150,17 +150,17 @@ def _table(listed: list[dict[str, Any]], width: int) -> str:
     from trackwright.experiments.text.tables import aligned
 
     rows = [("tunable", "value", "unit", "bounds")]
-    for one in listed:
-        star, unit = "*" if one["fitted_by_default"] else "", "" if one["unit"] == "1" else one["unit"]
-        rows.append((one["name"] + star, _short(np.asarray(one["value"])), unit, one["bounds"]))
+    for tunable in listed:
+        star, unit = "*" if tunable["fitted_by_default"] else "", "" if tunable["unit"] == "1" else tunable["unit"]
+        rows.append((tunable["name"] + star, _short(np.asarray(tunable["value"])), unit, tunable["bounds"]))
     head, *lines = aligned(rows).splitlines()
     text = [head]
-    for k, (line, one) in enumerate(zip(lines, listed, strict=True)):
+    for k, (line, tunable) in enumerate(zip(lines, listed, strict=True)):
         text.append(line.rstrip())
-        last = k + 1 == len(listed) or listed[k + 1]["meaning"] != one["meaning"]
-        if last and one["meaning"]:
+        last = k + 1 == len(listed) or listed[k + 1]["meaning"] != tunable["meaning"]
+        if last and tunable["meaning"]:
             indent = "    "
-            text += textwrap.wrap(one["meaning"], width, initial_indent=indent, subsequent_indent=indent)
+            text += textwrap.wrap(tunable["meaning"], width, initial_indent=indent, subsequent_indent=indent)
     return "\n".join(text) + "\n"
 
 

@@ -103,10 +103,10 @@ def tracked_by(
                 runs.setdefault(fitting(folder), []).append(folder)
             except UnusableInput as problem:
                 refused.append(str(problem))
-    found = [TrackedBy(name, own) for name, own in runs.items() if own]
-    if not found:
+    tracked = [TrackedBy(name, recordings) for name, recordings in runs.items() if recordings]
+    if not tracked:
         raise UnusableInput(refused[0])
-    return found, refused
+    return tracked, refused
 
 
 def track_folders(

@@ -65,7 +65,7 @@ def tune_folders(
     count = len(recordings)
     if options.used.calibration is not None and not isinstance(folders, FoldersInTurn):
         parts = cross_calibrated(folders, options.used.calibration)
-        count, folders = sum(map(len, parts[:count])), [part for own in parts for part in own]
+        count, folders = sum(map(len, parts[:count])), [part for of_folder in parts for part in of_folder]
     with fit_workers(options.cluster, options.out) as workers:
         fitted = fit_folders(folders, count, options, begin, workers)
         return finish(fitted, recordings, started, clock, begin)
@@ -117,13 +117,13 @@ def _compared(
     result = fitted.result
 
     def named(values: Mapping[str, np.ndarray]) -> NamedTracker:
-        own = {name: values[p.label] for p in result.parameters for name in p.names}
-        return fitted.named.with_values(own, "the fit")
+        by_name = {name: values[p.label] for p in result.parameters for name in p.names}
+        return fitted.named.with_values(by_name, "the fit")
 
     room = max(MOST_PLANS - len(fitted.shown), 0) if report else 0
     folders = [*fitted.shown, *fitted.others[:room]]
     before, after = (tracked(named(side), folders) for side in (result.starts[0][0].values, result.values))
-    others = [tracked(named(left_out.get(own.name, result.values)), [own]) for own in fitted.shown if left_out]
+    others = [tracked(named(left_out.get(folder.name, result.values)), [folder]) for folder in fitted.shown if left_out]
     count = len({trajectory.folder.name for trajectory in fitted.data.training})
     part = f"{len(fitted.shown)} of {count} " if len(fitted.shown) < count else ""
     about = "held-out recordings" if fitted.data.held_out else f"{part}recordings tuned on"
@@ -160,8 +160,8 @@ def write_run(
         objective += " + prior"
     intervals = intervals_of(result, options.intervals)
     calibration, average = options.used.calibration, options.used.average
-    found = None if calibration is None else identity(calibration)
-    content = tuned_content(fitted.named.name, objective, result, intervals, found)
+    calibration_id = None if calibration is None else identity(calibration)
+    content = tuned_content(fitted.named.name, objective, result, intervals, calibration_id)
     reasons = [] if options.force else refusals(result, compared, bool(data.held_out))
     refused = f"{out / 'tuned.toml'} is not written: {in_words(reasons)}" if reasons else ""
     if refused:
@@ -203,8 +203,8 @@ def write_run(
 
 def _notes(data: FitData, result: FitResult, reported: FitData) -> Iterator[str]:
     if len(reported.training) < len(data.training):
-        some, every = (len(recording_names(own.training)) for own in (reported, data))
-        yield f"What is shown of the recordings tuned on is that of {some} of all {every}."
+        shown, total = (len(recording_names(part.training)) for part in (reported, data))
+        yield f"What is shown of the recordings tuned on is that of {shown} of all {total}."
     if result.uncertainty is None:
         yield "The fit was interrupted: the values are the best so far; --resume continues it."
     if result.n_excluded:
@@ -266,13 +266,14 @@ def refusals(result: FitResult, compared: Compared, held_out: bool) -> list[Refu
     """The reasons not to use the values; none for a fit that was interrupted, of which the user knows."""
     if result.uncertainty is None:
         return []
-    found = [Refusal(text, "--freeze it or --bound it, or --average repeats") for text in result.collapsed]
+    reasons = [Refusal(text, "--freeze it or --bound it, or --average repeats") for text in result.collapsed]
     if not (held_out or result.at_optimum):
-        found.append(Refusal("the fit ended before its optimum", "more --steps or --starts"))
-    return found + [Refusal(text, "--tune fewer numbers, or more recordings") for text in compared.worse]
+        reasons.append(Refusal("the fit ended before its optimum", "more --steps or --starts"))
+    return reasons + [Refusal(text, "--tune fewer numbers, or more recordings") for text in compared.worse]
 
 
-def in_words(found: Sequence[Refusal]) -> str:
+def in_words(reasons: Sequence[Refusal]) -> str:
     """All reasons and what to do, in one line."""
-    fixes = dict.fromkeys(one.fix for one in found)
-    return f"{'; '.join(one.text for one in found)}. Usual fix: {', or '.join(fixes)}; --force writes it all the same"
+    fixes = dict.fromkeys(reason.fix for reason in reasons)
+    texts = "; ".join(reason.text for reason in reasons)
+    return f"{texts}. Usual fix: {', or '.join(fixes)}; --force writes it all the same"

@@ -186,19 +186,19 @@ def data_in_turn(
 
     for batch in named.batch_by_batch(each()):
         dimensions = dimensions or judged_dimensions(batch, objective)
-        own = fit_segments(batch, segment_rows, dimensions)
-        trajectories += mapped(own, place / f"rows-{len(names)}")
+        segments = fit_segments(batch, segment_rows, dimensions)
+        trajectories += mapped(segments, place / f"rows-{len(names)}")
     refuse_same_names(names)
     if batch is None:
         raise UnusableInput(f"tracker '{named.name}': no trajectory in the recordings; expected one tag at least")
-    every = replace(batch, tracker=named.tracker, trajectories=trajectories)
-    return segments_data(every, objective, set(names[count:]), dimensions or 2, weigh, stacked=False)
+    joined = replace(batch, tracker=named.tracker, trajectories=trajectories)
+    return segments_data(joined, objective, set(names[count:]), dimensions or 2, weigh, stacked=False)
 
 
 def reported(data: FitData) -> FitData:
     """The data of at most `MOST_PLANS` recordings tuned on, and of all held out: what a report is made of here."""
     names = list(dict.fromkeys(trajectory.folder.name for trajectory in data.training))[:MOST_PLANS]
-    return replace(data, training=[own for own in data.training if own.folder.name in names], stacked=True)
+    return replace(data, training=[segment for segment in data.training if segment.folder.name in names], stacked=True)
 
 
 def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[list[RecordingFolder]]:
@@ -210,7 +210,7 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
     whole = read_calibration(file)
     seen = [folder for folder in folders if folder.name in whole.recordings]
     parts = [_without_itself(folder, seen, file) if folder in seen else [folder] for folder in folders]
-    return [[_spread_of(whole, part) for part in own] for own in parts]
+    return [[_spread_of(whole, part) for part in of_folder] for of_folder in parts]
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
@@ -225,15 +225,15 @@ def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], fi
     path = folder.path or folder.name
     try:
         if len(seen) > 1:
-            found = [by_others(folder, seen)]
-            how = f"calibrated on {listed(one.name for one in seen if one is not folder)}"
+            calibrated = [by_others(folder, seen)]
+            how = f"calibrated on {listed(other.name for other in seen if other is not folder)}"
         else:
-            found, how = by_halves(folder), "each half calibrated on the other half"
+            calibrated, how = by_halves(folder), "each half calibrated on the other half"
     except (UnusableInput, KeyError) as error:
         notice(f"notice: {path}: not cross-fitted ({error}): noise levels fitted to it are too small for others")
         return [folder]
     notice(f"notice: {path}: for the fit {how}, instead of by {file}")
-    return found
+    return calibrated
 
 
 def _fitted(
