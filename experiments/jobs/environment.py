@@ -37,19 +37,19 @@ def environment() -> dict[str, Any]:
     }
 
 
-def require_same(expected: Mapping[str, Any], found: Any, worker: str) -> None:
+def require_same(expected: Mapping[str, Any], actual: Any, worker: str) -> None:
     """Refuse a worker whose environment differs from the caller's."""
     from trackwright.trackers.core.errors import UnusableInput
 
-    if isinstance(found, BaseException):
+    if isinstance(actual, BaseException):
         raise UnusableInput(
-            f"{worker}: cannot import trackwright ({type(found).__name__}: {found}); expected the caller's packages; "
+            f"{worker}: cannot import trackwright ({type(actual).__name__}: {actual}); expected the caller's packages; "
             "install them there"
         )
     for key in expected:
-        if key not in SET and found.get(key) != expected[key]:
+        if key not in SET and actual.get(key) != expected[key]:
             raise UnusableInput(
-                f"{worker}: {key}: {found.get(key) or 'none'}; expected as here: {expected[key] or 'none'}; the bits "
+                f"{worker}: {key}: {actual.get(key) or 'none'}; expected as here: {expected[key] or 'none'}; the bits "
                 "would differ; give the worker the caller's environment, and start it anew"
             )
 

@@ -103,8 +103,8 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
             if not client.nthreads():
                 notice(f"{cluster}: no worker yet; waiting for the first one")
             client.wait_for_workers(1)
-            for address, found in client.run(_prepared, expected["XLA flags"], on_error="return").items():
-                require_same(expected, found, f"worker {address}")
+            for address, actual in client.run(_prepared, expected["XLA flags"], on_error="return").items():
+                require_same(expected, actual, f"worker {address}")
             yield client, expected
     except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
         raise UnusableInput(

@@ -72,8 +72,8 @@ class HeldParts(Parts):
         def submit(k: int) -> Future[Any]:
             return self.executor.submit(computed, self.workers.expected, call, self.held[k])
 
-        found = dict(finished(submit, which, at_once=len(which)))
-        return [found[k] for k in which]
+        results = dict(finished(submit, which, at_once=len(which)))
+        return [results[k] for k in which]
 
 
 def _write(leaves: Sequence[np.ndarray], path: Path) -> None:
@@ -84,8 +84,8 @@ def _write(leaves: Sequence[np.ndarray], path: Path) -> None:
 def loaded(name: str, text: str, model: bytes, structure: bytes, path: Path) -> HeldChunk:
     """In a worker: a chunk from its file; raises UnusableInput where the file is not seen."""
     try:
-        with np.load(path) as found:
-            return name, text, model, structure, [found[f"arr_{k}"] for k in range(len(found.files))]
+        with np.load(path) as arrays:
+            return name, text, model, structure, [arrays[f"arr_{k}"] for k in range(len(arrays.files))]
     except OSError as error:
         raise UnusableInput(
             f"worker on {platform.node()}: cannot read {path} ({error.strerror}); expected a folder that all workers "

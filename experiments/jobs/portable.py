@@ -73,8 +73,8 @@ class PortableTracker(NamedTuple):
 
     def tracks(self, folder: RecordingFolder, seed: int) -> tuple[pl.DataFrame, dict[str, int]]:
         """Of one recording: the table of estimates, and how many trajectories ended how."""
-        found = self.named(folder).run(folder, seed=seed)
-        return found.table, found.summaries
+        tracks = self.named(folder).run(folder, seed=seed)
+        return tracks.table, tracks.summaries
 
     def named(self, folder: RecordingFolder) -> NamedTracker:
         """The tracker for one recording; raises UnusableInput as `NamedTracker.of` and where values do not fit."""
@@ -96,12 +96,12 @@ def run_on(
     `advance` is called with the number of trajectories done. Raises UnusableInput as `NamedTracker.run`.
     """
     portable = PortableTracker.of(tracker)
-    found: dict[str, tuple[pl.DataFrame, dict[str, int]]] = {}
+    by_name: dict[str, tuple[pl.DataFrame, dict[str, int]]] = {}
     for folder, part in finished(lambda f: executor.submit(portable.tracks, f, seed), folders):
-        found[folder.name] = part
+        by_name[folder.name] = part
         advance(sum(part[1].values()))
     summaries: Counter[str] = Counter()
     for folder in folders:
-        summaries.update(found[folder.name][1])
-    table = pl.concat([found[name][0] for name in sorted(found)], how="diagonal")
+        summaries.update(by_name[folder.name][1])
+    table = pl.concat([by_name[name][0] for name in sorted(by_name)], how="diagonal")
     return Tracks(table, dict(summaries), tracker.batches(folders))

@@ -106,18 +106,18 @@ def _configured(
 
 def _grid_values(condition: Condition, tracker: AbstractTracker) -> dict[str, Any]:
     """The values of the grid for tunables of this tracker."""
-    own = list(tunables(tracker))
-    return {k: v for k, v in condition.numbers.items() if not k.startswith(WORLD) and fnmatch.filter(own, k)}
+    names = list(tunables(tracker))
+    return {k: v for k, v in condition.numbers.items() if not k.startswith(WORLD) and fnmatch.filter(names, k)}
 
 
 def _require_grid_is_used(study: Study, condition: Condition, untuned: Mapping[str, list[TrackerBatch]]) -> None:
     """Refuse a grid name that matches no tunable of any tracker."""
-    own = {name for batches in untuned.values() for batch in batches for name in tunables(batch.tracker)}
+    names = {name for batches in untuned.values() for batch in batches for name in tunables(batch.tracker)}
     for pattern in condition.numbers:
-        if not pattern.startswith(WORLD) and not fnmatch.filter(own, pattern):
+        if not pattern.startswith(WORLD) and not fnmatch.filter(names, pattern):
             raise UnusableInput(
                 f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; expected 'world.' and a "
-                f"parameter of the worlds, or one of {', '.join(sorted(own))}"
+                f"parameter of the worlds, or one of {', '.join(sorted(names))}"
             )
 
 
@@ -125,21 +125,21 @@ def _track(
     batches: list[TrackerBatch], ids: np.ndarray, study: Study, config: TrackerConfig
 ) -> tuple[TrackedChunk, float]:
     """The estimates of all trajectories, and the computing time of the trackers, s."""
-    found, seconds = [], 0.0
+    tracked, seconds = [], 0.0
     for batch in batches:
-        own = Trajectories.of(batch.trajectories)
-        longest = int(np.diff(own.columns.starts).max())
-        stacked = own.columns.batch(rounded(longest), seed=study.seed, truth=False)
+        trajectories = Trajectories.of(batch.trajectories)
+        longest = int(np.diff(trajectories.columns.starts).max())
+        stacked = trajectories.columns.batch(rounded(longest), seed=study.seed, truth=False)
         # Padded to whole chunks, so that the bits depend neither on the number of trajectories nor of devices.
         whole = stacked.columns(0, study.chunk * -(-stacked.size // study.chunk))
         began = time.perf_counter()
-        found.append((own, batch.tracker.run(whole, study.chunk)))
+        tracked.append((trajectories, batch.tracker.run(whole, study.chunk)))
         seconds += time.perf_counter() - began
-    return TrackedChunk(ids, found, all(batch.planar for batch in batches), config.every), seconds
+    return TrackedChunk(ids, tracked, all(batch.planar for batch in batches), config.every), seconds
 
 
-def _measured(study: Study, name: str, found: Any, n: int) -> np.ndarray:
-    values = np.asarray(found, float)
+def _measured(study: Study, name: str, returned: Any, n: int) -> np.ndarray:
+    values = np.asarray(returned, float)
     if values.shape != (n,):
         raise UnusableInput(
             f"study '{study.name}': measure '{name}' returns shape {values.shape}; expected ({n},), one number "
@@ -153,8 +153,8 @@ def _bounds(folder: RecordingFolder, batches: list[TrackerBatch]) -> np.ndarray:
 
     The first half is left out, since the bound of the first rows is the prior of the tracker's start.
     """
-    found = bounds_of(folder, batches)
-    if found is None:
+    bounds = bounds_of(folder, batches)
+    if bounds is None:
         return np.full(2, np.nan)
-    squares = (found[1][len(found[1]) // 2 :] ** 2).mean(axis=0)
+    squares = (bounds[1][len(bounds[1]) // 2 :] ** 2).mean(axis=0)
     return np.sqrt([squares[:2].sum(), squares.sum()])

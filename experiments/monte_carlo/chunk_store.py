@@ -37,7 +37,7 @@ def identity(study: Study) -> dict[str, Any]:
 
     As study.json holds it: numbers, texts, lists and tables alone.
     """
-    own = {
+    content = {
         "study": study.name,
         "format": FORMAT,
         "worlds": {k: {"make": _named(w.make), "numbers": dict(w.numbers)} for k, w in study.worlds.items()},
@@ -51,7 +51,7 @@ def identity(study: Study) -> dict[str, Any]:
         "jaxlib": version("jaxlib"),
         "device": jax.devices()[0].device_kind,
     }
-    plain: dict[str, Any] = json.loads(json_text(own))
+    plain: dict[str, Any] = json.loads(json_text(content))
     return plain
 
 
@@ -81,16 +81,16 @@ class ChunkStore(Store[Part, bytes, Path]):
 
     def open(self) -> ChunkStore:
         """Create the folder if need be; raises UnusableInput where it holds another study or cannot be written."""
-        path, own = self.folder / IDENTITY, identity(self.study)
+        path, current = self.folder / IDENTITY, identity(self.study)
         if path.exists():
-            difference = first_difference(_stored(path), own)
+            difference = first_difference(_stored(path), current)
             if difference:
                 raise UnusableInput(
                     f"{path}: the folder holds another study ({difference}); expected the same study; choose another "
                     "--out, or remove the folder"
                 )
         else:
-            written(self.folder, {IDENTITY: _text(own)})
+            written(self.folder, {IDENTITY: _text(current)})
         # Also where no chunk is missing, and none will be written.
         remove_abandoned(self.folder / CHUNKS)
         return self
@@ -121,11 +121,11 @@ class ChunkStore(Store[Part, bytes, Path]):
                 try:
                     arrays = read_arrays(path)
                     for k, name in enumerate(sums):
-                        own = {n.partition("/")[2]: x for n, x in arrays.items() if n.startswith(f"{k}/")}
-                        sums[name].add(chunk * self.study.chunk, expanded(own))
+                        of_tracker = {n.partition("/")[2]: x for n, x in arrays.items() if n.startswith(f"{k}/")}
+                        sums[name].add(chunk * self.study.chunk, expanded(of_tracker))
                 except (ValueError, LookupError, TypeError) as error:
                     raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
-            totals |= {(index, name): own.totals() for name, own in sums.items()}
+            totals |= {(index, name): chunk_totals.totals() for name, chunk_totals in sums.items()}
         return Results(self.study, totals, runs)
 
 
@@ -137,8 +137,8 @@ def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
     file = io.BytesIO()
     # NumPy's level, 6, takes seven times as long, into files that are a tenth smaller.
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:
-        for k, own in enumerate(trackers):
-            for name, values in compact(own).items():
+        for k, arrays in enumerate(trackers):
+            for name, values in compact(arrays).items():
                 with members.open(f"{k}/{name}.npy", "w") as member:
                     np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
     return file.getvalue()
@@ -149,10 +149,10 @@ def compact(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
     Equal histograms are there once, under the names of all their kinds. All sums are one array.
     """
-    found = {name: x for name, x in arrays.items() if not name.startswith(("cells ", "counts ", "sum ", "largest "))}
+    result = {name: x for name, x in arrays.items() if not name.startswith(("cells ", "counts ", "sum ", "largest "))}
     columns = [name for name in arrays if name.startswith(("sum ", "largest "))]
     if columns:
-        found |= {"columns": np.array(columns), "sums": np.stack([arrays[name] for name in columns], axis=-1)}
+        result |= {"columns": np.array(columns), "sums": np.stack([arrays[name] for name in columns], axis=-1)}
     alike: list[tuple[list[str], tuple[np.ndarray, np.ndarray]]] = []
     for kind in (name.partition(" ")[2] for name in arrays if name.startswith("cells ")):
         mine = arrays[f"cells {kind}"], arrays[f"counts {kind}"]
@@ -161,24 +161,24 @@ def compact(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         else:
             alike.append(([kind], mine))
     for kinds, (cells, counts) in alike:
-        both = np.stack([np.diff(cells, prepend=0), counts])
-        found[f"histograms {' '.join(kinds)}"] = both.astype(np.min_scalar_type(both.max(initial=0)))
-    return found
+        histogram = np.stack([np.diff(cells, prepend=0), counts])
+        result[f"histograms {' '.join(kinds)}"] = histogram.astype(np.min_scalar_type(histogram.max(initial=0)))
+    return result
 
 
 def expanded(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The arrays of a chunk from those of its file."""
-    found: dict[str, np.ndarray] = {}
+    result: dict[str, np.ndarray] = {}
     for name, values in arrays.items():
         what, *kinds = name.split(" ")
         if what == "histograms":
             cells = np.cumsum(values[0], dtype=np.int64)
-            found |= {f"{one} {kind}": x for kind in kinds for one, x in (("cells", cells), ("counts", values[1]))}
+            result |= {f"{part} {kind}": x for kind in kinds for part, x in (("cells", cells), ("counts", values[1]))}
         elif what == "sums":
-            found |= dict(zip(arrays["columns"].tolist(), values.T, strict=True))
+            result |= dict(zip(arrays["columns"].tolist(), values.T, strict=True))
         elif what != "columns":
-            found[name] = values
-    return found
+            result[name] = values
+    return result
 
 
 def first_difference(other: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
@@ -192,12 +192,12 @@ def first_difference(other: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
 def _stored(path: Path) -> dict[str, Any]:
     """The identity in a study.json; raises UnusableInput where there is none."""
     try:
-        found = json.loads(file_bytes(path))
+        stored = json.loads(file_bytes(path))
     except (OSError, ValueError, RecursionError) as error:
         raise UnusableInput(f"{path}: cannot be read; expected the identity of a study, as its --out holds") from error
-    if not isinstance(found, dict):
+    if not isinstance(stored, dict):
         raise UnusableInput(f"{path}: holds no table; expected the identity of a study, as its --out holds")
-    return found
+    return stored
 
 
 def _short(value: Any) -> str:
@@ -210,8 +210,8 @@ def merge_shards(parts: Sequence[Path], out: Path) -> int:
     if not parts:
         raise UnusableInput("study merge: no folder given; expected the folders of its shards")
     identities = [_stored(part / IDENTITY) for part in parts]
-    for part, own in zip(parts, identities, strict=True):
-        difference = first_difference(identities[0], own)
+    for part, stored in zip(parts, identities, strict=True):
+        difference = first_difference(identities[0], stored)
         if difference:
             raise UnusableInput(
                 f"{part}: holds another study than {parts[0]} ({difference}); expected shards of one study; remove it"

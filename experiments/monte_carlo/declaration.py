@@ -126,8 +126,8 @@ class Study:
 
     def numbers(self, condition: Condition) -> dict[str, Any]:
         """The parameters of the world in a condition."""
-        own = {k.removeprefix(WORLD): v for k, v in condition.numbers.items() if k.startswith(WORLD)}
-        return {**self.worlds[condition.world].numbers, **own}
+        varied = {k.removeprefix(WORLD): v for k, v in condition.numbers.items() if k.startswith(WORLD)}
+        return {**self.worlds[condition.world].numbers, **varied}
 
 
 def checked(study: Study) -> Study:

@@ -36,8 +36,8 @@ class TrackedRuns(NamedTuple):
 
     def at_station(self, number: int) -> TrackedRuns:
         """The rows of one of the stations."""
-        one = {name: x[:, :, number] for name, x in self._asdict().items() if name not in ("times", "folder")}
-        return self._replace(**one)
+        of_station = {name: x[:, :, number] for name, x in self._asdict().items() if name not in ("times", "folder")}
+        return self._replace(**of_station)
 
     @property
     def error(self) -> np.ndarray:
@@ -54,13 +54,13 @@ class Masked:
     @property
     def count(self) -> np.ndarray:
         """The number of rows (n,)."""
-        found: np.ndarray = self.valid.sum(axis=1)
-        return found
+        count: np.ndarray = self.valid.sum(axis=1)
+        return count
 
     def sum(self, values: np.ndarray) -> np.ndarray:
         """The sums (n,) of values (n, T)."""
-        found: np.ndarray = self._masked(values, 0).sum(axis=1)
-        return found
+        sums: np.ndarray = self._masked(values, 0).sum(axis=1)
+        return sums
 
     def max(self, values: np.ndarray) -> np.ndarray:
         """The largest (n,) of values (n, T) ≥ 0, NaN of none."""

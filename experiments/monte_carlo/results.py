@@ -52,10 +52,10 @@ class Results:
 
         Raises KeyError where no condition or more than one agrees with it.
         """
-        found = [c for c in self.study.conditions if c.world == world and point.items() <= c.point.items()]
-        if len(found) != 1:
-            raise KeyError(f"{len(found)} conditions have world '{world}' and {point}; expected one")
-        return found[0]
+        matches = [c for c in self.study.conditions if c.world == world and point.items() <= c.point.items()]
+        if len(matches) != 1:
+            raise KeyError(f"{len(matches)} conditions have world '{world}' and {point}; expected one")
+        return matches[0]
 
     def value(self, metric: str, world: str, tracker: str, **point: Any) -> Value:
         """A metric, or the mean of a measure, with its interval; NaN where no trajectory has it."""
@@ -87,8 +87,8 @@ class Results:
 
     def main_metrics(self) -> dict[str, dict[tuple[int, str], Value]]:
         """The metrics of the study's tables, each by condition and tracker."""
-        every = [(c, t) for c in self.study.conditions for t in self.study.trackers]
-        return {f: {(c.index, t): self.at(f, c, t) for c, t in every} for f in self.study.metrics}
+        pairs = [(c, t) for c in self.study.conditions for t in self.study.trackers]
+        return {f: {(c.index, t): self.at(f, c, t) for c, t in pairs} for f in self.study.metrics}
 
     @property
     def seconds(self) -> float:
@@ -193,8 +193,8 @@ class ChunkTotals:
                 np.fmax(top, values[which], out=top)
             elif what == "cells":
                 table = self.histograms.setdefault(rest, np.zeros((self.blocks, BINS)))
-                own = slice(*np.searchsorted(values, [which.start * BINS, which.stop * BINS]))
-                table.reshape(-1)[values[own] + (blocks.start - which.start) * BINS] += arrays[f"counts {rest}"][own]
+                part = slice(*np.searchsorted(values, [which.start * BINS, which.stop * BINS]))
+                table.reshape(-1)[values[part] + (blocks.start - which.start) * BINS] += arrays[f"counts {rest}"][part]
 
     def totals(self) -> Totals:
         """The totals of the chunks added so far."""

@@ -40,13 +40,13 @@ class StopRule:
     @classmethod
     def parse(cls, text: str, study: Study) -> StopRule:
         """The rule of a text such as `rmse_m±1%`; raises UnusableInput for other texts."""
-        found = re.fullmatch(r"\s*(\w+)\s*(?:±|\+-|\+/-)\s*([0-9.]+)\s*%\s*", text)
+        match = re.fullmatch(r"\s*(\w+)\s*(?:±|\+-|\+/-)\s*([0-9.]+)\s*%\s*", text)
         known = (*NAMES, *study.measures)
-        if found is None or found[1] not in known or not 0 < float(found[2]) < 100:
+        if match is None or match[1] not in known or not 0 < float(match[2]) < 100:
             raise UnusableInput(
                 f'--until "{text}": expected a metric and a width, as "rmse_m±1%"; metrics: {", ".join(known)}'
             )
-        return cls(found[1], float(found[2]) / 100)
+        return cls(match[1], float(match[2]) / 100)
 
     def reached(self, results: Results, condition: Condition) -> bool:
         """Whether the interval is narrow enough for every tracker that has the metric, and one has it."""

@@ -28,7 +28,7 @@ class Group(NamedTuple):
     one, at the times for which the estimates are valid.
     """
 
-    own: Trajectories
+    trajectories: Trajectories
     estimates: Estimates
     number: np.ndarray
     station: np.ndarray
@@ -43,18 +43,21 @@ class TrackedChunk:
     `planar`: whether all positions are. `every`: the interval, s, in which only a trajectory's last row is scored.
     """
 
-    def __init__(self, ids: np.ndarray, found: Sequence[tuple[Trajectories, Estimates]], planar: bool, every: Any):
-        if not found:
+    def __init__(self, ids: np.ndarray, tracked: Sequence[tuple[Trajectories, Estimates]], planar: bool, every: Any):
+        if not tracked:
             raise UnusableInput("the world has no tag to track; expected one for each id")
-        stations = sorted({station for own, _ in found for station in own.stations})
+        stations = sorted({station for trajectories, _ in tracked for station in trajectories.stations})
         number = {str(k): at for at, k in enumerate(ids)}
         self.groups = []
-        for own, estimates in found:
-            rows = own.columns.padded(own.columns.times)
-            estimates = estimates[: len(own)].rows(slice(0, rows.shape[1]))
-            at = np.array([number[tag] for tag in own.tags]), np.array([stations.index(s) for s in own.stations])
-            self.groups.append(Group(own, estimates, *at, rows, *_truth(own, estimates, rows)))
-        self.folder, self.every = self.groups[0].own.folders[0], every
+        for trajectories, estimates in tracked:
+            rows = trajectories.columns.padded(trajectories.columns.times)
+            estimates = estimates[: len(trajectories)].rows(slice(0, rows.shape[1]))
+            at = (
+                np.array([number[tag] for tag in trajectories.tags]),
+                np.array([stations.index(s) for s in trajectories.stations]),
+            )
+            self.groups.append(Group(trajectories, estimates, *at, rows, *_truth(trajectories, estimates, rows)))
+        self.folder, self.every = self.groups[0].trajectories.folders[0], every
         self.bearing, self.size, self.stations = bool(stations[0]), len(ids), len(stations)
         self.axes = 2 if self.bearing or planar else 3
         self.rows = max(group.rows.shape[1] for group in self.groups)
@@ -85,29 +88,29 @@ class TrackedChunk:
                 continue
             tag, station = group.number[which] - first, group.station[which]
             which = _slice_of(which)
-            found, rows = group.estimates[which], group.rows[which]
-            found = replace(found, status=np.ascontiguousarray(found.status))
-            one = (station == station[0]).all()
+            group_estimates, rows = group.estimates[which], group.rows[which]
+            group_estimates = replace(group_estimates, status=np.ascontiguousarray(group_estimates.status))
+            one_station = (station == station[0]).all()
             # Slices where they do: an index for each trajectory takes five times as long.
             at: Any = (
                 (_slice_of(tag), slice(0, rows.shape[1]), station[0])
-                if one
+                if one_station
                 else (tag, slice(0, rows.shape[1]), station)
             )
-            times[at[:2]] = found.valid_times(rows)
-            status[at], nis[at], dof[at] = found.status, found.nis, found.nis_dof
-            usable = found.usable
-            position = _position(group.own, found, which)
+            times[at[:2]] = group_estimates.valid_times(rows)
+            status[at], nis[at], dof[at] = group_estimates.status, group_estimates.nis, group_estimates.nis_dof
+            usable = group_estimates.usable
+            position = _position(group.trajectories, group_estimates, which)
             for k, values in enumerate(position):
                 estimates[(*at, k)] = _where(usable, values)
-            entries = _covariance(self.bearing, found)
+            entries = _covariance(self.bearing, group_estimates)
             for i, j in np.ndindex(len(entries), len(entries)):
                 # Copies of an entry above the diagonal are contiguous.
                 symmetric = i > j and not self.bearing
                 covariance[(*at, i, j)] = covariance[(*at, j, i)] if symmetric else _where(usable, entries[i][j])
             truth[at] = group.truth[which]
-            has_both = group.known[which] & usable & np.isfinite(position[0]) & np.isfinite(position[1])
-            known[at] = _scored_rows(found, rows, has_both, self.every)
+            comparable = group.known[which] & usable & np.isfinite(position[0]) & np.isfinite(position[1])
+            known[at] = _scored_rows(group_estimates, rows, comparable, self.every)
         runs = TrackedRuns(times, estimates, covariance, truth, known, status, nis, dof, self.folder)
         return runs if self.bearing else runs.at_station(0)
 
@@ -123,54 +126,57 @@ def _where(usable: np.ndarray, values: np.ndarray) -> np.ndarray:
     return values if usable.all() else np.where(usable, np.ascontiguousarray(values), np.nan)
 
 
-def _position(own: Trajectories, found: Estimates, which: Any) -> list[np.ndarray]:
+def _position(trajectories: Trajectories, estimates: Estimates, which: Any) -> list[np.ndarray]:
     """Positions x, y, z, m, or azimuth and elevation, rad, (n, T) each."""
-    if own.stations[0]:
-        angle = angles(found)
+    if trajectories.stations[0]:
+        angle = angles(estimates)
         return [angle["azimuth_rad"], angle["elevation_rad"]]
-    axes = [np.asarray(x) for x in found.mean.position]
-    return axes if len(axes) == 3 else [*axes, np.broadcast_to(own.heights[which, None], found.status.shape)]
+    axes = [np.asarray(x) for x in estimates.mean.position]
+    return (
+        axes if len(axes) == 3 else [*axes, np.broadcast_to(trajectories.heights[which, None], estimates.status.shape)]
+    )
 
 
-def _covariance(bearing: bool, found: Estimates) -> list[list[np.ndarray]]:
+def _covariance(bearing: bool, estimates: Estimates) -> list[list[np.ndarray]]:
     """The covariance of the estimated axes: rows of entries (n, T)."""
     if not bearing:
-        return found.entries("position")
-    angle = angles(found)
+        return estimates.entries("position")
+    angle = angles(estimates)
     squares = [angle["std_azimuth_rad"] ** 2, angle["std_elevation_rad"] ** 2]
     return [[square * float(i == j) for j in range(2)] for i, square in enumerate(squares)]
 
 
-def _truth(own: Trajectories, found: Estimates, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _truth(trajectories: Trajectories, estimates: Estimates, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The truth where the estimates of `rows` (n, T) are valid, (n, T, 3) m or (n, T, 2) rad, and where there is one.
 
     Heights may be NaN.
     """
-    columns = own.columns
-    if own.stations[0]:
+    columns = trajectories.columns
+    if trajectories.stations[0]:
         values, known = columns.truth["direction"]
     else:
         times = columns.times
-        if found.age is not None:
-            times = found.valid_times(rows)[np.arange(rows.shape[1]) < np.diff(columns.starts)[:, None]]
-        values, status = own.folders[0].paths.at(own.tags, columns.starts, times)
+        if estimates.age is not None:
+            times = estimates.valid_times(rows)[np.arange(rows.shape[1]) < np.diff(columns.starts)[:, None]]
+        values, status = trajectories.folders[0].paths.at(trajectories.tags, columns.starts, times)
         known = status == TruthStatus.SCORED
     return columns.padded(values), columns.padded(known)
 
 
-def _scored_rows(found: Estimates, rows: np.ndarray, known: np.ndarray, every: float | None) -> np.ndarray:
+def _scored_rows(estimates: Estimates, rows: np.ndarray, known: np.ndarray, every: float | None) -> np.ndarray:
     """The rows (n, T) that are scored, of the `known` ones: the last of each time `rows` (n, T) and of `every` seconds.
 
     A time counts where it has an estimate: see `Estimates.status_per_time`.
     """
-    last = found.last_rows(rows)
+    last = estimates.last_rows(rows)
     usable = np.zeros(last.shape, bool)
-    if np.array_equal(last, found.status != Status.PADDING):
-        usable = found.usable
+    if np.array_equal(last, estimates.status != Status.PADDING):
+        usable = estimates.usable
     else:
-        usable[last] = is_usable(found.status_per_time(last))
+        usable[last] = is_usable(estimates.status_per_time(last))
     known = known & usable
     if every is None:
         return known
     track = np.broadcast_to(np.arange(len(last))[:, None], last.shape)
-    return last_of_intervals(found.valid_times(rows).ravel(), known.ravel(), every, track.ravel()).reshape(last.shape)
+    times = estimates.valid_times(rows).ravel()
+    return last_of_intervals(times, known.ravel(), every, track.ravel()).reshape(last.shape)

@@ -62,9 +62,9 @@ def json_pieces(evaluation: Evaluation) -> Iterator[str]:
     parts = content(evaluation)
     rows = {name: parts.pop(name) for name in ("recordings", "tracks")}
     yield json_text(parts).removesuffix("\n}\n")
-    for name, own in rows.items():
+    for name, entries in rows.items():
         yield f',\n  "{name}": ['
-        for k, row in enumerate(own):
+        for k, row in enumerate(entries):
             yield f"{',' if k else ''}\n    {json.dumps(row, ensure_ascii=False, allow_nan=False)}"
         yield "\n  ]"
     yield "\n}\n"
@@ -89,16 +89,16 @@ def archive_text(evaluation: Evaluation, width: int = 120) -> str:
     lines: list[Line] = [
         (["overall"], evaluation.overall, "bold"),
         ([f"median of {len(recordings)}"], _median(recordings), None),
-        *(([one["recording"]], one, None) for one in worst),
+        *(([metrics["recording"]], metrics, None) for metrics in worst),
     ]
     notes = [f"The {len(worst)} recordings with the largest p95 are listed."]
     return _text(evaluation, ["recording"], lines, notes, width)
 
 
 def _text(evaluation: Evaluation, labels: Sequence[str], lines: Sequence[Line], notes: list[str], width: int) -> str:
-    every = [c for c in COLUMNS if any(shown_metric(metrics, c.name) is not None for _, metrics, _ in lines)]
+    shown = [c for c in COLUMNS if any(shown_metric(metrics, c.name) is not None for _, metrics, _ in lines)]
     for rank in RANKS:
-        columns = [column for column in every if column.rank <= rank]
+        columns = [column for column in shown if column.rank <= rank]
         table = _table(evaluation, columns, labels, lines)
         if width_of(table) <= width:
             break
@@ -145,10 +145,10 @@ def _lines(evaluation: Evaluation, labels: Sequence[str]) -> list[Line]:
 def _median(recordings: Sequence[Metrics]) -> Metrics:
     """The median of each metric over the recordings that have it."""
     names = [name for name in recordings[0] if name != "recording"]
-    columns = np.array([[one[name] for name in names] for one in recordings], float).T
+    columns = np.array([[metrics[name] for name in names] for metrics in recordings], float).T
     known = {name: column[np.isfinite(column)] for name, column in zip(names, columns, strict=True)}
-    found: Metrics = {name: float(np.median(values)) if len(values) else None for name, values in known.items()}
-    return found | {"n": round(found["n"])}
+    medians: Metrics = {name: float(np.median(values)) if len(values) else None for name, values in known.items()}
+    return medians | {"n": round(medians["n"])}
 
 
 def _worst(tracks: list[Metrics], bearing: bool) -> list[Metrics]:
@@ -159,8 +159,8 @@ def _worst(tracks: list[Metrics], bearing: bool) -> list[Metrics]:
 
 def _p95(bearing: bool, metrics: Metrics) -> float:
     """The 95th percentile by which the worst come first; those without truth come last."""
-    found = metrics["p95_direction_rad" if bearing else "p95_m"]
-    return -1.0 if found is None else found
+    p95 = metrics["p95_direction_rad" if bearing else "p95_m"]
+    return -1.0 if p95 is None else p95
 
 
 def _unit(evaluation: Evaluation) -> tuple[Unit, int]:
