@@ -32,8 +32,8 @@ class Unstacked:
 
     def columns(self, start: int, stop: int) -> Batch:
         """The trajectories start … stop − 1, padded with invalid ones beyond the end, as `Batch.columns`."""
-        own = [trajectory.recording for trajectory in self.trajectories[start:stop]]
-        return Columns.of(own).batch(self.steps).columns(0, stop - start)
+        recordings = [trajectory.recording for trajectory in self.trajectories[start:stop]]
+        return Columns.of(recordings).batch(self.steps).columns(0, stop - start)
 
     def pieces(self, chunk: int) -> Iterator[Batch]:
         """As `trackers.core.run.chunks.pieces`."""
@@ -95,15 +95,15 @@ def trajectory_weights(
     """
     if weigh == "rows" or not batches:
         return [np.ones(batch.size) for batch in batches]
-    names = [np.asarray(own) for own in recordings]
+    names = [np.asarray(of_batch) for of_batch in recordings]
     rows = [_rows(batch, needs_truth) for batch in batches]
-    every, total = np.concatenate(names), np.concatenate(rows)
-    found, index = np.unique(every, return_inverse=True)
-    by_recording = np.bincount(index.ravel(), total, minlength=len(found))
+    joined, total = np.concatenate(names), np.concatenate(rows)
+    distinct, index = np.unique(joined, return_inverse=True)
+    by_recording = np.bincount(index.ravel(), total, minlength=len(distinct))
     counted = by_recording > 0
-    say = np.ones(len(found))
+    say = np.ones(len(distinct))
     say[counted] = total.sum() / counted.sum() / by_recording[counted]
-    return np.split(say[index.ravel()], np.cumsum([len(own) for own in names])[:-1])
+    return np.split(say[index.ravel()], np.cumsum([len(of_batch) for of_batch in names])[:-1])
 
 
 def by_chunks(weights: Sequence[Float[np.ndarray, " B"]] | None, sizes: Sequence[int]) -> Float[np.ndarray, " n"]:
@@ -111,8 +111,8 @@ def by_chunks(weights: Sequence[Float[np.ndarray, " B"]] | None, sizes: Sequence
 
     Chunks are padded with trajectories without rows, whose weight does not matter.
     """
-    own = [np.ones(size) for size in sizes] if weights is None else weights
-    return np.concatenate([np.append(x, np.ones(size - len(x))) for x, size in zip(own, sizes, strict=True)])
+    of_batches = [np.ones(size) for size in sizes] if weights is None else weights
+    return np.concatenate([np.append(x, np.ones(size - len(x))) for x, size in zip(of_batches, sizes, strict=True)])
 
 
 def _rows(batch: AnyBatch, needs_truth: bool) -> Float[np.ndarray, " B"]:

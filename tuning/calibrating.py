@@ -57,8 +57,8 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     mounted = {name: station for folder in folders for name, station in folder.rig.stations.items()}
     places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}
     return Calibration(
-        {name: replace(one, mounted=mounted[name]) for name, one in stations.items()},
-        {name: replace(one, position=places[name]) for name, one in anchors.items()},
+        {name: replace(calibration, mounted=mounted[name]) for name, calibration in stations.items()},
+        {name: replace(calibration, position=places[name]) for name, calibration in anchors.items()},
         tags,
         tuple(folder.name for folder in folders),
         spread,
@@ -87,9 +87,9 @@ def _lacking(folders: Sequence[RecordingFolder]) -> str:
         return f"{names}: no truth table; expected truth to calibrate against; give recordings with truth"
     calibrated = [name for name, kind in KINDS.items() if kind.calibrated is not None]
     if not any(name in folder.tables for folder in folders for name in calibrated):
-        found = ", ".join(dict.fromkeys(table for folder in folders for table in folder.tables))
+        tables = ", ".join(dict.fromkeys(table for folder in folders for table in folder.tables))
         expected = " or ".join(calibrated)
-        return f"{names}: tables {found}; expected {expected} to calibrate; give recordings with such a table"
+        return f"{names}: tables {tables}; expected {expected} to calibrate; give recordings with such a table"
     return (
         f"{names}: fewer than {MIN_ROWS} rows with truth in x, y and z for every station and anchor; expected at least "
         f"{MIN_ROWS} for one; give longer recordings, or height_m of the tags in rig.toml where the truth has no z_m"
@@ -97,17 +97,19 @@ def _lacking(folders: Sequence[RecordingFolder]) -> str:
 
 
 def _stations(pairs: Mapping[str, Pairs]) -> dict[str, StationCalibration]:
-    spans = {name: np.stack([one.true.min(axis=0), one.true.max(axis=0)], axis=1) for name, one in pairs.items()}
+    spans = {
+        name: np.stack([values.true.min(axis=0), values.true.max(axis=0)], axis=1) for name, values in pairs.items()
+    }
     unknown = Regression(ANGLE_PRIOR[0], np.diag(ANGLE_PRIOR[1] ** 2), 0.0)
     angles: list[dict[str, Regression]] = []
     for k in range(2):
-        rows = {name: _rows(one, angle_terms(one.true, spans[name])[:, k], k) for name, one in pairs.items()}
-        found = regressions({name: one for name, one in rows.items() if len(one.y)}, *ANGLE_PRIOR)
-        angles.append({name: _increasing(found.get(name, unknown), spans[name], k) for name in pairs})
+        rows = {name: _rows(values, angle_terms(values.true, spans[name])[:, k], k) for name, values in pairs.items()}
+        fitted = regressions({name: of_station for name, of_station in rows.items() if len(of_station.y)}, *ANGLE_PRIOR)
+        angles.append({name: _increasing(fitted.get(name, unknown), spans[name], k) for name in pairs})
     calibrations = {}
-    for name, one in pairs.items():
+    for name, values in pairs.items():
         terms, covariances, _ = (np.stack(x) for x in zip(*(angle[name] for angle in angles), strict=True))
-        calibrations[name] = StationCalibration(terms, covariances, spans[name], len(one.true))
+        calibrations[name] = StationCalibration(terms, covariances, spans[name], len(values.true))
     return calibrations
 
 
@@ -119,12 +121,12 @@ def _rows(pairs: Pairs, factors: np.ndarray, column: int) -> Rows:
     )
 
 
-def _increasing(found: Regression, spans: np.ndarray, k: int) -> Regression:
+def _increasing(regression: Regression, spans: np.ndarray, k: int) -> Regression:
     """Terms with which angle `k` increases everywhere: its slope is least at a corner of the spans, or at angle 0."""
     corners = np.meshgrid(*[np.append(span, np.clip(0.0, *span)) for span in spans], indexing="ij")
-    own, other = corners[k].ravel(), corners[1 - k].ravel()
-    slopes = np.stack([np.zeros_like(own), np.ones_like(own), 3.0 * own**2, other], axis=1)
-    return with_least_slope(found, slopes, LEAST_SLOPE)
+    angle, other = corners[k].ravel(), corners[1 - k].ravel()
+    slopes = np.stack([np.zeros_like(angle), np.ones_like(angle), 3.0 * angle**2, other], axis=1)
+    return with_least_slope(regression, slopes, LEAST_SLOPE)
 
 
 def _anchors(
@@ -133,36 +135,39 @@ def _anchors(
     """The calibrations of anchors and of tags, fitted in turn: the range errors of both add; what spread they leave."""
     if not pairs:
         return {}, {}, None
-    rows = {name: _rows(one, range_terms(one.true[:, 0]), 0) for name, one in pairs.items()}
-    rows = {name: one._replace(y=one.y - one.x[:, 1]) for name, one in rows.items()}
-    owners = {name: one.tag[np.isfinite(one.measured[:, 0])] for name, one in pairs.items()}
+    rows = {name: _rows(values, range_terms(values.true[:, 0]), 0) for name, values in pairs.items()}
+    rows = {name: of_anchor._replace(y=of_anchor.y - of_anchor.x[:, 1]) for name, of_anchor in rows.items()}
+    owners = {name: values.tag[np.isfinite(values.measured[:, 0])] for name, values in pairs.items()}
     tags, counts = np.unique(np.concatenate(list(owners.values())), return_counts=True)
-    number = {name: np.searchsorted(tags, own) for name, own in owners.items()}
+    number = {name: np.searchsorted(tags, row_tags) for name, row_tags in owners.items()}
     biases, sigmas = np.zeros(len(tags)), np.zeros(len(tags))
     for _ in range(TAG_ROUNDS if len(tags) > 1 else 1):
-        own = {name: one._replace(y=one.y - biases[number[name]]) for name, one in rows.items()}
-        found = regressions(own, *RANGE_PRIOR)
+        corrected = {name: of_anchor._replace(y=of_anchor.y - biases[number[name]]) for name, of_anchor in rows.items()}
+        fitted = regressions(corrected, *RANGE_PRIOR)
         if len(tags) > 1:
-            biases, sigmas = _tag_biases(rows, found, number, len(tags))
+            biases, sigmas = _tag_biases(rows, fitted, number, len(tags))
     calibrations = {}
-    for name, regression in found.items():
+    for name, regression in fitted.items():
         terms, covariance, _ = with_least_slope(regression, np.array([[0.0, 1.0]]), LEAST_SLOPE - 1.0)
         distances = rows[name].x[:, 1]
         span = np.array([distances.min(), distances.max()])
         calibrations[name] = AnchorCalibration(terms, covariance, span, len(distances))
-    every = zip(tags.tolist(), biases.tolist(), sigmas.tolist(), counts.tolist(), strict=True)
-    spread = float(np.sqrt(np.mean([regression.scale**2 for regression in found.values()])))
-    return calibrations, {tag: TagCalibration(*one) for tag, *one in every}, spread
+    of_tags = zip(tags.tolist(), biases.tolist(), sigmas.tolist(), counts.tolist(), strict=True)
+    spread = float(np.sqrt(np.mean([regression.scale**2 for regression in fitted.values()])))
+    return calibrations, {tag: TagCalibration(*fields) for tag, *fields in of_tags}, spread
 
 
 def _tag_biases(
-    rows: Mapping[str, Rows], found: Mapping[str, Regression], number: Mapping[str, np.ndarray], count: int
+    rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Mapping[str, np.ndarray], count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Biases of tags (count,), relative to their mean, and their standard deviations, from errors at all anchors."""
-    left = [one._replace(x=np.ones((len(one.y), 1)), y=one.y - one.x @ found[name].terms) for name, one in rows.items()]
-    every = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
+    left = [
+        of_anchor._replace(x=np.ones((len(of_anchor.y), 1)), y=of_anchor.y - of_anchor.x @ fitted[name].terms)
+        for name, of_anchor in rows.items()
+    ]
+    joined = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
     tag = np.concatenate([number[name] for name in rows])
-    of_tags = {str(k): Rows(*(column[tag == k] for column in every)) for k in range(count)}
+    of_tags = {str(k): Rows(*(column[tag == k] for column in joined)) for k in range(count)}
     fits = regressions(of_tags, np.zeros(1), np.array([TAG_SIGMA])).values()
     biases = np.array([fit.terms[0] for fit in fits])
     return biases - biases.mean(), np.sqrt([fit.covariance[0, 0] for fit in fits])

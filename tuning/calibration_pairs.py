@@ -55,7 +55,9 @@ def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind) -> dict[st
         if kind.name in folder.tables:
             for name, pairs in _of_folder(folder, number, kind):
                 parts.setdefault(name, []).append(pairs)
-    joined = {name: Pairs(*map(np.concatenate, zip(*own, strict=True))) for name, own in sorted(parts.items())}
+    joined = {
+        name: Pairs(*map(np.concatenate, zip(*by_folder, strict=True))) for name, by_folder in sorted(parts.items())
+    }
     return {name: pairs for name, pairs in joined.items() if np.isfinite(pairs.measured).sum(axis=0).max() >= MIN_ROWS}
 
 
@@ -76,10 +78,18 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
     away = measured.values - true
     values = measured.values - (away - wrapped(away, measured.columns))
     for code, name in enumerate(measured.ids):
-        own = known & (measured.sensors.number[:, 0] == code)
+        mask = known & (measured.sensors.number[:, 0] == code)
         yield (
             name,
-            Pairs(true[own], values[own], positions[own], np.full(own.sum(), number), piece[own], place[own], tag[own]),
+            Pairs(
+                true[mask],
+                values[mask],
+                positions[mask],
+                np.full(mask.sum(), number),
+                piece[mask],
+                place[mask],
+                tag[mask],
+            ),
         )
 
 
@@ -94,13 +104,13 @@ def _pieces(rows: TagRows, positions: np.ndarray, known: np.ndarray) -> np.ndarr
     # The way of the tag that moves most stands for all of them: tags on one body move together.
     ways = []
     for k in range(len(rows.tags)):
-        own = np.arange(rows.starts[k], rows.starts[k + 1])
-        own = own[known[own]]
-        if len(own) > 1:
-            ways.append((rows.times[own], np.append(0.0, np.cumsum(_steps(rows.times[own], positions[own])))))
+        index = np.arange(rows.starts[k], rows.starts[k + 1])
+        index = index[known[index]]
+        if len(index) > 1:
+            ways.append((rows.times[index], np.append(0.0, np.cumsum(_steps(rows.times[index], positions[index])))))
     if not ways:
         return piece
-    times, way = max(ways, key=lambda one: one[1][-1])
+    times, way = max(ways, key=lambda pair: pair[1][-1])
     begins, last = [times[0]], (times[0], 0.0)
     for time, gone in zip(times, way, strict=True):
         if time - last[0] >= PIECE_S and gone - last[1] >= PIECE_M:
@@ -141,8 +151,8 @@ def differs_by_distance(distance: np.ndarray, errors: np.ndarray, piece: np.ndar
     rows = pl.DataFrame({"interval": interval, "piece": piece[known], "error": errors[known]})
     medians = rows.group_by("interval", "piece").agg(pl.col("error").median(), pl.len())
     medians = medians.filter(pl.col("len") >= LEAST_READINGS).group_by("interval", maintain_order=True).agg("error")
-    samples = [np.array(one) for one in medians["error"].to_list() if len(one) >= LEAST_PIECES]
+    samples = [np.array(sample) for sample in medians["error"].to_list() if len(sample) >= LEAST_PIECES]
     if len(samples) < 2:
         return False
-    means = [float(np.mean(one)) for one in samples]
+    means = [float(np.mean(sample)) for sample in samples]
     return bool(f_oneway(*samples).pvalue < LEVEL and max(means) - min(means) > 0.5 * spread)

@@ -75,9 +75,9 @@ def load(folder: Path, belongs_to: str) -> list[np.ndarray] | None:
     if not path.exists():
         return None
     try:
-        found = read_arrays(path)
-        owner = str(found["belongs_to"])
-        arrays = [found[f"array_{k}"] for k in range(len(found) - 1)]
+        stored = read_arrays(path)
+        owner = str(stored["belongs_to"])
+        arrays = [stored[f"array_{k}"] for k in range(len(stored) - 1)]
     except (ValueError, KeyError) as error:
         raise UnusableInput(f"{path}: is no checkpoint of `tune`; remove it, or begin anew") from error
     if owner != belongs_to:

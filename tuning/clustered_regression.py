@@ -63,23 +63,23 @@ def regressions(rows: Mapping[str, Rows], mean: np.ndarray, sigmas: np.ndarray) 
     Errors are of Student's t; each recording has the same weight, and of one place in one piece of time at most `MOST`
     rows count. The design effects of the sources are pooled where their own clusters are few.
     """
-    own = {name: _fit(one, mean, sigmas, None) for name, one in rows.items()}
-    spare = {name: max(fit.clusters - len(mean), 0.0) for name, fit in own.items()}
+    fits = {name: _fit(of_source, mean, sigmas, None) for name, of_source in rows.items()}
+    spare = {name: max(fit.clusters - len(mean), 0.0) for name, fit in fits.items()}
     total = sum(spare.values())
-    found = {}
-    for name, one in rows.items():
-        pooled = sum(spare[k] * own[k].effect for k in own) / total if total > 0.0 else own[name].effect
-        found[name] = _fit(one, mean, sigmas, (pooled, total)).regression
-    return found
+    result = {}
+    for name, of_source in rows.items():
+        pooled = sum(spare[k] * fits[k].effect for k in fits) / total if total > 0.0 else fits[name].effect
+        result[name] = _fit(of_source, mean, sigmas, (pooled, total)).regression
+    return result
 
 
 def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, float] | None) -> _Fit:
     """One regression; `pooled`: the design effect of all of them, and its degrees of freedom."""
-    rows, both = _in_order(rows)
-    x, y, begins = rows.x, rows.y, np.flatnonzero(np.append(True, np.diff(both) != 0))
-    of_both = [_numbered(c[begins]) for c in (rows.piece, rows.place)]
-    weights = _equal_recordings(np.ones(len(both)), _numbered(rows.recording))
-    clusters = min(_effective(c, np.add.reduceat(weights, begins)) for c in of_both)
+    rows, cells = _in_order(rows)
+    x, y, begins = rows.x, rows.y, np.flatnonzero(np.append(True, np.diff(cells) != 0))
+    clusterings = [_numbered(c[begins]) for c in (rows.piece, rows.place)]
+    weights = _equal_recordings(np.ones(len(cells)), _numbered(rows.recording))
+    clusters = min(_effective(c, np.add.reduceat(weights, begins)) for c in clusterings)
     precision = np.diag(1.0 / sigmas**2)
     terms, effect = mean.copy(), 1.0
     sigma = max(float(np.median(np.abs(y - x @ mean))), SMALLEST)
@@ -99,7 +99,7 @@ def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, 
         parts = np.add.reduceat(curved * weighted[:, :, None] * x[:, None, :], begins)
         A = parts.sum(axis=0)
         H = A / effect + precision
-        B = sum(_scatter(c, scores, parts / effect, H) for c in of_both) - _scatter(
+        B = sum(_scatter(c, scores, parts / effect, H) for c in clusterings) - _scatter(
             np.arange(len(begins)), scores, parts / effect, H
         )
         B = _positive(B)
@@ -119,12 +119,12 @@ def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, 
 
 def _in_order(rows: Rows) -> tuple[Rows, np.ndarray]:
     """At most `MOST` rows of each place in a piece of time, together, and the number of each row's place and piece."""
-    both = np.unique(np.stack([rows.piece, rows.place]), axis=1, return_inverse=True)[1].ravel()
-    order = np.argsort(both, kind="stable")
-    counts = np.bincount(both)
+    cells = np.unique(np.stack([rows.piece, rows.place]), axis=1, return_inverse=True)[1].ravel()
+    order = np.argsort(cells, kind="stable")
+    counts = np.bincount(cells)
     within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-    kept = order[within % -(-counts[both[order]] // MOST) == 0]
-    return Rows(*(column[kept] for column in rows)), both[kept]
+    kept = order[within % -(-counts[cells[order]] // MOST) == 0]
+    return Rows(*(column[kept] for column in rows)), cells[kept]
 
 
 def _numbered(numbers: np.ndarray) -> np.ndarray:
@@ -162,10 +162,10 @@ def _scatter(clusters: np.ndarray, scores: np.ndarray, parts: np.ndarray, hessia
     Cameron and Miller 2015, CR3. `scores` (n, p) and `parts` (n, p, p) of the Hessian: of the rows of each cluster.
     """
     count = clusters.max() + 1
-    sums, own = np.zeros((count, scores.shape[1])), np.zeros((count, *parts.shape[1:]))
+    sums, cluster_hessians = np.zeros((count, scores.shape[1])), np.zeros((count, *parts.shape[1:]))
     np.add.at(sums, clusters, scores)
-    np.add.at(own, clusters, parts)
-    adjusted = (hessian @ np.linalg.solve(hessian - own, sums[:, :, None]))[:, :, 0]
+    np.add.at(cluster_hessians, clusters, parts)
+    adjusted = (hessian @ np.linalg.solve(hessian - cluster_hessians, sums[:, :, None]))[:, :, 0]
     return adjusted.T @ adjusted
 
 
@@ -175,16 +175,16 @@ def _positive(matrix: np.ndarray) -> np.ndarray:
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
-def with_least_slope(found: Regression, slopes: np.ndarray, least: float) -> Regression:
+def with_least_slope(regression: Regression, slopes: np.ndarray, least: float) -> Regression:
     """The nearest terms, in the metric of their covariance, with `slopes @ terms` (k,) at least `least`.
 
     The least-distance problem of Lawson and Hanson 1974, chapter 23, by non-negative least squares.
     """
-    lacking = least - slopes @ found.terms
+    lacking = least - slopes @ regression.terms
     if (lacking <= 0.0).all():
-        return found
-    factor = np.linalg.cholesky(found.covariance)
+        return regression
+    factor = np.linalg.cholesky(regression.covariance)
     system = np.vstack([(slopes @ factor).T, lacking])
-    target = np.append(np.zeros(len(found.terms)), 1.0)
+    target = np.append(np.zeros(len(regression.terms)), 1.0)
     residual = system @ nnls(system, target)[0] - target
-    return found._replace(terms=found.terms - factor @ (residual[:-1] / residual[-1]))
+    return regression._replace(terms=regression.terms - factor @ (residual[:-1] / residual[-1]))

@@ -101,8 +101,8 @@ def fit_data(
     known, or that needs truth where there is none.
     """
     dimensions = dimensions or judged_dimensions(batch, objective)
-    own = replace(batch, trajectories=fit_segments(batch, segment_rows, dimensions))
-    return segments_data(own, objective, {folder.name for folder in held_out}, dimensions, weigh)
+    segmented = replace(batch, trajectories=fit_segments(batch, segment_rows, dimensions))
+    return segments_data(segmented, objective, {folder.name for folder in held_out}, dimensions, weigh)
 
 
 def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | Loss | None) -> int:
@@ -117,9 +117,9 @@ def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | 
     mean = jax.eval_shape(lambda: batch.tracker.scan(first)[0]).mean
     if len(jax.tree_util.tree_leaves(getattr(mean, "position", ()))) < 3:
         return 2
-    known = [bool(one.recording.truth["position"][1].any()) for one in batch.trajectories]
-    lacking = [one for one, has in zip(batch.trajectories, known, strict=True) if not has]
-    over_floor = any(bool(with_floor_truth(one).recording.truth["position"][1].any()) for one in lacking)
+    known = [bool(trajectory.recording.truth["position"][1].any()) for trajectory in batch.trajectories]
+    lacking = [trajectory for trajectory, has in zip(batch.trajectories, known, strict=True) if not has]
+    over_floor = any(bool(with_floor_truth(trajectory).recording.truth["position"][1].any()) for trajectory in lacking)
     return 3 if any(known) and not over_floor else 2
 
 
@@ -241,14 +241,14 @@ class FitArrays(NamedTuple):
     def recordings_of(self, problem: Problem) -> list[str]:
         """The recording of each trajectory of the problem, empty for padding."""
         pairs = zip(self.recordings, problem.sizes, strict=True)
-        return [name for own, size in pairs for name in [*own, *[""] * (size - len(own))]]
+        return [name for names, size in pairs for name in [*names, *[""] * (size - len(names))]]
 
     @classmethod
     def of(cls, data: FitData) -> FitArrays:
         """The arrays of recording folders."""
         weights = (data.weights(), data.weights(held_out=True))
         groups = data.batches(), data.batches(held_out=True)
-        folders = list({id(one.folder): one.folder for one in data.training}.values())
+        folders = list({id(trajectory.folder): trajectory.folder for trajectory in data.training}.values())
         return cls(data.tracker, *groups, data.objective, *weights, data.recordings(), folders)
 
 

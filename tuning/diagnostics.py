@@ -155,7 +155,7 @@ def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Fl
     density = np.zeros(len(x))
     for dof, count in zip(*np.unique(innovations.dof, return_counts=True), strict=True):
         if innovations.student_t_dof is None:
-            one = np.exp((0.5 * dof - 1) * np.log(x) - 0.5 * x - 0.5 * dof * np.log(2) - math.lgamma(0.5 * dof))
+            of_dof = np.exp((0.5 * dof - 1) * np.log(x) - 0.5 * x - 0.5 * dof * np.log(2) - math.lgamma(0.5 * dof))
         else:
             import scipy
 
@@ -164,9 +164,9 @@ def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Fl
             inside = x < scale
             u = x[inside] / scale
             log_u = scipy.special.xlogy(a - 1, u) + scipy.special.xlog1py(b - 1, -u)
-            one = np.zeros(len(x))
-            one[inside] = np.exp(log_u - scipy.special.betaln(a, b)) / scale
-        density += count / len(innovations.dof) * one
+            of_dof = np.zeros(len(x))
+            of_dof[inside] = np.exp(log_u - scipy.special.betaln(a, b)) / scale
+        density += count / len(innovations.dof) * of_dof
     return density
 
 

@@ -96,25 +96,26 @@ def deciding(problem: Problem, uncertainty: Uncertainty, recordings: Sequence[st
     `recordings`: that of each trajectory. The one with the most influence is left out, and the rest fitted again by a
     few steps.
     """
-    found: Optimum = uncertainty.optimum
-    own = np.asarray(recordings)[found.used]
-    names = [f"recording {name}" for name in own]
+    optimum: Optimum = uncertainty.optimum
+    used = np.asarray(recordings)[optimum.used]
+    names = [f"recording {name}" for name in used]
     if len(set(names)) == 1:
-        names = [f"piece {k + 1} of {name}" for k, name in enumerate(own)]
+        names = [f"piece {k + 1} of {name}" for k, name in enumerate(used)]
     groups, index = np.unique(names, return_inverse=True)
-    if len(groups) < 3 or not np.all(np.isfinite(found.hessian)):
+    if len(groups) < 3 or not np.all(np.isfinite(optimum.hessian)):
         return []
-    _, inverse, _ = determined(found.hessian, ~uncertainty.at_bound)
-    pulls = np.stack([found.influence[index.ravel() == g].sum(axis=0) for g in range(len(groups))])
+    free = ~uncertainty.at_bound
+    _, inverse, _ = determined(optimum.hessian, free)
+    pulls = np.stack([optimum.influence[index.ravel() == g].sum(axis=0) for g in range(len(groups))])
     shares = np.einsum("gp,pq,gq->g", pulls, inverse, pulls)
     worst = int(np.argmax(shares))
     if problem.stochastic or not shares[worst] > DECIDES * shares.sum():
         return []
-    rest = found.used.astype(float)
-    rest[np.flatnonzero(found.used)[index.ravel() == worst]] = 0.0
-    refitted = refit(problem, found.vector[None], found.hessian, ~uncertainty.at_bound, rest[None], ROUNDS).vectors[0]
+    rest = optimum.used.astype(float)
+    rest[np.flatnonzero(optimum.used)[index.ravel() == worst]] = 0.0
+    refitted = refit(problem, optimum.vector[None], optimum.hessian, free, rest[None], ROUNDS).vectors[0]
     scales = np.array(component_kinds(uncertainty.parameters)) == Scale
-    change = np.where(scales & ~uncertainty.undetermined, refitted - found.vector, 0.0)
+    change = np.where(scales & ~uncertainty.undetermined, refitted - optimum.vector, 0.0)
     largest = int(np.argmax(np.abs(change)))
     if not abs(change[largest]) > CHANGES:
         return []
@@ -182,8 +183,8 @@ class WindowSums(NamedTuple):
         scatter = self.squares - self.total * mean
         if scatter <= NO_SCATTER * self.squares:
             return np.full(len(count), np.nan)
-        found = (of_squares - 2 * mean * of_products + mean**2 * of_sizes) / scatter
-        return np.where(count < MIN_WINDOWS, np.nan, found)
+        inflations = (of_squares - 2 * mean * of_products + mean**2 * of_sizes) / scatter
+        return np.where(count < MIN_WINDOWS, np.nan, inflations)
 
 
 def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tuple[int, float]:
@@ -195,8 +196,8 @@ def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tup
     """
     # Of few trajectories by the program that the starts were compared with.
     function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_nis_of_rows, _sums)
-    found = [one for (one,) in problem.parts.run(function, [np.atleast_2d(vector)], reduced)]
-    sums = WindowSums(*(np.sum(np.stack(parts), axis=0) for parts in zip(*found, strict=True)))
+    by_chunk = [chunk_sums for (chunk_sums,) in problem.parts.run(function, [np.atleast_2d(vector)], reduced)]
+    sums = WindowSums(*(np.sum(np.stack(parts), axis=0) for parts in zip(*by_chunk, strict=True)))
     if sums.rows < MIN_WINDOWS:
         return int(sums.rows), 1.0
     before = last = 1.0
@@ -218,23 +219,23 @@ def window_sums(
     windows: Sequence[float] = WINDOWS_S,
 ) -> WindowSums:
     """The sums over windows of so many seconds; `track` (n,): the number of each row's trajectory, in order."""
-    own = np.zeros((4, len(windows)))
+    of_windows = np.zeros((4, len(windows)))
     for k, window in enumerate(windows if len(times) else ()):
         first = np.flatnonzero(np.append(True, (np.diff(np.floor(times / window)) != 0) | (np.diff(track) != 0)))
         sums, sizes = np.add.reduceat(ratios, first), np.diff(np.append(first, len(times)))
-        own[:, k] = len(first), sums @ sums, sums @ sizes, sizes @ sizes
-    return WindowSums(len(times), float(ratios.sum()), float(ratios @ ratios), own)
+        of_windows[:, k] = len(first), sums @ sums, sums @ sizes, sizes @ sizes
+    return WindowSums(len(times), float(ratios.sum()), float(ratios @ ratios), of_windows)
 
 
-def _sums_of_rows(found: Any, chunk: Batch) -> WindowSums:
+def _sums_of_rows(results: Any, chunk: Batch) -> WindowSums:
     """As `_sums`, from `plain_rows`."""
-    nis, dof = (found[0][0, BESIDE.index(name) - len(BESIDE)] for name in ("nis", "nis_dof"))
+    nis, dof = (results[0][0, BESIDE.index(name) - len(BESIDE)] for name in ("nis", "nis_dof"))
     return _sums((nis, dof), chunk)
 
 
-def _sums(found: Any, chunk: Batch) -> WindowSums:
+def _sums(results: Any, chunk: Batch) -> WindowSums:
     """The sums of the rows of a chunk that have a NIS."""
-    nis, dof = (np.asarray(x) for x in found)
+    nis, dof = (np.asarray(x) for x in results)
     known = np.isfinite(nis) & (dof > 0) & np.asarray(chunk.valid)
     track, row = np.nonzero(known.T)
     times = np.cumsum(np.asarray(chunk.dt, float), axis=0)[row, track]

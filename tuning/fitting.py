@@ -114,12 +114,12 @@ class FitResult(Generic[AnyTracker]):
     @cached_property
     def cautions(self) -> list[str]:
         """Caveats on the result (`tuning.fit_cautions`). For a likelihood this runs the filter once more."""
-        found = [*standstill(self.start_vector, self.vector, self.selected), *self.collapsed]
+        cautions = [*standstill(self.start_vector, self.vector, self.selected), *self.collapsed]
         if self.uncertainty is not None:
-            found += deciding(self.problem, self.uncertainty, self.recordings)
+            cautions += deciding(self.problem, self.uncertainty, self.recordings)
         if self.problem.objective.is_likelihood:
-            found += [*repetitions(self.readings), *correlation(self.problem, self.vector)]
-        return found
+            cautions += [*repetitions(self.readings), *correlation(self.problem, self.vector)]
+        return cautions
 
     @cached_property
     def collapsed(self) -> list[str]:
@@ -129,10 +129,10 @@ class FitResult(Generic[AnyTracker]):
     @property
     def at_optimum(self) -> bool:
         """Whether the fit reached an optimum, as far as its curvature or its optimiser shows."""
-        found = self.uncertainty
-        if found is None or np.isnan(found.optimum.nats_per_unit):
-            return found is not None and found.at_optimum and self.converged
-        return found.at_optimum
+        uncertainty = self.uncertainty
+        if uncertainty is None or np.isnan(uncertainty.optimum.nats_per_unit):
+            return uncertainty is not None and uncertainty.at_optimum and self.converged
+        return uncertainty.at_optimum
 
     @property
     def standard_errors(self) -> dict[str, np.ndarray]:
@@ -262,27 +262,27 @@ def fit(
 def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, interrupted: bool) -> FitResult[Any]:
     """The result at the best point met, after a few Newton steps of a likelihood."""
     problem, parameters = driver.problem, driver.problem.parameters
-    winner, own = int(np.argmin(state.best_scores)), state.past_vectors[0, 0]
+    winner, start = int(np.argmin(state.best_scores)), state.past_vectors[0, 0]
     (vector, vectors), uncertainty = _best_vector(problem, state, winner), None
     if interrupted:
         last, vectors = problem.evaluate(vector), vectors + 1
     else:
-        found, more = newton(driver, vector)
-        vector, last, vectors = found.vector, found.evaluation, vectors + more
-        bound = driver.at_bound(vector, found.gradient)
-        uncertainty = uncertainty_at(problem, found, bound)
+        best, more = newton(driver, vector)
+        vector, last, vectors = best.vector, best.evaluation, vectors + more
+        bound = driver.at_bound(vector, best.gradient)
+        uncertainty = uncertainty_at(problem, best, bound)
         kept = None
         if driver.held_out is None:  # a point that others select is no optimum, and its curvature shows nothing
-            kept = kept_at_start(problem, uncertainty, own, float(state.past_values[0, 0]) - found.value)
+            kept = kept_at_start(problem, uncertainty, start, float(state.past_values[0, 0]) - best.value)
         if kept is not None and kept.at_start.any():
-            found = optimum(problem, kept.vector)
-            vector, last, vectors = found.vector, found.evaluation, vectors + kept.vectors + 2 * len(vector) + 1
-            uncertainty = uncertainty_at(problem, found, bound, kept.at_start)
+            best = optimum(problem, kept.vector)
+            vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + 2 * len(vector) + 1
+            uncertainty = uncertainty_at(problem, best, bound, kept.at_start)
     value = float(problem.finite_values(vector, last.terms)[0])
     # A minibatch's value is over a part of the trajectories.
     start_value = state.past_values[0, 0]
     if driver.minibatch is not None:
-        start_value, vectors = problem.finite_values(own, problem.evaluate(own).terms)[0], vectors + 1
+        start_value, vectors = problem.finite_values(start, problem.evaluate(start).terms)[0], vectors + 1
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     if not np.array_equal(vector, state.best_vectors[winner]):
         traces[winner].append(Step(value, float(np.linalg.norm(last.gradients)), by_label(parameters, vector)))
@@ -290,13 +290,13 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         tracker=with_parameters(tracker, parameters, vector),
         value=value,
         start_value=float(start_value),
-        start_vector=own,
+        start_vector=start,
         problem=problem,
         vector=vector,
         evaluation=last,
         filter_runs=int(state.filter_runs) + vectors * problem.n_trajectories(),
         uncertainty=uncertainty,
-        before=with_parameters(tracker, parameters, own),
+        before=with_parameters(tracker, parameters, start),
         limits=(driver.low, driver.high),
         converged=not (driver.optimiser.monotone and state.number >= driver.max_steps and state.active[winner]),
         selected=driver.held_out is not None,
@@ -310,14 +310,14 @@ def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[Float[
 
     Other recordings may depend on them. Second: the number of vectors evaluated.
     """
-    vector, (own, first) = state.best_vectors[winner], state.past_vectors[0, [0, winner]]
-    if np.array_equal(own, first):
+    vector, (start, first) = state.best_vectors[winner], state.past_vectors[0, [0, winner]]
+    if np.array_equal(start, first):
         return vector, 0
     evaluation = problem.evaluate(vector)
-    no_effect = unidentifiable(evaluation.term_gradients) & (evaluation.gradients[0] == 0) & (own != first)
+    no_effect = unidentifiable(evaluation.term_gradients) & (evaluation.gradients[0] == 0) & (start != first)
     if not no_effect.any():
         return vector, 1
-    restored = np.where(no_effect, own, vector)
+    restored = np.where(no_effect, start, vector)
     other = problem.finite_values(restored, problem.evaluate(restored).terms)
     as_good = other[0] <= problem.finite_values(vector, evaluation.terms)[0]
     return restored if as_good else vector, 2

@@ -77,9 +77,9 @@ class LikelihoodWithLossPenalty(AbstractObjective):
         lost = (output.status == Status.LOST) | (output.status == Status.RESTARTED)
         lost = lost | (output.status == Status.NON_FINITE)
         row = output.status != Status.PADDING
-        one = jnp.ones_like(output.nis_dof)
+        ones = jnp.ones_like(output.nis_dof)
         likelihood = NegativeLogLikelihood().terms(output, truth)
-        return *likelihood, jnp.where(lost, one, 0.0), jnp.where(row, one, 0.0)
+        return *likelihood, jnp.where(lost, ones, 0.0), jnp.where(row, ones, 0.0)
 
     def value(self, sums: Any) -> Scalar:
         return sums[0] / sums[1] + LOST_PENALTY * sums[2] / sums[3]
@@ -134,24 +134,24 @@ def noise_levels(tracker: AbstractTracker, frozen: Sequence[str] = ()) -> list[P
 def sample_segments(batches: Sequence[AnyBatch], count: int) -> Batch:
     """At most `count` segments of at most `ROWS` rows, evenly spread over all rows of all recordings."""
     rows = min(ROWS, max(steps_of(batch) for batch in batches))
-    every = [
+    cuts = [
         (b, trajectory, start)
         for b, batch in enumerate(batches)
         for trajectory, length in enumerate(lengths_of(batch))
         for start in range(0, int(length), rows)
         if start == 0 or length - start >= rows // 2
     ]
-    picked = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, min(count, len(every))).astype(int))]
+    picked = [cuts[k] for k in np.unique(np.linspace(0, len(cuts) - 1, min(count, len(cuts))).astype(int))]
 
     def cut(b: int, trajectory: int, start: int) -> Batch:
         def part(x: Shaped[AnyArray, "T *shape 1"]) -> Shaped[np.ndarray, "rows *shape"]:
             rows_of_x = np.asarray(x)[start : start + rows, ..., 0]
             return np.pad(rows_of_x, [(0, rows - len(rows_of_x))] + [(0, 0)] * (rows_of_x.ndim - 1))
 
-        one = batches[b].columns(trajectory, trajectory + 1)
-        return jax.tree_util.tree_map(part, one._replace(key=one.dt))._replace(key=np.asarray(one.key)[:, 0])
+        whole = batches[b].columns(trajectory, trajectory + 1)
+        return jax.tree_util.tree_map(part, whole._replace(key=whole.dt))._replace(key=np.asarray(whole.key)[:, 0])
 
-    return jax.tree_util.tree_map(lambda *x: np.stack(x, axis=-1), *(cut(*one) for one in picked))
+    return jax.tree_util.tree_map(lambda *x: np.stack(x, axis=-1), *(cut(*segment) for segment in picked))
 
 
 def tolerant(tracker: AbstractTracker) -> AbstractTracker:
@@ -172,35 +172,35 @@ class _Search:
 
     def values(self, vectors: np.ndarray) -> np.ndarray:
         """The objective (S,) at vectors (S, p), infinite where it is not finite."""
-        found = self.problem.values(vectors)
-        return np.where(np.isfinite(found), found, np.inf)
+        values = self.problem.values(vectors)
+        return np.where(np.isfinite(values), values, np.inf)
 
     def consider(self, vectors: np.ndarray) -> None:
         """Take the best of the vectors (S, p) if it gains enough."""
         if len(vectors):
-            found = self.values(vectors)
-            best = int(np.argmin(found))
-            if found[best] < self.value - self.min_gain:
-                self.value, self.vector = float(found[best]), vectors[best]
+            values = self.values(vectors)
+            best = int(np.argmin(values))
+            if values[best] < self.value - self.min_gain:
+                self.value, self.vector = float(values[best]), vectors[best]
 
     def restore(self, start: np.ndarray) -> None:
         """Reset each level to its start value where that costs nothing."""
-        own = self.moved(np.eye(len(self.problem.parameters))) != self.vector
-        found = self.values(np.where(own, start, self.vector))
-        back = own[found < self.value + self.min_gain].any(axis=0)
+        levels = self.moved(np.eye(len(self.problem.parameters))) != self.vector
+        values = self.values(np.where(levels, start, self.vector))
+        back = levels[values < self.value + self.min_gain].any(axis=0)
         vector = np.where(back, start, self.vector)
         value = float(self.values(vector[None])[0])
-        if value < self.value + len(own) * self.min_gain:
+        if value < self.value + len(levels) * self.min_gain:
             self.value, self.vector = value, vector
 
     def step_each_level(self) -> None:
         """Find each level's best step alone, then take all of them, all halved, or only the best one."""
-        every = np.eye(len(self.problem.parameters))
-        found = self.values(self.moved(np.kron(every, SINGLE_STEPS[:, None]))).reshape(len(every), len(SINGLE_STEPS))
-        least = found.min(axis=1)
-        steps = np.where(least < self.value - self.min_gain, SINGLE_STEPS[np.argmin(found, axis=1)], 0.0)
+        levels = np.eye(len(self.problem.parameters))
+        values = self.values(self.moved(np.kron(levels, SINGLE_STEPS[:, None]))).reshape(len(levels), len(SINGLE_STEPS))
+        least = values.min(axis=1)
+        steps = np.where(least < self.value - self.min_gain, SINGLE_STEPS[np.argmin(values, axis=1)], 0.0)
         if steps.any():
-            best = every[int(np.argmin(least))]
+            best = levels[int(np.argmin(least))]
             self.consider(self.moved(np.stack([steps, 0.5 * steps, steps * best])))
 
     def moved(self, logs: np.ndarray) -> np.ndarray:
@@ -221,13 +221,13 @@ class _Search:
 
 def _closed_form(parameters: Sequence[Parameter], segments: Batch) -> np.ndarray:
     """A vector (1, p) with noise levels from differences of fixes; (0, p) without fixes."""
-    found, vector = noise_levels_of_fixes(segments), flatten(parameters)
-    if found is None:
+    levels, vector = noise_levels_of_fixes(segments), flatten(parameters)
+    if levels is None:
         return np.zeros((0, len(vector)))
     parts = []
     for parameter in parameters:
         kind = parameter.example
-        level = found.of(kind) if isinstance(kind, (Scale, Covariance)) else None
+        level = levels.of(kind) if isinstance(kind, (Scale, Covariance)) else None
         if level is not None and isinstance(kind, Covariance):
             value = np.asarray(kind.value, float)
             kind = kind.with_value(value * (level**2 / np.mean(np.diagonal(value)[:2])))
@@ -267,16 +267,16 @@ class FixNoiseLevels:
 
         Of a covariance: its horizontal part.
         """
-        is_vertical, found = node.axis == "vertical", float("nan")
+        is_vertical, level = node.axis == "vertical", float("nan")
         if node.axis is None:
             return None
         if node.role == "process noise" and node.unit == "m/s^2/sqrt(Hz)" and not is_vertical:
-            found = self.acceleration
+            level = self.acceleration
         elif node.role == "process noise" and node.unit == "m/sqrt(s)" and is_vertical:
-            found = self.height_walk
+            level = self.height_walk
         elif node.role == "measurement noise" and node.unit in ("m", "m^2"):
-            found = self.vertical if is_vertical else self.horizontal
-        return found if np.isfinite(found) and found > 0 else None
+            level = self.vertical if is_vertical else self.horizontal
+        return level if np.isfinite(level) and level > 0 else None
 
 
 def noise_levels_of_fixes(batch: Batch) -> FixNoiseLevels | None:
@@ -303,8 +303,8 @@ def _noise_and_motion(
     """R and q of an axis (T, B) from second differences, or R and r from first ones; None for too few."""
     noise, motion, mean_squares = [], [], []
     for lag in LAGS:
-        found = [_differences(t, z, s, lag, second) for t, z, s in zip(times.T, values.T, seen.T, strict=True)]
-        spans, differences = (np.concatenate(x) for x in zip(*found, strict=True))
+        by_track = [_differences(t, z, s, lag, second) for t, z, s in zip(times.T, values.T, seen.T, strict=True)]
+        spans, differences = (np.concatenate(x) for x in zip(*by_track, strict=True))
         if len(spans) < MIN_DIFFERENCES or np.median(spans) > MAX_LAG_S:
             break
         span = float(np.median(spans))

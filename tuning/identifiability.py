@@ -32,9 +32,9 @@ class IdentifiabilityIssue:
 
 def cautions(tracker: AbstractTracker, parameters: Sequence[Parameter], objective: AbstractObjective) -> Iterator[str]:
     """Warnings before a fit: tied numbers with different values, and a latency that no likelihood determines."""
-    own = tunables(tracker)
+    nodes = tunables(tracker)
     for parameter in parameters:
-        values = [np.asarray(own[name].value) for name in parameter.names]
+        values = [np.asarray(nodes[name].value) for name in parameter.names]
         if not all(np.array_equal(value, values[0]) for value in values):
             listed = ", ".join(f"{float(value):.4g}" for value in values if value.ndim == 0)
             yield f"{parameter.label}: tied numbers all start at the first value{f' of {listed}' if listed else ''}"
@@ -71,13 +71,16 @@ def identifiability_issues(
     free = np.flatnonzero(~no_effect & ~ignored & ~uncertainty.at_bound)
     if not len(free) or not np.all(np.isfinite(uncertainty.optimum.hessian)):
         return issues
-    for component, sigma in _groups(uncertainty, free).items():
-        own, own_kinds = [names[k] for k in component], [kinds[k] for k in component]
-        if len(sigma) == len(own) > 1:
-            text = _none_determined(own, min(deviation for _, deviation in sigma))
-            issues.append(IdentifiabilityIssue(tuple(own), text))
+    for component, directions in _groups(uncertainty, free).items():
+        group, group_kinds = [names[k] for k in component], [kinds[k] for k in component]
+        if len(directions) == len(group) > 1:
+            text = _none_determined(group, min(deviation for _, deviation in directions))
+            issues.append(IdentifiabilityIssue(tuple(group), text))
         else:
-            issues += [IdentifiabilityIssue(tuple(own), _sentence(own, own_kinds, *one)) for one in sigma]
+            issues += [
+                IdentifiabilityIssue(tuple(group), _sentence(group, group_kinds, *direction))
+                for direction in directions
+            ]
     return issues
 
 
@@ -87,7 +90,12 @@ def flat_components(uncertainty: Uncertainty) -> list[int]:
     if not len(free) or not np.all(np.isfinite(uncertainty.optimum.hessian)):
         return []
     groups = _groups(uncertainty, free)
-    flat = {k: min(s for _, s in found) for own, found in groups.items() if len(found) == len(own) for k in own}
+    flat = {
+        k: min(s for _, s in directions)
+        for group, directions in groups.items()
+        if len(directions) == len(group)
+        for k in group
+    }
     return sorted(flat, key=lambda k: -flat[k])
 
 
@@ -193,21 +201,21 @@ class Kept(NamedTuple):
     vectors: int
 
 
-def kept_at_start(problem: Problem, found: Uncertainty, start: Float[np.ndarray, " p"], gain: float) -> Kept:
+def kept_at_start(problem: Problem, uncertainty: Uncertainty, start: Float[np.ndarray, " p"], gain: float) -> Kept:
     """The optimum with its flat numbers at their values of `start` (p,), and the others fitted again.
 
     Flat are numbers along which the objective has no curvature at the optimum, or hardly any. One keeps its starting
     value where that costs less than `NATS` of a likelihood, or `PART` of the `gain` of the fit of another objective.
     """
-    vector, kept, vectors = found.optimum.vector, np.zeros(len(start), bool), 0
-    nats = found.optimum.nats_per_unit
-    limit = found.optimum.value + (NATS / nats if np.isfinite(nats) else PART * gain)
-    for component in flat_components(found):
+    vector, kept, vectors = uncertainty.optimum.vector, np.zeros(len(start), bool), 0
+    nats = uncertainty.optimum.nats_per_unit
+    limit = uncertainty.optimum.value + (NATS / nats if np.isfinite(nats) else PART * gain)
+    for component in flat_components(uncertainty):
         if problem.stochastic or vector[component] == start[component]:
             continue
         fixed = kept | (np.arange(len(start)) == component)
-        trial, used = np.where(fixed, start, vector)[None], found.optimum.used[None].astype(float)
-        refitted = refit(problem, trial, found.optimum.hessian, ~(found.at_bound | fixed), used, ROUNDS)
+        trial, used = np.where(fixed, start, vector)[None], uncertainty.optimum.used[None].astype(float)
+        refitted = refit(problem, trial, uncertainty.optimum.hessian, ~(uncertainty.at_bound | fixed), used, ROUNDS)
         vectors += ROUNDS + 1
         if refitted.values[0] <= limit:
             vector, kept = refitted.vectors[0], fixed

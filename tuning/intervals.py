@@ -51,7 +51,7 @@ class Profile:
 
 def profile(
     problem: Problem,
-    found: Optimum,
+    optimum: Optimum,
     component: int,
     level: float = 0.95,
     points: int = 15,
@@ -61,43 +61,43 @@ def profile(
 
     `at_bound` (p,): other numbers that keep their values. Raises ValueError for an objective that is no likelihood.
     """
-    if not np.isfinite(found.nats_per_unit):
+    if not np.isfinite(optimum.nats_per_unit):
         raise ValueError("a profile is of a likelihood; use the bootstrap for another objective")
-    p = len(found.vector)
+    p = len(optimum.vector)
     others = np.arange(p) != component
     if at_bound is not None:
         others &= ~at_bound
-    along = found.hessian[component]
-    _, inner, _ = determined(found.hessian, others)
-    curvature = found.nats_per_unit * (found.hessian[component, component] - along @ inner @ along)
-    stretch = _stretch(found, others, component)
+    along = optimum.hessian[component]
+    _, inner, _ = determined(optimum.hessian, others)
+    curvature = optimum.nats_per_unit * (optimum.hessian[component, component] - along @ inner @ along)
+    stretch = _stretch(optimum, others, component)
     half_width = min(HALF_WIDTH * np.sqrt(stretch / curvature), MAX_HALF_WIDTH) if curvature > 0 else MAX_HALF_WIDTH
     # An odd number of points has the optimum itself among them.
     offsets = np.linspace(-half_width, half_width, points + 1 - points % 2)
-    vectors = np.tile(found.vector, (len(offsets), 1))
+    vectors = np.tile(optimum.vector, (len(offsets), 1))
     vectors[:, component] += offsets
     vectors -= offsets[:, None] * (inner @ along)
-    refitted = refit(problem, vectors, found.hessian, others, found.used.astype(float), ROUNDS)
-    rise = found.nats_per_unit * (refitted.values - min(found.value, np.nanmin(refitted.values)))
+    refitted = refit(problem, vectors, optimum.hessian, others, optimum.used.astype(float), ROUNDS)
+    rise = optimum.nats_per_unit * (refitted.values - min(optimum.value, np.nanmin(refitted.values)))
     ends = _crossings(offsets, rise, 0.5 * stretch * float(chdtri(1, 1 - level)))
-    edge = [_physical(problem.parameters, found.vector, component, x) for x in ends]
-    raw = found.vector[component] + offsets
-    values = np.array([_physical(problem.parameters, found.vector, component, x) for x in offsets])
+    edge = [_physical(problem.parameters, optimum.vector, component, x) for x in ends]
+    raw = optimum.vector[component] + offsets
+    values = np.array([_physical(problem.parameters, optimum.vector, component, x) for x in offsets])
     return Profile(raw, values, rise, *edge)
 
 
-def _stretch(found: Optimum, others: Bool[np.ndarray, " p"], component: int) -> float:
+def _stretch(optimum: Optimum, others: Bool[np.ndarray, " p"], component: int) -> float:
     """The factor of the chi-square quantile where trajectories have weights (Rotnitzky & Jewell 1990); 1 without."""
     free = others.copy()
     free[component] = True
-    _, inverse, _ = determined(found.hessian, free)
-    own, weighted = inverse[component, component], found.weighted(inverse)[component, component]
-    return float(weighted / own) if found.squared is not None and own > 0 and weighted > 0 else 1.0
+    _, inverse, _ = determined(optimum.hessian, free)
+    unweighted, weighted = inverse[component, component], optimum.weighted(inverse)[component, component]
+    return float(weighted / unweighted) if optimum.squared is not None and unweighted > 0 and weighted > 0 else 1.0
 
 
 def bootstrap(
     problem: Problem,
-    found: Optimum,
+    optimum: Optimum,
     replicates: int = 100,
     rounds: int = 3,
     seed: int = 0,
@@ -108,15 +108,15 @@ def bootstrap(
     All by a few steps from the optimum, with the numbers `at_bound` (p,) fixed. Raises ValueError for fewer than five
     trajectories.
     """
-    count = int(found.used.sum())
+    count = int(optimum.used.sum())
     if count < MIN_TRAJECTORIES:
         raise ValueError(f"{count} trajectories are too few to resample; cut recordings into segments, or add some")
     rng = np.random.default_rng(seed)
-    weights = np.zeros((replicates, len(found.used)))
-    weights[:, found.used] = rng.multinomial(count, np.full(count, 1.0 / count), size=replicates)
-    start = np.tile(found.vector, (replicates, 1))
+    weights = np.zeros((replicates, len(optimum.used)))
+    weights[:, optimum.used] = rng.multinomial(count, np.full(count, 1.0 / count), size=replicates)
+    start = np.tile(optimum.vector, (replicates, 1))
     free = None if at_bound is None else ~at_bound
-    return refit(problem, start, found.hessian, free, weights, rounds).vectors
+    return refit(problem, start, optimum.hessian, free, weights, rounds).vectors
 
 
 def percentile_intervals(
@@ -125,11 +125,11 @@ def percentile_intervals(
     """Lowest and highest physical value of the central `level` of replicates (S, p), by label."""
     physical_values = [physical(parameters, v) for v in vectors]
     tails = 50 * (1 - level), 50 * (1 + level)
-    found = {}
+    intervals = {}
     for k, p in enumerate(parameters):
         low, high = np.percentile(np.stack([np.asarray(v[k], float) for v in physical_values]), tails, axis=0)
-        found[p.label] = (low, high)
-    return found
+        intervals[p.label] = (low, high)
+    return intervals
 
 
 def _crossings(offsets: Float[np.ndarray, " G"], rise: Float[np.ndarray, " G"], height: float) -> tuple[float, float]:
@@ -216,8 +216,8 @@ def _profile_intervals(result: FitResult, uncertainty: Uncertainty) -> dict[str,
 def _ends(result: FitResult, uncertainty: Uncertainty, component: int) -> tuple[float, float]:
     if uncertainty.at_bound[component]:
         return np.nan, np.nan
-    found = profile(result.problem, uncertainty.optimum, component, at_bound=uncertainty.at_bound)
-    return found.low, found.high
+    curve = profile(result.problem, uncertainty.optimum, component, at_bound=uncertainty.at_bound)
+    return curve.low, curve.high
 
 
 MOST_FOLDS = 10
@@ -234,14 +234,21 @@ def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
     Numbers at a bound, and those that keep their starting values, stay there. Empty for one recording, for an
     interrupted fit, and for particle filters, whose gradients are too noisy for a few steps.
     """
-    found, names = result.uncertainty, list(dict.fromkeys(name for name in result.recordings if name))
-    if found is None or result.problem.stochastic or len(names) < 2 or not np.all(np.isfinite(found.optimum.hessian)):
+    uncertainty, names = result.uncertainty, list(dict.fromkeys(name for name in result.recordings if name))
+    if (
+        uncertainty is None
+        or result.problem.stochastic
+        or len(names) < 2
+        or not np.all(np.isfinite(uncertainty.optimum.hessian))
+    ):
         return {}
     folds = [names[k::MOST_FOLDS] for k in range(min(len(names), MOST_FOLDS))]
-    own = np.asarray(result.recordings)
-    weights = np.stack([found.optimum.used & ~np.isin(own, fold) for fold in folds]).astype(float)
+    recordings = np.asarray(result.recordings)
+    weights = np.stack([uncertainty.optimum.used & ~np.isin(recordings, fold) for fold in folds]).astype(float)
     starts = np.tile(result.vector, (len(folds), 1))
-    vectors = refit(result.problem, starts, found.optimum.hessian, ~found.at_bound, weights, LEFT_OUT_ROUNDS).vectors
+    vectors = refit(
+        result.problem, starts, uncertainty.optimum.hessian, ~uncertainty.at_bound, weights, LEFT_OUT_ROUNDS
+    ).vectors
     vectors = np.clip(vectors, *result.limits)
     return {
         name: by_label(result.parameters, vector)

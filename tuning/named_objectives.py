@@ -108,8 +108,8 @@ def _evaluated(
     together = Weighted(tuple(objectives.values()), (1.0,) * len(objectives)).for_tracker(tracker)
     (sums,) = Problem(tracker, batches, together, [], chunk, weights=weights).terms(np.zeros((1, 0)))
     metrics = {}
-    for name, objective, own in zip(objectives, together.parts, together.split(sums), strict=True):
-        total = own[:, np.isfinite(own).all(axis=0)].sum(axis=-1)
+    for name, objective, terms in zip(objectives, together.parts, together.split(sums), strict=True):
+        total = terms[:, np.isfinite(terms).all(axis=0)].sum(axis=-1)
         if total[-1] > 0:  # the last sum of every objective counts what it is over
             metrics[name] = float(objective.value(jnp.asarray(total)))
     return metrics

@@ -262,9 +262,9 @@ def normalised_error(
     """
     errors, scored = errors_of(output, truth, quantity, dimensions)
     S = _covariance_of(output, quantity, dimensions)
-    one = jnp.ones_like(errors[0])
+    unit = jnp.ones_like(errors[0])
     # Other rows get the unit matrix: before a track starts there is no covariance, and NaN has no derivative.
-    cov = {(i, j): jnp.where(scored, S[i, j], one if i == j else 0.0) for i, j in triangle(dimensions)}
+    cov = {(i, j): jnp.where(scored, S[i, j], unit if i == j else 0.0) for i, j in triangle(dimensions)}
     L = cholesky(cov, range(dimensions), 0.0)
     parts: list[Scalar] = []
     for i, e in enumerate(errors):
@@ -278,9 +278,9 @@ def normalised_error(
 def _covariance_of(output: Output, quantity: str, dimensions: int) -> dict[tuple[int, int], Scalar]:
     """The covariance of a quantity's first components, upper triangle by index."""
 
-    def one(mean: Any, cov: Any) -> dict[tuple[int, int], Scalar]:
+    def of_trajectory(mean: Any, cov: Any) -> dict[tuple[int, int], Scalar]:
         return covariance_of(mean, cov, lambda state: list(getattr(state, quantity))[:dimensions])
 
     # States are written for one trajectory: vmap tells their vector leaves from vectors of trajectories.
-    each = jax.vmap(one, in_axes=-1, out_axes=-1) if jnp.ndim(output.status) else one
+    each = jax.vmap(of_trajectory, in_axes=-1, out_axes=-1) if jnp.ndim(output.status) else of_trajectory
     return each(output.mean, output.cov)

@@ -143,21 +143,25 @@ class MultiStart:
                 break
             index = np.flatnonzero(worth)
             trial = trial[index]
-            found = self._evaluate(trial, number)
-            runs += found.filter_runs
+            evaluated = self._evaluate(trial, number)
+            runs += evaluated.filter_runs
             # Which trajectories count differs from point to point; values are compared over the same ones.
-            both = state.used[index] & found.used
-            gains = self.problem.values_over(both, state.vectors[index], state.terms[index], subset)
-            gains -= self.problem.values_over(both, trial, found.terms, subset)
-            accepted = found.finite & np.isfinite(gains)
+            common = state.used[index] & evaluated.used
+            gains = self.problem.values_over(common, state.vectors[index], state.terms[index], subset)
+            gains -= self.problem.values_over(common, trial, evaluated.terms, subset)
+            accepted = evaluated.finite & np.isfinite(gains)
             if self.optimiser.monotone:
                 accepted &= gains >= 0
             moved = index[accepted]
             vectors[moved], gain[moved] = trial[accepted], gains[accepted]
-            for old, new in zip(after, (found.values, found.gradients, found.terms, found.used), strict=True):
+            for old, new in zip(
+                after, (evaluated.values, evaluated.gradients, evaluated.terms, evaluated.used), strict=True
+            ):
                 old[moved] = new[accepted]
             pending[moved] = False
-            jumps[index] = np.maximum(jumps[index], _jumps(trial - state.vectors[index], slopes[index], gains, found))
+            jumps[index] = np.maximum(
+                jumps[index], _jumps(trial - state.vectors[index], slopes[index], gains, evaluated)
+            )
             lengths[index] *= _shorter(slopes[index], gains)
         moved = state.active & ~pending
         values, gradients, terms, used = after
@@ -235,8 +239,8 @@ class MultiStart:
         scale = np.any(gradients != 0, axis=0)
         distances = np.linalg.norm((vectors[:, None] - best_vectors[None]) * scale, axis=2)
         order = np.argsort(np.argsort(best_scores, kind="stable"))
-        found: Bool[np.ndarray, " S"] = np.any((distances < SAME_START) & (order[None] < order[:, None]), axis=1)
-        return found
+        duplicates: Bool[np.ndarray, " S"] = np.any((distances < SAME_START) & (order[None] < order[:, None]), axis=1)
+        return duplicates
 
     def _min_gains(
         self, values: Float[np.ndarray, " S"], terms: Float[np.ndarray, "S k n"], used: Bool[np.ndarray, "S n"]
@@ -277,15 +281,18 @@ def _shorter(slopes: Float[np.ndarray, " S"], gains: Float[np.ndarray, " S"]) ->
 
 
 def _jumps(
-    steps: Float[np.ndarray, "S p"], slopes: Float[np.ndarray, " S"], gains: Float[np.ndarray, " S"], found: Evaluation
+    steps: Float[np.ndarray, "S p"],
+    slopes: Float[np.ndarray, " S"],
+    gains: Float[np.ndarray, " S"],
+    evaluated: Evaluation,
 ) -> Float[np.ndarray, " S"]:
     """The parts of the gains of short steps that the slopes at both ends do not explain; zero for long steps.
 
     A filter whose noise depends on the sign of a residual has a likelihood with jumps. A gain below them is not found.
     """
-    explained = -0.5 * (slopes + np.sum(steps * found.gradients, axis=1))
+    explained = -0.5 * (slopes + np.sum(steps * evaluated.gradients, axis=1))
     short = np.linalg.norm(steps, axis=1) <= SHORT
-    return np.where(short & found.finite & np.isfinite(gains), np.abs(gains - explained), 0.0)
+    return np.where(short & evaluated.finite & np.isfinite(gains), np.abs(gains - explained), 0.0)
 
 
 def min_gain(value: float, nats_per_unit: float) -> float:
@@ -362,23 +369,23 @@ def newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimum
     For smooth likelihoods only, and not where held-out recordings select the point. Second: the number of vectors
     evaluated.
     """
-    problem, found = driver.problem, optimum(driver.problem, vector)
+    problem, best = driver.problem, optimum(driver.problem, vector)
     n_each = 2 * len(vector) + 1
     vectors = n_each
-    if not np.isfinite(found.nats_per_unit) or driver.held_out is not None or problem.stochastic:
-        return found, vectors
+    if not np.isfinite(best.nats_per_unit) or driver.held_out is not None or problem.stochastic:
+        return best, vectors
     for _ in range(NEWTON_STEPS):
-        _, inverse, _ = determined(found.hessian, ~driver.at_bound(found.vector, found.gradient))
-        step = -inverse @ found.gradient
+        _, inverse, _ = determined(best.hessian, ~driver.at_bound(best.vector, best.gradient))
+        step = -inverse @ best.gradient
         # The gain that the quadratic model predicts.
-        if not -found.gradient @ step / 2 >= min_gain(found.value, found.nats_per_unit):
+        if not -best.gradient @ step / 2 >= min_gain(best.value, best.nats_per_unit):
             break
         step = step / max(1.0, float(np.linalg.norm(step)))
-        vector = np.clip(found.vector + step, driver.low, driver.high)
+        vector = np.clip(best.vector + step, driver.low, driver.high)
         trial = problem.evaluate(vector)
         vectors += 1
-        before = problem.finite_values(found.vector, found.evaluation.terms)
+        before = problem.finite_values(best.vector, best.evaluation.terms)
         if not (trial.finite[0] and problem.finite_values(vector, trial.terms)[0] < before[0]):
             break
-        found, vectors = optimum(problem, vector), vectors + n_each
-    return found, vectors
+        best, vectors = optimum(problem, vector), vectors + n_each
+    return best, vectors

@@ -93,10 +93,10 @@ def _updated(optimiser: Adam | LBFGS, gradients: Vectors, state: Any, vectors: V
     """
     updates = []
     for k, (gradient, vector) in enumerate(zip(gradients, vectors, strict=True)):
-        own = jax.tree_util.tree_map(lambda leaf: jnp.asarray(leaf[k]), state)  # noqa: B023
+        of_start = jax.tree_util.tree_map(lambda leaf: jnp.asarray(leaf[k]), state)  # noqa: B023
         # Adam raises a float to the power of an integer count, which strict promotion would refuse.
         with jax.numpy_dtype_promotion("standard"):
-            updates.append(_update(optimiser, jnp.asarray(gradient), own, jnp.asarray(vector)))
+            updates.append(_update(optimiser, jnp.asarray(gradient), of_start, jnp.asarray(vector)))
     steps, states = zip(*updates, strict=True)
     return np.stack(steps).astype(float), jax.tree_util.tree_map(lambda *x: np.stack(x), *states)
 

@@ -55,12 +55,12 @@ def noise_levels(tracker: AbstractTracker) -> tuple[str, ...]:
     These are the tunables with a `role`, and those named `sigma_…` outside of start and filter, which few recordings
     determine. Raises UnusableInput for a tracker without noise levels.
     """
-    own = tunables(tracker)
-    names = tuple(name for name, node in own.items() if role_of(node) is not None or _is_sigma(name.split(".")))
+    nodes = tunables(tracker)
+    names = tuple(name for name, node in nodes.items() if role_of(node) is not None or _is_sigma(name.split(".")))
     if not names:
         raise UnusableInput(
             "this tracker has no noise level of motion or sensors to tune; name what to tune by --tune; it has: "
-            f"{', '.join(own) or 'no tunable'}"
+            f"{', '.join(nodes) or 'no tunable'}"
         )
     return names
 
@@ -89,28 +89,28 @@ def select_parameters(
     taken: set[str] = set(matching(tracker, frozen)) if frozen else set()
     chosen = noise_levels(tracker) if patterns is None else patterns
     for pattern in [chosen] if isinstance(chosen, str) else chosen:
-        found = matching(tracker, pattern.removeprefix(TIED))
+        matches = matching(tracker, pattern.removeprefix(TIED))
         if not thresholds:
-            found = _without_thresholds(pattern, found)
-        found = {k: v for k, v in found.items() if k not in taken}
-        taken.update(found)
-        if pattern.startswith(TIED) and found:
-            if not _same_kind(list(found.values())):
-                raise ValueError(f"'{pattern}' ties tunables of different units or shapes: {', '.join(found)}")
-            label = pattern.removeprefix(TIED) if len(found) > 1 else next(iter(found))
-            parameters.append(Parameter(tuple(found), next(iter(found.values())), label))
+            matches = _without_thresholds(pattern, matches)
+        matches = {k: v for k, v in matches.items() if k not in taken}
+        taken.update(matches)
+        if pattern.startswith(TIED) and matches:
+            if not _same_kind(list(matches.values())):
+                raise ValueError(f"'{pattern}' ties tunables of different units or shapes: {', '.join(matches)}")
+            label = pattern.removeprefix(TIED) if len(matches) > 1 else next(iter(matches))
+            parameters.append(Parameter(tuple(matches), next(iter(matches.values())), label))
         else:
-            parameters += [Parameter((name,), node, name) for name, node in found.items()]
+            parameters += [Parameter((name,), node, name) for name, node in matches.items()]
     if not parameters:
         raise ValueError("there is nothing to tune: no pattern matches a tunable that is not frozen")
     return parameters
 
 
-def _without_thresholds(pattern: str, found: Mapping[str, AbstractTunable]) -> dict[str, AbstractTunable]:
-    differentiable = {name: node for name, node in found.items() if not isinstance(node, Threshold)}
+def _without_thresholds(pattern: str, nodes: Mapping[str, AbstractTunable]) -> dict[str, AbstractTunable]:
+    differentiable = {name: node for name, node in nodes.items() if not isinstance(node, Threshold)}
     if not differentiable:
         raise ValueError(
-            f"'{pattern}' matches only {', '.join(found)}: no objective has a derivative with respect to a threshold; "
+            f"'{pattern}' matches only {', '.join(nodes)}: no objective has a derivative with respect to a threshold; "
             "use a sweep"
         )
     return differentiable
@@ -168,13 +168,13 @@ def limits(
     low = [np.full(p.shape, -np.inf) for p in parameters]
     high = [np.full(p.shape, np.inf) for p in parameters]
     for pattern, (lowest, highest) in bounds.items():
-        found = [k for k, p in enumerate(parameters) if fnmatch.filter((*p.names, p.label), pattern)]
-        if not found:
+        matches = [k for k, p in enumerate(parameters) if fnmatch.filter((*p.names, p.label), pattern)]
+        if not matches:
             labels = ", ".join(p.label for p in parameters)
             raise ValueError(f"bounds for '{pattern}': no tuned number matches; tuned are {labels}")
         if not lowest < highest:
             raise ValueError(f"bounds for '{pattern}': {lowest:g} is not below {highest:g}")
-        for k in found:
+        for k in matches:
             example = parameters[k].example
             try:
                 low[k], high[k] = (
@@ -213,8 +213,8 @@ def split(parameters: Sequence[Parameter], vector: Vector) -> Iterator[tuple[Par
 
 def with_parameters(tracker: Tree, parameters: Sequence[Parameter], vector: Vector) -> Tree:
     """The tracker with the parameters of an unconstrained vector; differentiable with respect to it."""
-    own = tunables(tracker)
-    new = {name: with_raw(own[name], raw) for parameter, raw in split(parameters, vector) for name in parameter.names}
+    nodes = tunables(tracker)
+    new = {name: with_raw(nodes[name], raw) for parameter, raw in split(parameters, vector) for name in parameter.names}
     return replaced(tracker, new)
 
 
@@ -261,5 +261,5 @@ def floors(
 
 def grid_of(grids: Sequence[ReadingGrid], parameter: Parameter) -> ReadingGrid | None:
     """The readings whose noise level a parameter is, the finest of several tied ones; None for other parameters."""
-    own = [grid for grid in grids if any(grid.limits(name, parameter.example) for name in parameter.names)]
-    return min(own, key=lambda grid: grid.lowest if math.isfinite(grid.lowest) else 0.0, default=None)
+    matches = [grid for grid in grids if any(grid.limits(name, parameter.example) for name in parameter.names)]
+    return min(matches, key=lambda grid: grid.lowest if math.isfinite(grid.lowest) else 0.0, default=None)

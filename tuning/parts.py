@@ -195,8 +195,8 @@ def on_chunks(point: Point, chunks: Sequence[Batch], computation: Computation) -
     if computation.realisation:
         chunks = [fresh_keys(chunk, computation.realisation) for chunk in chunks]
     points = [point.at(block) for block in computation.blocks]
-    found = iter(_found(computation.function, [(point, chunk) for chunk in chunks for point in points]))
-    return [[computation.reduced(next(found), chunk) for _ in points] for chunk in chunks]
+    results = iter(_results(computation.function, [(point, chunk) for chunk in chunks for point in points]))
+    return [[computation.reduced(next(results), chunk) for _ in points] for chunk in chunks]
 
 
 def on_chunk(point: Point, piece: Batch, computation: Computation) -> list[Any]:
@@ -205,7 +205,7 @@ def on_chunk(point: Point, piece: Batch, computation: Computation) -> list[Any]:
     return [on_chunks(point, [chunk], computation._replace(blocks=[block]))[0][0] for block in computation.blocks]
 
 
-def _found(function: Function, pairs: Sequence[tuple[Point, Batch]]) -> list[Any]:
+def _results(function: Function, pairs: Sequence[tuple[Point, Batch]]) -> list[Any]:
     """`function(point, chunk)` of each pair; values of rows by the program that tracks recordings."""
     return rows_of_runs(pairs) if function is plain_rows else run_chunks(function, pairs)
 

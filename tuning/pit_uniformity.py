@@ -89,11 +89,11 @@ def student_t_dof_of(tracker: AbstractTracker) -> Scalar | None:
 
     Raises ValueError for several sensors with Student's t among them: their sum has no known distribution.
     """
-    every = [_student_t_dof(sensor) for sensor in tracker.nis_sensors]
-    dofs = [dof for dof in every if dof is not None]
-    if dofs and len(every) > 1:
-        found = f"{len(every)} sensors, {len(dofs)} of them with Student's t"
-        raise ValueError(f"the NIS of {found}, has no known distribution; expected one sensor, or normal noise")
+    by_sensor = [_student_t_dof(sensor) for sensor in tracker.nis_sensors]
+    dofs = [dof for dof in by_sensor if dof is not None]
+    if dofs and len(by_sensor) > 1:
+        sensors = f"{len(by_sensor)} sensors, {len(dofs)} of them with Student's t"
+        raise ValueError(f"the NIS of {sensors}, has no known distribution; expected one sensor, or normal noise")
     return dofs[0] if dofs else None
 
 
@@ -146,8 +146,8 @@ def student_t_nis_cdf(q: Scalar, nis_dof: Scalar, nu: Scalar) -> Scalar:
     The incomplete beta function as an integral of powers of sine and cosine, by Gauss–Legendre quadrature:
     differentiable in all arguments.
     """
-    both = 0.5 * (nis_dof * (nu + 3.0) - 2.0)
-    a = both / (nu + 1.0)
+    a_plus_b = 0.5 * (nis_dof * (nu + 3.0) - 2.0)
+    a = a_plus_b / (nu + 1.0)
     b = nu * a
     share = jnp.clip(q / (nis_dof * (nu + 1.0)), 1e-12, 1.0 - 1e-6)
     # The density beyond `limit` integrates to less than 1e-5; the nodes are placed within.
@@ -157,7 +157,7 @@ def student_t_nis_cdf(q: Scalar, nis_dof: Scalar, nu: Scalar) -> Scalar:
         0.5 * w * jnp.exp((2.0 * a - 1.0) * jnp.log(jnp.sin(s)) + (2.0 * b - 1.0) * jnp.log(jnp.cos(s)))
         for w, s in ((w, 0.5 * (1.0 + node) * angle) for node, w in zip(NODES.tolist(), WEIGHTS.tolist(), strict=True))
     )
-    return 2.0 * angle * integral * jnp.exp(gammaln(both) - gammaln(a) - gammaln(b))
+    return 2.0 * angle * integral * jnp.exp(gammaln(a_plus_b) - gammaln(a) - gammaln(b))
 
 
 def student_t_nis_beta(nis_dof: Any, nu: float) -> tuple[Any, Any, Any]:

@@ -124,8 +124,8 @@ class Problem:
         `weights` (n,) or (S, n): multiplicity of each trajectory, besides its own weight. `subset`: indices of the
         chunks, default all. `realisation`: number of the random draws, where the tracker uses any.
         """
-        found = self._run(row_terms if self.few else term_sums, vectors, subset, realisation)
-        terms, term_gradients = (np.concatenate(xs, axis=-1) for xs in zip(*found, strict=True))
+        by_part = self._run(row_terms if self.few else term_sums, vectors, subset, realisation)
+        terms, term_gradients = (np.concatenate(xs, axis=-1) for xs in zip(*by_part, strict=True))
         used = np.isfinite(terms).all(axis=1) & np.stack([_usable(x) for x in term_gradients])
         used &= self._valid(subset)
         terms, term_gradients = self._weighted(terms, subset), self._weighted(term_gradients, subset)
@@ -210,15 +210,15 @@ class Problem:
         padded = np.concatenate([vectors, np.repeat(vectors[-1:], -size % width, axis=0)])
         blocks = list(padded.reshape(len(padded) // width, width, vectors.shape[1]))
         # Of the repeated vectors of an only block nothing travels.
-        reduced = partial(_summed_rows if self.few else _as_found, min(width, size))
+        reduced = partial(_summed_rows if self.few else _first_vectors, min(width, size))
         realisation = realisation if self.stochastic else 0
         if self.few and subset is None:
-            found = self._run_once(function, blocks, reduced, realisation)
+            by_part = self._run_once(function, blocks, reduced, realisation)
         else:
-            found = self.parts.run(function, blocks, reduced, subset, realisation)
+            by_part = self.parts.run(function, blocks, reduced, subset, realisation)
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
-            for of_part in found
+            for of_part in by_part
         ]
 
     def _run_once(
@@ -228,8 +228,8 @@ class Problem:
         keys = [(function, realisation, block.tobytes()) for block in blocks]
         new = {key: block for key, block in zip(keys, blocks, strict=True) if key not in self.lately}
         if new:
-            found = self.parts.run(function, list(new.values()), reduced, None, realisation)
-            self.lately |= dict(zip(new, zip(*found, strict=True), strict=True))
+            by_part = self.parts.run(function, list(new.values()), reduced, None, realisation)
+            self.lately |= dict(zip(new, zip(*by_part, strict=True), strict=True))
         by_vector = [self.lately[key] for key in keys]
         self.lately = dict(list(self.lately.items())[-REMEMBERED:])
         return [list(of_part) for of_part in zip(*by_vector, strict=True)]
@@ -262,14 +262,14 @@ def has_particles(tracker: AbstractTracker) -> bool:
     return isinstance(tracker, Tracker) and tracker.filter.has_particle_axis
 
 
-def _as_found(count: int, found: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
+def _first_vectors(count: int, sums: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
     """The sums of the trajectories of a chunk at the first `count` vectors."""
-    return tuple(x[:count] for x in found)
+    return tuple(x[:count] for x in sums)
 
 
-def _summed_rows(count: int, found: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
+def _summed_rows(count: int, rows: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
     """The sums of the rows of few trajectories, without the numbers beside the terms, at the first `count` vectors."""
-    return tuple(np.sum(x[:count, : -len(BESIDE)], axis=-2, dtype=float) for x in found)
+    return tuple(np.sum(x[:count, : -len(BESIDE)], axis=-2, dtype=float) for x in rows)
 
 
 def weighted_sum(

@@ -134,11 +134,11 @@ def comparable_values(
     Trajectories that are finite at none of the vectors are excluded; the objective is NaN where another one is not
     finite, since values over different trajectories are not comparable.
     """
-    found = []
+    parts = []
     for first in range(0, len(points), POINTS_PER_REPORT):
-        found.append(problem.terms(points[first : first + POINTS_PER_REPORT], realisation))
-        report(len(found[-1]))
-    terms = np.concatenate(found)
+        parts.append(problem.terms(points[first : first + POINTS_PER_REPORT], realisation))
+        report(len(parts[-1]))
+    terms = np.concatenate(parts)
     finite = np.isfinite(terms).all(axis=1)
     return problem.values_of(terms[..., finite.any(axis=0)].sum(axis=-1))
 
@@ -248,7 +248,7 @@ def _finer(values: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "fine fine"]:
     """The values (n, n) interpolated cubically to (FINE, FINE), with the same end points (Keys 1981)."""
     scale = (FINE - 1) / (len(values) - 1)
     shift = np.full(2, 0.5 - 0.5 * scale)
-    found = jax.image.scale_and_translate(
+    fine = jax.image.scale_and_translate(
         jnp.asarray(values), (FINE, FINE), (0, 1), jnp.full(2, scale), jnp.asarray(shift), "cubic", antialias=False
     )
-    return np.asarray(found, float)
+    return np.asarray(fine, float)

@@ -105,7 +105,7 @@ def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:
 
     Raises UnusableInput, naming the option.
     """
-    found: dict[str, Any] = {}
+    by_name: dict[str, Any] = {}
     for text in texts:
         name, _, numbers = text.partition("=")
         try:
@@ -114,7 +114,7 @@ def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:
             values = []
         if not name or not values or np.isnan(values).any():
             raise UnusableInput(f"{option} {text}: expected NAME=VALUE, as sensors.ranges.sigma_r=0.1")
-        if name in found:
+        if name in by_name:
             raise UnusableInput(f"{option} {name}: is given twice; expected it once; remove one")
-        found[name] = np.asarray(values if "," in numbers else values[0])
-    return found
+        by_name[name] = np.asarray(values if "," in numbers else values[0])
+    return by_name

@@ -92,8 +92,8 @@ class Uncertainty:
     def standard_errors(self, by: By = "either") -> dict[str, np.ndarray]:
         """Standard errors of the physical values, by label; NaN for undetermined parameters and those at a bound."""
         if by == "either":
-            one, other = self.standard_errors("curvature"), self.standard_errors("scatter")
-            return {label: np.fmax(one[label], other[label]) for label in one}
+            curvature, scatter = self.standard_errors("curvature"), self.standard_errors("scatter")
+            return {label: np.fmax(curvature[label], scatter[label]) for label in curvature}
         cov = self.observed if by == "curvature" else self.sandwich
         errors = physical_errors(self.parameters, self.optimum.vector, np.nan_to_num(cov))
         missing = self.undetermined | self.at_bound | np.isnan(np.diagonal(cov)) | (not self.at_optimum)
@@ -108,8 +108,10 @@ class Uncertainty:
         (Cameron & Miller 2015, section 6).
         """
         if by == "either":
-            one, other = self.intervals(level, "curvature"), self.intervals(level, "scatter")
-            return {k: (np.fmin(one[k][0], other[k][0]), np.fmax(one[k][1], other[k][1])) for k in one}
+            curvature, scatter = self.intervals(level, "curvature"), self.intervals(level, "scatter")
+            return {
+                k: (np.fmin(curvature[k][0], scatter[k][0]), np.fmax(curvature[k][1], scatter[k][1])) for k in curvature
+            }
         cov = self.observed if by == "curvature" else self.sandwich
         probability, vector = 0.5 + level / 2, self.optimum.vector
         z = float(ndtri(probability) if by == "curvature" else stdtrit(max(self.clusters - 1, 1), probability))
@@ -144,7 +146,7 @@ def uncertainty(problem: Problem, vector: Float[np.ndarray, " p"]) -> Uncertaint
 
 def uncertainty_at(
     problem: Problem,
-    found: Optimum,
+    optimum: Optimum,
     at_bound: Bool[np.ndarray, " p"] | None = None,
     kept: Bool[np.ndarray, " p"] | None = None,
 ) -> Uncertainty:
@@ -152,24 +154,26 @@ def uncertainty_at(
 
     The likelihood of a particle filter is not smooth: J takes the place of its Hessian.
     """
-    none = np.zeros(len(found.vector), bool)
+    none = np.zeros(len(optimum.vector), bool)
     kept = none if kept is None else kept
     at_bound = (none if at_bound is None else at_bound) | kept
-    scatter, clusters = _scatter(problem, found)
+    scatter, clusters = _scatter(problem, optimum)
     if problem.stochastic:
-        found = _by_scatter(problem, found, scatter)
-    missing, inverse, undetermined = determined(found.hessian, ~at_bound)
+        optimum = _by_scatter(problem, optimum, scatter)
+    missing, inverse, undetermined = determined(optimum.hessian, ~at_bound)
     undetermined &= ~unused(problem.parameters)
     # NaN for an objective that is no likelihood
-    observed = found.weighted(inverse) / found.nats_per_unit
+    observed = optimum.weighted(inverse) / optimum.nats_per_unit
     sandwich = inverse @ scatter @ inverse
     # The gradient of a particle filter is noisy and does not locate the optimum.
-    distance = 0.0 if problem.stochastic else _distance(inverse @ found.gradient, _larger_sigmas(observed, sandwich))
+    distance = 0.0 if problem.stochastic else _distance(inverse @ optimum.gradient, _larger_sigmas(observed, sandwich))
     # A slope along a direction without curvature: the fit ended before it converged.
-    slope = np.abs(missing.T @ found.gradient) * found.nats_per_unit
+    slope = np.abs(missing.T @ optimum.gradient) * optimum.nats_per_unit
     if not problem.stochastic and np.any(slope > MIN_SLOPE_NATS):
         distance = np.inf
-    return Uncertainty(problem.parameters, found, observed, sandwich, undetermined, at_bound, clusters, distance, kept)
+    return Uncertainty(
+        problem.parameters, optimum, observed, sandwich, undetermined, at_bound, clusters, distance, kept
+    )
 
 
 def _larger_sigmas(one: Float[np.ndarray, "p p"], other: Float[np.ndarray, "p p"]) -> Float[np.ndarray, " p"]:
@@ -183,29 +187,29 @@ def _distance(step: Float[np.ndarray, " p"], sigma: Float[np.ndarray, " p"]) -> 
     return float(np.max(np.abs(step[known]) / sigma[known], initial=0.0))
 
 
-def _scatter(problem: Problem, found: Optimum) -> tuple[Float[np.ndarray, "p p"], int]:
+def _scatter(problem: Problem, optimum: Optimum) -> tuple[Float[np.ndarray, "p p"], int]:
     """J and its number of clusters: trajectories, or for a likelihood of few of them blocks of rows."""
-    clusters = len(found.influence)
+    clusters = len(optimum.influence)
     if clusters >= MIN_TRAJECTORIES:
-        return found.influence.T @ found.influence * (clusters / (clusters - 1)), clusters
-    p = len(found.vector)
-    if problem.stochastic or not found.nats_per_unit > 0:
+        return optimum.influence.T @ optimum.influence * (clusters / (clusters - 1)), clusters
+    p = len(optimum.vector)
+    if problem.stochastic or not optimum.nats_per_unit > 0:
         return np.full((p, p), np.nan), clusters
     rows = np.concatenate(problem.parts.rows)
     block = max(1, -(-int(rows.sum()) // BLOCKS))
-    by_trajectory = row_information(problem, found.vector[None], block).information[0]
-    information = np.where(found.used, by_trajectory * problem.weights**2, 0.0).sum(axis=-1)
-    return information / found.nats_per_unit**2, int(np.sum(-(-rows[found.used] // block)))
+    by_trajectory = row_information(problem, optimum.vector[None], block).information[0]
+    information = np.where(optimum.used, by_trajectory * problem.weights**2, 0.0).sum(axis=-1)
+    return information / optimum.nats_per_unit**2, int(np.sum(-(-rows[optimum.used] // block)))
 
 
-def _by_scatter(problem: Problem, found: Optimum, scatter: Float[np.ndarray, "p p"]) -> Optimum:
+def _by_scatter(problem: Problem, optimum: Optimum, scatter: Float[np.ndarray, "p p"]) -> Optimum:
     """The optimum with the scatter J of the trajectories in place of their Hessians."""
-    u = found.nats_per_unit
-    if found.squared is None:
-        return found._replace(hessian=u * scatter)
-    count = len(found.influence)
-    hessian = u * count / (count - 1) * (found.influence.T / problem.weights[found.used]) @ found.influence
-    return found._replace(hessian=hessian, squared=u * scatter)
+    u = optimum.nats_per_unit
+    if optimum.squared is None:
+        return optimum._replace(hessian=u * scatter)
+    count = len(optimum.influence)
+    hessian = u * count / (count - 1) * (optimum.influence.T / problem.weights[optimum.used]) @ optimum.influence
+    return optimum._replace(hessian=hessian, squared=u * scatter)
 
 
 def unused(parameters: Sequence[Parameter]) -> Bool[np.ndarray, " p"]:
@@ -338,16 +342,16 @@ def row_information(problem: Problem, vectors: Float[np.ndarray, "S p"], block: 
     Scores of `block` consecutive rows are added before they are squared, which makes the information valid for errors
     correlated over that many rows. Padding trajectories contribute zeros. Memory grows with the rows.
     """
-    found = problem.parts.run(row_terms, list(np.atleast_2d(vectors)[:, None]), partial(_information, block))
-    parts = [[np.stack(xs) for xs in zip(*each, strict=True)] for each in found]
+    by_part = problem.parts.run(row_terms, list(np.atleast_2d(vectors)[:, None]), partial(_information, block))
+    parts = [[np.stack(xs) for xs in zip(*each, strict=True)] for each in by_part]
     return RowInformation(*(np.concatenate(xs, axis=-1) for xs in zip(*parts, strict=True)))
 
 
 def _information(
-    block: int, found: Any, chunk: Batch
+    block: int, results: Any, chunk: Batch
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "p n"], Float[np.ndarray, "p p n"]]:
     """Log-likelihood, scores and information of each trajectory of a chunk, from `row_terms` at one vector."""
-    log_likelihoods, scores = (np.asarray(x[0, -1]) for x in found)
+    log_likelihoods, scores = (np.asarray(x[0, -1]) for x in results)
     starts = np.arange(0, len(log_likelihoods), block)
     blocked = np.add.reduceat(scores.astype(float), starts, axis=1)
     information = np.einsum("ibn,jbn->ijn", blocked, blocked)
@@ -388,8 +392,10 @@ def refit(
         trial = here.copy()
         trial[:, free] += step
         evaluated = problem.evaluate(trial, weights)
-        both = used & evaluated.used
-        before, after = (problem.values_over(both * count, v, t) for v, t in ((here, terms), (trial, evaluated.terms)))
+        common = used & evaluated.used
+        before, after = (
+            problem.values_over(common * count, v, t) for v, t in ((here, terms), (trial, evaluated.terms))
+        )
         with np.errstate(invalid="ignore"):
             better = (after < before) & evaluated.finite
         inverses = np.where(

@@ -39,10 +39,10 @@ def information(sensors: Sequence[SensorAtEpoch], position: Float[Array, " d"]) 
     total = jnp.zeros((len(position), len(position)), position.dtype)
     for channels, alike in _by_kind(sensors):
 
-        def one(look: tuple[AbstractSensor, Mapping[str, Array]], channels: int = channels) -> Float[Array, "d d"]:
-            return _of_one(SensorAtEpoch(look[0], look[1], channels), position)
+        def of_look(look: tuple[AbstractSensor, Mapping[str, Array]], channels: int = channels) -> Float[Array, "d d"]:
+            return _of_sensor(SensorAtEpoch(look[0], look[1], channels), position)
 
-        total = total + jnp.sum(jax.vmap(one)(alike), axis=0)
+        total = total + jnp.sum(jax.vmap(of_look)(alike), axis=0)
     return total
 
 
@@ -56,7 +56,7 @@ def _by_kind(sensors: Sequence[SensorAtEpoch]) -> Iterator[tuple[int, Any]]:
         yield channels, jax.tree_util.tree_unflatten(tree, [jnp.stack(parts) for parts in zip(*members, strict=True)])
 
 
-def _of_one(look: SensorAtEpoch, position: Float[Array, " d"]) -> Float[Array, "d d"]:
+def _of_sensor(look: SensorAtEpoch, position: Float[Array, " d"]) -> Float[Array, "d d"]:
     sensor, inputs, channels = look
 
     def predicted(p: Float[Array, " d"]) -> list[Scalar]:

@@ -47,7 +47,7 @@ def descend(
     """
     optimiser = optax.scale_by_adam()
 
-    def one(theta: Theta) -> tuple[Theta, Scalar]:
+    def descent(theta: Theta) -> tuple[Theta, Scalar]:
         def step(carry: Any, done: Any) -> tuple[Any, None]:
             theta, state = carry
             gradient = jax.grad(objective)(theta, WEIGHT * WEIGHT_INCREASE ** (done - 1.0))
@@ -60,7 +60,7 @@ def descend(
         (theta, _), _ = jax.lax.scan(step, (theta, optimiser.init(theta)), jnp.arange(steps) / steps)
         return theta, objective(theta)
 
-    ends, values = jax.jit(jax.vmap(one))(jnp.asarray(starts))
+    ends, values = jax.jit(jax.vmap(descent))(jnp.asarray(starts))
     return _best(np.asarray(ends), np.asarray(values), len(starts) * (steps + 1))
 
 
@@ -69,14 +69,14 @@ def exhaust(
 ) -> SearchResult:
     """The best of all `ways` to place elements on a grid of `choices` (c, d); a way is the indices of its choices."""
     evaluate = jax.jit(jax.vmap(lambda theta: objective(theta)))
-    every, best, number = iter(ways), None, 0
-    while chosen := list(islice(every, _BATCH)):
+    remaining, best, number = iter(ways), None, 0
+    while chosen := list(islice(remaining, _BATCH)):
         # The last batch is padded to the shape of the others.
         filled = chosen + [chosen[-1]] * (_BATCH - len(chosen))
         thetas = choices[np.array(filled)]
         number += len(chosen)
-        found = _best(thetas, np.asarray(evaluate(jnp.asarray(thetas))), number)
-        best = found if best is None or found.value < best.value else best
+        best_of_batch = _best(thetas, np.asarray(evaluate(jnp.asarray(thetas))), number)
+        best = best_of_batch if best is None or best_of_batch.value < best.value else best
     assert best is not None
     return best._replace(evaluations=number)
 
