@@ -8,7 +8,7 @@ from tests.faults.cases import CASES
 from tests.faults.judged import faults_of
 from tests.faults.recordings import broken_recording
 
-COUNTS = {"check": 60, "toml": 15, "stores": 10, "import": 25}
+COUNTS = {"check": 40, "toml": 8, "stores": 5, "import": 20}
 
 
 def _failed(kind, seed, count, parent):

@@ -141,6 +141,7 @@ def test_objectives_do_not_depend_on_the_order_of_the_fields(folder, specs):
     assert metrics[0]["nees-shape"] < 0.1
 
 
+@pytest.mark.slow
 def test_studies_do_not_depend_on_the_order_of_the_fields(folder, specs):
     trackers = {name: TrackerConfig(spec) for name, spec in specs.items()}
     world = World(lambda ids, seed: folder)

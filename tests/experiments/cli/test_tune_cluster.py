@@ -81,6 +81,7 @@ def test_a_report_of_a_fit_on_a_cluster_shows_a_part_of_many_recordings(paths, e
     assert "8 of 10 recordings tuned on, before → after" in there.out
 
 
+@pytest.mark.slow
 def test_a_fit_interrupted_on_a_cluster_is_resumed_with_the_same_bits_there_or_here(
     paths, elsewhere, tmp_path, monkeypatch
 ):

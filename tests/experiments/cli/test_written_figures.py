@@ -27,11 +27,12 @@ def rooms(tmp_path_factory):
     return paths
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "left"),
     [
-        pytest.param(("--no-figures",), {"report.html"}, marks=pytest.mark.slow),
-        pytest.param(("--no-report",), {"tuning.png"}, marks=pytest.mark.slow),
+        (("--no-figures",), {"report.html"}),
+        (("--no-report",), {"tuning.png"}),
         (("--no-report", "--format", "pdf"), {"tuning.pdf"}),
     ],
 )

@@ -98,6 +98,7 @@ def test_worker_processes_give_the_bits_of_threads(studies, shas, tmp_path):
     assert found == shas
 
 
+@pytest.mark.slow
 def test_a_condition_ends_early_elsewhere_as_on_threads(studies, elsewhere, tmp_path):
     study = studies[1]
     stop = StopRule.parse("rmse_m±90%", study)

@@ -23,6 +23,7 @@ def root(tmp_path_factory):
     return there
 
 
+@pytest.mark.slow
 def test_each_recording_of_a_site_is_judged_with_the_values_of_the_others(root, monkeypatch, capsys):
     pair = Site("hall", "fix-kf", ("hall-1", "hall-2"))
     monkeypatch.setattr(tuned_sites, "SITES", (pair, Site("none", "uwb", ("hall-1",)), Site("other", "uwb", ("x",))))

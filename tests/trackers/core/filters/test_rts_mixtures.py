@@ -69,7 +69,9 @@ def _enumerated(sigmas, rate, lag=None):
     return mean, np.sum(w[..., None] * (np.array(covs) + deviations[..., :, None] * deviations[..., None, :]), axis=0)
 
 
-@pytest.mark.parametrize("lag", [None, LAG], ids=["fixed interval", "fixed lag"])
+@pytest.mark.parametrize(
+    "lag", [pytest.param(None, id="fixed interval"), pytest.param(LAG, id="fixed lag", marks=pytest.mark.slow)]
+)
 def test_without_switching_the_smoothed_mixture_is_every_mode_smoothed_and_weighed_by_its_likelihood(lag):
     estimates = _smoothed(_tracker(SIGMAS, 1e-9), lag)
     means, covs = _enumerated(SIGMAS, 0.0, lag)

@@ -123,6 +123,7 @@ def test_an_error_is_a_function_of_a_noise_level_for_vmap_and_grad():
     batch = stack([fix_recording(times, path + 0.1 * rng.normal(size=path.shape), height=1.0)])
     tracker = fix_tracker(planar=True)
 
+    @jax.jit
     def error(sigma):
         position = filter_batch(tracker.with_values({"motion.sigma_a": sigma}), batch).mean.position
         return jnp.mean((position[0][:, 0] - path[:, 0]) ** 2 + (position[1][:, 0] - path[:, 1]) ** 2)
