@@ -66,11 +66,11 @@ def function_of(target: str) -> Callable[..., Any]:
 
 def chosen(names: Sequence[str], known: Iterable[str], usual: Iterable[str] = ()) -> tuple[str, ...]:
     """The names, the `usual` or all known ones where there is none; raises UnusableInput for one that is unknown."""
-    every = tuple(known)
+    all_names = tuple(known)
     for name in names:
-        if name not in every:
-            raise UnusableInput(f"'{name}': unknown; expected some of {', '.join(every)}")
-    return tuple(names) or tuple(usual) or every
+        if name not in all_names:
+            raise UnusableInput(f"'{name}': unknown; expected some of {', '.join(all_names)}")
+    return tuple(names) or tuple(usual) or all_names
 
 
 def machine() -> Row:
@@ -96,13 +96,13 @@ def commit(folder: Path) -> str:
 
 def packages() -> dict[str, str]:
     """The versions of `PACKAGES`, of those that are installed."""
-    found = {}
+    versions = {}
     for name in PACKAGES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 class Table(NamedTuple):
@@ -179,11 +179,11 @@ DEFAULTS = Output()
 
 def shown(rows: Iterable[Row]) -> list[Row]:
     """The rows, each printed to the terminal once it is measured."""
-    found = []
+    printed = []
     for row in rows:
-        found.append(row)
+        printed.append(row)
         print("  ".join(f"{k} {cell(v)}" for k, v in row.items() if v is not None), file=sys.stderr, flush=True)
-    return found
+    return printed
 
 
 def cell(value: Any) -> str:

@@ -62,8 +62,8 @@ def beam(*, peers: bool = False, output: Output = DEFAULTS) -> int:
     rows = []
     for flags in (False, True):
         others = ("textbook", *(("dynamax", "cuthbert") if peers else ()))
-        found = apart_each("bench.beam:beside", others, output.small, LIMIT_S, flags)
-        rows += [{"XLA's flags": "command line" if flags else "none", **row} for row in found]
+        measured = apart_each("bench.beam:beside", others, output.small, LIMIT_S, flags)
+        rows += [{"XLA's flags": "command line" if flags else "none", **row} for row in measured]
     output.publish("bench beam", Table(rows, note="Errors: RMS of the last azimuth, degrees."))
     return int(any("failed" in row for row in rows))
 
@@ -72,7 +72,7 @@ def beside(other: str, small: bool) -> Row:
     """Medians of ours and another version, which take turns; beside the textbook also our own start and gradient."""
     size = (16, 20) if small else (TRAJECTORIES, ROWS)
     world = simulate(*size)
-    own, given = trackers()
+    self_starting, given = trackers()
 
     def error(result: Any) -> float:
         """RMS of the last azimuths: of chunks of estimates, or of a tuple that begins with means."""
@@ -86,7 +86,7 @@ def beside(other: str, small: bool) -> Row:
     if other == "textbook":
         parameters = select_parameters(given, TUNED)
         problem, vector = Problem(given, [world.batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
-        versions["ours, start included"] = Version(*size, finished(filtering(own, world.batch)), error)
+        versions["ours, start included"] = Version(*size, finished(filtering(self_starting, world.batch)), error)
         versions["ours, gradient of two"] = Version(*size, finished(lambda: problem.evaluate(vector)[:2]))
     few = min(SLICES[other][0], size[0]), min(SLICES[other][1], size[1])
     run, part = VERSIONS[other](), world.part(*few)
@@ -153,8 +153,8 @@ def simulate(trajectories: int, rows: int) -> World:
 def trackers() -> tuple[AbstractTracker, AbstractTracker]:
     """The beam tracker with its own start by delay-and-sum, and the same one with a given start."""
     station = Station(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
-    own = beam_tracker(station, "array", SIGMA_A, SIGMA_P)
-    return own, eqx.tree_at(lambda t: t.start, own, GivenStart())
+    tracker = beam_tracker(station, "array", SIGMA_A, SIGMA_P)
+    return tracker, eqx.tree_at(lambda t: t.start, tracker, GivenStart())
 
 
 def filtering(tracker: Any, batch: Batch, chunk: int = CHUNK) -> Callable[[], Any]:
@@ -348,9 +348,9 @@ def of_fits(name: str, run: Callable[[Any], Row], corners: Any) -> Iterator[Row]
     """Timed fits from every start, after one that compiles."""
     (first, _), _ = clocked(lambda: run(corners[0]))
     for corner in corners:
-        (seconds, processor), found = clocked(partial(run, corner))
+        (seconds, processor), result = clocked(partial(run, corner))
         times = {"first call s": first, "seconds": seconds, "processor s": processor}
-        yield {"version": name, "wrong by": str(corner), **times, **found}
+        yield {"version": name, "wrong by": str(corner), **times, **result}
 
 
 def wrong(corner: Any) -> Any:
@@ -364,11 +364,11 @@ def with_fit(world: World) -> Callable[[Any], Row]:
     """Fits by `tuning.fit`."""
 
     def run(corner: Any) -> Row:
-        found = fit(wrong(corner), world.batch, NegativeLogLikelihood(), TUNED)
-        evaluations = found.filter_runs / world.angles.shape[2]
-        values = {name: float(x) for name, x in found.values.items()}
-        errors = {f"{name}, standard error": float(x) for name, x in found.standard_errors.items()}
-        return {"evaluations": evaluations, "value": found.value, **values, **errors}
+        result = fit(wrong(corner), world.batch, NegativeLogLikelihood(), TUNED)
+        evaluations = result.filter_runs / world.angles.shape[2]
+        values = {name: float(x) for name, x in result.values.items()}
+        errors = {f"{name}, standard error": float(x) for name, x in result.standard_errors.items()}
+        return {"evaluations": evaluations, "value": result.value, **values, **errors}
 
     return run
 
@@ -381,8 +381,8 @@ def with_scipy(world: World) -> Callable[[Any], Row]:
 
     def run(corner: Any) -> Row:
         start = flatten(parameters) + np.log(corner)
-        found = minimize(lambda v: float(problem.values(v)[0]), start, method="L-BFGS-B", options={"eps": 1e-3})
-        return {"evaluations": float(found.nfev), "value": float(found.fun)}
+        optimum = minimize(lambda v: float(problem.values(v)[0]), start, method="L-BFGS-B", options={"eps": 1e-3})
+        return {"evaluations": float(optimum.nfev), "value": float(optimum.fun)}
 
     return run
 

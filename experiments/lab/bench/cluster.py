@@ -94,12 +94,12 @@ def of_a_study(study: Study, out: Path, place: Sequence[str], kill: bool) -> Row
             killed.append(workers_of(os.getpid())[0])
             os.kill(killed[0], signal.SIGKILL)
 
-    own, began = os.times(), time.perf_counter()
+    before, began = os.times(), time.perf_counter()
     with cluster_executor(*place) if place else nullcontext() as executor:
         started = time.perf_counter()
         results = run_study(study, out, advance=advance, executor=executor)
     assert results is not None
-    used = np.subtract(os.times()[:4], own[:4])
+    used = np.subtract(os.times()[:4], before[:4])
     return {
         "trajectories a second": study.runs * (1 - chunks // 4 / chunks) / (stored[-1] - stored[chunks // 4 - 1]),
         "start s": started - began,
@@ -153,14 +153,14 @@ def cluster_fit(
             folder = worlds.agv(n=tags, seed=k, rows=rows).folder()
             rig = dataclasses.replace(folder.rig, name=path.name)
             write_recording(dataclasses.replace(folder, name=path.name, rig=rig), path)
-        found = shown({"": where, **of_a_fit(place, paths, steps, *how)} for where, how in PLACES.items())
+        fits = shown({"": where, **of_a_fit(place, paths, steps, *how)} for where, how in PLACES.items())
         travels = travelling(paths, place / "travel")
     size = (
         f"a fit of {recordings * tags:,} trajectories, {recordings * tags * rows / 1e6:.2f} million rows, {steps} steps"
     )
     evaluation = f"an evaluation at one vector (median of {EVALUATIONS}; Dask may move a chunk besides)"
-    output.publish("bench cluster-fit", Table(found, size), Table([travels], evaluation))
-    return int(len({row["SHA-256"] for row in found}) > 1)
+    output.publish("bench cluster-fit", Table(fits, size), Table([travels], evaluation))
+    return int(len({row["SHA-256"] for row in fits}) > 1)
 
 
 def of_a_fit(place: Path, paths: Sequence[Path], steps: int, on: Sequence[str], kill: bool) -> Row:
@@ -170,9 +170,9 @@ def of_a_fit(place: Path, paths: Sequence[Path], steps: int, on: Sequence[str], 
         tuned((*map(str, some), *words), place, kill and some is paths) for some in (paths[: len(paths) // 4], paths)
     )
     memory = {
-        f"{title} MB, {part}": one[of]
+        f"{title} MB, {part}": usage[of]
         for title, of in (("caller fitting", "fitting"), ("caller", "caller"), ("worker", "worker"))
-        for part, one in (("¼", quarter), ("all", whole))
+        for part, usage in (("¼", quarter), ("all", whole))
     }
     return {"wall s": whole["wall_s"], "processor s": whole["cpu_s"], **memory, "SHA-256": whole["sha256"][:12]}
 
@@ -215,10 +215,10 @@ PEAKS = ("fitting", "caller", "worker")
 def anonymous(pid: int) -> float:
     """Megabytes of memory of a process that are no pages of files; 0 once it has ended."""
     try:
-        found = re.search(r"RssAnon:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text("utf-8"))
+        match = re.search(r"RssAnon:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text("utf-8"))
     except OSError:
         return 0.0
-    return 0.0 if found is None else 1024 * int(found[1]) / 1e6
+    return 0.0 if match is None else 1024 * int(match[1]) / 1e6
 
 
 def travelling(paths: Sequence[Path], folder: Path) -> Row:
@@ -240,9 +240,9 @@ def travelling(paths: Sequence[Path], folder: Path) -> Row:
         for _ in range(EVALUATIONS):
             problem.evaluate(vector)
             counts.append(client.run(tcp_bytes))
-        totals = [[sum(one[k] for one in count.values()) for k in (1, 0)] for count in counts]
+        totals = [[sum(of_worker[k] for of_worker in count.values()) for k in (1, 0)] for count in counts]
         # The median, since Dask moves a chunk between workers now and then.
-        sent, received = (int(np.median(np.diff(own))) for own in zip(*totals, strict=True))
+        sent, received = (int(np.median(np.diff(running))) for running in zip(*totals, strict=True))
         stored = sum(path.stat().st_size for path in folder.glob("*.npz"))
         return {"workers": WORKERS, "chunks": len(problem.parts.rows), "chunks MB": stored / 1e6,
                 "sent kB": sent / 1e3, "received kB": received / 1e3}  # fmt: skip

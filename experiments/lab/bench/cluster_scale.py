@@ -96,9 +96,9 @@ def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, 
         chunk = of_a_chunk(study, Path(folder) / "study")
         portable = PortableStudy.of(study)
         clusters = [of_a_cluster(portable, chunk["chunk_bytes"], n, parts, output.small) for n in workers]
-    columns = {f"{one['workers']:,} workers": chunk | one for one in clusters}
+    columns = {f"{cluster['workers']:,} workers": chunk | cluster for cluster in clusters}
     rows = [
-        {"": title, **{name: scale * one[key] for name, one in columns.items()}}
+        {"": title, **{name: scale * column[key] for name, column in columns.items()}}
         for key, (title, scale) in COSTS.items()
     ]
     output.publish("bench cluster-scale", Table(rows), chunk=chunk, clusters=clusters)
@@ -116,14 +116,14 @@ def of_a_chunk(study: Study, place: Path) -> Row:
         computed.append(compute)
         written.append(write)
         contents.append(content)
-    one, every = (
+    of_one, of_all = (
         np.median([clocked(partial(store.results, {0: count * study.chunk}))[0][1] for _ in range(ROUNDS)])
         for count in (1, ROUNDS)
     )
     return {
         "world": "line", "tracker": "fix-kf", "trajectories": study.chunk, "chunk_bytes": max(map(len, contents)),
         "compute_s": float(np.median(computed)), "store_ms": 1e3 * float(np.median(written)),
-        "add_ms": 1e3 * float(every - one) / (ROUNDS - 1),
+        "add_ms": 1e3 * float(of_all - of_one) / (ROUNDS - 1),
     }  # fmt: skip
 
 
@@ -206,10 +206,10 @@ def tcp_bytes() -> tuple[int, int]:
         try:
             if not os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
                 continue
-            with socket.socket(fileno=os.dup(int(name))) as own:
-                if own.type != socket.SOCK_STREAM or own.family not in (socket.AF_INET, socket.AF_INET6):
+            with socket.socket(fileno=os.dup(int(name))) as connection:
+                if connection.type != socket.SOCK_STREAM or connection.family not in (socket.AF_INET, socket.AF_INET6):
                     continue
-                info = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 256)
+                info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 256)
         except OSError:
             continue
         if len(info) >= BYTES_SENT + 16:
@@ -251,7 +251,7 @@ def plan(rates: Mapping[str, Any], runs: float, workers: int, conditions: int = 
 
 def rates_of(measured: Mapping[str, Any], workers: int) -> dict[str, Any]:
     """The rates of a chunk, with those of the measured cluster whose number of workers is nearest in proportion."""
-    nearest = min(measured["clusters"], key=lambda one: abs(math.log(one["workers"] / workers)))
+    nearest = min(measured["clusters"], key=lambda cluster: abs(math.log(cluster["workers"] / workers)))
     return {**measured["chunk"], **nearest}
 
 
@@ -275,13 +275,13 @@ def cluster_plan(
         conditions: worlds times points of the grid.
         measured: the result file of cluster-scale.
     """
-    found = json.loads(measured.read_text("utf-8"))
-    plans = {n: plan(rates_of(found, n), runs, n, conditions) for n in workers}
+    results = json.loads(measured.read_text("utf-8"))
+    plans = {n: plan(rates_of(results, n), runs, n, conditions) for n in workers}
     if price is not None:
-        for one in plans.values():
-            one[f"cost at {price:g} a core-hour"] = price * one["paid for, core-hours"]
-    first, chunk = f"{runs:,.0f} trajectories", found["chunk"]
-    rows = [{first: title, **{f"{n:,} workers": one[title] for n, one in plans.items()}} for title in plans[workers[0]]]
+        for row in plans.values():
+            row[f"cost at {price:g} a core-hour"] = price * row["paid for, core-hours"]
+    first, chunk = f"{runs:,.0f} trajectories", results["chunk"]
+    rows = [{first: title, **{f"{n:,} workers": row[title] for n, row in plans.items()}} for title in plans[workers[0]]]
     note = f"Rates of {measured.name}: world {chunk['world']}, tracker {chunk['tracker']}."
     output.publish("bench cluster-plan", Table(rows, note=note))
     return 0

@@ -69,9 +69,9 @@ def on(devices: Sequence[Any], size: Size, rounds: int) -> list[Row]:
         add: Any = jax.jit(lambda x: x + 1)
         speed = 2 * numbers.nbytes / seconds(lambda: add(numbers))
         batch = simulate(size.chunk, size.rows).batch
-        one = sum(x.nbytes for x in jax.tree_util.tree_leaves(batch))
+        batch_bytes = sum(x.nbytes for x in jax.tree_util.tree_leaves(batch))
         limit = (devices[0].memory_stats() or {}).get("bytes_limit")
-        parts = size.parts if limit is None else max(1, min(size.parts, int(MEMORY_SHARE * limit / one)))
+        parts = size.parts if limit is None else max(1, min(size.parts, int(MEMORY_SHARE * limit / batch_bytes)))
         tracker = trackers()[1]
         parameters = select_parameters(tracker, TUNED)
         vector = flatten(parameters)
@@ -83,7 +83,7 @@ def on(devices: Sequence[Any], size: Size, rounds: int) -> list[Row]:
             took = seconds(run)
             rows.append({
                 **of_all, "what": name, "trajectories": parts * size.chunk, "rows": size.rows, "run s": took,
-                "times reading once": took / (parts * one / (speed * len(devices))),
+                "times reading once": took / (parts * batch_bytes / (speed * len(devices))),
                 "M rows/s": parts * size.chunk * size.rows / took / 1e6,
             })  # fmt: skip
         fixes, times, truth = particles.task(size.particle_trajectories)

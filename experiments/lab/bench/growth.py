@@ -55,15 +55,15 @@ def growth(*series: str, output: Output = DEFAULTS) -> int:
     """
     tables = []
     for name in chosen(series, SERIES, USUAL):
-        one = SERIES[name]
+        problem = SERIES[name]
         rows = [
             {"size": size, "version": version}
-            | apart("bench.growth:point", name, version, size, output.rounds(one.rounds), limit_s=one.limit_s)
-            for version, largest in one.versions.items()
-            for size in one.sizes[: 2 if output.small else None]
+            | apart("bench.growth:point", name, version, size, output.rounds(problem.rounds), limit_s=problem.limit_s)
+            for version, largest in problem.versions.items()
+            for size in problem.sizes[: 2 if output.small else None]
             if size <= largest
         ]
-        tables.append(Table(rows, f"{name}: {one.about}", slopes(rows, one.versions)))
+        tables.append(Table(rows, f"{name}: {problem.about}", slopes(rows, problem.versions)))
     output.publish("bench growth", *tables)
     return int(any("failed" in row for table in tables for row in table.rows))
 
@@ -76,14 +76,14 @@ def point(series: str, version: str, size: int, rounds: int) -> Row:
 
 def slopes(rows: Sequence[Row], versions: Mapping[str, int]) -> str:
     """The fitted slopes of the logarithm of processor time on that of size, in words."""
-    found = []
+    texts = []
     for version in versions:
         points = [(row["size"], row["processor ms"]) for row in rows
                   if row["version"] == version and "failed" not in row]  # fmt: skip
         if len(points) > 1:
             x, y = np.log(np.array(points, float)).T
-            found.append(f"{version} {np.polyfit(x, y, 1)[0]:.2f}")
-    return f"Slope of processor time: {', '.join(found) or 'too few sizes'}."
+            texts.append(f"{version} {np.polyfit(x, y, 1)[0]:.2f}")
+    return f"Slope of processor time: {', '.join(texts) or 'too few sizes'}."
 
 
 def ranging(anchors: int, slots: int, biases: int, trajectories: int) -> tuple[Tracker, list[Recording]]:

@@ -186,8 +186,8 @@ def range_channels(
         if levers is not None:
             gradient[6:9] = -(ray @ R) @ cross(levers[row, :3]) / distance
         predicted = distance + (known[number] if number < len(known) else 0.0)
-        own = [biases_at + number] if number < biases else []
-        for k in (*own, *range(biases_at + biases, len(x))):
+        bias = [biases_at + number] if number < biases else []
+        for k in (*bias, *range(biases_at + biases, len(x))):
             gradient[k] = 1.0
             predicted += x[k]
         sigma = np.sqrt(variance + (0.0 if reported is None or not reported.size else reported[row, 0]))

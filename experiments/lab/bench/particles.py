@@ -65,7 +65,7 @@ def beside(other: str, small: bool) -> Row:
     few = fixes[: SLICES[other]]
     runs = {"ours": (fixes, ours(fixes, times)), other: (few, VERSIONS[other](few, times, PARTICLES))}
     versions = {
-        name: Version(part.shape[0], part.shape[1], run, lambda found: rmse(found, truth[: len(found)]))
+        name: Version(part.shape[0], part.shape[1], run, lambda means: rmse(means, truth[: len(means)]))
         for name, (part, run) in runs.items()
     }
     return {"rows": compared(versions, 1 if small else ROUNDS)}

@@ -157,5 +157,5 @@ def difference(means: list[np.ndarray], estimates: Any, rows: int) -> float:
     estimates differ for a while.
     """
     first, last = loop_rows(rows)
-    own = np.stack([np.asarray(x, float) for x in estimates.mean.position], axis=-1)[first:last]
-    return float(np.median(np.linalg.norm(means[0][:, : own.shape[1]] - own, axis=1)))
+    positions = np.stack([np.asarray(x, float) for x in estimates.mean.position], axis=-1)[first:last]
+    return float(np.median(np.linalg.norm(means[0][:, : positions.shape[1]] - positions, axis=1)))

@@ -79,9 +79,9 @@ def of_a_chunk(world: str, tracker: str, output: Output) -> Row:
         nonlocal rows
         (_, simulate), folder = clocked(lambda: study.worlds[world].make(ids, study.seed))
         (_, prepare), stacked = clocked(lambda: rows_of(config.spec.batches([folder], tracker)))
-        placed = [(as_dtype(own, batch.dt.dtype), part) for own, batch in stacked for part in chunks(batch, count)]
-        (_, bare), _ = clocked(lambda: jax.block_until_ready([program(*one) for one in placed]))
-        (_, run), _ = clocked(lambda: [own.run(batch, count) for own, batch in stacked])
+        placed = [(as_dtype(model, batch.dt.dtype), part) for model, batch in stacked for part in chunks(batch, count)]
+        (_, bare), _ = clocked(lambda: jax.block_until_ready([program(*arguments) for arguments in placed]))
+        (_, run), _ = clocked(lambda: [model.run(batch, count) for model, batch in stacked])
         (_, whole), _ = clocked(lambda: run_chunk(study, condition, ids, False))
         rows = int(sum(np.asarray(batch.valid).sum() for _, batch in stacked))
         return simulate, prepare, bare, run, whole - simulate - prepare - run, whole

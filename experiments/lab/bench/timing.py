@@ -67,21 +67,21 @@ def compared(versions: Mapping[str, Version], rounds: int) -> list[Row]:
     Ratios to the first version are taken within a round: other load slows all versions alike.
     """
     first, errors = {}, {}
-    for name, one in versions.items():
-        (first[name], _), result = clocked(one.run)
-        errors[name] = None if one.error is None else one.error(result)
+    for name, version in versions.items():
+        (first[name], _), result = clocked(version.run)
+        errors[name] = None if version.error is None else version.error(result)
         del result
-    seconds = turns((one.run for one in versions.values()), rounds)
-    rates = np.array([one.trajectories * one.rows for one in versions.values()])[:, None] / seconds
+    seconds = turns((version.run for version in versions.values()), rounds)
+    rates = np.array([version.trajectories * version.rows for version in versions.values()])[:, None] / seconds
     medians, faster = np.median(seconds, axis=0), np.median(rates[:, :1] / rates, axis=0)
     return [
         {
-            "version": name, "trajectories": one.trajectories, "rows": one.rows, "first call s": first[name],
+            "version": name, "trajectories": version.trajectories, "rows": version.rows, "first call s": first[name],
             "run ms": 1e3 * medians[k, 0], "processor ms": 1e3 * medians[k, 1],
             "M rows/s": np.median(rates[:, k, 0]) / 1e6, "ours × faster": faster[k, 0],
             "ours × faster, per processor s": faster[k, 1], "error": errors[name],
         }
-        for k, (name, one) in enumerate(versions.items())
+        for k, (name, version) in enumerate(versions.items())
     ]  # fmt: skip
 
 
@@ -100,16 +100,16 @@ def apart(target: str, *arguments: Any, limit_s: float, flags: bool = True) -> R
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
         return {"failed": f"ended with status {done.returncode}: {reason}"}
-    found: Row = json.loads(done.stdout)
-    return found
+    row: Row = json.loads(done.stdout)
+    return row
 
 
 def apart_each(target: str, names: Iterable[str], small: bool, limit_s: float, flags: bool = True) -> list[Row]:
     """The rows that a function of a competitor's name returns, each competitor beside ours in a process of its own."""
     rows = []
     for name in names:
-        found = apart(target, name, small, limit_s=limit_s, flags=flags)
-        rows += found.get("rows", [{"version": name, **found}])
+        result = apart(target, name, small, limit_s=limit_s, flags=flags)
+        rows += result.get("rows", [{"version": name, **result}])
     return rows
 
 

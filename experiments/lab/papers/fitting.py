@@ -58,22 +58,22 @@ class Fit:
 
     def ratios(self, numbers: Mapping[str, float]) -> np.ndarray:
         """Our numbers over the printed ones, a geometric mean for each group."""
-        every = [one for group in self.to for one in group]
-        worlds = {world: self.study.worlds[world] for one in every for world in one.worlds}
-        trackers = {one.tracker: self.study.trackers[one.tracker] for one in every}
+        figures = [figure for group in self.to for figure in group]
+        worlds = {world: self.study.worlds[world] for figure in figures for world in figure.worlds}
+        trackers = {figure.tracker: self.study.trackers[figure.tracker] for figure in figures}
         for name, world in worlds.items():
             worlds[name] = replace(world, numbers={k: numbers.get(k, value) for k, value in world.numbers.items()})
         for name, config in trackers.items():
-            own = {tunable: numbers[k] for k, (tracker, tunable) in self.tunables.items() if tracker == name}
-            trackers[name] = replace(config, tunables={**config.tunables, **own})
+            values = {tunable: numbers[k] for k, (tracker, tunable) in self.tunables.items() if tracker == name}
+            trackers[name] = replace(config, tunables={**config.tunables, **values})
         few = replace(self.study, worlds=worlds, trackers=trackers, metrics=(), runs=self.runs, seed=self.seed)
         results = unsaved(few)
         return np.exp([np.mean([np.log(p.ours(results).value / p.number) for p in group]) for group in self.to])
 
     def __call__(self) -> tuple[str, dict[str, Fitted]]:
         """The degrees of freedom left and the fitted parameters."""
-        found = solved(self.ratios, {name: start.value for name, start in self.free.items()}, self.rounds)
-        return self.left, {name: start._replace(value=found[name]) for name, start in self.free.items()}
+        optimum = solved(self.ratios, {name: start.value for name, start in self.free.items()}, self.rounds)
+        return self.left, {name: start._replace(value=optimum[name]) for name, start in self.free.items()}
 
 
 def solved(
@@ -90,10 +90,10 @@ def solved(
 
     # Log parameters are shifted to one at the start, so that the relative step of the differences is STEP.
     begin = np.array(list(start.values()), float)
-    found = least_squares(
+    optimum = least_squares(
         lambda x: np.log(ratios(numbers(x))), np.ones(len(begin)), diff_step=STEP, xtol=1e-3, max_nfev=rounds + 1
     )
-    return numbers(found.x)
+    return numbers(optimum.x)
 
 
 def unsaved(study: mc.Study) -> mc.Results:

@@ -37,7 +37,7 @@ def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
     """
     require_page(results)
     chosen = [study for study in map(load_study, available_studies()) if study.expected is not None]
-    every, failed, seconds = [], [], 0.0
+    contents, failed, seconds = [], [], 0.0
     with progress("papers", len(chosen)) as advance:
         for study in chosen:
             folder = out / study.name
@@ -48,32 +48,32 @@ def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
                 failed.append(study.name)
                 notice(f"{study.name} failed: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")
             else:
-                found = json.loads((folder / "results.json").read_text("utf-8"))
-                every.append(found)
-                seconds += found["computing_s"]
-                notice(f"{study.name}: {found['computing_s']:.0f} s")
+                content = json.loads((folder / "results.json").read_text("utf-8"))
+                contents.append(content)
+                seconds += content["computing_s"]
+                notice(f"{study.name}: {content['computing_s']:.0f} s")
             advance(1, study.name)
     if failed:
         notice(f"{results} is unchanged: {', '.join(failed)} failed")
         return 1
-    replace_tables(results, MODULE, tables(every, seconds))
+    replace_tables(results, MODULE, tables(contents, seconds))
     print(f"wrote {results}")
     return 0
 
 
-def tables(found: Sequence[dict[str, Any]], seconds: float) -> str:
+def tables(contents: Sequence[dict[str, Any]], seconds: float) -> str:
     """The sections of all studies, from their results.json."""
     machine = f"{os.cpu_count()} cores, {platform.machine()}, jax {version('jax')}, Python {platform.python_version()}"
-    claims = [claim for one in found for claim in one["claims"]]
+    claims = [claim for content in contents for claim in content["claims"]]
     heading = f"**{_headline(claims)}**\n\n{machine}; {seconds / 60:.0f} minutes of computing.\n"
-    return "\n".join([heading, *map(part, found)])
+    return "\n".join([heading, *map(part, contents)])
 
 
-def part(found: dict[str, Any]) -> str:
+def part(content: dict[str, Any]) -> str:
     """The section of a study, from its results.json."""
-    printed = [claim for claim in found["claims"] if "printed" in claim]
-    stated = [claim for claim in found["claims"] if "says" in claim]
-    paragraphs = [f"## {found['study']}", found["about"], f"**{_headline(found['claims'])}**"]
+    printed = [claim for claim in content["claims"] if "printed" in claim]
+    stated = [claim for claim in content["claims"] if "says" in claim]
+    paragraphs = [f"## {content['study']}", content["about"], f"**{_headline(content['claims'])}**"]
     if printed:
         paragraphs.append(markdown([HEAD, *map(_row, printed)]).rstrip())
     notes = [f"- {claim['figure']}: {claim['note']}" for claim in printed if claim["note"]]
@@ -83,7 +83,7 @@ def part(found: dict[str, Any]) -> str:
     ]
     paragraphs += ["\n".join(lines) for lines in (notes, conclusions) if lines]
     return "\n\n".join(
-        [*paragraphs, f"`trackwright study {found['study']}`, {found['computing_s']:.0f} s of computing.\n"]
+        [*paragraphs, f"`trackwright study {content['study']}`, {content['computing_s']:.0f} s of computing.\n"]
     )
 
 

@@ -71,11 +71,11 @@ class Design(NamedTuple):
 
 
 def searched(
-    layout: AbstractLayout, points: np.ndarray, found: Mapping[str, SearchResult]
+    layout: AbstractLayout, points: np.ndarray, searches: Mapping[str, SearchResult]
 ) -> tuple[str, dict[str, Fitted]]:
     """The positions that each search found, and their mean bound over points without the weight of constraints."""
     numbers = {}
-    for name, result in found.items():
+    for name, result in searches.items():
         theta = jnp.asarray(result.theta)
         bound = float(mean_bound(layout.sensors(theta), jnp.asarray(points)))
         print(f"{name}: mean bound {100 * bound:.3f} cm after {result.evaluations} evaluations")
@@ -126,10 +126,10 @@ def against_grid(name: str) -> mc.Conclusion:
 
 def rmse_ratio(results: mc.Results, tracker: str, layout: str) -> mc.Value:
     """The tracker's RMSE with a layout over that with the default layout, paired."""
-    own, default = (results.numbers("square_3d_m2", world, tracker) for world in (layout, "default"))
-    weights = resampled(results.study.seed, len(own))
-    low, high = np.percentile(np.sqrt((weights @ own) / (weights @ default)), [2.5, 97.5])
-    return mc.Value(float(np.sqrt(own.mean() / default.mean())), float(low), float(high))
+    squares, default = (results.numbers("square_3d_m2", world, tracker) for world in (layout, "default"))
+    weights = resampled(results.study.seed, len(squares))
+    low, high = np.percentile(np.sqrt((weights @ squares) / (weights @ default)), [2.5, 97.5])
+    return mc.Value(float(np.sqrt(squares.mean() / default.mean())), float(low), float(high))
 
 
 def maps(
@@ -151,11 +151,11 @@ def maps(
         name: bound_map(layout, layout.theta(design.positions), points).reshape(len(x), len(y))
         for name, design in designs.items()
     }
-    every = 100 * np.stack(list(fields.values()))
+    values = 100 * np.stack(list(fields.values()))
     shape = (len(fields), 1) if stacked else (1, len(fields))
     panels: Sequence[Axes] = figure.subplots(*shape, sharex=True, sharey=True).ravel()
     for panel, (name, field) in zip(panels, fields.items(), strict=True):
-        levels = np.linspace(every.min(), every.max(), 13)
+        levels = np.linspace(values.min(), values.max(), 13)
         shades = panel.contourf(x, y, 100 * field.T, levels=levels, cmap="viridis_r")
         mark(panel, designs[name])
         panel.set_title(f"{name}: {100 * float(np.sqrt(np.mean(field**2))):.1f} cm on the map")

@@ -49,7 +49,7 @@ def walks(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Search by gradient against the grid, and errors of trackers against bounds."""
     default, _, gradient = (DESIGNS[layout] for layout in LAYOUTS)
-    bound, found = gradient.bound / default.bound, of.rmse_ratio(results, "uwb", "gradient")
+    bound, ratio = gradient.bound / default.bound, of.rmse_ratio(results, "uwb", "gradient")
     median, rmse = (
         results.value(metric, "gradient", "multilateration").value
         / results.value(metric, "default", "multilateration").value
@@ -58,8 +58,8 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     yield of.against_grid("anchors")
     yield mc.Conclusion(
         "the filter's RMSE decreases in proportion to the bound of an epoch, within 10 %",
-        abs(found.value / bound - 1) < 0.10,
-        f"ratio to the corners: RMSE {found.value:.3f} [{found.low:.3f}, {found.high:.3f}], bound {bound:.3f}",
+        abs(ratio.value / bound - 1) < 0.10,
+        f"ratio to the corners: RMSE {ratio.value:.3f} [{ratio.low:.3f}, {ratio.high:.3f}], bound {bound:.3f}",
         mc.PREDICTED,
     )
     yield mc.Conclusion(
@@ -122,9 +122,9 @@ def fit() -> tuple[str, dict[str, Fitted]]:
         starts = np.random.default_rng(0).random((STARTS, *layout.shape))
         choices = np.array([(k / POSITIONS, z) for k in range(POSITIONS) for z in (0.0, 1.0)])
         pairs = list(combinations(range(len(choices)), 2))
-        found = {
+        searches = {
             "default": SearchResult(of.default_hall(), 0.0, 0),
             "grid": exhaust(objective, choices, (low + high for low in pairs for high in pairs)),
             "gradient": descend(objective, layout.project, starts, STEPS, RATE),
         }
-        return of.searched(layout, of.TAG_POINTS, found)
+        return of.searched(layout, of.TAG_POINTS, searches)

@@ -44,15 +44,15 @@ def helices(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Search by gradient against the grid, and errors of trackers against bounds."""
     default, _, gradient = (DESIGNS[layout] for layout in LAYOUTS)
-    found = of.rmse_ratio(results, "direct", "gradient")
+    direct = of.rmse_ratio(results, "direct", "gradient")
     posterior = [results.value("bound_3d_m", layout, "direct").value for layout in LAYOUTS]
     ratio = posterior[2] / posterior[0]
     cascade = of.rmse_ratio(results, "cascade", "gradient")
     yield of.against_grid("array")
     yield mc.Conclusion(
         "the direct filter's RMSE decreases in proportion to its posterior bound, within 10 %",
-        abs(found.value / ratio - 1) < 0.10,
-        f"ratio to the default array: RMSE {found.value:.3f} [{found.low:.3f}, {found.high:.3f}], posterior bound "
+        abs(direct.value / ratio - 1) < 0.10,
+        f"ratio to the default array: RMSE {direct.value:.3f} [{direct.low:.3f}, {direct.high:.3f}], posterior bound "
         f"{ratio:.3f}, bound of an epoch {gradient.bound / default.bound:.3f}",
         mc.PREDICTED,
     )
@@ -104,9 +104,9 @@ def fit() -> tuple[str, dict[str, Fitted]]:
         x, y = np.meshgrid(np.linspace(0, 1, COLUMNS), np.linspace(0, 1, ROWS), indexing="ij")
         choices = np.stack([x.ravel(), y.ravel()], axis=1)
         layouts = [rng.choice(len(choices), layout.shape[0], replace=False) for _ in range(ROUNDS)]
-        found = {
+        searches = {
             "default": SearchResult(layout.theta(DEFAULT_ANTENNAS), 0.0, 0),
             "grid": exchange(objective, choices, layouts),
             "gradient": descend(objective, layout.project, starts, STEPS, RATE),
         }
-        return of.searched(layout, of.TOOL_POINTS, found)
+        return of.searched(layout, of.TOOL_POINTS, searches)

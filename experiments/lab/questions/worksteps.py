@@ -150,8 +150,8 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
         ),
         mc.DERIVED,
     )
-    every = {t: [_false_fraction(results, t, s) for s in SPACINGS] for t in CONFIGS}
-    false = {t: max(values, key=lambda v: np.nan_to_num(v.value, nan=-1.0)) for t, values in every.items()}
+    fractions = {t: [_false_fraction(results, t, s) for s in SPACINGS] for t in CONFIGS}
+    false = {t: max(values, key=lambda v: np.nan_to_num(v.value, nan=-1.0)) for t, values in fractions.items()}
     yield mc.Conclusion(
         "at most 5 % of the unlock decisions at 95 % are at a wrong point, within the intervals",
         all(v.low <= 0.05 for v in false.values()),

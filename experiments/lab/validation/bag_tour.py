@@ -95,8 +95,8 @@ def _messages(types: Any, tables: Any) -> Iterator[tuple[str, int, Any]]:
     seen = tables["ranges"].drop_nulls("range_m").filter(pl.col("range_m") > 0)
     for (seconds,), rows in seen.partition_by("t_s", as_dict=True, maintain_order=True).items():
         stamp, head = header(seconds)
-        found = [one(str(r["anchor"]), round(1000 * r["range_m"])) for r in rows.iter_rows(named=True)]
-        yield "/uwb", stamp, several(head, found)
+        messages = [one(str(r["anchor"]), round(1000 * r["range_m"])) for r in rows.iter_rows(named=True)]
+        yield "/uwb", stamp, several(head, messages)
     for row in tables["truth"].iter_rows(named=True):
         stamp, head = header(row["t_s"])
         place = np.nan_to_num([row["x_m"], row["y_m"], row["z_m"]]).tolist()

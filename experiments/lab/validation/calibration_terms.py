@@ -42,14 +42,16 @@ def _with_terms(folders: Sequence[RecordingFolder], label: str) -> Row:
     """The means over the walks, each calibrated on the others with one of the `SETS`."""
     mean, sigmas = ANGLE_PRIOR
     kept = np.where([term in SETS[label] for term in ANGLE_TERMS], sigmas, EXCLUDED)
-    found = []
-    for one in folders:
-        own = one
+    figures = []
+    for folder in folders:
+        calibrated = folder
         if SETS[label]:
             with mock.patch.object(calibrating, "ANGLE_PRIOR", (mean, kept)):
-                own = one.calibrated(calibrating.calibrate([other for other in folders if other is not one]))
-        tracker = build("bearings", own)
-        plain, smoothed = (evaluate(each.run(own), own) for each in (tracker, tracker.smoothing()))
-        found.append((plain["rmse_m"], smoothed["rmse_m"], 100 * plain["coverage_95"]))
-    rmse, smoothed_rmse, inside = np.mean(found, axis=0).tolist()
+                calibrated = folder.calibrated(
+                    calibrating.calibrate([other for other in folders if other is not folder])
+                )
+        tracker = build("bearings", calibrated)
+        plain, smoothed = (evaluate(each.run(calibrated), calibrated) for each in (tracker, tracker.smoothing()))
+        figures.append((plain["rmse_m"], smoothed["rmse_m"], 100 * plain["coverage_95"]))
+    rmse, smoothed_rmse, inside = np.mean(figures, axis=0).tolist()
     return {"terms": label, "RMSE m": rmse, "smoothed m": smoothed_rmse, "inside 95 %": inside}

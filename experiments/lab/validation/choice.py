@@ -69,16 +69,16 @@ def choice(*, output: Output = DEFAULTS) -> int:
     folders = [path.parent for path in sorted(required_recordings().glob("*/rig.toml"))]
     figures = []
     for folder in read_recordings(folders[: 2 if output.small else None]):
-        for one in figures_of(folder):
-            shown([{"recording": one.recording, "tracker": one.tracker, "": _cell(one)}])
-            figures.append(one)
+        for figure in figures_of(folder):
+            shown([{"recording": figure.recording, "tracker": figure.tracker, "": _cell(figure)}])
+            figures.append(figure)
     output.publish("validation choice", *tables(figures))
     if output.small:
         return 0
     other = [kind for kind, names in PREFERENCE.items() if order_of(figures, tuple(names)) != tuple(names)]
     for kind in other:
-        found = ", ".join(order_of(figures, tuple(PREFERENCE[kind])))
-        print(f"choice: PREFERENCE of {kind}: {', '.join(PREFERENCE[kind])}; measured: {found}", file=sys.stderr)
+        order = ", ".join(order_of(figures, tuple(PREFERENCE[kind])))
+        print(f"choice: PREFERENCE of {kind}: {', '.join(PREFERENCE[kind])}; measured: {order}", file=sys.stderr)
     return int(bool(other))
 
 
@@ -98,9 +98,9 @@ def figures_of(folder: RecordingFolder) -> Iterator[Figure]:
 def beside(figures: Sequence[Figure], first: str, second: str) -> Beside:
     """The errors of one tracker over those of another, on the recordings on which the levels of neither were fitted."""
     decides: dict[str, dict[str, float]] = {first: {}, second: {}}
-    for one in figures:
-        if one.tracker in decides and not one.fitted and one.share >= LEAST_SHARE:
-            decides[one.tracker][one.recording] = one.rmse
+    for figure in figures:
+        if figure.tracker in decides and not figure.fitted and figure.share >= LEAST_SHARE:
+            decides[figure.tracker][figure.recording] = figure.rmse
     a, b = decides[first], decides[second]
     common = tuple(name for name in a if name in b)
     return Beside(float(np.exp(np.mean([np.log(a[k] / b[k]) for k in common]))) if common else 1.0, common)
@@ -111,36 +111,36 @@ def order_of(figures: Sequence[Figure], names: Sequence[str]) -> tuple[str, ...]
 
     Those that no recording fits are last.
     """
-    measured = {one.tracker for one in figures}
-    left, found = sorted(names, key=lambda name: (name not in measured, SIMPLEST_FIRST.index(name))), []
+    measured = {figure.tracker for figure in figures}
+    left, order = sorted(names, key=lambda name: (name not in measured, SIMPLEST_FIRST.index(name))), []
     while left:
         unbeaten = (
-            one for one in left if all(beside(figures, other, one).ratio >= CLEAR for other in left if other != one)
+            name for name in left if all(beside(figures, other, name).ratio >= CLEAR for other in left if other != name)
         )
-        found.append(next(unbeaten, left[0]))
-        left.remove(found[-1])
-    return tuple(found)
+        order.append(next(unbeaten, left[0]))
+        left.remove(order[-1])
+    return tuple(order)
 
 
 def tables(figures: Sequence[Figure]) -> list[Table]:
     """The figures of all kinds of readings of which there are recordings, each with the first choice beside others."""
-    found = []
+    result = []
     for kind, names in PREFERENCE.items():
-        own = {(one.recording, one.tracker): one for one in figures if one.tracker in names}
-        if own:
+        of_kind = {(figure.recording, figure.tracker): figure for figure in figures if figure.tracker in names}
+        if of_kind:
             order = order_of(figures, tuple(names))
             listed = ", ".join(f"`{name}`" for name in order)
             title = kind[0].upper() + kind[1:]
-            found.append(Table(_by_recording(own, order), title, f"Order: {listed}."))
+            result.append(Table(_by_recording(of_kind, order), title, f"Order: {listed}."))
             if len(order) > 1:
-                found.append(Table(_beside_others(figures, order), f"{title}: `{order[0]}` beside the others"))
-    return found
+                result.append(Table(_beside_others(figures, order), f"{title}: `{order[0]}` beside the others"))
+    return result
 
 
-def _by_recording(own: Mapping[tuple[str, str], Figure], order: Sequence[str]) -> list[Row]:
-    recordings = dict.fromkeys(recording for recording, _ in own)
+def _by_recording(figures: Mapping[tuple[str, str], Figure], order: Sequence[str]) -> list[Row]:
+    recordings = dict.fromkeys(recording for recording, _ in figures)
     return [
-        {"recording": r, **{f"`{name}`": _cell(own[r, name]) if (r, name) in own else "" for name in order}}
+        {"recording": r, **{f"`{name}`": _cell(figures[r, name]) if (r, name) in figures else "" for name in order}}
         for r in recordings
     ]
 
@@ -155,9 +155,9 @@ def _beside_others(figures: Sequence[Figure], order: Sequence[str]) -> list[Row]
     return rows
 
 
-def _cell(one: Figure) -> str:
-    directions = TRACKERS[one.tracker].bearing_only
-    error = f"{np.degrees(one.rmse):.1f}°" if directions else f"{100 * one.rmse:.1f} cm"
-    inside = "" if one.inside is None else f", {100 * one.inside:.0f} %"
-    rows = f" ({100 * one.share:.0f} % of the rows)" if one.share < 0.985 else ""
-    return f"{error}{inside}{rows}{'*' if one.fitted else ''}"
+def _cell(figure: Figure) -> str:
+    directions = TRACKERS[figure.tracker].bearing_only
+    error = f"{np.degrees(figure.rmse):.1f}°" if directions else f"{100 * figure.rmse:.1f} cm"
+    inside = "" if figure.inside is None else f", {100 * figure.inside:.0f} %"
+    rows = f" ({100 * figure.share:.0f} % of the rows)" if figure.share < 0.985 else ""
+    return f"{error}{inside}{rows}{'*' if figure.fitted else ''}"

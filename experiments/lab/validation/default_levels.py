@@ -53,8 +53,10 @@ class Levels(NamedTuple):
 
     def values(self) -> dict[str, Any]:
         """The present defaults."""
-        own = {name: p.default for name, p in inspect.signature(self.builder).parameters.items() if name in self.names}
-        return {**own, **{name: value for name, value in self.now.items() if name in self.names}}
+        defaults = {
+            name: p.default for name, p in inspect.signature(self.builder).parameters.items() if name in self.names
+        }
+        return {**defaults, **{name: value for name, value in self.now.items() if name in self.names}}
 
 
 DRIFTING = ("sigma_a", "memory", "sigma_bias", "time_constant", "length")
@@ -92,12 +94,12 @@ class Objective:
 
     def values(self, logarithms: np.ndarray) -> dict[str, Any]:
         """The levels by keyword."""
-        found, at = {}, 0
+        values, at = {}, 0
         for name in self.levels.names:
             size = np.size(self.now[name])
             part = np.exp(logarithms[at : at + size])
-            found[name], at = (float(part[0]) if np.ndim(self.now[name]) == 0 else tuple(part.tolist())), at + size
-        return found
+            values[name], at = (float(part[0]) if np.ndim(self.now[name]) == 0 else tuple(part.tolist())), at + size
+        return values
 
     def by_recording(self, logarithms: np.ndarray) -> dict[str, float]:
         """The negative log-likelihood of the truth, nats a row, of each recording."""
@@ -133,17 +135,17 @@ def default_levels(kind: Kind, *, evaluations: int = 400, output: Output = DEFAU
     start = objective.start()
     steps = FIRST_STEP * np.diag(np.resize([1.0, -1.0], len(start)))
     options = {"maxfev": evaluations, "initial_simplex": np.vstack([start, start + steps]), "adaptive": True}
-    found = minimize(objective, start, method="Nelder-Mead", options=options).x
+    optimum = minimize(objective, start, method="Nelder-Mead", options=options).x
     before, after = (
         {name: ", ".join(f"{x:.3g}" for x in np.ravel(level)) for name, level in objective.values(at).items()}
-        for at in (start, found)
+        for at in (start, optimum)
     )
-    own, new = objective.by_recording(start), objective.by_recording(found)
-    own["mean"], new["mean"] = objective(start), objective(found)
+    present, new = objective.by_recording(start), objective.by_recording(optimum)
+    present["mean"], new["mean"] = objective(start), objective(optimum)
     output.publish(
         "validation default-levels",
         Table([{"level": name, "present": before[name], "found": after[name]} for name in levels.names], "levels"),
-        Table([{"recording": name, "present": own[name], "found": new[name]} for name in own], "nats a row"),
+        Table([{"recording": name, "present": present[name], "found": new[name]} for name in present], "nats a row"),
     )
     return 0
 
@@ -152,9 +154,9 @@ def known_and_new(folders: Sequence[RecordingFolder]) -> list[RecordingFolder]:
     """Each recording calibrated on all of them, and again, by another name, on the others."""
     on_all = calibrate(folders)
     new = [
-        replace(one, name=f"{one.name}, calibrated on the others").calibrated(
-            calibrate([other for other in folders if other is not one])
+        replace(folder, name=f"{folder.name}, calibrated on the others").calibrated(
+            calibrate([other for other in folders if other is not folder])
         )
-        for one in folders
+        for folder in folders
     ]
-    return [*(one.calibrated(on_all) for one in folders), *new]
+    return [*(folder.calibrated(on_all) for folder in folders), *new]

@@ -89,9 +89,9 @@ def envelope(*trackers: str, seed: int = 0, tags: int = TAGS, output: Output = D
     summary, tables, wrong = list[Row](), list[Table](), 0
     cells = [Cell(*one) for one in product(SIGMAS, STEPS, (10.0,) if output.small else ROOMS)]
     for name in chosen(trackers, SUBJECTS):
-        found, off = verdicts(name, cells, seed, 12 if output.small else tags)
-        summary += shown([summarised(name, found, off)])
-        tables.append(Table(table(found), f"`{name}`"))
+        by_cell, off = verdicts(name, cells, seed, 12 if output.small else tags)
+        summary += shown([summarised(name, by_cell, off)])
+        tables.append(Table(table(by_cell), f"`{name}`"))
         wrong += summary[-1]["silently wrong"]
     output.publish("validation envelope", Table(summary), *tables)
     return int(wrong > 0)
@@ -99,15 +99,15 @@ def envelope(*trackers: str, seed: int = 0, tags: int = TAGS, output: Output = D
 
 def verdicts(name: str, cells: Sequence[Cell], seed: int = 0, tags: int = TAGS) -> tuple[dict[Cell, Verdict], float]:
     """The verdict on every cell, and the largest difference of double precision from another method, in sigmas."""
-    found, off = dict[Cell, Verdict](), list[float]()
+    by_cell, off = dict[Cell, Verdict](), list[float]()
     for cell in cells:
         several, another = tried(name, cell, min(tags, SUBJECTS[name].tags), seed)
-        found[cell] = several
+        by_cell[cell] = several
         if SUBJECTS[name].tags > ALONE:
             alone, _ = tried(name, cell, min(tags, ALONE), seed, alone=True)
-            found[cell] = alone if alone.words.startswith(NONSENSE) else several
+            by_cell[cell] = alone if alone.words.startswith(NONSENSE) else several
         off.append(another)
-    return found, float(np.nanmax([*off, -np.inf]))
+    return by_cell, float(np.nanmax([*off, -np.inf]))
 
 
 def tried(name: str, cell: Cell, tags: int, seed: int, alone: bool = False) -> tuple[Verdict, float]:
@@ -120,7 +120,7 @@ def tried(name: str, cell: Cell, tags: int, seed: int, alone: bool = False) -> t
             group = ready(name, cell, folder)
             double = run(group, walks, alone)
             verdict = judged(single, double)
-            few = [one.recording for one in group.trajectories[:CHECKED]]
+            few = [trajectory.recording for trajectory in group.trajectories[:CHECKED]]
             off = [difference(group, each) for each in few] if verdict.words == "agrees" and not alone else []
     except UnusableInput as problem:
         return Verdict(f"refused: {str(problem).partition('needs ')[2][:40] or problem}"), np.nan
@@ -130,21 +130,21 @@ def tried(name: str, cell: Cell, tags: int, seed: int, alone: bool = False) -> t
 def ready(name: str, cell: Cell, folder: RecordingFolder) -> TrackerBatch:
     """The tracker with the cell's noise, that a gap does not end, and its trajectories."""
     named, values = build(name, folder, free_height=True), dict[str, Any](SUBJECTS[name].known)
-    for own, tunable in tunables(named.tracker).items():
+    for label, tunable in tunables(named.tracker).items():
         size = np.ones(np.shape(tunable.raw))
-        if any(fnmatch(own, pattern) for pattern in SUBJECTS[name].levels):
-            values[own] = cell.sigma**2 * np.eye(len(size)) if isinstance(tunable, Covariance) else cell.sigma * size
-        elif fnmatch(own, "*start.sigma_position") and SUBJECTS[name].table != "bearings":
-            values[own] = np.maximum(np.asarray(tunable.value, float), cell.sigma)
-        elif fnmatch(own, "*track_loss.max_gap"):
-            values[own] = np.inf * size
+        if any(fnmatch(label, pattern) for pattern in SUBJECTS[name].levels):
+            values[label] = cell.sigma**2 * np.eye(len(size)) if isinstance(tunable, Covariance) else cell.sigma * size
+        elif fnmatch(label, "*start.sigma_position") and SUBJECTS[name].table != "bearings":
+            values[label] = np.maximum(np.asarray(tunable.value, float), cell.sigma)
+        elif fnmatch(label, "*track_loss.max_gap"):
+            values[label] = np.inf * size
     (group,) = named.with_values(values).batches(folder)
     return group
 
 
 def run(group: TrackerBatch, walks: Walks, alone: bool) -> Run:
     """The estimates of all trajectories, together or one by one, in the precision that is set."""
-    each = [[one] for one in group.trajectories] if alone else [group.trajectories]
+    each = [[trajectory] for trajectory in group.trajectories] if alone else [group.trajectories]
     return Run(*(np.concatenate(parts) for parts in zip(*(_run(group, some, walks) for some in each), strict=True)))
 
 
@@ -221,39 +221,40 @@ def judged(single: Run, double: Run) -> Verdict:
     return Verdict(words, float(np.max(apart[~parted])), int(parted.sum()), off)
 
 
-def table(found: Mapping[Cell, Verdict]) -> list[Row]:
+def table(by_cell: Mapping[Cell, Verdict]) -> list[Row]:
     """The verdicts of a tracker over noise and room, the worst over time steps."""
-    rooms = dict.fromkeys(cell.room for cell in found)
+    rooms = dict.fromkeys(cell.room for cell in by_cell)
     return [
-        {"σ of a reading": f"{sigma:g}", **{f"{room:g} m": "; ".join(_entry(found, sigma, room)) for room in rooms}}
-        for sigma in dict.fromkeys(cell.sigma for cell in found)
+        {"σ of a reading": f"{sigma:g}", **{f"{room:g} m": "; ".join(_entry(by_cell, sigma, room)) for room in rooms}}
+        for sigma in dict.fromkeys(cell.sigma for cell in by_cell)
     ]
 
 
-def _entry(found: Mapping[Cell, Verdict], sigma: float, room: float) -> Iterator[str]:
+def _entry(by_cell: Mapping[Cell, Verdict], sigma: float, room: float) -> Iterator[str]:
     """The verdicts of all time steps, those of equal words together."""
-    own = {dt: found[Cell(sigma, dt, room)] for dt in STEPS if Cell(sigma, dt, room) in found}
-    for words in dict.fromkeys(v.words for v in own.values()):
-        same = {dt: v for dt, v in own.items() if v.words == words}
+    by_step = {dt: by_cell[Cell(sigma, dt, room)] for dt in STEPS if Cell(sigma, dt, room) in by_cell}
+    for words in dict.fromkeys(v.words for v in by_step.values()):
+        same = {dt: v for dt, v in by_step.items() if v.words == words}
         worst = np.fmax.reduce([v.difference for v in same.values()])
         number = f" {worst:.1g}" if np.isfinite(worst) else ""
         parted, off = max(v.parted for v in same.values()), np.max([v.off for v in same.values()], axis=0)
         tracks = [f"{parted} part"] * (parted > 0) + [f"{off[0]} : {off[1]} off"] * bool(off.any())
-        where = "" if len(same) == len(own) else f" ({', '.join(f'{dt:g}' for dt in same)} s)"
+        where = "" if len(same) == len(by_step) else f" ({', '.join(f'{dt:g}' for dt in same)} s)"
         yield f"{words}{number}{''.join(f', {text}' for text in tracks)}{where}"
 
 
-def summarised(name: str, found: Mapping[Cell, Verdict], off: float) -> Row:
+def summarised(name: str, by_cell: Mapping[Cell, Verdict], off: float) -> Row:
     """The row of a tracker in the table of all: cells by verdict, and how double precision was checked."""
-    words = [v.words for v in found.values()]
-    agree, coarser, differ, model = (words.count(one) for one in ("agrees", "coarser", "differs", "off the model"))
+    words = [v.words for v in by_cell.values()]
+    agree, coarser, differ, model = (words.count(word) for word in ("agrees", "coarser", "differs", "off the model"))
     wrong = sum(w.startswith(NONSENSE) for w in words)
-    worst = max((v.difference for v in found.values() if v.words in ("agrees", "coarser")), default=np.nan)
-    tracks = np.sum([v.off for v in found.values()], axis=0)
+    worst = max((v.difference for v in by_cell.values() if v.words in ("agrees", "coarser")), default=np.nan)
+    tracks = np.sum([v.off for v in by_cell.values()], axis=0)
     return {
         "tracker": f"`{name}`", "cells": len(words), "agree": agree, "coarser": coarser, "differ": differ,
         "no estimate": len(words) - agree - coarser - differ - wrong - model, "off the model": model,
-        "silently wrong": wrong, "largest σ": f"{worst:.1g}", "tracks that part": sum(v.parted for v in found.values()),
+        "silently wrong": wrong, "largest σ": f"{worst:.1g}",
+        "tracks that part": sum(v.parted for v in by_cell.values()),
         "tracks off: single, double": f"{tracks[0]:,}, {tracks[1]:,}",
         "checked by": METHODS.get(name, "none: the same tracker in double precision"),
         "off by σ": f"{off:.1g}" if np.isfinite(off) else "",

@@ -60,9 +60,9 @@ def difference(group: TrackerBatch, recording: Recording) -> float:
 
 
 def _largest(estimates: Estimates, means: np.ndarray, rows: slice | np.ndarray) -> float:
-    own = np.stack([np.asarray(x, float) for x in estimates.mean.position], axis=-1)[rows]
-    sigmas = np.stack([estimates.sigmas[f"position.{k}"] for k in range(own.shape[1])], axis=-1)[rows]
-    return float(np.max(np.abs(means[:, : own.shape[1]] - own) / sigmas))
+    positions = np.stack([np.asarray(x, float) for x in estimates.mean.position], axis=-1)[rows]
+    sigmas = np.stack([estimates.sigmas[f"position.{k}"] for k in range(positions.shape[1])], axis=-1)[rows]
+    return float(np.max(np.abs(means[:, : positions.shape[1]] - positions) / sigmas))
 
 
 def _switched(
@@ -76,7 +76,7 @@ def _switched(
     moves = [ground(mode, False) for mode in motion.modes if isinstance(mode, GroundMotion)]
     channels, dof = fix_channels(sensor, recording, False), float(sensor.dof.value)
     means, covs, weights = np.stack([x] * len(prior)), np.stack([P] * len(prior)), prior.copy()
-    found = []
+    merged = []
     for row in range(first, len(dts)):
         stays = np.exp(-rate * dts[row])
         joint = weights[:, None] * (stays * np.eye(len(prior)) + (1 - stays) * prior)
@@ -97,8 +97,8 @@ def _switched(
             means[j], covs[j] = mean, cov
         weights = np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
-        found.append(weights @ means)
-    return np.array(found)
+        merged.append(weights @ means)
+    return np.array(merged)
 
 
 def _mixture(weights: np.ndarray, means: np.ndarray, covs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -112,11 +112,11 @@ def _of_least_squares(tracker: Multilateration, recording: Recording) -> float:
     estimates = tracker.run(recording)
     readings, sigma = recording.readings[RANGES], float(tracker.sigma_r.value)
     places = recording.inputs["anchors"].reshape(len(recording), -1, 3)
-    own = np.stack([np.asarray(x, float) for x in estimates.mean.position], axis=-1)
+    positions = np.stack([np.asarray(x, float) for x in estimates.mean.position], axis=-1)
     rows = np.flatnonzero(estimates.usable)
     if not len(rows):
         return np.nan
-    found = []
+    optima = []
     for row in rows.tolist():
         seen = readings.seen[row]
 
@@ -124,5 +124,7 @@ def _of_least_squares(tracker: Multilateration, recording: Recording) -> float:
             return np.linalg.norm(x - places[row, seen], axis=1) - readings.values[row, seen]
 
         exact = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
-        found.append(least_squares(residual, own[row], loss="cauchy", f_scale=3 * sigma, x_scale=sigma, **exact).x)
-    return _largest(estimates, np.array(found), rows)
+        optima.append(
+            least_squares(residual, positions[row], loss="cauchy", f_scale=3 * sigma, x_scale=sigma, **exact).x
+        )
+    return _largest(estimates, np.array(optima), rows)

@@ -250,15 +250,15 @@ def room(folder: RecordingFolder) -> np.ndarray:
     rig, places = folder.rig, [_positions(folder.tables["truth"])] if "truth" in folder.tables else []
     places += [np.asarray(place, float)[None, :2] for place in rig.anchors.values()]
     places += [np.asarray(station.position, float)[None, :2] for station in rig.stations.values()]
-    every = np.concatenate(places)
-    return np.stack([np.nanmin(every, axis=0), np.nanmax(every, axis=0)])
+    points = np.concatenate(places)
+    return np.stack([np.nanmin(points, axis=0), np.nanmax(points, axis=0)])
 
 
 def farthest_outside(estimates: pl.DataFrame, corners: np.ndarray) -> Outside:
     """The estimate that is farthest from the box, at distance 0 where all are inside; rows without one are left out."""
-    found = _positions(estimates)
+    positions = _positions(estimates)
     low, high = corners
-    distances = np.nan_to_num(np.hypot(*np.maximum(np.maximum(low - found, found - high), 0.0).T))
+    distances = np.nan_to_num(np.hypot(*np.maximum(np.maximum(low - positions, positions - high), 0.0).T))
     row = int(np.argmax(distances))
     sigma = max(float_column(estimates, f"std_{axis}_m")[row] for axis in "xy")
     time = float_column(estimates, "t_s")[row]
@@ -271,12 +271,12 @@ def _positions(table: pl.DataFrame) -> np.ndarray:
 
 def checks(fold: Fold, figures: Sequence[Figures]) -> list[Check]:
     """The limits of a fold: of mean errors, and of the covariances of each recording, filtered and smoothed."""
-    found = []
+    of_means = []
     for what, metric, smoothed, limit in fold.limits:
         if limit is not None:
             mean = mean_of(figures, metric, smoothed)
-            found.append(Check(fold.name, what, round(mean, 3), 0.0, limit, smoothed=smoothed))
-    return found + [check for one in figures for check in covariance_checks(one)]
+            of_means.append(Check(fold.name, what, round(mean, 3), 0.0, limit, smoothed=smoothed))
+    return of_means + [check for one in figures for check in covariance_checks(one)]
 
 
 def mean_of(figures: Sequence[Figures], metric: str, smoothed: bool) -> float:

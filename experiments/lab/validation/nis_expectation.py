@@ -51,14 +51,14 @@ def bearings(seed: int) -> Case:
     """Tags amid the stations of the work station, which hear them in turn."""
     stations, times = work_station().stations, np.arange(240) / 10.0
     turn = [list(stations)[k % len(stations)] for k in range(len(times))]
-    one = tw.bearing_recording(times, np.zeros((len(times), 2)), turn, stations)
-    return Case(tw.bearing_tracker(len(stations)), [one] * TAGS, 1.0)
+    recording = tw.bearing_recording(times, np.zeros((len(times), 2)), turn, stations)
+    return Case(tw.bearing_tracker(len(stations)), [recording] * TAGS, 1.0)
 
 
 def floor(seed: int) -> Case:
     """Tags on a wide floor."""
-    one = tw.fix_recording(np.arange(200) / 10.0, np.zeros((200, 3)), height=1.0)
-    return Case(floor_tracker(Walls(FAR)), [one] * TAGS, 1.0)
+    recording = tw.fix_recording(np.arange(200) / 10.0, np.zeros((200, 3)), height=1.0)
+    return Case(floor_tracker(Walls(FAR)), [recording] * TAGS, 1.0)
 
 
 CASES: Mapping[str, Callable[[int], Case]] = {
@@ -87,17 +87,17 @@ def estimates(name: str, seed: int) -> tuple[tw.AbstractTracker, tw.Estimates]:
         return tracker, tracker.run(recordings)
     assert isinstance(tracker, tw.Tracker)
     tracker = dataclasses.replace(tracker, track_loss=NEVER_LOST)
-    own, priors = own_world(tracker, recordings, seed, narrower)
-    return tracker, tracker.run(own, initial=priors)
+    drawn, priors = own_world(tracker, recordings, seed, narrower)
+    return tracker, tracker.run(drawn, initial=priors)
 
 
-def means(found: tw.Estimates, tracker: tw.AbstractTracker) -> tuple[float, float]:
+def means(run: tw.Estimates, tracker: tw.AbstractTracker) -> tuple[float, float]:
     """NIS per degree of freedom of all settled rows, and the share of the means over `WINDOW` rows inside the band."""
-    assert found.times is not None
-    used = np.isfinite(found.nis) & (found.nis_dof > 0) & (found.times >= found.times[:, :1] + SETTLED)
-    ratio = float(found.nis[used].sum(dtype=float) / found.nis_dof[used].sum(dtype=float))
+    assert run.times is not None
+    used = np.isfinite(run.nis) & (run.nis_dof > 0) & (run.times >= run.times[:, :1] + SETTLED)
+    ratio = float(run.nis[used].sum(dtype=float) / run.nis_dof[used].sum(dtype=float))
     inside = []
-    for nis, dof, rows in zip(found.nis, found.nis_dof, used, strict=True):
+    for nis, dof, rows in zip(run.nis, run.nis_dof, used, strict=True):
         whole = rows.sum() // WINDOW * WINDOW
         total, freedom = (x[rows][:whole].astype(float).reshape(-1, WINDOW).sum(axis=1) for x in (nis, dof))
         nu = student_t_dof_of(tracker)
@@ -119,10 +119,10 @@ def nis_expectation(*trackers: str, output: Output = DEFAULTS) -> int:
 
 def of_a_tracker(name: str, worlds: int) -> Row:
     """The row of a tracker over so many worlds."""
-    found = [means(run, tracker) for tracker, run in (estimates(name, seed) for seed in range(worlds))]
+    by_world = [means(run, tracker) for tracker, run in (estimates(name, seed) for seed in range(worlds))]
     return {
         "tracker": f"`{name}`",
         "world": "simulated" if CASES[name](0).narrower is None else "own model",
-        "NIS/dof in five worlds": ", ".join(f"{ratio:.2f}" for ratio, _ in found),
-        "means inside the 95 % band": f"{100 * np.mean([share for _, share in found]):.0f} %",
+        "NIS/dof in five worlds": ", ".join(f"{ratio:.2f}" for ratio, _ in by_world),
+        "means inside the 95 % band": f"{100 * np.mean([share for _, share in by_world]):.0f} %",
     }

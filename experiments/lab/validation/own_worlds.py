@@ -53,8 +53,11 @@ def own_world(
             predicted = np.asarray(modes.chosen([view(state, inputs) for view in views[name]]))
             values[name].append(_read(sensor, predicted, rng))
     drawn = {name: np.stack(rows) for name, rows in values.items()}
-    own = [_with_readings(one, {n: x[: len(one), :, k] for n, x in drawn.items()}) for k, one in enumerate(recordings)]
-    return own, [jax.tree_util.tree_map(lambda x, k=k: x[..., k], prior) for k in range(batch.size)]
+    redrawn = [
+        _with_readings(recording, {n: x[: len(recording), :, k] for n, x in drawn.items()})
+        for k, recording in enumerate(recordings)
+    ]
+    return redrawn, [jax.tree_util.tree_map(lambda x, k=k: x[..., k], prior) for k in range(batch.size)]
 
 
 class _Modes:
@@ -87,7 +90,7 @@ class _Modes:
     def each(self, part: Any, function: Callable[[Any], Callable[..., Any]]) -> list[Callable[..., Any]]:
         """The function of the part, or of the part in each mode, over all tags."""
         parts = [part.in_mode(k) for k in range(len(self.shares))] if isinstance(part, AbstractSwitching) else [part]
-        return [jax.jit(jax.vmap(function(one), in_axes=-1, out_axes=-1)) for one in parts]
+        return [jax.jit(jax.vmap(function(part), in_axes=-1, out_axes=-1)) for part in parts]
 
     def chosen(self, of_modes: Sequence[Any]) -> Any:
         """Of the results in each mode those of the tags' modes."""
@@ -161,7 +164,7 @@ def _unit(rng: np.random.Generator, dof: Any, shape: tuple[int, ...]) -> np.ndar
 def _with_readings(recording: Recording, values: dict[str, np.ndarray]) -> Recording:
     """The recording with other readings, of no reported noise, and without truth."""
     readings = {}
-    for name, own in recording.readings.items():
-        reported = None if own.reported is None else np.zeros_like(own.reported)
-        readings[name] = Readings(values[name], own.seen, reported)
+    for name, given in recording.readings.items():
+        reported = None if given.reported is None else np.zeros_like(given.reported)
+        readings[name] = Readings(values[name], given.seen, reported)
     return dataclasses.replace(recording, readings=readings, truth={})

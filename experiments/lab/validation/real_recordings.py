@@ -63,7 +63,7 @@ def tables(figures: Sequence[Figures], best: Mapping[str, float]) -> list[Table]
     verdict = f"**{sum(check.met for check in every)} of {len(every)} limits are met.**"
     return [
         Table(_summary(figures), "Summary", verdict),
-        *(_section(fold, list(own), best) for fold, own in groupby(figures, key=lambda one: one.fold)),
+        *(_section(fold, list(group), best) for fold, group in groupby(figures, key=lambda one: one.fold)),
         Table(_rooms(figures), "Rooms"),
     ]
 
@@ -101,19 +101,21 @@ def quoted(figures: Sequence[Figures]) -> str:
 
 def all_checks(figures: Sequence[Figures]) -> list[Check]:
     """The limits of all folds, then those of rooms."""
-    found = [check for fold, own in groupby(figures, key=lambda one: one.fold) for check in checks(fold, list(own))]
+    of_folds = [
+        check for fold, group in groupby(figures, key=lambda one: one.fold) for check in checks(fold, list(group))
+    ]
     outside = {name: round(one.outside.distance, 2) for name, one in _farthest(figures).items()}
-    return found + [Check("room", "m outside", distance, 0.0, MARGIN, name) for name, distance in outside.items()]
+    return of_folds + [Check("room", "m outside", distance, 0.0, MARGIN, name) for name, distance in outside.items()]
 
 
 def baselines(readme: Path) -> dict[str, float]:
     """The baselines in the README of the recordings: of each recording the least, over the measurements used."""
-    found: dict[str, float] = {}
+    least: dict[str, float] = {}
     for line in readme.read_text(encoding="utf-8").partition("### 3-D")[0].splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) == 10 and (metric := re.match(r"[\d.]+", cells[7])):
-            found[cells[1]] = min(found.get(cells[1], float("inf")), float(metric[0]))
-    return found
+            least[cells[1]] = min(least.get(cells[1], float("inf")), float(metric[0]))
+    return least
 
 
 def saw(fold: Fold) -> str:
@@ -133,12 +135,12 @@ def _summary(figures: Sequence[Figures]) -> list[Row]:
     """Means over the recordings of each fold beside their limits."""
     rows = []
     for fold, group in groupby(figures, key=lambda one: one.fold):
-        own = list(group)
-        means = [_with_limit(mean_of(own, metric, smoothed), limit) for _, metric, smoothed, limit in fold.limits]
-        if all(one.metrics["coverage_95_3d"] is None for one in own):
+        of_fold = list(group)
+        means = [_with_limit(mean_of(of_fold, metric, smoothed), limit) for _, metric, smoothed, limit in fold.limits]
+        if all(one.metrics["coverage_95_3d"] is None for one in of_fold):
             means[2] = ""
         names = ("RMSE, m", "RMSE smoothed, m", "3-D RMSE, m")
-        held = [_held([one for one in own if one.smoothed == smoothed]) for smoothed in (False, True)]
+        held = [_held([one for one in of_fold if one.smoothed == smoothed]) for smoothed in (False, True)]
         on_target = zip(("covariances on target", "smoothed on target"), held, strict=True)
         rows.append({"fold": fold.name, **dict(zip(names, means, strict=True)), **dict(on_target)})
     return rows
@@ -149,31 +151,31 @@ def _with_limit(figure: float, limit: float | None) -> str:
     return text if limit is None or not text else f"{_marked(text, round(figure, 3) <= limit)} (≤ {limit:g})"
 
 
-def _held(own: Sequence[Figures]) -> str:
+def _held(figures: Sequence[Figures]) -> str:
     """In how many recordings the limits of covariances are met."""
-    found = [all(check.met for check in limits) for limits in map(covariance_checks, own) if limits]
-    return _marked(f"{sum(found)} of {len(found)}", all(found)) if found else ""
+    met = [all(check.met for check in limits) for limits in map(covariance_checks, figures) if limits]
+    return _marked(f"{sum(met)} of {len(met)}", all(met)) if met else ""
 
 
 def _marked(text: str, met: bool) -> str:
     return text if met else f"**{text}**"
 
 
-def _section(fold: Fold, own: Sequence[Figures], best: Mapping[str, float]) -> Table:
+def _section(fold: Fold, figures: Sequence[Figures], best: Mapping[str, float]) -> Table:
     """The figures of the recordings of a fold, and what the innovations alone show of those outside `BY_DEFAULTS`."""
     about = [f"Tracker `{fold.tracker}`; {saw(fold)}. {f'Limits: {fold.honest}.' if fold.honest else 'No limits.'}"]
-    if not any(one.smoothed for one in own):
+    if not any(one.smoothed for one in figures):
         about.append("This tracker has no smoother.")
     lines = []
-    for one in own:
+    for one in figures:
         if not one.smoothed and not _as_expected(one.metrics):
             without_truth = {**one.metrics, "coverage_95": None, "recording": one.recording}
-            found = covariance_statements(without_truth, [without_truth])
-            lines.append(f"- {one.recording}: {found[-1] if found else 'the tracker has no innovations.'}")
+            statements = covariance_statements(without_truth, [without_truth])
+            lines.append(f"- {one.recording}: {statements[-1] if statements else 'the tracker has no innovations.'}")
     if lines:
         missing = f"Recordings that miss the targets of default levels ({BY_DEFAULTS}), by their innovations alone:"
         about += [missing, "\n".join(lines)]
-    return Table([_row(one, best) for one in own], fold.name[0].upper() + fold.name[1:], "\n\n".join(about))
+    return Table([_row(one, best) for one in figures], fold.name[0].upper() + fold.name[1:], "\n\n".join(about))
 
 
 def _as_expected(metrics: Metrics) -> bool:
@@ -201,11 +203,11 @@ def _row(one: Figures, best: Mapping[str, float]) -> Row:
 
 def _farthest(figures: Sequence[Figures]) -> dict[str, Figures]:
     """The figures with the estimate farthest outside the room, by recording."""
-    found: dict[str, Figures] = {}
+    farthest: dict[str, Figures] = {}
     for one in figures:
-        if one.recording not in found or one.outside > found[one.recording].outside:
-            found[one.recording] = one
-    return found
+        if one.recording not in farthest or one.outside > farthest[one.recording].outside:
+            farthest[one.recording] = one
+    return farthest
 
 
 def _rooms(figures: Sequence[Figures]) -> list[Row]:

@@ -61,8 +61,8 @@ def kidnapped_walk(seed: int, sensor: str) -> Walk:
     exact = np.stack([stations[str(k)].angles(place) for k, place in zip(number, places, strict=True)])
     biases = rng.normal(0.0, 0.1, (len(CORNERS), 2))[number]
     bearings = exact + biases + 0.07 * rng.standard_t(2.5, (rows, 2))
-    own = [str(k) for k in number]
-    return Walk(tw.bearing_recording(times, bearings, own, stations, height=HEIGHT), truth, half)
+    names = [str(k) for k in number]
+    return Walk(tw.bearing_recording(times, bearings, names, stations, height=HEIGHT), truth, half)
 
 
 def _station(corner: np.ndarray) -> tw.Station:
@@ -116,10 +116,10 @@ def track_loss(*, output: Output = DEFAULTS) -> int:
     count, walks, worlds = 20 if output.small else TRAJECTORIES, list[Row](), list[Row]()
     for sensor in ("ranges", "bearings"):
         for label, limit in (("score", None), ("none", NEVER)):
-            found = detection(sensor, count, limit)
-            errors = {f"error m after {t:g} s": e for t, e in zip(JUDGED_S, found.errors, strict=True)}
-            delay = found.delay if np.isfinite(found.delay) else None
-            lost_of = {"lost before": found.false_alarms, "detected %": 100 * found.detected, "delay s": delay}
+            result = detection(sensor, count, limit)
+            errors = {f"error m after {t:g} s": e for t, e in zip(JUDGED_S, result.errors, strict=True)}
+            delay = result.delay if np.isfinite(result.delay) else None
+            lost_of = {"lost before": result.false_alarms, "detected %": 100 * result.detected, "delay s": delay}
             walks.append({"walks": sensor, "test": label, **lost_of, **errors})
     for make, tracker in ((tw.simulate.ranges, "uwb"), (tw.simulate.tool, "uwb"), (tw.simulate.tool, "uwb-imu")):
         tags, rows, gone = lost(make(n=count, seed=7).folder(), tracker)

@@ -66,8 +66,8 @@ def judged(site: Site, folders: Sequence[RecordingFolder]) -> tuple[FitResult, C
     after = []
     for folder in folders:
         values = left_out.get(folder.name, result.values)
-        own = {name: values[p.label] for p in result.parameters for name in p.names}
-        after.append(tracked(named.with_values(own, "the fit"), [folder]))
+        by_name = {name: values[p.label] for p in result.parameters for name in p.names}
+        after.append(tracked(named.with_values(by_name, "the fit"), [folder]))
     dimensions = getattr(result.problem.objective, "dimensions", 2)
     about = f"{site.name}, each with values fitted to the others"
     return result, compare((tracked(named, folders), Association.joined(after)), folders, dimensions, about)

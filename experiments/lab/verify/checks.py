@@ -66,16 +66,16 @@ def gradients(tracker: AbstractTracker, batch: Batch, patterns: str | Sequence[s
     vector = flatten(parameters)[None, :]
     problem.evaluate(vector, subset=[0])
     started = time.perf_counter()
-    found = problem.evaluate(vector)
+    evaluation = problem.evaluate(vector)
     seconds = (time.perf_counter() - started) / batch.size
-    return Gradients(-found.terms[0, 0, : batch.size], -found.term_gradients[0, 0, :, : batch.size], seconds)
+    return Gradients(-evaluation.terms[0, 0, : batch.size], -evaluation.term_gradients[0, 0, :, : batch.size], seconds)
 
 
 def marginal_gradients(tracker: Tracker, batch: Batch, patterns: str | Sequence[str]) -> Gradients:
     """The same by the marginal score; the time includes compiling."""
     started = time.perf_counter()
-    found = marginal_scores(tracker, batch, patterns)
-    return Gradients(found.values, found.scores.T, (time.perf_counter() - started) / batch.size)
+    marginal = marginal_scores(tracker, batch, patterns)
+    return Gradients(marginal.values, marginal.scores.T, (time.perf_counter() - started) / batch.size)
 
 
 SINGLE_PRECISION = 1e-4
@@ -104,14 +104,14 @@ def kalman_checks() -> list[CheckResult]:
     readings = Readings(np.hstack([values, missing]), np.hstack([seen, missing > 0]), np.zeros((len(times), 3)))
     batch = stack([Recording(times, {FIXES: readings}, {"height": np.zeros(len(times))})])
     new: dict[str, Any] = {
-        name: Real(PARAMETERS[own], "s", typical=1.0) if own == "latency" else Scale(PARAMETERS[own])
-        for name, own in ORACLE_NAMES.items()
+        name: Real(PARAMETERS[key], "s", typical=1.0) if key == "latency" else Scale(PARAMETERS[key])
+        for name, key in ORACLE_NAMES.items()
     }
-    found = gradients(replaced(fix_tracker(dof=None, planar=True), new), batch, list(ORACLE_NAMES))
+    result = gradients(replaced(fix_tracker(dof=None, planar=True), new), batch, list(ORACLE_NAMES))
     gradient = oracles.kalman_gradient(PARAMETERS)
-    exact = [gradient[own] for own in ORACLE_NAMES.values()]
+    exact = [gradient[key] for key in ORACLE_NAMES.values()]
     value = oracles.kalman_log_likelihood(PARAMETERS)
-    return _deterministic("fixes", "Kalman filter", list(ORACLE_NAMES), value, exact, found, SINGLE_PRECISION)
+    return _deterministic("fixes", "Kalman filter", list(ORACLE_NAMES), value, exact, result, SINGLE_PRECISION)
 
 
 def chain_checks() -> list[CheckResult]:
@@ -129,10 +129,10 @@ def chain_checks() -> list[CheckResult]:
         return value
 
     raw = jnp.log(jnp.asarray([oracles.CHAIN_RATE, oracles.CHAIN_SIGMA]))
-    found = jax.jit(jax.jacfwd(log_likelihood))(raw)
+    slopes = jax.jit(jax.jacfwd(log_likelihood))(raw)
     return [
         _near("chain", f"d/d {name}", "forward algorithm", exact, float(slope), SINGLE_PRECISION)
-        for name, exact, slope in zip(("rate", "sigma"), oracles.chain_gradient(), found, strict=True)
+        for name, exact, slope in zip(("rate", "sigma"), oracles.chain_gradient(), slopes, strict=True)
     ]
 
 
@@ -141,9 +141,9 @@ def grid_checks() -> list[CheckResult]:
     speeds, fastest = 81, 2.0
     cells = round(12.0 / (fastest / (speeds - 1) * HALT_DT)) + 1
     report = PathOutputMap(Polyline([[0.0, 0.0], [12.0, 0.0]]), Scale(0.01, "m"))
-    found = gradients(halt_tracker(GridFilter(report, cells, speeds, fastest)), halt_batch(1), HALT_TUNABLES)
+    result = gradients(halt_tracker(GridFilter(report, cells, speeds, fastest)), halt_batch(1), HALT_TUNABLES)
     value, exact = oracles.halt_log_likelihood(), oracles.halt_gradient()
-    return _deterministic("halt", "grid filter", HALT_TUNABLES, value, exact, found, GRID_CELLS)
+    return _deterministic("halt", "grid filter", HALT_TUNABLES, value, exact, result, GRID_CELLS)
 
 
 def _deterministic(
@@ -152,14 +152,14 @@ def _deterministic(
     names: Sequence[str],
     value: float,
     gradient: Sequence[float],
-    found: Gradients,
+    result: Gradients,
     tolerance: float,
 ) -> list[CheckResult]:
-    """log L and its gradient of the single trajectory in `found` beside the oracle's."""
+    """log L and its gradient of the single trajectory in `result` beside the oracle's."""
     quantities = ["log L", *(f"d/d {name}" for name in names)]
-    estimates = [found.values[0], *found.gradient[:, 0]]
+    estimates = [result.values[0], *result.gradient[:, 0]]
     return [
-        _near(world, quantity, estimator, oracle, float(estimate), tolerance, found.seconds)
+        _near(world, quantity, estimator, oracle, float(estimate), tolerance, result.seconds)
         for quantity, oracle, estimate in zip(quantities, [value, *gradient], estimates, strict=True)
     ]
 
@@ -195,10 +195,10 @@ CORRIDOR, CORRIDOR_ROWS = "corridor 25", 25
 def corridor_checks(rows: int) -> list[CheckResult]:
     """The score form between walls, over `rows` fixes."""
     world, fixes = f"corridor {rows}", corridor_fixes(rows)
-    found = _in_corridor(rows, score_form, PARTICLES, KEYS)
+    result = _in_corridor(rows, score_form, PARTICLES, KEYS)
     return [
-        _likelihood(world, oracles.corridor_log_likelihood(fixes), found),
-        *_gradients(world, "score form", oracles.corridor_gradient(fixes), found),
+        _likelihood(world, oracles.corridor_log_likelihood(fixes), result),
+        *_gradients(world, "score form", oracles.corridor_gradient(fixes), result),
     ]
 
 
@@ -213,13 +213,13 @@ def corridor_marginal_checks() -> list[CheckResult]:
 
     name, world = "marginal score", "corridor 100"
     sizes = (PAIRWISE_PARTICLES // 4, PAIRWISE_PARTICLES // 2, PAIRWISE_PARTICLES)
-    found = [run(100, n, PAIRWISE_KEYS * PAIRWISE_PARTICLES // n) for n in sizes]
+    runs = [run(100, n, PAIRWISE_KEYS * PAIRWISE_PARTICLES // n) for n in sizes]
     exact, few = (oracles.corridor_gradient(corridor_fixes(rows)) for rows in (100, CORRIDOR_ROWS))
-    biases = np.array([f.gradient[1].mean() - exact[1] for f in found])
-    errors = np.array([_standard_error(f.gradient[1]) for f in found])
+    biases = np.array([r.gradient[1].mean() - exact[1] for r in runs])
+    errors = np.array([_standard_error(r.gradient[1]) for r in runs])
     return [
         *_gradients(CORRIDOR, name, few, run(CORRIDOR_ROWS, PAIRWISE_PARTICLES, PAIRWISE_KEYS)),
-        *_limits(world, name, exact, sizes, found),
+        *_limits(world, name, exact, sizes, runs),
         _power(world, name, sizes, biases, errors),
     ]
 
@@ -237,10 +237,10 @@ def corridor_wrong_checks() -> list[CheckResult]:
 
 def halt_checks() -> list[CheckResult]:
     """The score form at a halt: speed, fixes and prior."""
-    found = _at_halt(score_form, PARTICLES, KEYS)
+    result = _at_halt(score_form, PARTICLES, KEYS)
     return [
-        _likelihood("halt", oracles.halt_log_likelihood(), found),
-        *_gradients("halt", "score form", oracles.halt_gradient(), found),
+        _likelihood("halt", oracles.halt_log_likelihood(), result),
+        *_gradients("halt", "score form", oracles.halt_gradient(), result),
     ]
 
 
@@ -273,25 +273,25 @@ def _orders(
     The derivative of the likelihood itself is unbiased for any N, E(L̂s) = L·slope. The bias of s, the derivative of
     its logarithm, is therefore −cov(L̂/L, s), an estimate far more precise than the mean of s.
     """
-    found = [run(n, KEYS * PARTICLES // n) for n in SIZES]
-    spreads = np.array([f.gradient[0].std(ddof=1) for f in found])
+    runs = [run(n, KEYS * PARTICLES // n) for n in SIZES]
+    spreads = np.array([r.gradient[0].std(ddof=1) for r in runs])
     power = float(np.polyfit(np.log(SIZES), np.log(spreads), 1)[0])
-    products = [-(np.exp(f.values - value) - 1.0) * (f.gradient[1] - f.gradient[1].mean()) for f in found]
+    products = [-(np.exp(r.values - value) - 1.0) * (r.gradient[1] - r.gradient[1].mean()) for r in runs]
     biases, errors = (np.array(x) for x in zip(*((p.mean(), _standard_error(p)) for p in products), strict=True))
     return [
-        *_limits(world, "score form", exact, SIZES, found),
+        *_limits(world, "score form", exact, SIZES, runs),
         CheckResult(world, "power of N of the spread, moves", "score form", -0.5, power, ORDER),
         _power(world, "score form", SIZES, biases, errors),
     ]
 
 
 def _limits(
-    world: str, estimator: str, exact: tuple[float, ...], sizes: tuple[int, ...], found: list[Gradients]
+    world: str, estimator: str, exact: tuple[float, ...], sizes: tuple[int, ...], runs: list[Gradients]
 ) -> list[CheckResult]:
     """Bias in the limit of many particles, from bias = a + c/N, by the noise of moves and of fixes."""
     results = []
     for k, name in enumerate(("moves", "fixes")):
-        estimates = [f.gradient[k] for f in found]
+        estimates = [r.gradient[k] for r in runs]
         biases = np.array([e.mean() for e in estimates]) - exact[k]
         errors = np.array([_standard_error(e) for e in estimates])
         (limit, _), (error, _) = _line(1.0 / np.array(sizes), biases, errors)
@@ -328,18 +328,18 @@ def _at_halt(estimator: Estimator, n: int, keys: int) -> Gradients:
     return gradients(halt_tracker(estimator(ParticleFilter(n))), halt_batch(keys), HALT_TUNABLES)
 
 
-def _likelihood(world: str, exact: float, found: Gradients) -> CheckResult:
+def _likelihood(world: str, exact: float, result: Gradients) -> CheckResult:
     """The likelihood itself, of which the particle filter's estimate is unbiased."""
-    return random_check(world, "L / exact L", "particles", 1.0, np.exp(found.values - exact), found.seconds)
+    return random_check(world, "L / exact L", "particles", 1.0, np.exp(result.values - exact), result.seconds)
 
 
 def _gradients(
-    world: str, estimator: str, exact: tuple[float, ...], found: Gradients, biased: bool = False
+    world: str, estimator: str, exact: tuple[float, ...], result: Gradients, biased: bool = False
 ) -> list[CheckResult]:
     names = CORRIDOR_TUNABLES if world.startswith("corridor") else HALT_TUNABLES
     return [
-        random_check(world, f"d/d {name}", estimator, oracle, slopes, found.seconds, biased)
-        for name, oracle, slopes in zip(names, exact, found.gradient, strict=False)
+        random_check(world, f"d/d {name}", estimator, oracle, slopes, result.seconds, biased)
+        for name, oracle, slopes in zip(names, exact, result.gradient, strict=False)
     ]
 
 

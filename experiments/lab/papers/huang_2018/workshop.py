@@ -78,16 +78,16 @@ OF_MHK = (
     _mhk("Figure 7, under 15 cm, mhk", 99.3, "under_15_cm", mc.PREDICTED, unit="%"),
     _mhk("Figure 7, fixes improved, mhk", 71.6, "improved", mc.PREDICTED, unit="%"),
 )
-PRINTED = (*(one for pair in zip(OF_RAW, OF_MHK[:3], strict=True) for one in pair), *OF_MHK[3:])
+PRINTED = (*(figure for pair in zip(OF_RAW, OF_MHK[:3], strict=True) for figure in pair), *OF_MHK[3:])
 CM = "{:.1f} cm"
 
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The nine printed metrics, and the paper's conclusions."""
-    for one in PRINTED:
-        ours, is_share = one.ours(results).value, one.unit == "%"
-        note = f"the rest is {100 - ours:.2f} %, printed {100 - one.number:.1f} %" if is_share else ""
-        yield one.beside(results, note)
+    for figure in PRINTED:
+        ours, is_share = figure.ours(results).value, figure.unit == "%"
+        note = f"the rest is {100 - ours:.2f} %, printed {100 - figure.number:.1f} %" if is_share else ""
+        yield figure.beside(results, note)
     cm = {m: {t: results.value(m, "workshop", t).times(100.0) for t in results.study.trackers} for m in ROUTE_AND_TIME}
     largest, mean = ({t: cm[m][t] for t in ("raw", "median", "mhk")} for m in ROUTE_AND_TIME[:2])
     in_time = {t: cm["mean_m"][t] for t in ("raw", "mhk", "mhk-stamped")}
@@ -156,8 +156,8 @@ def fit() -> tuple[str, dict[str, Fitted]]:
     of_world, of_mhk = {name: numbers[name].value for name in OF_WORLD}, [[p] for p in OF_MHK[:2]]
     tried, grid = {}, Fit(STUDY, {}, of_mhk, left, 100, tunables=MHK)
     for sigma_a, limit in product(SIGMAS_A, SPEED_LIMITS):
-        own = of_world | {"sigma_a": sigma_a, "speed_limit": limit}
-        tried[sigma_a, limit] = float(np.sum(np.log(grid.ratios(own)) ** 2))
+        trial = of_world | {"sigma_a": sigma_a, "speed_limit": limit}
+        tried[sigma_a, limit] = float(np.sum(np.log(grid.ratios(trial)) ** 2))
     sigma_a, limit = min(tried, key=tried.__getitem__)
     chosen = {"sigma_a": Fitted(sigma_a, "m/s^2/sqrt(Hz)", BOTH), "speed_limit": Fitted(limit, "m/s", BOTH)}
     return left, numbers | chosen

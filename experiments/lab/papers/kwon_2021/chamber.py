@@ -66,9 +66,9 @@ def under(z: np.ndarray, folder: RecordingFolder) -> np.ndarray:
 
 def deviations(tracked: mc.TrackedRuns) -> np.ndarray:
     """Errors (n, T, 3), m, of each axis, with heights above the anchors mirrored; NaN without an estimate."""
-    found = tracked.estimates.copy()
-    found[..., 2] = under(found[..., 2], tracked.folder)
-    return tracked._replace(estimates=found).error
+    mirrored = tracked.estimates.copy()
+    mirrored[..., 2] = under(mirrored[..., 2], tracked.folder)
+    return tracked._replace(estimates=mirrored).error
 
 
 def _largest(axis: int) -> Callable[[mc.TrackedRuns], np.ndarray]:
@@ -77,8 +77,8 @@ def _largest(axis: int) -> Callable[[mc.TrackedRuns], np.ndarray]:
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Table 2."""
-    yield from (one.beside(results) for one in PRINTED.values())
-    ours = {axis: one.ours(results) for axis, one in PRINTED.items()}
+    yield from (figure.beside(results) for figure in PRINTED.values())
+    ours = {axis: figure.ours(results) for axis, figure in PRINTED.items()}
     larger = ours["z"].low > max(ours["x"].high, ours["y"].high)
     yield mc.Conclusion("errors in z are larger than in x and y", larger, listed(ours, "{:.0f} mm"), mc.DERIVED)
 

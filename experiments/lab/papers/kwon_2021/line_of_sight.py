@@ -69,7 +69,7 @@ def _span(axis: int) -> Callable[[mc.TrackedRuns], np.ndarray]:
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Table 1."""
-    yield from (one.beside(results) for one in PRINTED)
+    yield from (figure.beside(results) for figure in PRINTED)
     spans, largest = (
         {w: results.value(measure, w, TRACKER).times(1e3) for w in results.study.worlds}
         for measure in ("span_x_m", "largest_m")

@@ -78,12 +78,12 @@ def _end(axis: int, largest: bool) -> Callable[[mc.TrackedRuns], np.ndarray]:
     """Error, m, of the mean of the strokes' smallest or largest coordinates."""
 
     def off(tracked: mc.TrackedRuns) -> np.ndarray:
-        found = (deviations(tracked) + tracked.truth)[..., axis]
+        coordinates = (deviations(tracked) + tracked.truth)[..., axis]
         if not largest:
-            found = -found
+            coordinates = -coordinates
         true = HIGH[axis] if largest else -LOW[axis]
         number = np.floor((tracked.times - axis * AXIS_S) / STROKE_S + 1e-6)
-        ends = [np.nanmax(np.where(number == k, found, np.nan), axis=1) for k in range(STROKES)]
+        ends = [np.nanmax(np.where(number == k, coordinates, np.nan), axis=1) for k in range(STROKES)]
         return np.abs(np.mean(ends, axis=0) - true)
 
     return off
@@ -97,7 +97,7 @@ def _mean_of(axes: range) -> Callable[[mc.TrackedRuns], np.ndarray]:
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Table 3, and the benefit of the IMU."""
-    yield from (one.beside(results) for one in PRINTED)
+    yield from (figure.beside(results) for figure in PRINTED)
     means = {axis: results.value(f"least_{axis}_m", "robot", MEASURED).times(1e3) for axis in "xyz"}
     yield mc.Conclusion(
         "tracking is accurate in x and y, the error in z is larger",

@@ -105,7 +105,7 @@ def _spread(axis: int) -> Callable[[mc.TrackedRuns], np.ndarray]:
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Table 4."""
-    yield from (one.beside(results) for one in PRINTED.values())
+    yield from (figure.beside(results) for figure in PRINTED.values())
     less = [
         results.difference(f"spread_{axis}_m", "still", after, before).high < 0
         for before, after in pairwise(SPREADS_MM)
@@ -176,7 +176,7 @@ fit = Fit(
         "sigma_a": Fitted(0.028, "m/s^2/sqrt(Hz)", "Kalman x and y, their geometric mean"),
     },
     [
-        *([PRINTED[one]] for one in (("raw", "x"), ("raw", "y"), ("moving average", "y"))),
+        *([PRINTED[key]] for key in (("raw", "x"), ("raw", "y"), ("moving average", "y"))),
         *([PRINTED[name, axis] for axis in "xy"] for name in ("Kalman", "proposed")),
     ],
     f"2 of 8 printed figures: beside these five numbers the window's length, {WINDOW}, was chosen",

@@ -85,9 +85,9 @@ def worlds(numbers: Mapping[str, float], names: Sequence[str] = RECORDINGS) -> d
     """The recordings as worlds, from parameters such as `fitted("papers/line_thesis/table_3_1")`."""
     made = {}
     for name in names:
-        own = {"number": RECORDINGS.index(name) + 1, "situation": SITUATIONS[name.partition(",")[0]]}
+        specific = {"number": RECORDINGS.index(name) + 1, "situation": SITUATIONS[name.partition(",")[0]]}
         common = {key: numbers[key] for key in ("slow", "tau", "speed", "rate_hz")}
-        made[name] = mc.World(recording, {**own, "white": numbers[noise_of(name)], **common})
+        made[name] = mc.World(recording, {**specific, "white": numbers[noise_of(name)], **common})
     return made
 
 

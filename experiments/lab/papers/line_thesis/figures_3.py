@@ -37,14 +37,14 @@ COLOURS = {"raw": GREY, "Kalman": BLUE, "particle": VERMILION}
 
 def over_and_over(ids: np.ndarray, seed: int, **numbers: float) -> RecordingFolder:
     """The first draw of a recording, repeated under the names of all ids."""
-    one = line.recording(np.array([0]), seed, **numbers)  # type: ignore[arg-type]
+    draw = line.recording(np.array([0]), seed, **numbers)  # type: ignore[arg-type]
     tags = pl.DataFrame({"tag": [str(i) for i in ids]})
     tables = {
         name: table.drop("tag").join(tags, how="cross").select(table.columns).sort("t_s", maintain_order=True)
-        for name, table in one.tables.items()
+        for name, table in draw.tables.items()
     }
-    rig = dataclasses.replace(one.rig, tags={str(i): one.rig.tags["0"] for i in ids})
-    return dataclasses.replace(one, rig=rig, tables=tables)
+    rig = dataclasses.replace(draw.rig, tags={str(i): draw.rig.tags["0"] for i in ids})
+    return dataclasses.replace(draw, rig=rig, tables=tables)
 
 
 def off_path(tracked: mc.TrackedRuns) -> np.ndarray:

@@ -62,8 +62,8 @@ def deviation(tracked: mc.TrackedRuns) -> np.ndarray:
         (group,) = line.KALMAN.spec.batches([tracked.folder], "Kalman", False)
         tracker = with_values(group.tracker, {line.SIGMA: NUMBERS["sigma_kalman"]}, "leaving-line")
         trajectories = sorted(group.trajectories, key=lambda trajectory: int(trajectory.tag))
-        found = tracker.run(stack([trajectory.recording for trajectory in trajectories]))
-        free = np.stack([np.asarray(x) for x in found.mean.position], axis=-1)
+        estimates = tracker.run(stack([trajectory.recording for trajectory in trajectories]))
+        free = np.stack([np.asarray(x) for x in estimates.mean.position], axis=-1)
         _LAST[:] = [(tracked, np.linalg.norm(free - tracked.estimates[..., :2], axis=-1))]
     return _LAST[0][1]
 

@@ -35,11 +35,11 @@ def arclengths(tracked: mc.TrackedRuns) -> tuple[np.ndarray, np.ndarray, np.ndar
     """Arclengths (n, T), m, of estimates and truth, and mask (n, T) of rests at a join."""
     assert tracked.folder.rig.path_knots is not None
     path = Polyline(tracked.folder.rig.path_knots)
-    found, true = (path.nearest(np.nan_to_num(x[..., :2]))[0] for x in (tracked.estimates, tracked.truth))
+    estimated, true = (path.nearest(np.nan_to_num(x[..., :2]))[0] for x in (tracked.estimates, tracked.truth))
     still = np.diff(true, axis=1, append=np.nan) == 0
     # The bends of the path; the truth's arclength at them is exact up to rounding.
     at_join = np.abs(true[..., None] - np.asarray(path.starts)[1:]).min(axis=-1) < 1e-6
-    return found, true, still & at_join & tracked.known
+    return estimated, true, still & at_join & tracked.known
 
 
 def rest_error(tracked: mc.TrackedRuns) -> np.ndarray:
@@ -49,8 +49,8 @@ def rest_error(tracked: mc.TrackedRuns) -> np.ndarray:
 
 def overshoot(tracked: mc.TrackedRuns) -> np.ndarray:
     """Mean signed distance (n,), m, of the estimate past the join during rests."""
-    found, true, rests = arclengths(tracked)
-    return _mean_of(found - true, rests)
+    estimated, true, rests = arclengths(tracked)
+    return _mean_of(estimated - true, rests)
 
 
 def _mean_of(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -109,8 +109,8 @@ def past_the_place(results: mc.Results, figure: Figure) -> None:
     panels = figure.subplots(2, 1, sharex=True)
     for axes, (without, known) in zip(panels, PAIRS.items(), strict=True):
         for tracker, colour in ((without, VERMILION), (known, BLUE)):
-            found, true, rests = arclengths(runs[tracker])
-            mean = 100 * np.nanmean(np.where(runs[tracker].known, found - true, np.nan), axis=0)
+            estimated, true, rests = arclengths(runs[tracker])
+            mean = 100 * np.nanmean(np.where(runs[tracker].known, estimated - true, np.nan), axis=0)
             axes.plot(runs[tracker].times[0], mean, color=colour, linewidth=1, label=tracker)
         axes.fill_between(
             runs[without].times[0], 0, 1, where=rests[0], transform=axes.get_xaxis_transform(), color=BLACK,
@@ -120,7 +120,7 @@ def past_the_place(results: mc.Results, figure: Figure) -> None:
         axes.set(ylabel="ahead of truth, cm")
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.98), ncols=3, fontsize=7.5)
         plain(axes)
-    panels[-1].set_xlabel(f"time, s; mean over {len(found)} recordings")
+    panels[-1].set_xlabel(f"time, s; mean over {len(estimated)} recordings")
 
 
 _LINES = line.worlds(fitted("papers/line_thesis/table_3_1"), ("situation 2, set 2", "situation 1, set 2"))

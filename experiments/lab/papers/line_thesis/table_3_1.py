@@ -63,18 +63,18 @@ def draws(results: mc.Results, tracker: str) -> np.ndarray:
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The 27 errors, their averages, and the thesis's conclusions."""
     at = {tracker: {SIGMA: least(results, tracker)} for tracker in COLUMNS}
-    own = {tracker: draws(results, tracker) for tracker in COLUMNS}
+    errors = {tracker: draws(results, tracker) for tracker in COLUMNS}
     for row, name in enumerate(RECORDINGS):
         for tracker, printed in zip(COLUMNS, PRINTED[name], strict=True):
             ours = results.value("error_m", name, tracker, **at[tracker]).times(100)
-            scatter = (100 * own[tracker][row]).std(ddof=1)
+            scatter = (100 * errors[tracker][row]).std(ddof=1)
             note = f"one recording scatters by ± {scatter:.1f} cm; the printed one lies "
             note += f"{(printed - ours.value) / scatter:+.1f} of that away"
             yield mc.ExpectedResult(f"Table 3.1, {name}, {tracker}", printed, ours, "cm", mc.FITTED, note=note)
     for tracker, printed in zip(COLUMNS, line.AVERAGES, strict=True):
         quantity, pairs = f"Table 3.1, average, {tracker}", [(name, tracker) for name in RECORDINGS]
         ours, square = (results.average(m, pairs, **at[tracker]).times(100) for m in ("error_m", "rms_m"))
-        scatter = (100 * own[tracker].mean(axis=0)).std(ddof=1)
+        scatter = (100 * errors[tracker].mean(axis=0)).std(ddof=1)
         note = f"the mean of the nine above; that of one table scatters by ± {scatter:.1f} cm"
         note += f"; {LEFT_OPEN}" * (tracker == "particle")
         origin = mc.DERIVED if tracker == "raw" else mc.FITTED
@@ -83,15 +83,15 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
         yield mc.ExpectedResult(f"{quantity}, root mean square", printed, square, "cm", mc.DERIVED, None, note)
     for other, percent in (("raw", 55.0), ("Kalman", 37.0)):
         text = f"chapter 3, improvement of the particle filter over {other}"
-        ours, note = _improvement(results, own["particle"], own[other]), "follows from the averages above"
+        ours, note = _improvement(results, errors["particle"], errors[other]), "follows from the averages above"
         yield mc.ExpectedResult(text, percent, ours, "%", mc.DERIVED, note=note)
     for better, worse in (("Kalman", "raw"), ("particle", "Kalman")):
-        gain = 100 * (own[worse].mean(axis=1) - own[better].mean(axis=1))
+        gain = 100 * (errors[worse].mean(axis=1) - errors[better].mean(axis=1))
         says, how = f"{better} is better than {worse} on every recording", f"by {gain.min():.1f} to {gain.max():.1f} cm"
         yield mc.Conclusion(says, bool((gain > 0).all()), how, mc.DERIVED)
     inside = {}
     for k, tracker in enumerate(COLUMNS):
-        low, high = _middle(own[tracker])
+        low, high = _middle(errors[tracker])
         inside[tracker] = sum(bool(low[r] <= PRINTED[n][k] <= high[r]) for r, n in enumerate(RECORDINGS))
     yield mc.Conclusion(
         "each printed figure could be a draw of this world",
@@ -116,9 +116,9 @@ def _improvement(results: mc.Results, particle: np.ndarray, other: np.ndarray) -
     return line.with_middle_95(100 * (1 - mine.mean() / its.mean()), drawn)
 
 
-def _middle(own: np.ndarray) -> np.ndarray:
+def _middle(errors: np.ndarray) -> np.ndarray:
     """The bounds (2, 9), cm, of the middle 95 % of single recordings."""
-    return np.quantile(100 * own, [0.025, 0.975], axis=1)
+    return np.quantile(100 * errors, [0.025, 0.975], axis=1)
 
 
 def table(results: mc.Results, figure: Figure) -> None:
@@ -173,8 +173,8 @@ class AtSpeed(NamedTuple):
 
 def swept(numbers: Mapping[str, float], trackers: tuple[str, ...], runs: int) -> mc.Results:
     """The sweep of the dynamic noise over all nine recordings; other draws than the study's."""
-    own = {name: STUDY.trackers[name] for name in trackers}
-    return unsaved(dataclasses.replace(STUDY, worlds=line.worlds(numbers), trackers=own, runs=runs, seed=SEED))
+    configs = {name: STUDY.trackers[name] for name in trackers}
+    return unsaved(dataclasses.replace(STUDY, worlds=line.worlds(numbers), trackers=configs, runs=runs, seed=SEED))
 
 
 def fit_at(speed: float, runs: int = RUNS, rounds: int = ROUNDS) -> AtSpeed:
@@ -204,11 +204,13 @@ def fit_at(speed: float, runs: int = RUNS, rounds: int = ROUNDS) -> AtSpeed:
 def fit() -> tuple[str, dict[str, Fitted]]:
     """The middle one of the speeds that the Kalman column allows, with its fit."""
     fits = [fit_at(speed) for speed in SPEEDS]
-    allowed = [one for one in fits if one.squares <= one.expected] or [min(fits, key=lambda one: one.squares)]
-    both = {one.numbers["speed"]: swept(one.numbers, ("particle", "Kalman"), RUNS) for one in allowed}
+    allowed = [trial for trial in fits if trial.squares <= trial.expected] or [
+        min(fits, key=lambda trial: trial.squares)
+    ]
+    by_speed = {trial.numbers["speed"]: swept(trial.numbers, ("particle", "Kalman"), RUNS) for trial in allowed}
     numbers = allowed[len(allowed) // 2].numbers
     ours = "no printed figure: the thesis's sweep over all nine recordings"
-    best = {tracker: least(both[numbers["speed"]], tracker) for tracker in ("particle", "Kalman")}
+    best = {tracker: least(by_speed[numbers["speed"]], tracker) for tracker in ("particle", "Kalman")}
     told = {
         "sigma_kalman": Fitted(best["Kalman"], "m/s/sqrt(s)", ours),
         "sigma_particle": Fitted(best["particle"], "m/s/sqrt(s)", ours),
@@ -219,7 +221,7 @@ def fit() -> tuple[str, dict[str, Fitted]]:
     }
     for name in RECORDINGS:
         told[noise_of(name)] = Fitted(numbers[noise_of(name)], "m", f"Table 3.1, Measurement, {name}")
-    averages = {speed: 100 * draws(results, "particle").mean() for speed, results in both.items()}
+    averages = {speed: 100 * draws(results, "particle").mean() for speed, results in by_speed.items()}
     left = (
         "7 of 18 printed figures, of Measurement and Kalman; the particle filter's 9 have no part in the fit. Speeds "
         "that the Kalman column allows, and the particle filter's average at each: "

@@ -136,5 +136,5 @@ def fit() -> tuple[str, dict[str, Fitted]]:
     """The radius, and the error that it gives."""
     left, numbers = SEARCH()
     # As it is written: to four digits.
-    found = PRINTED[0].number * SEARCH.ratios({"radius": float(f"{numbers['radius'].value:.4g}")})[0]
-    return left, numbers | {"error": Fitted(found, "cm", f"what the radius gives, {SEARCH.runs} trajectories")}
+    error = PRINTED[0].number * SEARCH.ratios({"radius": float(f"{numbers['radius'].value:.4g}")})[0]
+    return left, numbers | {"error": Fitted(error, "cm", f"what the radius gives, {SEARCH.runs} trajectories")}

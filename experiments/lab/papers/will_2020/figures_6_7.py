@@ -74,9 +74,9 @@ def angles(results: mc.Results, figure: Figure) -> None:
         truth = np.rad2deg(runs["EKF"].truth[0, :, 0, k])
         above, below = panels[:, k]
         for name, colour, style in (("DAS", ORANGE, "--"), ("EKF", BLUE, "-")):
-            found = np.rad2deg(runs[name].estimates[0, :, 0, k])
-            above.plot(points, found, style, color=colour, label=name)
-            below.plot(points, found - truth, style, color=colour)
+            estimated = np.rad2deg(runs[name].estimates[0, :, 0, k])
+            above.plot(points, estimated, style, color=colour, label=name)
+            below.plot(points, estimated - truth, style, color=colour)
         above.plot(points, truth, color=GREY, linewidth=0.9, label="ideal")
         above.set(title=axis.capitalize(), ylim=(-32, 32))
         below.set(ylim=(-10, 10), xlabel="measurement point")

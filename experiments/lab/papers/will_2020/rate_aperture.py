@@ -44,7 +44,8 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     lost = {(w, r, a): 100 * _astray(results, w, r, a) for w in (ALL, THREE) for r in RATES for a in APERTURES}
     sure = {w: [max([a for a in APERTURES if lost[w, r, a] < HELD], default=0.0) for r in RATES] for w in (ALL, THREE)}
     largest = {
-        w: ", ".join(f"{a:g} x at {r:g} Hz" for a, r in zip(found, RATES, strict=True)) for w, found in sure.items()
+        w: ", ".join(f"{a:g} x at {r:g} Hz" for a, r in zip(apertures, RATES, strict=True))
+        for w, apertures in sure.items()
     }
     yield mc.Conclusion(
         "a larger aperture is more accurate while the track holds",
@@ -62,7 +63,7 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     )
     yield mc.Conclusion(
         "the largest aperture that keeps its track is the larger, the higher the rate",
-        all(found == sorted(found) and found[0] < found[-1] for found in sure.values()),
+        all(apertures == sorted(apertures) and apertures[0] < apertures[-1] for apertures in sure.values()),
         f"less than {HELD:g} % astray: " + "; ".join(f"{w} {told}" for w, told in largest.items()),
         mc.PREDICTED,
     )
@@ -90,8 +91,8 @@ def panels(results: mc.Results, figure: Figure) -> None:
     for column, world in zip(grid.T, (ALL, THREE), strict=True):
         for aperture, colour in zip(APERTURES, LINES, strict=False):
             label = f"{aperture:g} x aperture"
-            found = [(_degrees(results, world, r, aperture), _astray(results, world, r, aperture)) for r in RATES]
-            for axes, values in zip(column, np.transpose(found) * [[1], [100]], strict=True):
+            points = [(_degrees(results, world, r, aperture), _astray(results, world, r, aperture)) for r in RATES]
+            for axes, values in zip(column, np.transpose(points) * [[1], [100]], strict=True):
                 axes.plot(RATES, values, "o-", color=colour, markersize=3, label=label)
                 plain(axes)
         column[0].set(title=world if world == ALL else f"antennas {world}", xscale="log", yscale="log")

@@ -57,9 +57,9 @@ PRINTED = {
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The ten errors of the table, and the paper's conclusions."""
-    for one in PRINTED.values():
-        wrapped = replace(one, tracker="EKF, each difference wrapped").ours(results).value
-        yield one.beside(results, f"with each of the 28 differences wrapped, as printed: {wrapped:.3f} deg")
+    for figure in PRINTED.values():
+        wrapped = replace(figure, tracker="EKF, each difference wrapped").ours(results).value
+        yield figure.beside(results, f"with each of the 28 differences wrapped, as printed: {wrapped:.3f} deg")
     ours = {axis: {name: PRINTED[name, axis].ours(results) for name in SETS} for axis in AXES}
     for k, axis in enumerate(AXES):
         order = sorted(SETS, key=lambda name: ours[axis][name].value)
@@ -133,8 +133,8 @@ def errors(numbers: dict[str, float], runs: int, seed: int, all_tracks: bool, ra
     phases = np.where(seen, np.tile(values, sets), 0.0).astype(np.float32)
     readings = {"phases": Reading(phases, seen, np.zeros((POINTS, 0, sets * trajectories), np.float32))}
     batch = Batch(dt, np.ones(dt.shape, bool), readings, {}, {}, np.zeros((2, sets * trajectories), np.uint32))
-    found = beam_tracker(stations[0], "phases", numbers["sigma_a"], numbers["sigma_p"]).run(batch).mean
-    angles = np.stack([found.azimuth, found.elevation], axis=-1).reshape(sets, *truth.shape)
+    means = beam_tracker(stations[0], "phases", numbers["sigma_a"], numbers["sigma_p"]).run(batch).mean
+    angles = np.stack([means.azimuth, means.elevation], axis=-1).reshape(sets, *truth.shape)
     squares = (np.rad2deg(angles - truth) ** 2).mean(axis=3).reshape(sets, trajectories, 2)
     if not all_tracks:
         limits = LEFT * np.array(list(PRINTED_DEG.values()))
@@ -180,14 +180,14 @@ def worst(numbers: dict[str, float], runs: int = FRESH) -> float:
 
 def fit() -> tuple[str, dict[str, Fitted]]:
     """The best, on new noise, of the fits from several layouts."""
-    found: list[tuple[float, dict[str, float]]] = []
+    fits: list[tuple[float, dict[str, float]]] = []
     for layout in sorted(exact_layouts(), key=side_lobe)[:STARTS]:
         # Rounded as they are written: positions to 0.01 mm.
         numbers = {name: float(f"{value:.4g}") for name, value in numbers_of(fitted_to(layout)).items()}
-        found.append((worst(numbers), numbers))
-        print(f"start {len(found)}: phase noise {numbers['sigma_p']:.3f} rad, "
-              f"largest deviation from print {100 * np.expm1(found[-1][0]):.1f} %", flush=True)  # fmt: skip
-    deviation, numbers = min(found, key=lambda one: one[0])
+        fits.append((worst(numbers), numbers))
+        print(f"start {len(fits)}: phase noise {numbers['sigma_p']:.3f} rad, "
+              f"largest deviation from print {100 * np.expm1(fits[-1][0]):.1f} %", flush=True)  # fmt: skip
+    deviation, numbers = min(fits, key=lambda trial: trial[0])
     told = {name: Fitted(value, "mm", "Table 1, ten figures") for name, value in numbers.items() if name[1] == "_"}
     told["sigma_p"] = Fitted(numbers["sigma_p"], "rad", "Table 1, ten figures")
     told["sigma_a"] = Fitted(numbers["sigma_a"], "rad/s^2", "chosen")
