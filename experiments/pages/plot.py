@@ -51,8 +51,8 @@ def playback(estimates: AnyEstimates | Mapping[str, AnyEstimates], recording: An
     """
     runs = estimates if isinstance(estimates, Mapping) else {"": estimates}
     data = []
-    for name, own in runs.items():
-        tracks = scored_tracks(own, recording)
+    for name, run in runs.items():
+        tracks = scored_tracks(run, recording)
         evaluation = evaluate(tracks.association, recording) if tracks.association.scored.any() else None
         data.append(run_data(tracks, NO_EVENTS, evaluation, name or recording.name, name, len(runs)))
     return Playback(f"{recording.name}, {', '.join(filter(None, runs)) or 'estimates'}", track_page(data))

@@ -104,10 +104,10 @@ class ScoredRecording:
         rows, sigmas = self.association.rows, self.sigmas()
         if not self.angles:
             values = [float_column(rows, f"{axis}_m") for axis in "xyz"]
-            found = [
+            components = [
                 Component(a, "m", v, e, s) for a, v, e, s in zip("xyz", values, self.errors.T, sigmas.T, strict=True)
             ]
-            return found if np.isfinite(sigmas[:, 2]).any() else found[:2]
+            return components if np.isfinite(sigmas[:, 2]).any() else components[:2]
         angles, errors, names = directions(rows), self.errors, ["azimuth", "elevation"]
         if self.in_plane:
             angle = in_the_plane(angles)
@@ -115,7 +115,7 @@ class ScoredRecording:
             errors, names = (np.pi - (np.pi - turned) % (2 * np.pi))[:, None], [IN_PLANE]
             angles, sigmas = angle[:, None], sigmas[:, 1:]
         parts = (np.degrees(part).T for part in (angles, errors, sigmas))
-        return [Component(name, "°", *own) for name, *own in zip(names, *parts, strict=True)]
+        return [Component(name, "°", *numbers) for name, *numbers in zip(names, *parts, strict=True)]
 
     def nees_by_shape(self) -> dict[str, tuple[np.ndarray, int]]:
         """NEES (n,) and its degrees of freedom: of horizontal and 3-D positions, of both angles or of the only one."""
@@ -139,8 +139,8 @@ class ScoredRecording:
         known, starts = np.isfinite(squares), self.association.starts
         total = np.concatenate([[0.0], np.cumsum(np.where(known, squares, 0.0))])
         count = np.concatenate([[0], np.cumsum(known)])
-        found, rows = total[starts[1:]] - total[starts[:-1]], count[starts[1:]] - count[starts[:-1]]
-        return np.where(rows > 0, np.sqrt(np.maximum(found, 0) / np.maximum(rows, 1)), np.nan)
+        sums, rows = total[starts[1:]] - total[starts[:-1]], count[starts[1:]] - count[starts[:-1]]
+        return np.where(rows > 0, np.sqrt(np.maximum(sums, 0) / np.maximum(rows, 1)), np.nan)
 
     @property
     def overall_rmse(self) -> float:
@@ -186,16 +186,18 @@ class ScoredTracks:
             nees_3d[scored.index] = scored.nees_3d
         if not self.bearing:
             errors[~(float_column(rows, "std_z_m") > 0), 2] = np.nan
-        names, found = rows["recording"], []
+        names, recordings = rows["recording"], []
         for folder in self.folders:
-            own = (names == folder.name).to_numpy()
+            of_folder = (names == folder.name).to_numpy()
             part = self.association.of_recording(folder.name)
-            spatial = None if scored.nees_3d is None else nees_3d[own]
+            spatial = None if scored.nees_3d is None else nees_3d[of_folder]
             noise = noise_of(folder, self.batches)
-            found.append(ScoredRecording(folder, part, errors[own], miss[own], nees[own], spatial, noise))
-        for k in self._drawn(found):
-            found[k] = replace(found[k], batches=self.batches)
-        return found
+            recordings.append(
+                ScoredRecording(folder, part, errors[of_folder], miss[of_folder], nees[of_folder], spatial, noise)
+            )
+        for k in self._drawn(recordings):
+            recordings[k] = replace(recordings[k], batches=self.batches)
+        return recordings
 
     @property
     def drawn(self) -> dict[int, str]:
@@ -203,7 +205,7 @@ class ScoredTracks:
         return self._drawn(self.recordings)
 
     def _drawn(self, recordings: Sequence[ScoredRecording]) -> dict[int, str]:
-        return drawn_of(np.array([one.overall_rmse for one in recordings]), self.bearing)
+        return drawn_of(np.array([recording.overall_rmse for recording in recordings]), self.bearing)
 
     @property
     def drawn_words(self) -> str:
@@ -242,8 +244,10 @@ def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth
 
 def noise_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> float | None:
     """The degrees of freedom of the noise behind a recording's NIS, as `ScoredRecording` has them."""
-    own = (batch.tracker for batch in batches if any(one.folder is folder for one in batch.trajectories))
-    tracker = next(own, None)
+    trackers = (
+        batch.tracker for batch in batches if any(trajectory.folder is folder for trajectory in batch.trajectories)
+    )
+    tracker = next(trackers, None)
     try:
         nu = math.nan if tracker is None else student_t_dof_of(tracker)
     except ValueError:

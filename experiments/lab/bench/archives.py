@@ -85,6 +85,6 @@ def write_archive(size: int, folder: str) -> Row:
                 continue
             day.mkdir(parents=True, exist_ok=True)
             tag = (str(k - first),)
-            tables = {table: frames[tag].with_columns(tag=pl.lit("agv")) for table, frames in by_tag.items()}
-            write_recording(RecordingFolder(name, None, Rig(name), tables), day / name)
+            of_tag = {table: frames[tag].with_columns(tag=pl.lit("agv")) for table, frames in by_tag.items()}
+            write_recording(RecordingFolder(name, None, Rig(name), of_tag), day / name)
     return {"broken": broken}

@@ -74,7 +74,7 @@ def recorded(cell: Cell, table: str, tags: int, seed: int) -> tuple[RecordingFol
     tables = {{"bearings": "bearings", "ranges": "ranges", "imu": "ranges"}.get(table, "fixes"): frame}
     if table == "imu":
         tables["imu"] = _samples(cell, tags, rng)
-    ordered = {name: table.sort("t_s", maintain_order=True) for name, table in tables.items()}
+    ordered = {name: unordered.sort("t_s", maintain_order=True) for name, unordered in tables.items()}
     return RecordingFolder("envelope", None, rig, ordered), walks
 
 

@@ -90,7 +90,7 @@ class _Modes:
     def each(self, part: Any, function: Callable[[Any], Callable[..., Any]]) -> list[Callable[..., Any]]:
         """The function of the part, or of the part in each mode, over all tags."""
         parts = [part.in_mode(k) for k in range(len(self.shares))] if isinstance(part, AbstractSwitching) else [part]
-        return [jax.jit(jax.vmap(function(part), in_axes=-1, out_axes=-1)) for part in parts]
+        return [jax.jit(jax.vmap(function(one), in_axes=-1, out_axes=-1)) for one in parts]
 
     def chosen(self, of_modes: Sequence[Any]) -> Any:
         """Of the results in each mode those of the tags' modes."""

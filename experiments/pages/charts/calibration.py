@@ -143,9 +143,9 @@ def _draw_floor(figure: Figure, panels: Sequence[Panel], columns: int) -> None:
 
 def _medians(panel: Panel, edges: Sequence[np.ndarray]) -> np.ndarray:
     """The median errors in the squares, NaN where there is no reading."""
-    found = np.full([len(e) - 1 for e in edges], np.nan)
+    medians = np.full([len(e) - 1 for e in edges], np.nan)
     x, y = (np.floor(panel.positions[:, k] / SQUARE - edges[k][0] / SQUARE + 1e-9).astype(int) for k in range(2))
     error = panel.corrected - panel.true
     for i, j in {*zip(x.tolist(), y.tolist(), strict=True)}:
-        found[i, j] = np.median(error[(x == i) & (y == j)])
-    return (DEGREES if panel.is_angle else 1.0) * found
+        medians[i, j] = np.median(error[(x == i) & (y == j)])
+    return (DEGREES if panel.is_angle else 1.0) * medians

@@ -50,14 +50,15 @@ def plot_comparison(
     panels: dict[str, list[Draw]] = {}
     for chart in comparison_charts(runs, contrasts, plan_legends=False):
         panels.setdefault(chart.name, []).append(chart.draw)
-    high = 1.2 + 0.28 * len({one.subject for one in contrasts})
+    high = 1.2 + 0.28 * len({contrast.subject for contrast in contrasts})
     looks: dict[str, dict[str, Any]] = {
         "errors": {"size": (9.5, 4.0), "columns": 2},
         "floor_plans": {"size": None, "columns": len(runs), "legend": 5, "sharex": "row", "sharey": "row"},
         "differences": {"size": (7.5, high)},
     }
     return [
-        write_panels(page.with_name(f"{page.stem}-{name}.{kind}"), own, **looks[name]) for name, own in panels.items()
+        write_panels(page.with_name(f"{page.stem}-{name}.{kind}"), drawings, **looks[name])
+        for name, drawings in panels.items()
     ]
 
 
@@ -129,8 +130,8 @@ def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], fur
             body.set(facecolor=colours[k], alpha=0.35)
     black = {"color": BLACK}
     axes.boxplot(thinned, positions=places, widths=0.2, whis=(5, 95), showfliers=False, medianprops=black)
-    for place, own, colour in zip(places, errors, colours, strict=True):
-        axes.plot(place, np.sqrt(np.mean(own**2)), "o", color=colour, markeredgecolor="white", markersize=6, zorder=5)
+    for place, error, colour in zip(places, errors, colours, strict=True):
+        axes.plot(place, np.sqrt(np.mean(error**2)), "o", color=colour, markeredgecolor="white", markersize=6, zorder=5)
     axes.set_xticks(places, [literal(name) for name in names], rotation=20 if len(errors) > 3 else 0)
     axes.set(ylim=(0, 1.02 * furthest), xlim=(-0.7, len(errors) - 0.3))
     plain(axes, "y")
@@ -141,8 +142,8 @@ def _planned(runs: Sequence[TrackRun]) -> dict[str, str]:
     names = _common(runs)
     if not names:
         return {}
-    own = [np.concatenate([e.error for key, e in runs[0].errors.items() if key[0] == name]) for name in names]
-    chosen = drawn_of(np.array([np.sqrt(np.mean(e**2)) for e in own]), False, MOST_PLANS)
+    errors = [np.concatenate([e.error for key, e in runs[0].errors.items() if key[0] == name]) for name in names]
+    chosen = drawn_of(np.array([np.sqrt(np.mean(e**2)) for e in errors]), False, MOST_PLANS)
     return {names[k]: f"{why} by {runs[0].name}" if why else "" for k, why in chosen.items()}
 
 
@@ -176,17 +177,17 @@ def _draw_plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str, lege
 def _draw_intervals(axes: Axes, contrasts: Sequence[Contrast]) -> None:
     """The metrics of studies with their intervals less the first study's."""
     metric = next((m for m in ("rmse_m", "rmse_direction_rad") if any(c.metric == m for c in contrasts)), "")
-    shown = [one for one in contrasts if one.metric == (metric or contrasts[0].metric)][:60]
-    names = list(dict.fromkeys(one.run for one in shown))
-    subjects = list(dict.fromkeys(one.subject for one in shown))
-    unit = unit_of(shown[0].metric, [one.difference.first for one in shown])
-    for one in shown:
-        k, n = subjects.index(one.subject), names.index(one.run)
-        d, colour = one.difference, _colours(len(names))[n]
+    shown = [contrast for contrast in contrasts if contrast.metric == (metric or contrasts[0].metric)][:60]
+    names = list(dict.fromkeys(contrast.run for contrast in shown))
+    subjects = list(dict.fromkeys(contrast.subject for contrast in shown))
+    unit = unit_of(shown[0].metric, [contrast.difference.first for contrast in shown])
+    for contrast in shown:
+        k, n = subjects.index(contrast.subject), names.index(contrast.run)
+        d, colour = contrast.difference, _colours(len(names))[n]
         height = len(subjects) - 1 - k + 0.12 * (n - (len(names) - 1) / 2)
         ends = [unit.factor * x for x in (d.low, d.high)]
-        axes.plot(ends, [height] * 2, color=colour, label=literal(one.run) if k == 0 else None)
-        axes.plot(unit.factor * d.value, height, "o" if one.differs else ".", color=colour)
+        axes.plot(ends, [height] * 2, color=colour, label=literal(contrast.run) if k == 0 else None)
+        axes.plot(unit.factor * d.value, height, "o" if contrast.differs else ".", color=colour)
     axes.axvline(0, color=BLACK, linewidth=0.7)
     axes.set_yticks(np.arange(len(subjects))[::-1], [literal(s) for s in subjects])
     axes.set(xlabel=f"{heading(shown[0].metric, unit)}, less the first study's; large point: differs")

@@ -106,6 +106,6 @@ def draw_coverage(axes: Axes, curves: Mapping[str, np.ndarray], pooled: str = ""
             axes.plot(100 * at, shares, color=GREY, linewidth=0.9, label="_")
     axes.set(xlim=(0, 100.8), ylim=(0, 100.8), xticks=SHARES[:5] + SHARES[6:], yticks=SHARES[:5] + SHARES[6:])
     axes.set_aspect("equal")
-    every = curves[pooled] if pooled else np.sort(np.concatenate([*curves.values()]))
-    below = float(np.mean(observed_shares(every, at) - at)) < 0
+    all_levels = curves[pooled] if pooled else np.sort(np.concatenate([*curves.values()]))
+    below = float(np.mean(observed_shares(all_levels, at) - at)) < 0
     axes.legend(loc="upper left" if below else "lower right")

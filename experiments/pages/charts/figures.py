@@ -112,9 +112,9 @@ def _figures_of_positions(tracks: ScoredTracks) -> Iterator[Drawing]:
 def _figures_of_bearings(tracks: ScoredTracks) -> Iterator[Drawing]:
     """Of a few tracks their angles over time."""
     ordered = sorted(tracks.recordings, key=lambda recording: recording.folder.name)
-    every = [(scored, k) for scored in ordered for k in range(len(scored.rmse))]
+    pairs = [(scored, k) for scored in ordered for k in range(len(scored.rmse))]
     for place, why in drawn_of(np.concatenate([scored.rmse for scored in ordered]), True).items():
-        scored, k = every[place]
+        scored, k = pairs[place]
         key = scored.association.rows.select("tag", "station").row(int(scored.association.starts[k]), named=True)
         label = f"{scored.folder.name}, tag {key['tag']}, station {key['station']}"
         panels = [partial(charts.bearing_over_time, scored, **key, angle=part.name) for part in scored.components()]

@@ -77,10 +77,10 @@ def plan_corners(
     places = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
     mounted = np.concatenate([np.array([p[:2] for p in places]).reshape(-1, 2), rig.all_walls().reshape(-1, 2)])
     paths = np.concatenate([*points, np.zeros((0, 2))])
-    every = np.concatenate([paths, mounted]) if len(paths) + len(mounted) else np.zeros((1, 2))
-    if len(paths) and np.max(np.ptp(every, axis=0)) > around * np.max(np.ptp(paths, axis=0)):
-        every = paths
-    low, high = every.min(axis=0), every.max(axis=0)
+    drawn = np.concatenate([paths, mounted]) if len(paths) + len(mounted) else np.zeros((1, 2))
+    if len(paths) and np.max(np.ptp(drawn, axis=0)) > around * np.max(np.ptp(paths, axis=0)):
+        drawn = paths
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
     # The millimetres of noise of a tag at rest shall not fill the plan.
     margin = max(0.08 * float(np.max(high - low)), 0.25)
     return Corners(low - margin, high + margin)
@@ -159,9 +159,9 @@ def _shared_labels(marks: Sequence[tuple[str, float, float, str, bool]], near: f
     """The labels of the first of all marks that are nearer to each other than that."""
     stacks: list[tuple[float, float, list[str]]] = []
     for name, x, y, *_ in marks:
-        own = [names for u, v, names in stacks if np.hypot(u - x, v - y) <= near]
-        if own:
-            own[0].append(name)
+        nearby = [names for u, v, names in stacks if np.hypot(u - x, v - y) <= near]
+        if nearby:
+            nearby[0].append(name)
         else:
             stacks.append((x, y, [name]))
     return {names[0]: ", ".join(sorted(names, key=natural)) for _, _, names in stacks}

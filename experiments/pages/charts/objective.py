@@ -129,8 +129,8 @@ def _round_numbers(low: float, high: float) -> list[float]:
     """A few round numbers from `low` to `high`, evenly spaced on a logarithmic axis."""
     decades = range(int(np.floor(np.log10(low))) - 1, int(np.ceil(np.log10(high))) + 2)
     for digits in ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 8)):
-        found = [d * 10.0**k for k in decades for d in digits if low <= d * 10.0**k <= high]
-        if len(found) >= 3:
-            return found
+        ticks = [d * 10.0**k for k in decades for d in digits if low <= d * 10.0**k <= high]
+        if len(ticks) >= 3:
+            return ticks
     ticks = [float(x) for x in MaxNLocator(5).tick_values(low, high) if low <= x <= high]
     return ticks

@@ -127,16 +127,16 @@ def _filled(x: list[float | None], y: list[float | None], colour: Any) -> dict[s
 
 def _axis(axis: Axis, limits: tuple[float, float], scale: str, label: str) -> dict[str, Any]:
     """Title, range, kind and, where the ticks are names, their texts."""
-    found: dict[str, Any] = {"title": {"text": _plain(label)}, "zeroline": False}
-    found["range"] = [float(f"{x:.6g}") for x in (np.log10(limits) if scale == "log" else limits)]
+    settings: dict[str, Any] = {"title": {"text": _plain(label)}, "zeroline": False}
+    settings["range"] = [float(f"{x:.6g}") for x in (np.log10(limits) if scale == "log" else limits)]
     formatter, texts = axis.get_major_formatter(), [label.get_text() for label in axis.get_ticklabels()]
     if isinstance(formatter, PercentFormatter):
-        found["tickformat"] = ".0%"
+        settings["tickformat"] = ".0%"
     elif scale == "log" or any(_is_name(text) for text in texts):
-        found |= {"tickvals": _numbers(axis.get_majorticklocs()), "ticktext": [_plain(text) for text in texts]}
+        settings |= {"tickvals": _numbers(axis.get_majorticklocs()), "ticktext": [_plain(text) for text in texts]}
     if scale == "log":
-        found["type"] = "log"
-    return found
+        settings["type"] = "log"
+    return settings
 
 
 def _is_name(text: str) -> bool:

@@ -70,15 +70,15 @@ def floor_plan(
     starts, rows = scored.association.starts, scored.association.rows
     places = np.stack([float_column(rows, "x_m"), float_column(rows, "y_m")], axis=1)
     covs, times, truth = covariances(rows)[:, :2, :2], scored.times - scored.zero, _truth_of(scored)
-    every = [str(tag) for tag in rows["tag"].gather(starts[:-1])]
-    shown = dict.fromkeys(tags[: len(LINES)], "") or _worst_median_best(every, scored.rmse)
+    all_tags = [str(tag) for tag in rows["tag"].gather(starts[:-1])]
+    shown = dict.fromkeys(tags[: len(LINES)], "") or _worst_median_best(all_tags, scored.rmse)
     paths, truths = [], []
     for (tag, remark), colour in zip(shown.items(), LINES, strict=False):
         k = _track(scored, tag, None, "floor_plan")
-        own = np.arange(starts[k], starts[k + 1])
-        own = own[np.isfinite(places[own]).all(axis=1)]
-        at, path = broken_at_gaps(times[own], places[own])
-        some = own[ellipse_rows([places[own]], [covs[own]], min(ELLIPSES // len(shown), ELLIPSES // 2))]
+        of_tag = np.arange(starts[k], starts[k + 1])
+        of_tag = of_tag[np.isfinite(places[of_tag]).all(axis=1)]
+        at, path = broken_at_gaps(times[of_tag], places[of_tag])
+        some = of_tag[ellipse_rows([places[of_tag]], [covs[of_tag]], min(ELLIPSES // len(shown), ELLIPSES // 2))]
         name = (f"tag {tag}" if tag else "estimates") + (f"\n{remark}" if remark else "")
         stamps = at if len(shown) <= 3 else None
         paths.append(PlanPath(name, colour, path, places[some], covs[some], times=stamps))
@@ -90,8 +90,8 @@ def floor_plan(
     if paths or truths or rig.anchors or rig.stations:
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
     notes = ["dots: estimates with their reported 95 % ellipses"] if any(len(path.covs) for path in paths) else []
-    if len(every) > len(paths):
-        notes.append(f"{len(paths)} of {len(every)} tags are shown")
+    if len(all_tags) > len(paths):
+        notes.append(f"{len(paths)} of {len(all_tags)} tags are shown")
     drawn = np.concatenate([path.positions[np.isfinite(path.positions[:, 0])] for path in paths] or [np.zeros((0, 2))])
     outside = int(((drawn < corners.low) | (drawn > corners.high)).any(axis=1).sum())
     if outside:
@@ -114,8 +114,8 @@ def error_over_time(
     """
     scored = _scored(estimates, recording, "error_over_time", truth=True)
     k = _track(scored, tag, None, "error_over_time")
-    own = slice(scored.association.starts[k], scored.association.starts[k + 1])
-    times, errors, sigmas = scored.times[own] - scored.zero, scored.errors[own], scored.sigmas()[own]
+    of_track = slice(scored.association.starts[k], scored.association.starts[k + 1])
+    times, errors, sigmas = scored.times[of_track] - scored.zero, scored.errors[of_track], scored.sigmas()[of_track]
     axes = _axes(ax)
     if axis:
         columns = [c for c in range(3) if np.isfinite(errors[:, c]).any()]
@@ -125,17 +125,17 @@ def error_over_time(
         unit = length_unit(float(np.quantile(known, 0.95)))
         halves = half_heights([*errors[:, columns].T], [*sigmas[:, columns].T])
         c, half = "xyz".index(axis), unit.factor * halves[columns.index("xyz".index(axis))]
-        limits = _bounds_at(scored, scored.times[own])
+        limits = _bounds_at(scored, scored.times[of_track])
         bound = None if limits is None else unit.factor * limits[:, c]
         draw_error(axes, times, unit.factor * errors[:, c], unit.factor * sigmas[:, c], bound, half)
         axes.set_ylabel(f"error in {axis} ({unit.name})")
     else:
-        error, sigma = scored.miss[own], np.hypot(sigmas[:, 0], sigmas[:, 1])
+        error, sigma = scored.miss[of_track], np.hypot(sigmas[:, 0], sigmas[:, 1])
         draw_band(axes, times, np.zeros_like(sigma), sigma, "reported standard deviation")
         axes.plot(*broken_at_gaps(times, error), color=BLUE, label="error")
         axes.set(ylabel="horizontal error (m)", ylim=(0, None))
         legend_above(axes)
-    name = scored.association.rows["tag"][int(own.start)]
+    name = scored.association.rows["tag"][int(of_track.start)]
     rank = f", the largest RMSE of {len(scored.rmse)}" if tag is None and len(scored.rmse) > 1 else ""
     axes.set_title(literal(f"tag {name}{rank}" if name else ""), loc="right", fontsize=8, color=GREY)
     axes.set_xlabel(time_label(scored.zero))
@@ -193,7 +193,7 @@ def coverage(
         nees = {name: scored.nees_by_shape()[shape] for name, scored in runs.items()}
     else:
         shape, nees = "", runs[""].nees_by_shape()
-    levels = {name: levels_of(*own) for name, own in nees.items() if np.isfinite(own[0]).any()}
+    levels = {name: levels_of(*pair) for name, pair in nees.items() if np.isfinite(pair[0]).any()}
     pooled = "" if not shape else "all rows" if len(levels) > 1 else next(iter(levels))
     axes = _axes(ax)
     draw_coverage(axes, levels, pooled)
@@ -275,13 +275,13 @@ def bearing_over_time(
     if not scored.angles:
         raise UnusableInput("bearing_over_time: found positions; expected bearings")
     k = _track(scored, tag, station, "bearing_over_time")
-    own = slice(scored.association.starts[k], scored.association.starts[k + 1])
+    of_track = slice(scored.association.starts[k], scored.association.starts[k + 1])
     parts = {part.name: part for part in scored.components()}
     part = parts.get(angle) or next(iter(parts.values()))
-    truth = part.values[own] - part.errors[own]
+    truth = part.values[of_track] - part.errors[of_track]
     axes = _axes(ax)
-    times = scored.times[own] - scored.zero
-    draw_angle(axes, times, part.values[own], part.sigmas[own], truth if np.isfinite(truth).any() else None)
+    times = scored.times[of_track] - scored.zero
+    draw_angle(axes, times, part.values[of_track], part.sigmas[of_track], truth if np.isfinite(truth).any() else None)
     axes.set(xlabel=time_label(scored.zero), ylabel=f"{part.name} (°)")
     return axes
 
@@ -322,13 +322,13 @@ def _track(scored: ScoredRecording, tag: str | None, station: str | None, chart:
     rows, starts = scored.association.rows, scored.association.starts
     if tag is None and station is None:
         return scored.worst_first()[0]
-    tags = [str(one) for one in rows["tag"].gather(starts[:-1])]
-    stations = [str(one) for one in rows["station"].gather(starts[:-1])] if scored.angles else [station] * len(tags)
-    found = [k for k in scored.worst_first() if tag in (None, tags[k]) and station in (None, stations[k])]
-    if not found:
+    tags = [str(name) for name in rows["tag"].gather(starts[:-1])]
+    stations = [str(name) for name in rows["station"].gather(starts[:-1])] if scored.angles else [station] * len(tags)
+    matches = [k for k in scored.worst_first() if tag in (None, tags[k]) and station in (None, stations[k])]
+    if not matches:
         named = f"tag '{tag}'" + ("" if station is None else f" at station '{station}'")
         raise UnusableInput(f"{chart}: no estimate of {named}; tags: {', '.join(sorted({*tags}, key=natural))}")
-    return found[0]
+    return matches[0]
 
 
 def _worst_median_best(tags: Sequence[str], rmse: np.ndarray) -> dict[str, str]:
@@ -339,7 +339,7 @@ def _worst_median_best(tags: Sequence[str], rmse: np.ndarray) -> dict[str, str]:
 
 def _truth_of(scored: ScoredRecording) -> dict[str, np.ndarray]:
     """The true path (n, 2), m, of each tag, NaN in gaps: of the truth table, else at the times of the estimates."""
-    association, found = scored.association, {}
+    association, paths = scored.association, {}
     for begin, end in pairwise(association.starts):
         tag, known = str(association.rows["tag"][int(begin)]), association.scored[begin:end]
         times, path = scored.times[begin:end][known], association.truth[begin:end][known, :2]
@@ -349,8 +349,8 @@ def _truth_of(scored: ScoredRecording) -> dict[str, np.ndarray]:
             there = np.isfinite(path).all(axis=1)
             times, path = times[there], path[there]
         if len(path):
-            found[tag] = broken_at_gaps(times, path)[1]
-    return found
+            paths[tag] = broken_at_gaps(times, path)[1]
+    return paths
 
 
 def _by_run(scored: ScoredRecording, *columns: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -380,5 +380,5 @@ def _bounds_at(scored: ScoredRecording, times: np.ndarray) -> np.ndarray | None:
     return np.stack([np.interp(times, scored.bounds[0], b, np.nan, np.nan) for b in scored.bounds[1].T], axis=1)
 
 
-_FUNCTIONS = [own for own in globals().values() if isfunction(own) and own.__module__ == __name__]
-__all__ = [own.__name__ for own in _FUNCTIONS if not own.__name__.startswith("_")]
+_FUNCTIONS = [value for value in globals().values() if isfunction(value) and value.__module__ == __name__]
+__all__ = [function.__name__ for function in _FUNCTIONS if not function.__name__.startswith("_")]

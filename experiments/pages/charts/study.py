@@ -57,7 +57,7 @@ def write_charts(folder: Path, charts: Sequence[Chart], kind: str) -> list[str]:
 def metric_chart(
     results: Results,
     metric: str,
-    found: Mapping[tuple[int, str], Value],
+    by_condition: Mapping[tuple[int, str], Value],
     unit: Unit,
     bounds: Mapping[tuple[int, str], Value] | None = None,
 ) -> Chart | None:
@@ -67,7 +67,7 @@ def metric_chart(
     bounds on the metric, drawn as lines, or as strokes in rows.
     """
     study = results.study
-    values = {k: np.array(v.times(unit.factor)) for k, v in found.items() if np.isfinite(v.value)}
+    values = {k: np.array(v.times(unit.factor)) for k, v in by_condition.items() if np.isfinite(v.value)}
     if not any(v[0] for v in values.values()):
         return None
     limits = {k: v.value * unit.factor for k, v in (bounds or {}).items() if np.isfinite(v.value)}
@@ -182,16 +182,16 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
     ]
     units = {k: lengths if lengths and k.endswith("m") else unit_of(f"median_{k}", medians) for k in kinds}
     curves = [_curves(results, c, k, units[k].factor) for c, k in zip(conditions, kinds, strict=True)]
-    ends = [max(float(c.errors[np.searchsorted(c.shares, 98.0)]) for c in own.values()) for own in curves]
+    ends = [max(float(c.errors[np.searchsorted(c.shares, 98.0)]) for c in by_tracker.values()) for by_tracker in curves]
     if len(set(kinds)) == 1 and max(ends) <= ALIKE * min(ends):
         ends = [max(ends)] * len(ends)
 
     def draw(axes: Axes, condition: int, title: str) -> None:
-        own = curves[condition]
-        looks = [_look(number) for number, tracker in enumerate(study.trackers) if tracker in own]
+        by_tracker = curves[condition]
+        looks = [_look(number) for number, tracker in enumerate(study.trackers) if tracker in by_tracker]
         error = f"error {KIND_WORDS[kinds[condition]]}".strip()
         quantity = f"{error}, {units[kinds[condition]].name}"
-        draw_distributions(axes, [*own.values()], quantity, ends[condition], looks=looks)
+        draw_distributions(axes, [*by_tracker.values()], quantity, ends[condition], looks=looks)
         axes.set_title(literal(title))
         _legend(axes)
         plain(axes, "both")
@@ -206,12 +206,12 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
 
 def _curves(results: Results, condition: Condition, kind: str, factor: float) -> dict[str, Curve]:
     """The distribution of errors times `factor`, for each tracker with errors of this kind."""
-    found = {}
+    curves = {}
     for tracker in results.study.trackers:
         if kind in results.totals[condition.index, tracker].scores.histograms:
             edges, share = results.cdf(condition.world, tracker, kind, **condition.point)
-            found[tracker] = Curve(tracker, edges * factor, 100 * share)
-    return found
+            curves[tracker] = Curve(tracker, edges * factor, 100 * share)
+    return curves
 
 
 def _unit_of(results: Results, along: str) -> str:
@@ -247,8 +247,8 @@ def _height(names: int) -> float:
 
 def _spans_decades(values: Mapping[tuple[int, str], np.ndarray]) -> bool:
     """Whether all values and intervals are positive and span more than `DECADES`."""
-    every = np.concatenate(list(values.values()))
-    low, high = np.nanmin(every), np.nanmax(every)
+    pooled = np.concatenate(list(values.values()))
+    low, high = np.nanmin(pooled), np.nanmax(pooled)
     return bool(low > 0 and high >= DECADES * low)
 
 

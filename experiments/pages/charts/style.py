@@ -252,9 +252,9 @@ def plotly_chart(draw: Draw) -> dict[str, Any]:
     with _styled():
         figure = Figure()
         draw(figure.subplots())
-        found = plotly_figure(figure)
-    assert found is not None
-    return found
+        chart = plotly_figure(figure)
+    assert chart is not None
+    return chart
 
 
 def write_svg(

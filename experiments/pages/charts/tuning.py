@@ -214,9 +214,9 @@ def tuning_trace(
     """
     trace = OptimiserTrace(title, objective, np.stack([*values.values(), objective], axis=1))
     panels = [objective_chart([trace], f"{objective_name}: {objective[-1]:.6g}").draw]
-    for k, (name, own) in enumerate(values.items()):
+    for k, (name, series) in enumerate(values.items()):
         unit = (units or {}).get(name, "1")
-        words = literal(f"{name}: {own[-1]:.4g} {unit if unit != '1' else ''}")
+        words = literal(f"{name}: {series[-1]:.4g} {unit if unit != '1' else ''}")
         panels.append(parameter_chart([trace], k, name, words).draw)
     rows = -(-len(panels) // 2)
     return write_panels(path, panels, (8.0, 1.0 + 1.9 * rows), title, min(len(panels), 2))

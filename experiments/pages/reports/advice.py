@@ -79,7 +79,7 @@ def _change(metric: MetricChange, pair: tuple[float, float]) -> str:
 
 def _inconsistent(data: TuningReportData) -> list[str]:
     """Warnings where NIS or NEES is far from its distribution, also where it was before."""
-    found = []
+    warnings = []
     for key in SHAPES:
         metric = data.metric(key)
         if metric is None:
@@ -88,23 +88,23 @@ def _inconsistent(data: TuningReportData) -> list[str]:
         value = (metric.held_out if held_out else metric.training)[1]
         if value > FAR:
             where = "held-out recordings" if held_out else "the recordings tuned on"
-            found.append(
+            warnings.append(
                 f"{key.removesuffix('-shape').upper()} is far from its distribution on {where} (distance "
                 f"{number(value)}; below {FAR} is acceptable): the reported covariances are wrong there."
             )
-    return found
+    return warnings
 
 
 def _worse(data: TuningReportData) -> list[str]:
     """Warnings where a metric got worse."""
-    found = []
+    warnings = []
     goal = data.metric(data.objective)
     if goal is not None and goal.training[1] > goal.training[0]:
-        found.append(f"The objective itself got worse: {_change(goal, goal.training)}.")
+        warnings.append(f"The objective itself got worse: {_change(goal, goal.training)}.")
     rmse = data.metric("rmse")
     if rmse is not None and is_worse(rmse, rmse.held_out):
         more = f"more than {100 * WORSE:.0f} % worse"
-        found.append(f"Held-out {_change(rmse, rmse.held_out)}: {more}. {_why(data)}")
+        warnings.append(f"Held-out {_change(rmse, rmse.held_out)}: {more}. {_why(data)}")
     for key in SHAPES:
         metric = data.metric(key)
         if metric is None:
@@ -116,19 +116,19 @@ def _worse(data: TuningReportData) -> list[str]:
         ]
         if where:
             quantity = key.removesuffix("-shape").upper()
-            found.append(
+            warnings.append(
                 f"{quantity} is further from its distribution than before on {' and '.join(where)}: the reported "
                 "covariances are less reliable than the old ones."
             )
-    return found
+    return warnings
 
 
 def _why(data: TuningReportData) -> str:
     """The assumptions that the innovations after the fit contradict."""
-    found = [] if data.innovations is None else violated_assumptions(data.innovations[1])
-    if not found:
+    violated = [] if data.innovations is None else violated_assumptions(data.innovations[1])
+    if not violated:
         return "The innovations contradict no noise assumption: perhaps too few recordings were tuned on."
-    return f"The innovations contradict the assumption {'; and '.join(found)}."
+    return f"The innovations contradict the assumption {'; and '.join(violated)}."
 
 
 def _undetermined(data: TuningReportData) -> list[str]:

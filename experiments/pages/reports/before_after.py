@@ -82,14 +82,14 @@ def compare(sides: Sequence[Association], folders: Sequence[RecordingFolder], di
     # A better height is no excuse for a worse place on the floor.
     judged = {"": error.replace("_3d", ""), suffix: error}
     clauses = tuple(
-        clause for old, new in pairs for own, metric in judged.items() for clause in worse(old, new, metric, own)
+        clause for old, new in pairs for ending, metric in judged.items() for clause in worse(old, new, metric, ending)
     )
     return Compared(about, ("recording", *named), tuple(rows), tuple(sentences), clauses)
 
 
 def _evaluation(side: Association, folders: Sequence[RecordingFolder]) -> Evaluation:
-    own = Association.joined([side.of_recording(name) for name in sorted(f.name for f in folders)])
-    return evaluate_association(own, {f.name: f.rig.stations for f in folders})
+    joined = Association.joined([side.of_recording(name) for name in sorted(f.name for f in folders)])
+    return evaluate_association(joined, {f.name: f.rig.stations for f in folders})
 
 
 def _cells(old: Any, new: Any, columns: Any) -> Iterator[str]:
@@ -198,14 +198,14 @@ class TrackChanges(NamedTuple):
 
 @dataclass(frozen=True)
 class _Pair:
-    """One track of a recording before and after: the rows `own` of both associations.
+    """One track of a recording before and after: the rows `part` of both associations.
 
     `positions` (n, 2), m, of each side, NaN in rows without an estimate. `why`: it is shown.
     """
 
     folder: RecordingFolder
     sides: tuple[Association, Association]
-    own: slice
+    part: slice
     positions: tuple[np.ndarray, np.ndarray]
     why: str = ""
 
@@ -213,7 +213,7 @@ class _Pair:
     def rmse(self) -> tuple[float, ...]:
         """The horizontal RMSE of each side, m; NaN without truth."""
         return tuple(
-            _rms(positions - side.truth[self.own, :2])
+            _rms(positions - side.truth[self.part, :2])
             for side, positions in zip(self.sides, self.positions, strict=True)
         )
 
@@ -233,12 +233,12 @@ def track_changes(
     """
     if is_bearing(after.rows):
         return TrackChanges((), 0)
-    found, total = list[_Pair](), 0
+    pairs, total = list[_Pair](), 0
     for folder in sorted(folders, key=lambda folder: folder.name not in held_out):
-        own = _pairs(folder, (before.of_recording(folder.name), after.of_recording(folder.name)))
-        found, total = [*found, *_chosen(own)], total + len(own)
-    order = sorted(range(len(found)), key=lambda k: (found[k].folder.name not in held_out, -found[k].moved))
-    shown = (found[k] for k in sorted(order[:MOST_PLANS]))
+        of_folder = _pairs(folder, (before.of_recording(folder.name), after.of_recording(folder.name)))
+        pairs, total = [*pairs, *_chosen(of_folder)], total + len(of_folder)
+    order = sorted(range(len(pairs)), key=lambda k: (pairs[k].folder.name not in held_out, -pairs[k].moved))
+    shown = (pairs[k] for k in sorted(order[:MOST_PLANS]))
     return TrackChanges(tuple(_change(pair, pair.folder.name in held_out) for pair in shown), total)
 
 
@@ -266,12 +266,12 @@ def _chosen(pairs: list[_Pair]) -> list[_Pair]:
 
 
 def _change(pair: _Pair, held_out: bool) -> TrackChange:
-    rows = pair.sides[1].rows[pair.own]
+    rows = pair.sides[1].rows[pair.part]
     tag, times = str(rows["tag"][0]), float_column(rows, "t_s")
-    covs = [covariances(side.rows[pair.own])[:, :2, :2] for side in pair.sides]
+    covs = [covariances(side.rows[pair.part])[:, :2, :2] for side in pair.sides]
     moments = ellipse_rows(pair.positions, covs, ELLIPSES)
     before, after = (
-        Side(_path(times, positions, side.truth[pair.own, :2]), positions[moments], cov[moments], rmse)
+        Side(_path(times, positions, side.truth[pair.part, :2]), positions[moments], cov[moments], rmse)
         for positions, side, cov, rmse in zip(pair.positions, pair.sides, covs, pair.rmse, strict=True)
     )
     true = _truth(pair.folder, tag, times[0], times[-1])

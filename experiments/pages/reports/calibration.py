@@ -119,11 +119,11 @@ class Report(NamedTuple):
     def tables(self) -> list[tuple[str, Sequence[str], int, list[list[str]]]]:
         """Title, head, number of columns of text and rows of each table; no column `left out` of dashes alone."""
         heads = (("Stations", ANGLE_HEAD, 2), ("Anchors", RANGE_HEAD, 1))
-        found = []
+        tables = []
         for (title, head, texts), rows in zip(heads, (self.stations, self.anchors), strict=True):
             width = len(head) - all(row[-1] == MISSING for row in rows)
-            found.append((title, head[:width], texts, [row[:width] for row in rows]))
-        return [*found, ("Tags, relative to their mean", TAG_HEAD, 1, self.tags)]
+            tables.append((title, head[:width], texts, [row[:width] for row in rows]))
+        return [*tables, ("Tags, relative to their mean", TAG_HEAD, 1, self.tags)]
 
     @property
     def note(self) -> str:
@@ -143,12 +143,12 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     for source in sources:
         terms, covariance, determined, names = _fit(calibration, source)
         sigmas = np.sqrt(np.diag(covariance))
-        cells = [_term(*one) for one in zip(terms, sigmas, determined, strict=True)]
+        cells = [_term(*values) for values in zip(terms, sigmas, determined, strict=True)]
         left_out = np.full(len(source.pairs.true), np.nan)
         for number, other in enumerate(without):
             if other is not None:
-                own = source.pairs.recording == number
-                left_out[own] = source.errors(other)[own]
+                of_recording = source.pairs.recording == number
+                left_out[of_recording] = source.errors(other)[of_recording]
         measured = source.errors(None)
         spreads = [source.spread(errors) for errors in (measured, source.errors(calibration), left_out)]
         factor, unit = (DEGREES, "°") if source.is_angle else (100.0, " cm")
@@ -173,13 +173,13 @@ def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
 
 def _without_each(folders: Sequence[RecordingFolder]) -> list[Calibration | None]:
     """Of each recording: the calibration on the others, None where they have too few rows."""
-    found: list[Calibration | None] = []
-    for one in folders:
+    calibrations: list[Calibration | None] = []
+    for left_out in folders:
         try:
-            found.append(calibrate([folder for folder in folders if folder is not one]))
+            calibrations.append(calibrate([folder for folder in folders if folder is not left_out]))
         except UnusableInput:
-            found.append(None)
-    return found
+            calibrations.append(None)
+    return calibrations
 
 
 def _fit(calibration: Calibration, source: Source) -> tuple[np.ndarray, np.ndarray, np.ndarray, Sequence[str]]:

@@ -83,16 +83,16 @@ class Contrast(NamedTuple):
 
 def track_contrasts(runs: Sequence[TrackRun]) -> list[Contrast]:
     """The paired differences of every run from the first, over the tracks that both have."""
-    found = []
+    contrasts = []
     for run in runs[1:]:
         differences = paired_differences(runs[0].errors, run.errors)
         for metric in METRICS:
-            one = differences.get(metric)
+            difference = differences.get(metric)
             given = "_3d" in metric and all(shown_metric(both.metrics[""], metric) is None for both in (runs[0], run))
-            if one is not None and math.isfinite(one.value) and not given:
+            if difference is not None and math.isfinite(difference.value) and not given:
                 name = BEARING_NAMES.get(metric, metric) if run.bearing else metric
-                found.append(Contrast("", name, run.name, one, one.p))
-    return adjusted(found)
+                contrasts.append(Contrast("", name, run.name, difference, difference.p))
+    return adjusted(contrasts)
 
 
 def study_contrasts(runs: Sequence[StudyRun], metrics: Sequence[str]) -> list[Contrast]:
@@ -100,13 +100,14 @@ def study_contrasts(runs: Sequence[StudyRun], metrics: Sequence[str]) -> list[Co
 
     Conservative for studies with the same random numbers.
     """
-    found = []
+    contrasts = []
     for subject, metric in runs[0].metrics:
         for run in runs[1:]:
             before, after = runs[0].metrics[subject, metric], run.metrics.get((subject, metric))
             if metric in metrics and after is not None:
-                found.append(Contrast(subject, metric, run.name, one := _independent(before, after), one.p))
-    return adjusted(found)
+                difference = _independent(before, after)
+                contrasts.append(Contrast(subject, metric, run.name, difference, difference.p))
+    return adjusted(contrasts)
 
 
 def _independent(before: Value, after: Value) -> Difference:
@@ -146,15 +147,16 @@ def tables_of_tracks(runs: Sequence[TrackRun], contrasts: Sequence[Contrast]) ->
 def difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> Table:
     """The differences from the run `first`, with errors in this unit."""
     rows = []
-    for one in contrasts:
-        of = Unit("%", 100.0) if one.metric.startswith("coverage") else unit
-        d = one.difference
+    for contrast in contrasts:
+        of = Unit("%", 100.0) if contrast.metric.startswith("coverage") else unit
+        d = contrast.difference
         interval = Value(d.value, d.low, d.high)
-        p = MISSING if math.isnan(one.p) else "<0.001" if one.p < 0.001 else f"{one.p:.3f}"
+        p = MISSING if math.isnan(contrast.p) else "<0.001" if contrast.p < 0.001 else f"{contrast.p:.3f}"
         values = (with_interval(Value(x, math.nan, math.nan), of) for x in (d.first, d.second))
-        rows.append([one.run, heading(one.metric, of), *values, with_interval(interval, of), p, yes_no(one.differs)])
-    pieces = sorted({one.difference.pieces for one in contrasts})
-    known = sum(one.differs is not None for one in contrasts)
+        cells = [heading(contrast.metric, of), *values, with_interval(interval, of), p, yes_no(contrast.differs)]
+        rows.append([contrast.run, *cells])
+    pieces = sorted({contrast.difference.pieces for contrast in contrasts})
+    known = sum(contrast.differs is not None for contrast in contrasts)
     count = " to ".join(map(str, dict.fromkeys((pieces[0], pieces[-1]))))
     note = f"Paired over {count} {contrasts[0].difference.kind}. p is adjusted for {known} comparisons (Holm)."
     if not known:
@@ -191,19 +193,19 @@ def _cells(metrics: dict, columns: Sequence[Metric], unit: Unit) -> list[str]:
 
 def tables_of_studies(runs: Sequence[StudyRun], contrasts: Sequence[Contrast]) -> list[Table]:
     """The metrics of every world, tracker and study, and which studies differ from the first."""
-    found: dict[tuple[str, str], list[Contrast]] = {}
-    for one in contrasts:
-        found.setdefault((one.subject, one.metric), []).append(one)
+    by_row: dict[tuple[str, str], list[Contrast]] = {}
+    for contrast in contrasts:
+        by_row.setdefault((contrast.subject, contrast.metric), []).append(contrast)
     values: dict[str, list[float]] = {}
-    for subject, metric in found:
-        own = [run.metrics[subject, metric].value for run in runs if (subject, metric) in run.metrics]
-        values.setdefault(metric, []).extend(own)
+    for subject, metric in by_row:
+        of_runs = [run.metrics[subject, metric].value for run in runs if (subject, metric) in run.metrics]
+        values.setdefault(metric, []).extend(of_runs)
     units = units_of(values)
     rows = []
-    for (subject, metric), others in found.items():
+    for (subject, metric), others in by_row.items():
         unit, missing = units[metric], Value(math.nan, math.nan, math.nan)
         cells = [with_interval(run.metrics.get((subject, metric), missing), unit) for run in runs]
-        ratios = [_ratio(one.difference) for one in others]
+        ratios = [_ratio(contrast.difference) for contrast in others]
         rows.append([subject, heading(metric, unit), *cells, ", ".join(ratios), _which(others, len(runs))])
     head = ("", "metric", *(run.name for run in runs), f"over {runs[0].name}", "differ?")
     note = f"In brackets 95 % intervals. Differences are corrected for {len(contrasts)} comparisons (Holm)."
@@ -219,7 +221,7 @@ def _which(contrasts: Sequence[Contrast], runs: int) -> str:
     """Yes or no for two studies; of more, the names of those that differ from the first."""
     if runs == 2:
         return yes_no(contrasts[0].differs)
-    return ", ".join(one.run for one in contrasts if one.differs) or yes_no(False)
+    return ", ".join(contrast.run for contrast in contrasts if contrast.differs) or yes_no(False)
 
 
 def comparison(
@@ -248,12 +250,12 @@ def lone_subjects(runs: Sequence[StudyRun] | Sequence[TrackRun]) -> list[str]:
         [name for name in run.metrics if name] if isinstance(run, TrackRun) else [subject for subject, _ in run.metrics]
         for run in runs
     ]
-    every = dict.fromkeys(subject for own in subjects for subject in own)
+    all_subjects = dict.fromkeys(subject for held in subjects for subject in held)
     names = [run.name for run in runs]
     return [
-        f"only in {listed([name for name, own in zip(names, subjects, strict=True) if subject in own])}: {subject}"
-        for subject in every
-        if not all(subject in own for own in subjects)
+        f"only in {listed([name for name, held in zip(names, subjects, strict=True) if subject in held])}: {subject}"
+        for subject in all_subjects
+        if not all(subject in held for held in subjects)
     ]
 
 

@@ -49,8 +49,8 @@ def _rows(errors: TrajectoryErrors, unit: str, factor: float) -> Iterator[tuple[
     yield "APE", unit, factor, errors.ape_m
     if errors.ape_rad is not None:
         yield "APE, angle", "deg", _DEGREES, errors.ape_rad
-    for step, found in errors.rpe_m.items():
-        yield f"RPE {step}", unit, factor, found
+    for step, statistics in errors.rpe_m.items():
+        yield f"RPE {step}", unit, factor, statistics
         if step in errors.rpe_rad:
             yield f"RPE {step}, angle", "deg", _DEGREES, errors.rpe_rad[step]
     if errors.speed_mps is not None:

@@ -42,8 +42,8 @@ def write_page(path: Path | str, text: str) -> Path:
 def _cell(text: str) -> str | Markup:
     """A table cell's text with true minus signs; its interval is kept on one line."""
     text = re.sub(r"(?<![\w.-])-(?=\d)", "\u2212", text)
-    found = re.fullmatch(r"(\S+) (\(\S+ … \S+\))", text)
-    return text if found is None else Markup('{} <span class="interval">{}</span>').format(*found.groups())
+    match = re.fullmatch(r"(\S+) (\(\S+ … \S+\))", text)
+    return text if match is None else Markup('{} <span class="interval">{}</span>').format(*match.groups())
 
 
 def _is_wide(rows: Sequence[Sequence[str]]) -> bool:

@@ -50,9 +50,11 @@ def _figures(floor: FloorMap) -> dict[str, dict[str, Any]]:
     bounds = {}
     for name, bound in floor.bounds.items():
         cells = bound[floor.inside]
-        found = cells[np.isfinite(cells)]
-        figures = [np.sqrt(np.mean(found**2)), *np.quantile(found, (0.5, 0.95))] if len(found) else [None] * 3
-        missing = 1 - len(found) / max(len(cells), 1)
+        determined = cells[np.isfinite(cells)]
+        figures = (
+            [np.sqrt(np.mean(determined**2)), *np.quantile(determined, (0.5, 0.95))] if len(determined) else [None] * 3
+        )
+        missing = 1 - len(determined) / max(len(cells), 1)
         bounds[name] = dict(zip(("rms_m", "median_m", "p95_m", "not_determined"), (*figures, missing), strict=True))
     return bounds
 

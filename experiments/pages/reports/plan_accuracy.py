@@ -128,9 +128,9 @@ def floor_map(rig: Rig, sigmas: Sigmas, height: float) -> FloorMap:
 
 def _covariances(sensors: list[SensorAtEpoch], grid: Float[np.ndarray, "nx ny d"]) -> Float[np.ndarray, "nx ny d d"]:
     points = jnp.asarray(grid.reshape(-1, grid.shape[-1]))
-    found = np.asarray(eqx.filter_jit(jax.vmap(lambda p: information(sensors, p)))(points))
+    matrices = np.asarray(eqx.filter_jit(jax.vmap(lambda p: information(sensors, p)))(points))
     # A position that the sensors do not determine has an information with an eigenvalue of zero, up to rounding.
-    values, vectors = np.linalg.eigh(found)
+    values, vectors = np.linalg.eigh(matrices)
     determined = np.min(values, axis=1) > 1 / UNLIMITED**2
     values = np.where(determined[:, None], values, np.nan)
     inverse = np.einsum("kia,ka,kja->kij", vectors, 1 / values, vectors)
@@ -175,8 +175,8 @@ def place_anchors(rig: Rig, count: int, floor: FloorMap, height_known: bool) -> 
     with jax.enable_x64(True):
         layout = WallAnchors(outline, np.tile(band, (count, 1)), SPACING, sensor, height, fixed)
         starts = np.random.default_rng(0).random((STARTS, *layout.shape))
-        found = descend(layout.objective(points), layout.project, starts)
-        positions = np.asarray(layout.positions(found.theta))
+        optimum = descend(layout.objective(points), layout.project, starts)
+        positions = np.asarray(layout.positions(optimum.theta))
     free = (name for k in range(1, count + len(fixed) + 1) if (name := f"P{k}") not in rig.anchors)
     anchors = dict(zip(free, positions, strict=False))
     with_them = replace(rig, anchors={**rig.anchors, **anchors}, outline=outline)

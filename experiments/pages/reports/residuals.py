@@ -44,7 +44,7 @@ class Channel(NamedTuple):
 def channels_of(recording: ScoredRecording) -> tuple[list[str], list[Channel]]:
     """The tags of the tables, and the residuals of each kind of readings; without estimates that are bearings."""
     tags: list[str] = []
-    found: list[Channel] = []
+    channels: list[Channel] = []
     for table, kind in KINDS.items():
         if table not in recording.folder.tables or not kind.averaged:
             continue
@@ -53,8 +53,8 @@ def channels_of(recording: ScoredRecording) -> tuple[list[str], list[Channel]]:
         number = rows.of_each(np.array([tags.index(tag) for tag in rows.tags]))
         estimated = _estimated(recording, rows)
         true, _ = recording.folder.paths.at(rows.tags, rows.starts, rows.times)
-        found += _channels(recording.folder, kind, rows, number, estimated, true)
-    return tags, [channel for channel in found if np.isfinite([channel.estimated, channel.true]).any()]
+        channels += _channels(recording.folder, kind, rows, number, estimated, true)
+    return tags, [channel for channel in channels if np.isfinite([channel.estimated, channel.true]).any()]
 
 
 def page_residuals(recording: ScoredRecording, most: int) -> dict[str, Any]:
@@ -89,24 +89,24 @@ def page_residuals(recording: ScoredRecording, most: int) -> dict[str, Any]:
 def _estimated(recording: ScoredRecording, rows: TagRows) -> np.ndarray:
     """The estimated positions (N, 3), m, at the times of the readings, between rows of estimates; else NaN."""
     table, starts = recording.association.rows, recording.association.starts
-    found = np.full((len(rows.times), 3), np.nan)
+    estimated = np.full((len(rows.times), 3), np.nan)
     if recording.angles:
-        return found
+        return estimated
     of_tags = dict(zip(table["tag"].gather(starts[:-1]).to_list(), range(len(starts) - 1), strict=True))
     times, positions = recording.times, np.stack([float_column(table, f"{a}_m") for a in "xyz"], axis=1)
     for k, tag in enumerate(rows.tags):
         number = of_tags.get(tag)
         if number is None:
             continue
-        own = slice(rows.starts[k], rows.starts[k + 1])
+        of_tag = slice(rows.starts[k], rows.starts[k + 1])
         part = slice(starts[number], starts[number + 1])
         known = np.isfinite(positions[part, :2]).all(axis=1)
         if known.any():
             for axis in range(3):
-                found[own, axis] = np.interp(
-                    rows.times[own], times[part][known], positions[part][known, axis], np.nan, np.nan
+                estimated[of_tag, axis] = np.interp(
+                    rows.times[of_tag], times[part][known], positions[part][known, axis], np.nan, np.nan
                 )
-    return found
+    return estimated
 
 
 def _channels(
@@ -144,13 +144,13 @@ def _boxes(channel: Channel, residuals: np.ndarray) -> list[list[float | None]] 
         return None
     boxes: list[list[float | None]] = []
     for k in range(len(channel.sources)):
-        own = residuals[(channel.source == k) & np.isfinite(residuals)]
-        if len(own) < LEAST:
-            boxes.append([len(own), *[None] * (2 + len(SHARES))])
+        of_source = residuals[(channel.source == k) & np.isfinite(residuals)]
+        if len(of_source) < LEAST:
+            boxes.append([len(of_source), *[None] * (2 + len(SHARES))])
             continue
-        middle = np.quantile(own, SHARES)
-        spread = 1.4826 * float(np.median(np.abs(own - middle[2])))
-        boxes.append([len(own), *(rounded(float(x)) for x in (own.mean(), spread, *middle))])
+        middle = np.quantile(of_source, SHARES)
+        spread = 1.4826 * float(np.median(np.abs(of_source - middle[2])))
+        boxes.append([len(of_source), *(rounded(float(x)) for x in (of_source.mean(), spread, *middle))])
     return boxes
 
 

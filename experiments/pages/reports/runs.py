@@ -97,11 +97,11 @@ def _track_runs(names: Sequence[str], folders: Sequence[Path]) -> tuple[list[Tra
 def _errors(
     folder: Path, recordings: Mapping[str, RecordingFolder]
 ) -> tuple[Association | None, Mapping[Key, TrackErrors]]:
-    truths = {name: one.tables["truth"] for name, one in recordings.items() if "truth" in one.tables}
+    truths = {name: recording.tables["truth"] for name, recording in recordings.items() if "truth" in recording.tables}
     if not (folder / TRACKS).is_file() or not truths:
         return None, {}
     association = associate_truth(read_tracks(folder), truths)
-    scored = score(association, {name: one.rig.stations for name, one in recordings.items()})
+    scored = score(association, {name: recording.rig.stations for name, recording in recordings.items()})
     return association, errors_by_track(association, scored)
 
 
@@ -109,7 +109,7 @@ def _names(folders: Sequence[Path]) -> list[str]:
     """The last parts of the paths, as few as tell them apart."""
     parts = [folder.resolve().parts for folder in folders]
     for length in range(1, max(map(len, parts)) + 1):
-        names = [os.sep.join(own[-length:]) for own in parts]
+        names = [os.sep.join(path[-length:]) for path in parts]
         if len(set(names)) == len(names):
             return names
     return [str(folder) for folder in folders]
@@ -136,9 +136,9 @@ def _json(path: Path, use: Callable[[Any], T]) -> T:
 
 def _of_tracks(content: Any) -> tuple[bool, dict[str, dict[str, Any]]]:
     """Whether the tracks are of bearings, and the metrics by recording; those of all under ""."""
-    metrics = {"": dict(content["overall"])} | {str(one["recording"]): dict(one) for one in content["recordings"]}
-    for one in metrics.values():
-        for name, value in one.items():
+    metrics = {"": dict(content["overall"])} | {str(row["recording"]): dict(row) for row in content["recordings"]}
+    for row in metrics.values():
+        for name, value in row.items():
             if not (name == "recording" or value is None or isinstance(value, int | float)):
                 raise TypeError(f"{name} is {value!r}, no number")
     return content.get("kind", "position") == "bearing", metrics

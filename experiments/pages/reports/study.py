@@ -83,11 +83,11 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
 
 def study_charts(results: Results) -> tuple[list[Chart], list[Chart]]:
     """The charts of the first metrics, and of the distributions of errors."""
-    found, units = results.main_metrics(), _units(results)
+    metrics, units = results.main_metrics(), _units(results)
     drawn = [m for m in results.study.metrics if m != "us_per_row"][:MOST_CHARTS]
-    bounds = {m: found[BOUNDS[m]] for m in drawn if BOUNDS.get(m) in found}
+    bounds = {m: metrics[BOUNDS[m]] for m in drawn if BOUNDS.get(m) in metrics}
     drawn = [m for m in drawn if m not in {BOUNDS[error] for error in bounds}]
-    drawings = (metric_chart(results, m, found[m], units[m], bounds.get(m)) for m in drawn)
+    drawings = (metric_chart(results, m, metrics[m], units[m], bounds.get(m)) for m in drawn)
     lengths = next((unit for metric, unit in units.items() if metric.endswith("_m")), None)
     return [chart for chart in drawings if chart is not None], distribution_charts(results, lengths)
 
@@ -127,9 +127,9 @@ def _picture(path: Path) -> Picture:
 def _metrics(results: Results, units: dict[str, Unit]) -> Table:
     study, columns = results.study, []
     head = ["world", "tracker"]
-    for metric, found in results.main_metrics().items():
+    for metric, values in results.main_metrics().items():
         head.append(heading(metric, units[metric], "\u00a0"))
-        columns.append({k: with_interval(v, units[metric]) for k, v in found.items()})
+        columns.append({k: with_interval(v, units[metric]) for k, v in values.items()})
     rows = [[c.label, t, *(column[c.index, t] for column in columns)] for c in study.conditions for t in study.trackers]
     counts = sorted(set(results.runs.values()))
     runs = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
@@ -148,10 +148,10 @@ def _ratios(results: Results) -> Table | None:
     for metric in study.metrics:
         if not others or metric in ("bound_m", "bound_3d_m", "us_per_row"):
             continue
-        found = [results.compared(_divided, metric, c, t, first) for c, t in pairs]
-        if any(np.isfinite(v.value) for v in found):
+        ratios = [results.compared(_divided, metric, c, t, first) for c, t in pairs]
+        if any(np.isfinite(v.value) for v in ratios):
             head.append(heading(metric))
-            columns.append([with_interval(v) for v in found])
+            columns.append([with_interval(v) for v in ratios])
     if not columns:
         return None
     rows = [[c.label, t, *(column[k] for column in columns)] for k, (c, t) in enumerate(pairs)]

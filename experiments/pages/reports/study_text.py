@@ -22,9 +22,9 @@ WIDTH = 160
 def to_text(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
     """The main metrics of every condition and tracker, and the expected results beside ours."""
     shown = results.main_metrics()
-    units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
+    units = units_of({f: [v.value for v in values.values()] for f, values in shown.items()})
     tables = [
-        _table(results.study, heading(metric, units[metric]), found, units[metric]) for metric, found in shown.items()
+        _table(results.study, heading(metric, units[metric]), values, units[metric]) for metric, values in shown.items()
     ]
     reproduced = [t for t in (_expected(expected), _conclusions(expected)) if t is not None]
     text = rendered(terminal_width(WIDTH), *tables, *reproduced)
@@ -39,8 +39,8 @@ def headline_of(expected: Sequence[ExpectedResult | Conclusion]) -> str:
     )
 
 
-def _table(study: Study, title: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Table:
-    rows = [[c.label, *(with_interval(found[c.index, t], unit) for t in study.trackers)] for c in study.conditions]
+def _table(study: Study, title: str, values: Mapping[tuple[int, str], Value], unit: Unit) -> Table:
+    rows = [[c.label, *(with_interval(values[c.index, t], unit) for t in study.trackers)] for c in study.conditions]
     return ruled_table(title, ["world", *study.trackers], 1, rows)
 
 
@@ -116,11 +116,11 @@ def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:
             "evidence": claim.evidence,
             "origin": claim.origin.value,
         }
-    own: Value = claim.ours
+    ours: Value = claim.ours
     return {
         "figure": claim.quantity,
         "printed": claim.printed,
-        "ours": own._asdict(),
+        "ours": ours._asdict(),
         "unit": claim.unit,
         "ratio": claim.ratio,
         "compares_rest": claim.compares_rest,

@@ -73,17 +73,17 @@ def run_data(
     """
     shown = tracks.recordings[:MOST_RECORDINGS]
     total = of * max(sum(len(recording.times) for recording in shown), 1)
-    found = []
+    recordings = []
     for recording in shown:
         share = len(recording.times) / total
-        own = events.filter(pl.col("recording") == recording.folder.name)
+        of_recording = events.filter(pl.col("recording") == recording.folder.name)
         limits = (max(int(share * most), least) for most, least in
                   ((MOST_ROWS, 200), (MOST_TRACKS, 3), (MOST_POINTS, 100)))  # fmt: skip
-        found.append(recording_data(recording, own, *limits))
+        recordings.append(recording_data(recording, of_recording, *limits))
     return {
         "name": name,
         "tracker": tracker,
-        "recordings": found,
+        "recordings": recordings,
         "recordingCount": len(tracks.recordings),
         "metrics": [] if evaluation is None else _metrics(evaluation),
         "statements": [] if evaluation is None else evaluation.statements,
@@ -93,13 +93,13 @@ def run_data(
 
 def _columns() -> list[dict[str, Any]]:
     """The columns of the table of metrics."""
-    found = []
+    columns = []
     for metric in METRICS.values():
         if metric.page:
             (unit, factor, digits), words = SHOWN[metric.unit], metric.short.replace("\n/", "/").replace("\n", " ")
             title = f"{words}, {unit}" if unit else words
-            found.append({"key": metric.name, "title": title, "factor": factor, "digits": digits})
-    return found
+            columns.append({"key": metric.name, "title": title, "factor": factor, "digits": digits})
+    return columns
 
 
 def _metrics(evaluation: Evaluation) -> list[dict[str, Any]]:

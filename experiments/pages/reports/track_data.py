@@ -149,11 +149,11 @@ def _sources(recording: ScoredRecording, index: np.ndarray) -> tuple[np.ndarray,
     at_times = pl.concat(readings).group_by("tag", "t_s").agg(
         source=pl.col("source").first(), several=pl.col("source").n_unique() > 1
     )  # fmt: skip
-    found = rows.select("tag", "t_s").join(at_times, on=["tag", "t_s"], how="left", maintain_order="left")
+    joined = rows.select("tag", "t_s").join(at_times, on=["tag", "t_s"], how="left", maintain_order="left")
     names = sorted(pl.concat(readings)["source"].unique().to_list())
     words = pl.when(pl.col("several")).then(pl.lit("several")).otherwise(pl.col("source").fill_null("none"))
     order = {name: k for k, name in enumerate([*names, "several", "none"])}
-    number = found.select(words.alias("word"))["word"].replace_strict(order, return_dtype=pl.Int64).to_numpy()
+    number = joined.select(words.alias("word"))["word"].replace_strict(order, return_dtype=pl.Int64).to_numpy()
     return number, list(order)
 
 
@@ -177,12 +177,12 @@ def _events(
 ) -> list[dict[str, Any]]:
     """The first events of the tracks that are drawn; `track` is the number among these."""
     number = {(tags[k], stations[k]): place for place, k in enumerate(chosen)}
-    found: list[dict[str, Any]] = []
+    shown: list[dict[str, Any]] = []
     for event in events.iter_rows(named=True):
         place = number.get((event["tag"], event.get("station")))
-        if place is not None and len(found) < MOST_EVENTS:
-            found.append({"t": event["t_s"] - start, "track": place, "what": event["event"], "detail": event["detail"]})
-    return found
+        if place is not None and len(shown) < MOST_EVENTS:
+            shown.append({"t": event["t_s"] - start, "track": place, "what": event["event"], "detail": event["detail"]})
+    return shown
 
 
 def _rig(rig: Rig, origin: np.ndarray) -> dict[str, Any]:

@@ -69,8 +69,8 @@ def agreement(traces: Sequence[OptimiserTrace]) -> str:
         return f"All {len(same)} starts end at one point (values within a tenth)."
     lower = int(np.sum(objectives[~same] < objectives[0]))
     below = f", {lower} of them with a lower objective" if lower else ", none with a lower objective"
-    found = f"{int(same.sum())} of {counted(len(same), 'start')} end at the selected point (values within a tenth)"
-    return f"{found}; {others} end elsewhere{below}: the optimum is not certain."
+    agreeing = f"{int(same.sum())} of {counted(len(same), 'start')} end at the selected point (values within a tenth)"
+    return f"{agreeing}; {others} end elsewhere{below}: the optimum is not certain."
 
 
 def _end(trace: OptimiserTrace) -> tuple[np.ndarray, float]:
@@ -112,8 +112,8 @@ def _charts(data: TuningReportData) -> dict[str, Any]:
     if data.traces:
         charts["objective"] = objective_chart(data.traces, data.objective_about, selected_step(data))
         charts["parameters"] = [
-            parameter_chart(data.traces, k, one.name, named(one.name, one.unit))
-            for k, one in enumerate(data.parameters)
+            parameter_chart(data.traces, k, parameter.name, named(parameter.name, parameter.unit))
+            for k, parameter in enumerate(data.parameters)
         ]
         if data.surface is not None:
             charts["surface"] = surface_chart(data, data.surface)

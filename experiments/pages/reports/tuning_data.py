@@ -176,11 +176,12 @@ def collect(
     trackers = (result.before, result.tracker)
     runs = [_runs(tracker, held_out or training) for tracker in trackers]
     before, after = (
-        innovations_of(tracker, [run for _, run in own]) for tracker, own in zip(trackers, runs, strict=True)
+        innovations_of(tracker, [run for _, run in of_tracker])
+        for tracker, of_tracker in zip(trackers, runs, strict=True)
     )
     innovations = None if before is None or after is None else (before, after)
     # A beam in a flat array's own plane has no direction: nothing to compare with the truth.
-    comparable = all(hasattr(run.mean, quantity) for own in runs for _, run in own)
+    comparable = all(hasattr(run.mean, quantity) for of_tracker in runs for _, run in of_tracker)
     rows = [[b if comparable else b._replace(truth={}) for b in data.rows(apart)] for apart in (False, True)]
     weights = [data.weights(apart) for apart in (False, True)]
     return TuningReportData(
@@ -216,13 +217,13 @@ def collect(
 
 def _runs(tracker: AbstractTracker, trajectories: Sequence[Trajectory]) -> list[tuple[Trajectory, Estimates]]:
     """The tracker's estimates of each trajectory, without padding."""
-    found = []
+    runs = []
     # With the compiled program of the recordings compared.
     tracker = for_positions(tracker)
-    for own, batch in batches(trajectories):
+    for group, batch in batches(trajectories):
         estimates = tracker.run(batch)
-        found += [(trajectory, estimates[k][: len(trajectory.recording)]) for k, trajectory in enumerate(own)]
-    return found
+        runs += [(trajectory, estimates[k][: len(trajectory.recording)]) for k, trajectory in enumerate(group)]
+    return runs
 
 
 def _errors(
@@ -232,7 +233,7 @@ def _errors(
     scale: float,
 ) -> tuple[ErrorTrack, ...]:
     """Errors times `scale` of the trajectories for which both trackers have some; times since the recording's start."""
-    found, starts = [], dict[str, float]()
+    tracks, starts = [], dict[str, float]()
     for trajectory, _ in runs[0]:
         name, first = trajectory.folder.name, float(trajectory.recording.times[0])
         starts[name] = min(first, starts.get(name, first))
@@ -242,10 +243,10 @@ def _errors(
             for tracker, run in zip(trackers, (old, new), strict=True)
         )
         if np.isfinite(before).any() and np.isfinite(after).any():
-            found.append(
+            tracks.append(
                 ErrorTrack(_name(trajectory), times - starts[trajectory.folder.name], scale * before, scale * after)
             )
-    return tuple(found)
+    return tuple(tracks)
 
 
 def _sum_objective(objective: str, result: FitResult) -> list[MetricChange]:
@@ -263,17 +264,17 @@ def _metrics(
     dimensions: int,
 ) -> tuple[MetricChange, ...]:
     """All defined metrics before and after, on the recordings tuned on and on those held out."""
-    found = [
-        [all_metrics(t, rows, quantity, dimensions, weights=own) if rows else {} for t in trackers]
-        for rows, own in zip(recordings, weights, strict=True)
+    values = [
+        [all_metrics(t, rows, quantity, dimensions, weights=of_rows) if rows else {} for t in trackers]
+        for rows, of_rows in zip(recordings, weights, strict=True)
     ]
     unit = "rad" if quantity == "direction" else "m"
     metrics = []
-    for key, (title, own) in TITLES.items():
-        pairs = [(old.get(key, np.nan), new.get(key, np.nan)) for old, new in found]
+    for key, (title, own_unit) in TITLES.items():
+        pairs = [(old.get(key, np.nan), new.get(key, np.nan)) for old, new in values]
         if np.isfinite(pairs).any():
             full = f"Horizontal {title}" if key == "rmse" and dimensions == 3 else title
-            metrics.append(MetricChange(key, full, own or unit, pairs[0], pairs[1]))
+            metrics.append(MetricChange(key, full, own_unit or unit, pairs[0], pairs[1]))
     return tuple(metrics)
 
 
@@ -285,8 +286,8 @@ def _parameters(
     units = [p.example.unit for p in result.parameters for _ in range(int(np.size(p.example.raw)))]
     old, new = (_flat(result.parameters, values) for values in (_first_trace(result)[0].values, result.values))
     nothing = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()}
-    both = {**nothing, **intervals}
-    low, high = (_flat(result.parameters, {label: both[label][k] for label in both}) for k in (0, 1))
+    bounds = {**nothing, **intervals}
+    low, high = (_flat(result.parameters, {label: bounds[label][k] for label in bounds}) for k in (0, 1))
     finite = np.isfinite(low) & np.isfinite(high)
     # Without any interval it is unknown what is determined; with some, a parameter without one is undetermined.
     known = bool(finite.any())
@@ -332,8 +333,8 @@ def _traces(result: FitResult) -> tuple[OptimiserTrace, ...]:
 def _about(objective: str, unit: str) -> str:
     if objective not in TITLES:
         return objective
-    title, own = TITLES[objective]
-    shown = own or unit
+    title, own_unit = TITLES[objective]
+    shown = own_unit or unit
     return uncapitalised(title) + (f" ({shown})" if shown != "1" else "")
 
 

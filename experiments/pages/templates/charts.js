@@ -5,8 +5,8 @@
   /** The data within an image of the page; undefined without. */
   function dataOf(image) {
     const bytes = Uint8Array.from(atob(image.src.split(",")[1]), (c) => c.charCodeAt(0));
-    const found = new TextDecoder().decode(bytes).match(/<metadata id="chart">(.*?)<\/metadata>/s);
-    return found ? JSON.parse(found[1]) : undefined;
+    const metadata = new TextDecoder().decode(bytes).match(/<metadata id="chart">(.*?)<\/metadata>/s);
+    return metadata ? JSON.parse(metadata[1]) : undefined;
   }
 
   function draw([place, chart]) {

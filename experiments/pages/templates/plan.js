@@ -128,9 +128,9 @@ function asInRig(quantity) {
   const kept = [anchors, stations, computed];
   [anchors, stations] = [data.anchors, data.stations];
   compute();
-  const found = summary(computed, quantity);
+  const figures = summary(computed, quantity);
   [anchors, stations, computed] = kept;
-  return found;
+  return figures;
 }
 
 function toml() {
@@ -233,9 +233,9 @@ function place() {
   marks.onpointermove = (event) => {
     const frame = marks.getBoundingClientRect();
     const [x, y] = back((event.clientX - frame.left) * pixels / frame.width, (event.clientY - frame.top) * pixels / frame.width);
-    const found = bounds([x, y, tagHeight()]);
-    element("hover").textContent = `At x ${x.toFixed(2)} m, y ${y.toFixed(2)} m: horizontal ${shown(found.flat)} with the height known, `
-      + `${shown(found.horizontal)} with the height estimated; vertical ${shown(found.vertical)}`;
+    const limits = bounds([x, y, tagHeight()]);
+    element("hover").textContent = `At x ${x.toFixed(2)} m, y ${y.toFixed(2)} m: horizontal ${shown(limits.flat)} with the height known, `
+      + `${shown(limits.horizontal)} with the height estimated; vertical ${shown(limits.vertical)}`;
   };
 }
 

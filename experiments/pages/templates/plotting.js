@@ -5,13 +5,13 @@ function themed(name) {
   const probe = document.createElement("i");
   probe.style.color = `var(--${name})`;
   document.body.append(probe);
-  const found = getComputedStyle(probe).color;
+  const colour = getComputedStyle(probe).color;
   probe.remove();
-  return found;
+  return colour;
 }
 
 /** A layout in the colours of the page. */
-function layoutOf(own) {
+function layoutOf(settings) {
   const [ink, soft, line, paper] = ["ink", "soft", "line", "paper"].map(themed);
   const axis = { gridcolor: line, zerolinecolor: line, linecolor: line, tickcolor: line, automargin: true };
   const layout = {
@@ -21,7 +21,7 @@ function layoutOf(own) {
     legend: { orientation: "h", x: 0, xanchor: "left", y: 1.01, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" },
     // Upright, since the legend is above the chart.
     modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: soft, activecolor: ink },
-    ...own,
+    ...settings,
   };
   for (const name of Object.keys(layout)) {
     if (/^[xy]axis\d*$/.test(name)) layout[name] = { ...axis, ...layout[name] };

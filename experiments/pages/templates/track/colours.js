@@ -12,12 +12,12 @@ const MARKS = FAST ? "scattergl" : "scatter";
 
 /** What rows can be coloured by, for a recording. */
 function colourings(recording) {
-  const found = [];
-  if (recording.tracks.some((track) => track.rmse !== null)) found.push(["error", "error"]);
-  if (recording.nisBand) found.push(["nis", "NIS/dof"]);
-  if (recording.sources.length) found.push(["source", recording.rig.anchors.length ? "anchor or station" : "station"]);
-  found.push(["tag", "tag"], ["time", "time"]);
-  return found;
+  const kinds = [];
+  if (recording.tracks.some((track) => track.rmse !== null)) kinds.push(["error", "error"]);
+  if (recording.nisBand) kinds.push(["nis", "NIS/dof"]);
+  if (recording.sources.length) kinds.push(["source", recording.rig.anchors.length ? "anchor or station" : "station"]);
+  kinds.push(["tag", "tag"], ["time", "time"]);
+  return kinds;
 }
 
 /** The colour of each row as marker settings; `trackOf`: the number of the track of each row. */

@@ -27,9 +27,9 @@ function rowAt(recording, track, time) {
 
 /** The number of the track of each row. */
 function trackOfRows(recording) {
-  const found = new Uint16Array(recording.columns.t.length);
-  recording.tracks.forEach((track, k) => found.fill(k, track.first, track.end));
-  return found;
+  const numbers = new Uint16Array(recording.columns.t.length);
+  recording.tracks.forEach((track, k) => numbers.fill(k, track.first, track.end));
+  return numbers;
 }
 
 /** Size of the error of a row: horizontal, or the angle to the true direction; NaN without truth. */
@@ -42,7 +42,7 @@ const withinHalfTurn = (degrees) => degrees - 360 * Math.round(degrees / 360);
 const spreadOf = ({ s0, s1 }, row) => s1 ? Math.hypot(s0[row], s1[row]) : s0[row];
 
 /** The number of a track with the same tag and station as another's, or -1. */
-const sameTrack = (tracks, tag, station) => tracks.findIndex((own) => own.tag === tag && (own.station ?? undefined) === (station ?? undefined));
+const sameTrack = (tracks, tag, station) => tracks.findIndex((track) => track.tag === tag && (track.station ?? undefined) === (station ?? undefined));
 
 /** Rows from `first` to `end` whose time is in the window. */
 function rowsWithin(columns, first, end, [from, to]) {
@@ -69,10 +69,10 @@ function thinned(rows, values, most) {
 /** A column of the rows with null where the track has a gap or `apart(row, before)`, so that no line crosses it. */
 function broken(rows, times, value, apart = () => false) {
   const steps = rows.slice(1).map((row, k) => times[row] - times[rows[k]]).sort((a, b) => a - b);
-  const limit = Math.max(1, 10 * (steps[steps.length >> 1] || 0)), found = [];
+  const limit = Math.max(1, 10 * (steps[steps.length >> 1] || 0)), values = [];
   rows.forEach((row, k) => {
-    if (k && (times[row] - times[rows[k - 1]] > limit || apart(row, rows[k - 1]))) found.push(null);
-    found.push(value(row));
+    if (k && (times[row] - times[rows[k - 1]] > limit || apart(row, rows[k - 1]))) values.push(null);
+    values.push(value(row));
   });
-  return found;
+  return values;
 }

@@ -127,7 +127,7 @@ function drawAll() {
 /** Shows the run of a tracker: of the same recording the same tag and moment, where it has them. */
 function loadRun(number) {
   const before = state.recording, run = data.runs[number];
-  const time = before && before.start + playback.now(), own = before && before.tracks[state.selected], { window } = state;
+  const time = before && before.start + playback.now(), track = before && before.tracks[state.selected], { window } = state;
   state.run = run;
   byId("tracker").value = number;
   byId("summary").textContent = run.tracker;
@@ -144,7 +144,7 @@ function loadRun(number) {
   loadRecording(Math.max(same, 0));
   if (same < 0) return;
   setWindow(window.map((t) => t + before.start - state.recording.start));
-  select(own ? sameTrack(state.recording.tracks, own.tag, own.station) : -1);
+  select(track ? sameTrack(state.recording.tracks, track.tag, track.station) : -1);
   playback.go(time - state.recording.start);
 }
 
@@ -152,17 +152,17 @@ const viewOf = (recording) => recording.angles ? polarOf(recording) : floorOf(re
 
 /** The same recording by the other trackers, for the open circles; named below the plan. */
 function otherRuns(recording) {
-  const found = data.runs.flatMap((run, k) => run === state.run ? [] : run.recordings
-    .filter((own) => own.name === recording.name && own.angles === recording.angles)
-    .map((own) => ({ name: run.name, recording: own, view: viewOf(own), colour: lineColour(k) })));
-  const words = found.flatMap(({ name, colour }, k) => {
+  const others = data.runs.flatMap((run, k) => run === state.run ? [] : run.recordings
+    .filter((candidate) => candidate.name === recording.name && candidate.angles === recording.angles)
+    .map((candidate) => ({ name: run.name, recording: candidate, view: viewOf(candidate), colour: lineColour(k) })));
+  const words = others.flatMap(({ name, colour }, k) => {
     const made = document.createElement("b");
     made.style.color = colour;
     made.textContent = `○ ${name}`;
     return [k ? ", " : "", made];
   });
-  byId("others").replaceChildren(...found.length ? ["At the same moment: ", ...words, "."] : []);
-  return found;
+  byId("others").replaceChildren(...others.length ? ["At the same moment: ", ...words, "."] : []);
+  return others;
 }
 
 function loadRecording(number) {
@@ -208,8 +208,8 @@ function listNow() {
   const { recording } = state, box = byId("now"), number = shownTrack();
   const heading = document.createElement("h3"), list = document.createElement("ul");
   heading.textContent = number === undefined ? "" : `tag ${nameOf(recording.tracks[number])}`;
-  const own = recording.events.filter((event) => state.selected < 0 || event.track === state.selected).slice(0, 12);
-  list.replaceChildren(...own.map((event) => {
+  const events = recording.events.filter((event) => state.selected < 0 || event.track === state.selected).slice(0, 12);
+  list.replaceChildren(...events.map((event) => {
     const item = document.createElement("li");
     item.textContent = `${fixed(recording.start + event.t, 1)} s: ${event.what}` + (event.detail ? `, ${event.detail}` : "") +
       (state.selected < 0 && recording.tracks.length > 1 ? ` (${nameOf(recording.tracks[event.track])})` : "");

@@ -80,12 +80,13 @@ function makeOverlay(plot, tell) {
       part.tail.setAttribute("points", corners(points));
       part.ellipse.setAttribute("points", corners(view.region(row)));
       for (const { circle, other, track: same } of part.others) {
-        const own = other.recording, at = same ? rowAt(own, same, time + recording.start - own.start) : -1;
-        const seen = at >= 0 && Number.isFinite(own.columns.v0[at]) && time + recording.start - own.start - own.columns.t[at] <= FADE_S;
+        const counterpart = other.recording, at = same ? rowAt(counterpart, same, time + recording.start - counterpart.start) : -1;
+        const seen = at >= 0 && Number.isFinite(counterpart.columns.v0[at]) &&
+          time + recording.start - counterpart.start - counterpart.columns.t[at] <= FADE_S;
         circle.style.display = seen ? "" : "none";
         if (!seen) continue;
         circle.dataset.row = at;
-        const place = other.view.at(at), shift = [0, 1].map((axis) => own.origin[axis] - recording.origin[axis]);
+        const place = other.view.at(at), shift = [0, 1].map((axis) => counterpart.origin[axis] - recording.origin[axis]);
         circle.setAttribute("cx", px(place[0] + shift[0]));
         circle.setAttribute("cy", py(place[1] + shift[1]));
       }

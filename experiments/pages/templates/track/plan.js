@@ -43,16 +43,16 @@ function planTraces(recording, view, shown, kind, window, trackOf) {
   const { columns, tracks } = recording, traces = view.background(), ink = themed("ink");
   const rows = [], truth = [[], []], ends = [[], [], []];
   for (const k of shown) {
-    const own = rowsWithin(columns, tracks[k].first, tracks[k].end, window).filter((row) => columns.v0[row] === columns.v0[row]);
+    const inWindow = rowsWithin(columns, tracks[k].first, tracks[k].end, window).filter((row) => columns.v0[row] === columns.v0[row]);
     const limit = FAST ? Infinity : Math.max(50, 3000 / shown.length);
-    rows.push(...thinned(own, columns.t, limit));
+    rows.push(...thinned(inWindow, columns.t, limit));
     if (shown.length > MOST_TRUTHS) continue;
-    const path = thinned(own, columns.t, Math.max(400, 12000 / shown.length));
+    const path = thinned(inWindow, columns.t, Math.max(400, 12000 / shown.length));
     for (const axis of [0, 1]) {
       truth[axis].push(...broken(path, columns.t, (row) => view.truth(row)[axis]), null);
     }
-    if (own.length) {
-      for (const [row, mark] of [[own[0], "circle-open"], [own[own.length - 1], "square-open"]]) {
+    if (inWindow.length) {
+      for (const [row, mark] of [[inWindow[0], "circle-open"], [inWindow[inWindow.length - 1], "square-open"]]) {
         const [x, y] = view.at(row);
         ends[0].push(x); ends[1].push(y); ends[2].push(mark);
       }
@@ -101,14 +101,15 @@ function planRanges(recording) {
     const sure = [...rig.anchors, ...rig.stations].map((one) => one.at[axis]);
     sure.push(...rig.path.map((p) => p[axis]), ...rig.walls.flatMap((w) => [w[axis], w[axis + 2]]));
     for (const track of tracks) {
-      const own = [];
+      const coordinates = [];
       for (let row = track.first; row < track.end; row++) {
         const value = columns[`v${axis}`][row], error = columns[`e${axis}`][row];
-        if (Number.isFinite(value)) own.push(value);
+        if (Number.isFinite(value)) coordinates.push(value);
         if (Number.isFinite(value - error)) sure.push(value - error);
       }
-      own.sort((a, b) => a - b);
-      if (own.length) sure.push(own[Math.floor(0.01 * (own.length - 1))], own[Math.ceil(0.99 * (own.length - 1))]);
+      coordinates.sort((a, b) => a - b);
+      const last = coordinates.length - 1;
+      if (last >= 0) sure.push(coordinates[Math.floor(0.01 * last)], coordinates[Math.ceil(0.99 * last)]);
     }
     let low = Infinity, high = -Infinity;
     for (const value of sure) { low = Math.min(low, value); high = Math.max(high, value); }

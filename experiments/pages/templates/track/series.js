@@ -120,12 +120,12 @@ function residualTraces(recording, channel, tag, window, on) {
   const { points } = channel, number = recording.residuals.tags.indexOf(tag);
   const values = channel.boxes.estimated ? points.estimated : points.true;
   return channel.sources.map((source, k) => {
-    const own = [];
+    const ofSource = [];
     for (let at = 0; at < values.length; at++) {
       const inside = points.t[at] >= window[0] && points.t[at] <= window[1];
-      if (points.source[at] === k && points.tag[at] === number && inside && Number.isFinite(values[at])) own.push(at);
+      if (points.source[at] === k && points.tag[at] === number && inside && Number.isFinite(values[at])) ofSource.push(at);
     }
-    const shown = FAST ? own : thinned(own, values, 1500 / channel.sources.length);
+    const shown = FAST ? ofSource : thinned(ofSource, values, 1500 / channel.sources.length);
     return { ...on, type: MARKS, mode: "markers", x: shown.map((at) => recording.start + points.t[at]),
              y: shown.map((at) => values[at]), name: escaped(source), legendgroup: `source ${k}`,
              showlegend: channel === recording.residuals.channels[0] && channel.sources.length > 1,
