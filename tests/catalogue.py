@@ -160,9 +160,9 @@ def trajectories(name: str, free_height: bool, source: Callable[[], RecordingFol
 
     Beam trackers have one for each station, of which the first station's suffice.
     """
-    found = [t for t in TRACKERS[name].trajectories(source(), free_height) if t.station in ("", "S1")]
-    cuts = [cut(t.recording, 0, min(ROWS, len(t.recording))) for t in found]
-    return tuple(replace(t, recording=replace(c, id=k)) for k, (t, c) in enumerate(zip(found, cuts, strict=True)))
+    chosen = [t for t in TRACKERS[name].trajectories(source(), free_height) if t.station in ("", "S1")]
+    cuts = [cut(t.recording, 0, min(ROWS, len(t.recording))) for t in chosen]
+    return tuple(replace(t, recording=replace(c, id=k)) for k, (t, c) in enumerate(zip(chosen, cuts, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -81,8 +81,8 @@ def of_commit(revision: str, only: str) -> Path:
         subprocess.run(["git", "worktree", "add", "--quiet", "--detach", tree, commit], cwd=ROOT, check=True)
         try:
             real = recordings_folder()
-            found = {} if real is None else {"TRACKWRIGHT_RECORDINGS": str(real.resolve())}
-            there = {**os.environ, "PYTHONPATH": str(tree), **found}
+            recordings = {} if real is None else {"TRACKWRIGHT_RECORDINGS": str(real.resolve())}
+            there = {**os.environ, "PYTHONPATH": str(tree), **recordings}
             command = [sys.executable, "-m", "tests.digests", "--write", kept, "--only", only]
             subprocess.run(command, cwd=tree, env=there, check=True)
         finally:
@@ -154,14 +154,14 @@ def _numbers(tracker: Any, batch: list[Any]) -> Iterator[tuple[str, Any]]:
 
     estimates = tracker.run(batch)
     for field in ("mean", "cov_upper", "log_likelihood", "nis", "nis_dof", "wrapped", "status"):
-        leaves = jax.tree_util.tree_leaves([getattr(one, field) for one in estimates])
+        leaves = jax.tree_util.tree_leaves([getattr(part, field) for part in estimates])
         yield field, np.concatenate([np.ravel(x).astype(float) for x in leaves]) if leaves else np.zeros(0)
     tuned = sorted(tunables(tracker))[:TUNED]
     if tuned and np.any(np.isfinite(estimates[0].log_likelihood)):
         parameters = select_parameters(tracker, tuple(tuned))
-        found = Problem(tracker, [stack(batch)], NegativeLogLikelihood(), parameters).evaluate(flatten(parameters))
-        yield "objective", found.terms
-        yield "gradient", found.term_gradients
+        evaluation = Problem(tracker, [stack(batch)], NegativeLogLikelihood(), parameters).evaluate(flatten(parameters))
+        yield "objective", evaluation.terms
+        yield "gradient", evaluation.term_gradients
 
 
 def of_study(name: str) -> dict[str, np.ndarray]:

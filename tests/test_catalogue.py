@@ -25,12 +25,12 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 
 def _modules():
     """The `eqx.Module`s of the library by their full names."""
-    found = {}
+    modules = {}
     for module in pkgutil.walk_packages(trackers.__path__, "trackwright.trackers."):
         for name, value in vars(importlib.import_module(module.name)).items():
             if isinstance(value, type) and issubclass(value, eqx.Module) and value.__module__ == module.name:
-                found[f"{module.name}.{name}"] = value
-    return found
+                modules[f"{module.name}.{name}"] = value
+    return modules
 
 
 LIBRARY = _modules()

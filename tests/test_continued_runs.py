@@ -49,11 +49,11 @@ class Whole:
         """Whether the run in pieces has the bits of the one run, for each recording that is cut."""
         state, same = None, np.ones(len(self.recordings) - 1, bool)
         for pieces, begins in self.pieces(cuts, seed):
-            found = self.tracker.run(pieces, initial=state)
-            state = found.final
+            run = self.tracker.run(pieces, initial=state)
+            state = run.final
             for k, (piece, begin) in enumerate(zip(pieces, begins, strict=False)):
                 rows, there = slice(len(piece)), slice(begin, begin + len(piece))
-                pairs = zip(_leaves(found[k], rows), _leaves(self.estimates[k], there), strict=True)
+                pairs = zip(_leaves(run[k], rows), _leaves(self.estimates[k], there), strict=True)
                 same[k] &= all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
         return same
 
@@ -115,10 +115,10 @@ def test_equal_recordings_without_ids_differ_where_random_numbers_are_drawn(whol
 def test_the_pure_function_under_jit_gives_the_run_to_rounding(whole):
     """Bits may differ: XLA compiles the two with different options."""
     output = eqx.filter_jit(filter_batch)(whole.tracker, stack(whole.recordings))
-    found = (output.mean, output.log_likelihood, output.nis, output.status)
+    jitted = (output.mean, output.log_likelihood, output.nis, output.status)
     run = whole.estimates
     expected = (run.mean, run.log_likelihood, run.nis, run.status)
-    for mine, other in zip(*map(jax.tree_util.tree_leaves, (found, expected)), strict=True):
+    for mine, other in zip(*map(jax.tree_util.tree_leaves, (jitted, expected)), strict=True):
         np.testing.assert_allclose(np.moveaxis(np.asarray(mine), -1, 0), other, rtol=1e-9, atol=1e-11)
 
 

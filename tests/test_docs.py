@@ -54,8 +54,8 @@ def test_the_extended_tracker_follows_its_walk(extended):
 @pytest.mark.slow
 def test_fitting_the_extended_tracker_finds_the_noise_its_ranges_were_drawn_with(extended):
     result = extended["result"]
-    found, error = result.values["sensors.ranges.sigma_r"], result.standard_errors["sensors.ranges.sigma_r"]
-    assert abs(found - 0.3) < 3 * error
+    fitted, error = result.values["sensors.ranges.sigma_r"], result.standard_errors["sensors.ranges.sigma_r"]
+    assert abs(fitted - 0.3) < 3 * error
 
 
 def _run(page, folder, monkeypatch):
@@ -105,10 +105,10 @@ def test_a_tracker_of_ones_own_is_tracked_by_file(turning):
 
 @pytest.mark.slow
 def test_a_tracker_of_ones_own_is_tuned_swept_and_studied_by_file(turning):
-    own = ("--tracker", "turning.py:TURNING")
-    done = trackwright("tune", "agv", *own, "--tune", "sensors.*", "--steps", 4, "--force", "--out", "tuned")
+    args = ("--tracker", "turning.py:TURNING")
+    done = trackwright("tune", "agv", *args, "--tune", "sensors.*", "--steps", 4, "--force", "--out", "tuned")
     assert done.code == 0, done.err
-    assert trackwright("sweep", "agv", *own, "--over", "sensors.fixes.sigma_fix=0.1:0.3:3", "--out", "swept").code == 0
+    assert trackwright("sweep", "agv", *args, "--over", "sensors.fixes.sigma_fix=0.1:0.3:3", "--out", "swept").code == 0
     study = 'runs = 4\n[worlds.agv]\nrows = 50\n[trackers.turning]\ntracker = "turning.py:TURNING"\n[trackers.fix-kf]\n'
     (turning / "mine.toml").write_text(study, encoding="utf-8")
     done = trackwright("study", "mine.toml", "--out", "studied")
@@ -240,8 +240,8 @@ def test_the_menu_of_the_site_and_the_readme_list_the_same_pages_for_users_and_f
     listed = {}
     for reader in ("users", "makers"):
         sections = re.findall(rf'"For {reader}[^\n]*\n((?: {{6}}- .*\n)+)', menu)
-        own = readme.partition(f"For {reader}")[2].partition("For makers")[0]
-        listed[reader] = set(re.findall(r"\(docs/([\w-]+)\.\w+\)", own))
+        section = readme.partition(f"For {reader}")[2].partition("For makers")[0]
+        listed[reader] = set(re.findall(r"\(docs/([\w-]+)\.\w+\)", section))
         assert {*re.findall(r"- ([\w-]+)\.md", "".join(sections))} - {"index"} == listed[reader] - {"api"}
     pages = {path.stem for path in (ROOT / "docs").iterdir() if path.suffix in (".md", ".ipynb")}
     assert set.union(*listed.values()) == pages

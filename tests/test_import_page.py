@@ -62,8 +62,8 @@ def test_every_command_of_the_page_runs_on_the_files_that_it_describes(files):
         assert done.code == 0, (words, done.err)
     assert "time offset -0.2" in said["evaluate mine.tum"].out
     assert (files / "tracks.tum").is_file()
-    own = pl.read_parquet("hall-own/ranges.parquet")
-    assert own.select("t_s", "tag", "anchor", "range_m").rows()[:2] == [
+    ranges = pl.read_parquet("hall-own/ranges.parquet")
+    assert ranges.select("t_s", "tag", "anchor", "range_m").rows()[:2] == [
         (12.5, "T1", "A1", 2.71),
         (12.5, "T1", "A2", 4.02),
     ]

@@ -121,5 +121,5 @@ def test_an_editor_in_a_users_project_finds_every_public_name(tmp_path):
         environment=jedi.create_environment(tmp_path / "env", safe=False),
         project=jedi.Project(tmp_path / "project"),
     )
-    found = {completion.name for completion in script.complete(2, 3)}
-    assert {*tw.__all__} <= found
+    completions = {completion.name for completion in script.complete(2, 3)}
+    assert {*tw.__all__} <= completions

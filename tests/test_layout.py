@@ -203,6 +203,6 @@ def test_the_page_of_names_lists_exactly_the_public_names(package):
 
 
 def test_every_public_name_exists_and_has_a_docstring():
-    found = {(package, name): getattr(PUBLIC[package], name) for package in PUBLIC for name in PUBLIC[package].__all__}
-    bare = [key for key, value in found.items() if isinstance(value, (type, FunctionType)) and not value.__doc__]
+    public = {(package, name): getattr(PUBLIC[package], name) for package in PUBLIC for name in PUBLIC[package].__all__}
+    bare = [key for key, value in public.items() if isinstance(value, (type, FunctionType)) and not value.__doc__]
     assert not bare
