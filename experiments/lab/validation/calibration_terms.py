@@ -8,7 +8,7 @@ from unittest import mock
 import numpy as np
 
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
-from trackwright.experiments.lab.validation.folds import WALKS, recorded
+from trackwright.experiments.lab.validation.sites import WALKS, recorded
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.calibration import ANGLE_PRIOR, ANGLE_TERMS

@@ -15,7 +15,7 @@ import numpy as np
 from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
 from trackwright.experiments.lab.subprocesses import required_recordings
-from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS
+from trackwright.experiments.lab.validation.sites import SEEN_BY_DEFAULTS
 from trackwright.trackers.catalogue import PREFERENCE, TRACKERS, build
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings

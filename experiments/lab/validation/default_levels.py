@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Table
-from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS, recorded
+from trackwright.experiments.lab.validation.sites import SEEN_BY_DEFAULTS, recorded
 from trackwright.trackers.aoa.fusion import CALIBRATED, bearing_tracker
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.run.tracker import AbstractTracker

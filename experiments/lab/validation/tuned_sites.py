@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.cli.tuning_folder import in_words, refusals
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
-from trackwright.experiments.lab.validation.folds import SITES, Site, recorded
+from trackwright.experiments.lab.validation.sites import SITES, Site, recorded
 from trackwright.experiments.pages.reports.before_after import Compared, compare, tracked
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
@@ -40,7 +40,7 @@ def tuned_sites(*, seconds: float | None = None, site: tuple[str, ...] = (), out
 def of_a_site(site: Site, seconds: float | None) -> Row:
     """What a fit to a site's recordings ends with; its table is printed."""
     began = time.monotonic()
-    folders = [shortened(folder, seconds) for folder in recorded(site.recordings)]
+    folders = [shortened(folder, seconds) for folder in recorded(site.pattern)]
     try:
         result, compared = judged(site, folders if len(folders) > 1 else list(halves(folders[0])))
     except UnusableInput as error:

@@ -16,7 +16,7 @@ from trackwright.experiments.lab.validation.choice import (
     order_of,
     tables,
 )
-from trackwright.experiments.lab.validation.folds import SEEN_BY_DEFAULTS
+from trackwright.experiments.lab.validation.sites import SEEN_BY_DEFAULTS
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import ENTRIES, PREFERENCE, TRACKERS
 from trackwright.trackers.recordings.folder import read_recordings

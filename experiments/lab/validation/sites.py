@@ -1,0 +1,269 @@
+"""Sites of real recordings, how each recording of a site is judged, and its limits.
+
+A recording is judged with the tracker's default noise levels, and calibrated on the other recordings of its site that
+have the same installation. Where there is no other one, each half of it, in time, is calibrated on the other half:
+these figures are shown and not counted, since what changes between days does not show in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatch
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from trackwright.experiments.lab.subprocesses import required_recordings
+from trackwright.trackers.catalogue import build
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.calibration import has_moved, has_turned
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
+from trackwright.tuning.calibrating import by_halves, calibrate
+from trackwright.tuning.fitting import FitOptions, fit
+
+WALKS = tuple(f"ble51-walk-u{k}-r1" for k in (1, 2, 3))
+
+SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "bearings": WALKS,
+        "uwb": (
+            "starloc-fast-s1",
+            "starloc-2d-s5",
+            "rcv-drone-3",
+            "iasl-drone-1",
+            "lias-planar-fast",
+            "labyrinth",
+            "ngbui-line-1-1",
+            "ngbui-line-2-1",
+        ),
+        "uwb-imu": ("starloc-fast-s1", "iasl-drone-1"),
+        "fix-mirror": ("tiers-1tag-01",),
+    }
+)
+"""The recordings on which the default noise levels of a tracker were set."""
+
+LEAST_WAY = 2.0
+"""Least way, m, of a recording that is judged: errors at one place are one sample, of which no share is inside."""
+
+
+class Honest(NamedTuple):
+    """Limits, lowest and highest, of the share of the truth inside the 95 % ellipse and of NEES/dof."""
+
+    inside: tuple[float, float]
+    nees: tuple[float, float]
+
+    def __str__(self) -> str:
+        (least, most), (low, high) = self
+        return f"inside 95 %: {100 * least:.0f} to {100 * most:.0f} %, NEES/dof {low:g} to {high:g}"
+
+    def holds(self, metrics: Mapping[str, Any]) -> bool | None:
+        """Whether the covariances of a recording, as they are shown, are within these limits; None without any."""
+        if metrics["coverage_95"] is None:
+            return None
+        (least, most), (low, high) = self
+        return least <= round(metrics["coverage_95"], 3) <= most and low <= round(metrics["nees_ratio"], 2) <= high
+
+
+class Setting(NamedTuple):
+    """How recordings are judged. `goal`: least share of those whose covariances are within limits."""
+
+    name: str
+    honest: Honest
+    goal: float
+
+
+DEFAULTS = Setting("defaults", Honest((0.85, 0.99), (0.5, 2.0)), 0.80)
+CALIBRATED = Setting("calibrated", Honest((0.90, 0.98), (0.7, 1.5)), 0.85)
+SMOOTHED_GOAL = 0.80
+"""As `Setting.goal`, of smoothed estimates in either setting."""
+
+
+class Errors(NamedTuple):
+    """Highest horizontal and 3-D RMSE of each recording, m, filtered and smoothed; None for no limit."""
+
+    filtered: float | None = None
+    spatial: float | None = None
+    smoothed: float | None = None
+
+
+class Site(NamedTuple):
+    """The recordings whose names match `pattern`, their tracker, and limits of errors.
+
+    `mean`: whether the limits are of the mean over the recordings. `tuned`: tunables fitted on the other recordings
+    besides the calibration, by the 3-D RMSE. `quick`: part of the run of two minutes.
+    """
+
+    name: str
+    tracker: str
+    pattern: str
+    defaults: Errors = Errors()
+    calibrated: Errors = Errors()
+    mean: bool = False
+    tuned: tuple[str, ...] = ()
+    quick: bool = False
+
+
+# fmt: off
+SITES = (
+    Site("walks", "bearings", "ble51-walk-*", Errors(0.75), Errors(0.42, smoothed=0.30), mean=True, quick=True),
+    Site("starloc-fast", "uwb", "starloc-fast-*", Errors(0.15), Errors(0.13)),
+    Site("starloc-fast with IMU", "uwb-imu", "starloc-fast-*"),
+    Site("starloc-2d", "uwb", "starloc-2d-*"),
+    Site("lias", "uwb", "lias-*", Errors(0.075), Errors(0.05)),
+    Site("rcv", "uwb", "rcv-drone-*", Errors(0.20), Errors(0.17), quick=True),
+    Site("iasl", "uwb", "iasl-drone-*", Errors(0.055, 0.14), Errors(0.045, 0.10)),
+    Site("isas", "uwb", "isas-walk-*", Errors(0.14), Errors(0.11)),
+    Site("labyrinth", "uwb", "labyrinth*"),
+    # A straight path: in the line of sight, behind a wall, and obstructed, without the path and along it.
+    Site("ngbui line 1", "uwb", "ngbui-line-1-*", Errors(0.055), Errors(0.045)),
+    Site("ngbui line 2", "uwb", "ngbui-line-2-*", Errors(0.42), Errors(0.30)),
+    Site("ngbui line 3", "uwb", "ngbui-line-3-*", Errors(0.40), Errors(0.25)),
+    Site("ngbui line 1, path known", "line-grid", "ngbui-line-1-*"),
+    Site("ngbui line 2, path known", "line-grid", "ngbui-line-2-*"),
+    Site("ngbui line 3, path known", "line-grid", "ngbui-line-3-*"),
+    # Late fixes of drones, which may be mirrored in the anchors' plane.
+    Site("tiers", "fix-mirror", "tiers-*", tuned=("*latency*",)),
+)
+# fmt: on
+"""Every site; the recordings of one need not have one installation."""
+
+MARGIN = 1.0
+"""Largest distance, m, of an estimate outside its room."""
+
+
+class Outside(NamedTuple):
+    """The estimate farthest from its room: distance and larger reported standard deviation, m, and time, s.
+
+    `rows`: how many estimates are more than `MARGIN` outside.
+    """
+
+    distance: float
+    sigma: float
+    time: float
+    rows: int
+
+
+class Judged(NamedTuple):
+    """The metrics of one recording in one setting, filtered or smoothed, and its estimate farthest outside the room.
+
+    `on`: the recordings that it was calibrated or tuned on; none with default levels. `counted`: whether the
+    covariances count: not where half of a recording is calibrated on the other, nor where it has set the default
+    levels.
+    """
+
+    site: Site
+    setting: Setting
+    recording: str
+    smoothed: bool
+    metrics: Mapping[str, Any]
+    outside: Outside
+    on: tuple[str, ...] = ()
+    counted: bool = True
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the covariances are within the limits of the setting; None where none is reported."""
+        return self.setting.honest.holds(self.metrics)
+
+
+def recorded(pattern: str | Sequence[str]) -> list[RecordingFolder]:
+    """The recordings of the folder TRACKWRIGHT_RECORDINGS that match a pattern, or of these names.
+
+    Raises UnusableInput without the folder.
+    """
+    root = required_recordings()
+    if isinstance(pattern, str):
+        paths = sorted(path.parent for path in root.glob("*/rig.toml") if fnmatch(path.parent.name, pattern))
+    else:
+        paths = [root / name for name in pattern]
+    return read_recordings(paths) if paths else []
+
+
+def judged(site: Site) -> Iterator[Judged]:
+    """Every recording of a site in both settings, filtered and, where the tracker has a smoother, smoothed."""
+    folders = recorded(site.pattern)
+    for folder in filter(_moves, folders):
+        others = [other for other in folders if other is not folder and same_installation(folder, other)]
+        seen = folder.name in SEEN_BY_DEFAULTS.get(site.tracker, ())
+        yield from _runs(site, DEFAULTS, folder, [folder], {}, (), not seen)
+        if site.tuned:
+            if others:
+                on = tuple(other.name for other in others)
+                yield from _runs(site, CALIBRATED, folder, [folder], _tuned(site, others), on, counted=True)
+        elif others:
+            on = tuple(other.name for other in others)
+            yield from _runs(site, CALIBRATED, folder, [folder.calibrated(calibrate(others))], {}, on, counted=True)
+        else:
+            yield from _runs(site, CALIBRATED, folder, by_halves(folder), {}, ("the other half",), counted=False)
+
+
+def _runs(
+    site: Site,
+    setting: Setting,
+    folder: RecordingFolder,
+    parts: list[RecordingFolder],
+    values: Mapping[str, Any],
+    on: tuple[str, ...],
+    counted: bool,
+) -> Iterator[Judged]:
+    """The recording, as it is or calibrated in `parts`, filtered and smoothed with these values of tunables."""
+    tracker = build(site.tracker, parts).with_values(values, "the fit")
+    for smoothed in (False, True):
+        try:
+            estimates = (tracker.smoothing() if smoothed else tracker).run(parts)
+        except UnusableInput:
+            if smoothed:  # Grids and particles have no smoother.
+                return
+            raise
+        metrics = evaluate(estimates, parts).overall
+        outside = farthest_outside(estimates.to_polars(), room(folder))
+        yield Judged(site, setting, folder.name, smoothed, metrics, outside, on, counted)
+
+
+def _tuned(site: Site, folders: list[RecordingFolder]) -> dict[str, Any]:
+    """The values of the site's tunables, fitted to these recordings."""
+    result = fit(build(site.tracker, folders), folders, "rmse", site.tuned, FitOptions(dimensions=3))
+    return dict(result.tracker.values)
+
+
+def same_installation(a: RecordingFolder, b: RecordingFolder) -> bool:
+    """Whether two recordings have stations or anchors in common, and those stand where they stood."""
+    stations = [name for name in a.rig.stations if name in b.rig.stations]
+    anchors = [name for name in a.rig.anchors if name in b.rig.anchors]
+    moved = any(has_turned(a.rig.stations[name], b.rig.stations[name]) for name in stations)
+    moved |= any(has_moved(a.rig.anchors[name], b.rig.anchors[name]) for name in anchors)
+    return bool(stations or anchors) and not moved
+
+
+def _moves(folder: RecordingFolder) -> bool:
+    """Whether a tag covers `LEAST_WAY` between the farthest true positions, along x or y."""
+    places = _positions(folder.tables["truth"])
+    return bool(np.nanmax(np.nanmax(places, axis=0) - np.nanmin(places, axis=0)) >= LEAST_WAY)
+
+
+def room(folder: RecordingFolder) -> np.ndarray:
+    """The lowest and the highest corner (2, 2), m, of the box around anchors, stations and truth in x and y."""
+    rig, places = folder.rig, [_positions(folder.tables["truth"])] if "truth" in folder.tables else []
+    places += [np.asarray(place, float)[None, :2] for place in rig.anchors.values()]
+    places += [np.asarray(station.position, float)[None, :2] for station in rig.stations.values()]
+    every = np.concatenate(places)
+    return np.stack([np.nanmin(every, axis=0), np.nanmax(every, axis=0)])
+
+
+def farthest_outside(estimates: pl.DataFrame, corners: np.ndarray) -> Outside:
+    """The estimate that is farthest from the box, at distance 0 where all are inside; rows without one are left out."""
+    positions = _positions(estimates)
+    low, high = corners
+    distances = np.nan_to_num(np.hypot(*np.maximum(np.maximum(low - positions, positions - high), 0.0).T))
+    row = int(np.argmax(distances))
+    sigma = max(float_column(estimates, f"std_{axis}_m")[row] for axis in "xy")
+    time = float_column(estimates, "t_s")[row]
+    return Outside(float(distances[row]), float(sigma), float(time), int(np.sum(distances > MARGIN)))
+
+
+def _positions(table: pl.DataFrame) -> np.ndarray:
+    return np.stack([float_column(table, f"{axis}_m") for axis in "xy"], axis=1)
