@@ -310,8 +310,8 @@ def quoted(every: Sequence[Judged]) -> str:
     limits = checks(every)
 
     def walks(setting: Setting, smoothed: bool) -> float:
-        own = [one for one in every if (one.site.name, one.setting, one.smoothed) == ("walks", setting, smoothed)]
-        return float(np.mean([one.metrics["rmse_m"] for one in own])) if own else float("nan")
+        walks = [one for one in every if (one.site.name, one.setting, one.smoothed) == ("walks", setting, smoothed)]
+        return float(np.mean([one.metrics["rmse_m"] for one in walks])) if walks else float("nan")
 
     held = {name: f"{sum(shares)} of {len(shares)}" for name, _, shares in _shares(every)}
     return QUOTED.format(
