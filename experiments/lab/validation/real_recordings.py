@@ -117,7 +117,8 @@ def _shares(every: Sequence[Judged]) -> Iterator[tuple[str, float, list[bool]]]:
 def _error_checks(every: Sequence[Judged]) -> list[Check]:
     """The limits of the errors of each recording, or of their mean, and that smoothing does not add to them."""
     checks_of_errors = []
-    for (site, setting), group in groupby(every, key=lambda one: (one.site, one.setting)):
+    for site, setting in dict.fromkeys((one.site, one.setting) for one in every):
+        group = [one for one in every if (one.site, one.setting) == (site, setting)]
         counting = [one for one in group if setting == DEFAULTS or one.counted]
         limits = site.defaults if setting == DEFAULTS else site.calibrated
         for what, metric, smoothed, limit in _limited(limits):

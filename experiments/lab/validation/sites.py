@@ -46,7 +46,7 @@ SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """The recordings on which the default noise levels of a tracker were set."""
 
-LEAST_WAY = 2.0
+LEAST_WAY = 1.0
 """Least way, m, of a recording that is judged: errors at one place are one sample, of which no share is inside."""
 
 

@@ -103,7 +103,9 @@ def test_limits_of_errors_are_of_each_recording_or_of_the_mean_over_a_site():
     assert _missed(_judged("a", rmse_3d_m=0.51)) == ["a: 3-D RMSE, defaults"]
     walks = SITE._replace(mean=True)
     assert _missed(_judged("a", site=walks, rmse_m=0.1), _judged("b", site=walks, rmse_m=0.39)) == []
-    assert _missed(_judged("a", site=walks, rmse_m=0.1), _judged("b", site=walks, rmse_m=0.42)) == [
+    # Recordings of one site are judged one after another in both settings.
+    between = _judged("a", CALIBRATED, site=walks, rmse_m=0.1)
+    assert _missed(_judged("a", site=walks, rmse_m=0.1), between, _judged("b", site=walks, rmse_m=0.42)) == [
         "mean of flights: RMSE, defaults"
     ]
     # A recording that is calibrated on its other half has no limits.
