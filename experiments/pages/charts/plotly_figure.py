@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import to_rgba
+from matplotlib.container import BarContainer
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -23,13 +24,19 @@ SYMBOLS = {"o": "circle", ".": "circle", "s": "square", "^": "triangle-up", "v":
 
 DASHES = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
 
+SHOWN = "plot, scatter, bar, hist, stairs, fill_between, vlines, hlines, axhline, axvline, axhspan or axvspan"
+"""What a page shows of what draws data; README.md beside this says it, too."""
+
 
 def plotly_figure(figure: Figure) -> dict[str, Any] | None:
-    """Traces, layout and height over width of a figure with one pair of axes; None for several, and for contours."""
+    """Traces, layout and height over width of a figure with one pair of axes; None for several, and for contours.
+
+    Raises TypeError for what a page could not show.
+    """
     if len(figure.axes) != 1 or any(isinstance(c, ContourSet) for c in figure.axes[0].collections):
         return None
     axes = figure.axes[0]
-    parts = [*axes.collections, *axes.patches, *axes.lines]
+    parts = [*axes.collections, *axes.patches, *axes.lines, *axes.images, *axes.tables, *axes.artists]
     traces = [trace for part in parts for trace in _traces(axes, part)]
     traces.sort(key=lambda trace: trace.pop("order"))
     title = axes.get_title("left")
@@ -49,11 +56,14 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
 
 
 def _traces(axes: Axes, part: Any) -> Iterator[dict[str, Any]]:
-    """The traces of a line, a filled band, strokes or a histogram, in the order in which they cover each other."""
+    """The traces of a part, with its place in the order in which they cover each other."""
+    bars = {c.patches[0]: c.get_label() for c in axes.containers if isinstance(c, BarContainer) and c.patches}
     label = str(part.get_label())
+    if label.startswith("_"):
+        label = str(bars.get(part, label))
     named = {
         "name": _plain(label),
-        "showlegend": not label.startswith("_"),
+        "showlegend": label[:1] not in ("", "_"),
         "order": part.get_zorder(),
         "type": "scatter",
     }
@@ -66,7 +76,17 @@ def _traces(axes: Axes, part: Any) -> Iterator[dict[str, Any]]:
         if segments:
             line = {"color": _colour(part.get_color()[0]), "width": 2}
             yield named | {"x": x, "y": y, "mode": "lines", "line": line, "hoverinfo": "skip"}
-    elif isinstance(part, PolyCollection):
+    elif isinstance(part, PathCollection):
+        part.update_scalarmappable()
+        x, y = np.ma.filled(np.ma.asarray(part.get_offsets(), float), np.nan).T
+        filled = len(part.get_facecolor()) > 0
+        colours = [_colour(one) for one in (part.get_facecolor() if filled else part.get_edgecolor())]
+        looks: dict[str, list[Any]] = {"color": colours, "size": _numbers(np.sqrt(part.get_sizes()))}
+        marker: dict[str, Any] = {"symbol": "circle" if filled else "circle-open"}
+        marker |= {what: each[0] if len(each) == 1 else each for what, each in looks.items()}
+        yield named | {"x": _numbers(x), "y": _numbers(y), "mode": "markers", "marker": marker}
+    # Those with offsets are arrows or hexagons.
+    elif isinstance(part, PolyCollection) and not np.any(np.asarray(part.get_offsets())):
         for path in part.get_paths():
             corners = np.array(path.vertices, float)
             yield named | _filled(_numbers(corners[:, 0]), _numbers(corners[:, 1]), part.get_facecolor()[0])
@@ -79,9 +99,21 @@ def _traces(axes: Axes, part: Any) -> Iterator[dict[str, Any]]:
             line = {"color": _colour(part.get_edgecolor()), "width": part.get_linewidth()}
             yield named | {"x": x, "y": y, "mode": "lines", "line": line}
     elif isinstance(part, Rectangle):
-        # A band across the axes, whose width is a share of theirs.
-        (low, high), (bottom, top) = axes.get_xlim(), (part.get_y(), part.get_y() + part.get_height())
-        yield named | _filled([low, high, high, low], [bottom, bottom, top, top], part.get_facecolor())
+        (left, bottom), (right, top) = part.get_bbox().get_points().tolist()
+        # Bands across the axes have shares of them in one coordinate.
+        if part.get_data_transform() == axes.get_yaxis_transform():
+            left, right = axes.get_xlim()
+        if part.get_data_transform() == axes.get_xaxis_transform():
+            bottom, top = axes.get_ylim()
+        x, y = _numbers([left, right, right, left]), _numbers([bottom, bottom, top, top])
+        yield named | _filled(x, y, part.get_facecolor())
+    else:
+        raise _unshown(axes, f"{type(part).__name__} {label!r}", SHOWN)
+
+
+def _unshown(axes: Axes, what: str, expected: str) -> TypeError:
+    chart = axes.get_title("left") or axes.get_ylabel()
+    return TypeError(f"chart {chart!r}: {what} is not shown on a page; expected {expected}; draw it with these")
 
 
 def _line(axes: Axes, line: Line2D) -> dict[str, Any]:
@@ -92,6 +124,8 @@ def _line(axes: Axes, line: Line2D) -> dict[str, Any]:
     if line.get_transform() == axes.get_xaxis_transform():
         y = np.asarray(axes.get_ylim())
     marker, dash = str(line.get_marker()), str(line.get_linestyle())
+    if marker not in (*SYMBOLS, "None", "none", "", " "):
+        raise _unshown(axes, f"marker {marker!r} of {line.get_label()!r}", " ".join(SYMBOLS))
     drawn = ["lines"] * (dash in DASHES) + ["markers"] * (marker in SYMBOLS)
     face = line.get_markerfacecolor()
     # Filled with white, or not at all.

@@ -60,6 +60,39 @@ def test_bands_histograms_and_lines_across_keep_their_places(axes):
     assert (across["x"], across["y"]) == ([0, 4], [2, 2])
 
 
+def test_dots_and_bars_are_shown_where_they_are(axes):
+    axes.scatter(X, [1.0, 2.0, np.nan], s=16, color="#0072b2", label="dots")
+    axes.scatter(X, X, c=[0.0, 1.0, 2.0], s=[1, 4, 9])
+    axes.bar([1.0, 2.0], [3.0, 4.0], width=0.5, label="bars")
+    axes.hist([0.5, 0.6, 2.0], [0.0, 1.0, 3.0], label="counts")
+    axes.axvspan(1.0, 1.5)
+    axes.set(xlim=(0, 4), ylim=(0, 5))
+    dots, coloured, first, second, low, high, span = _figure(axes)["data"]
+    assert (dots["x"], dots["y"], dots["mode"]) == ([0.5, 1.0, None], [1.0, 2.0, None], "markers")
+    assert dots["marker"] == {"symbol": "circle", "color": "rgba(0,114,178,1)", "size": 4.0}
+    assert (len(set(coloured["marker"]["color"])), coloured["marker"]["size"]) == (3, [1, 2, 3])
+    corners = [(min(part["x"]), max(part["x"]), max(part["y"])) for part in (first, second, low, high, span)]
+    assert corners == [(0.75, 1.25, 3), (1.75, 2.25, 4), (0, 1, 2), (1, 3, 1), (1, 1.5, 5)]
+    named = [part["name"] for part in (dots, coloured, first, second, low, high, span) if part["showlegend"]]
+    assert named == ["dots", "bars", "counts"]
+
+
+@pytest.mark.parametrize(
+    ("draw", "what"),
+    [
+        (lambda axes: axes.imshow(np.outer(X, X)), "AxesImage"),
+        (lambda axes: axes.pie([1.0]), "Wedge"),
+        (lambda axes: axes.quiver(X, X, X, X), "Quiver"),
+        (lambda axes: axes.plot(X, X, "*", label="stars"), "marker '[*]' of 'stars'"),
+    ],
+)
+def test_what_a_page_cannot_show_is_refused_and_named(axes, draw, what):
+    axes.set_title("errors", loc="left")
+    draw(axes)
+    with pytest.raises(TypeError, match=f"chart 'errors': {what}.*; expected .+; draw"):
+        _figure(axes)
+
+
 def test_a_logarithmic_axis_and_names_of_rows_are_kept(axes):
     axes.plot(X, [0, 1, 2], "s")
     axes.set_xscale("log")
