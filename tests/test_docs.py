@@ -119,7 +119,7 @@ def test_a_tracker_of_ones_own_is_tuned_swept_and_studied_by_file(turning):
 @pytest.fixture
 def hall(tmp_path, monkeypatch):
     """A folder with both files of a kind of one's own, and a recording `hall` of it, while no program knows it."""
-    for name in ("tdoa", "hall"):
+    for name in ("tdoa", "hall", "tdoa_log"):
         (block,) = (b for b in _blocks("docs/extending.md") if b.startswith(f"# {name}.py"))
         (tmp_path / f"{name}.py").write_text(block, encoding="utf-8")
         monkeypatch.delitem(sys.modules, name, raising=False)
@@ -160,6 +160,9 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
     done = trackwright("check", "hall", *OWN)
     assert (done.code, "range difference noise" in done.out) == (0, True)
     _as_in_a_new_process()
+    done = trackwright("tunables", "tdoa.py:TRACKER", "hall")
+    assert (done.code, "sensors.tdoa.sigma_d" in done.out, done.err) == (0, True, "")
+    _as_in_a_new_process()
     done = trackwright("track", "hall", *OWN, "--out", "out", "--no-figures")
     assert done.code == 0, done.err
     assert "range difference" in Path("out/report.html").read_text("utf-8")
@@ -182,6 +185,16 @@ def test_a_kind_of_ones_own_is_tuned_swept_and_studied_by_file(hall):
     done = trackwright("study", "hall.py", "--out", "studied")
     assert done.code == 0, done.err
     assert "tdoa" in Path("studied/results.json").read_text("utf-8")
+
+
+def test_a_kind_of_ones_own_is_imported_by_a_format_that_imports_its_file(hall):
+    _as_in_a_new_process()
+    sys.modules.pop("tdoa")
+    Path("tdoa.log").write_text("0 1-2 1.5\n0.1 2-3 -0.5\n", encoding="utf-8")
+    own = ("--format", "tdoa_log.py:read", "--tag", "T1", "--rig", "hall/rig.toml", "--out", "imported")
+    done = trackwright("import", "tdoa.log", *own)
+    assert done.code == 0, done.err
+    assert tw.read("imported").tables["tdoa"]["range_difference_m"].to_list() == [1.5, -0.5]
 
 
 def test_a_kind_of_ones_own_with_an_unknown_anchor_is_refused_with_its_row(hall):

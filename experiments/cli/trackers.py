@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trackwright.experiments.cli.arguments import rows
-from trackwright.experiments.cli.options import File, Tracker
+from trackwright.experiments.cli.options import File, Tracker, run_tracker_files
 from trackwright.trackers.catalogue import ENTRIES
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -67,6 +67,7 @@ def tunables(
     from trackwright.tuning.tuned_file import read_tuned
 
     tuned = None if noise is None else read_tuned(noise)
+    run_tracker_files(tracker)
     folders = [] if folder is None else read_with_notices((folder,))
     # jax takes a second to import, which the help and a refused recording need not wait for.
     from trackwright.trackers.catalogue import build, spec_of
