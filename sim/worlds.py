@@ -337,7 +337,7 @@ def _ids(n: int, ids: Ids) -> int | list[int]:
 
 
 def _folder(
-    world: Callable[..., SimulatedWorld], ids: Int[np.ndarray, " n"], seed: int, **numbers: Any
+    world: Callable[..., SimulatedWorld], ids: Int[np.ndarray, " n"], seed: int, /, **numbers: Any
 ) -> RecordingFolder:
     """A world as studies call it; raises TypeError for an unknown parameter, ParameterError for an invalid value."""
     refuse_unknown(numbers, (name for name in inspect.signature(world).parameters if name not in ("n", "seed", "ids")))

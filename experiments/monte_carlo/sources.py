@@ -131,6 +131,9 @@ def _world(path: Path, name: str, table: Any) -> World:
     where = f"worlds.{name}"
     if not isinstance(table, Mapping):
         raise UnusableInput(f"{path}: {where} = {table!r}; expected a table, [{where}]")
+    if "world" in table:
+        world = table["world"]
+        raise UnusableInput(f"{path}: '{where}.world' is unknown; the world is kind = {world!r}; rename the key")
     kind = table.get("kind", name)
     if not isinstance(kind, str) or kind not in WORLDS:
         raise UnusableInput(f"{path}: {where}: kind '{kind}' is unknown; expected one of {', '.join(WORLDS)}")

@@ -141,9 +141,9 @@ def test_heights_of_vehicles_are_mirrored_three_seconds_at_a_stretch():
 
 @pytest.mark.parametrize(("make", "first"), [(worlds.line, "n"), (WORLDS["line"], "situation")])
 def test_an_unknown_parameter_is_refused_with_the_known_ones(make, first):
-    given = {} if first == "n" else {"ids": np.arange(1), "seed": 0}
+    given = () if first == "n" else (np.arange(1), 0)
     with pytest.raises(TypeError, match=rf"parameter 'rate' is unknown; expected one of {first}, .*rate_hz"):
-        make(rate=1.0, **given)
+        make(*given, rate=1.0)
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -249,6 +249,11 @@ def test_until_ends_a_condition_as_soon_as_its_interval_is_narrow_enough(tmp_pat
         (("[trackers.fix-kf]", "[trackers.fix-kf]\ntunables = {'motion.sigma_a' = -1.0}"), "motion.sigma_a = -1.0"),
         (("runs = 12", "runs = 0"), "runs = 0"),
         (("rate_hz = 1.0", "rate = 1.0"), "parameter 'rate' is unknown; expected one of situation, speed, rate_hz"),
+        (("rate_hz = 1.0", "seed = 1"), "parameter 'seed' is unknown; expected one of situation, speed, rate_hz"),
+        (
+            ("[worlds.line]", "[worlds.mine]\nworld = 'line'"),
+            "'worlds.mine.world' is unknown; the world is kind = 'line'",
+        ),
         (("rate_hz = 1.0", "rate_hz = 0.0"), "rate_hz = 0.0: expected a number from 0.1 to 1000"),
         (("[worlds.line]", "[worlds.lime]"), "lime"),
         (("runs = 12", "walks = 12"), "walks"),
