@@ -85,6 +85,10 @@ def test_every_command_of_the_page_runs_on_the_files_that_it_describes(files):
             ("row 1, column t_s: no time",),
         ),
         ("{'fixes': pl.DataFrame({'t_s': [0.0], 'x_m': ['a'], 'y_m': [0.0], 'z_m': [0.0]})}", ("column x_m: 'a'",)),
+        (
+            "{'fixes': pl.DataFrame({'t_s': [0.0], 'x_m': [0.0], 'y_m': [0.0]})}",
+            ("no column gives", "empty column z_m"),
+        ),
         ("path.read()", ("my.log: bad.py:own fails (AttributeError:", "has no attribute 'read'")),
     ],
 )

@@ -6,6 +6,7 @@ import numpy as np
 
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.recordings.checks.geometry import without_height
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
 
@@ -27,12 +28,5 @@ def lacks_fixes(folder: RecordingFolder) -> str | None:
     """What a folder lacks for a tracker of fixes, in words: the table, or the height of a tag; None if nothing."""
     if "fixes" not in folder.tables:
         return "a fixes table, found no such table"
-    rows = folder.rows("fixes")
-    if not len(rows.times):
-        return None
-    x, z = np.isfinite(rows.floats(["x_m", "z_m"])).T
-    has_x, has_z = (np.logical_or.reduceat(column, rows.starts[:-1]) for column in (x, z))
-    lacking = np.flatnonzero(has_x & ~has_z & np.isnan(known_heights(folder, rows.tags)))
-    if len(lacking):
-        return f"z_m of tag {rows.tags[lacking[0]]!r} in fixes, or its height_m in rig.toml, found neither"
-    return None
+    lacking = without_height(folder.rig, folder.rows("fixes"))
+    return f"z_m of tag {lacking[0]!r} in fixes, or its height_m in rig.toml, found neither" if lacking else None

@@ -126,6 +126,11 @@ def test_dates_with_and_without_a_time_zone_are_told_apart(dates, words):
         ("ranges", ["range_m=word", "anchor=id"], ("row 2 (line 3), column word", "'oops'")),
         ("ranges", ["range_m=distance_mm", "anchor=gap"], ("row 2 (line 3), column gap", "empty")),
         ("truth", ["x_m=word[A1]", "y_m=word", "z_m=word"], ("no column",)),
+        (
+            "fixes",
+            ["x_m=gap", "y_m=gap"],
+            ("needs z_m, which no column gives", "no height is measured, add an empty column z_m"),
+        ),
         ("fixes", ["x_m[A1]=word"], ("has no anchors or stations",)),
         ("truth", ["qw=distance_mm", "x_m=distance_mm", "y_m=distance_mm", "z_m=distance_mm"], ("qw alone",)),
     ],

@@ -21,7 +21,7 @@ from trackwright.trackers.recordings.checks.coverage import (
     check_time_base,
     check_truth,
 )
-from trackwright.trackers.recordings.checks.geometry import check_geometry, check_heights
+from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry, check_heights
 from trackwright.trackers.recordings.checks.imu import check_imu
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
 from trackwright.trackers.recordings.checks.readings import (
@@ -57,6 +57,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     results += check_ids(rig, measured)
     results += check_units(rig, tables)
     results += check_heights(rig, tables)
+    results += check_fix_heights(rig, recording.rows("fixes")) if "fixes" in tables else []
     if measured and "truth" in tables:
         results += check_truth(tables["truth"], measured)
     results += check_geometry(rig, tables)

@@ -14,8 +14,11 @@ from typing import Literal
 import numpy as np
 import polars as pl
 
+from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
+from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 
 THIN = 0.1  # share of the largest extent below which anchors count as coplanar or collinear
@@ -213,6 +216,25 @@ def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckRes
         CheckResult("error", "rig.toml", f"height_m of tag {tag} is {heights[tag]:g}, but {why}")
         for tag, why in contrary.items()
     ]
+
+
+def check_fix_heights(rig: Rig, fixes: TagRows) -> list[CheckResult]:
+    """A warning for tags whose fixes trackers refuse."""
+    tags = without_height(rig, fixes)
+    if not tags:
+        return []
+    message = f"neither z_m nor height_m in rig.toml: {counted(len(tags), 'tag')} ({listed(map(repr, tags))})"
+    return [CheckResult("warning", "fixes", f"{message}; track refuses them: give height_m under [tags.{tags[0]}]")]
+
+
+def without_height(rig: Rig, fixes: TagRows) -> list[str]:
+    """The tags of fixes without any z and without a known height."""
+    if not len(fixes.times):
+        return []
+    x, z = np.isfinite(fixes.floats(["x_m", "z_m"])).T
+    has_x, has_z = (np.logical_or.reduceat(column, fixes.starts[:-1]) for column in (x, z))
+    known = {tag for tag, one in rig.tags.items() if one.height is not None}
+    return [fixes.tags[k] for k in np.flatnonzero(has_x & ~has_z) if fixes.tags[k] not in known]
 
 
 def _true_heights(truth: pl.DataFrame, heights: Mapping[str, float]) -> dict[str, str]:

@@ -114,6 +114,11 @@ _SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[pl.DataFr
         ("fixes", "millimetres"),
         {"fixes": lambda table: table.with_columns(pl.col("x_m", "y_m", "z_m") * 1000)},
     ),
+    "fixes without a height": (
+        "warning",
+        ("fixes: neither z_m nor height_m in rig.toml: 1 tag ('T2'); track refuses them", "under [tags.T2]"),
+        {"fixes": lambda table: table.with_columns(z_m=pl.lit(None, pl.Float64))},
+    ),
     "truth in millimetres": (
         "error",
         ("truth", "millimetres"),
