@@ -1,4 +1,6 @@
-"""The kinds of errors, and the metrics: each is one entry, and appears wherever metrics are written or shown.
+"""The kinds of errors, and the metrics: each is one entry, and appears in every file; README.md says where else.
+
+A formula takes the sums of `Scores`; another sum, as of a share above a threshold, is added to `error_sums` there.
 
 Names are those of `--fail-if`, of evaluation.json and of the metrics of a study, in metres and radians, horizontal
 unless the name has `3d`.
