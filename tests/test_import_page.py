@@ -87,7 +87,7 @@ def test_every_command_of_the_page_runs_on_the_files_that_it_describes(files):
         ("{'fixes': pl.DataFrame({'t_s': [0.0], 'x_m': ['a'], 'y_m': [0.0], 'z_m': [0.0]})}", ("column x_m: 'a'",)),
         (
             "{'fixes': pl.DataFrame({'t_s': [0.0], 'x_m': [0.0], 'y_m': [0.0]})}",
-            ("no column gives", "empty column z_m"),
+            ("no column gives", "an empty one where no height is measured"),
         ),
         ("path.read()", ("my.log: bad.py:own fails (AttributeError:", "has no attribute 'read'")),
     ],

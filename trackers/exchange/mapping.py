@@ -292,7 +292,7 @@ def _missing(file: TableFile, table: str, name: str) -> str:
     standard = {"t_s", "tag", *layout(table, columns).values}
     unmapped = f"{file.path}: {table} needs {name}, which no column gives; found {listed(map(repr, columns), 12)}"
     if name == "z_m":
-        unmapped += "; where no height is measured, add an empty column z_m"
+        unmapped += "; expected a column, an empty one where no height is measured"
     if name == "tag":
         return f"{unmapped}; give --tag ID"
     near = difflib.get_close_matches(name.rpartition("_")[0] or name, [c for c in columns if c not in standard], 1, 0.3)

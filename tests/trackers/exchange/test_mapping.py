@@ -129,7 +129,7 @@ def test_dates_with_and_without_a_time_zone_are_told_apart(dates, words):
         (
             "fixes",
             ["x_m=gap", "y_m=gap"],
-            ("needs z_m, which no column gives", "no height is measured, add an empty column z_m"),
+            ("needs z_m, which no column gives", "expected a column, an empty one where no height is measured"),
         ),
         ("fixes", ["x_m[A1]=word"], ("has no anchors or stations",)),
         ("truth", ["qw=distance_mm", "x_m=distance_mm", "y_m=distance_mm", "z_m=distance_mm"], ("qw alone",)),
