@@ -160,7 +160,8 @@ def assembled(
 def save(folder: RecordingFolder, out: Path) -> RecordingFolder:
     """Writes the recording, or adds its tables to the recording in `out`; returns it as read back, with new notices.
 
-    Nothing is written of one that cannot be read, and no table is replaced. Raises UnusableInput.
+    Nothing is written of one that cannot be read, and no table is replaced. Rows are checked in the order of the source
+    and written in that of time. Raises UnusableInput.
     """
     if (out / RIG_FILE).is_file():
         return _added(folder, out)
@@ -170,6 +171,9 @@ def save(folder: RecordingFolder, out: Path) -> RecordingFolder:
         out.parent.mkdir(parents=True, exist_ok=True)
         with beside(out, Path.mkdir) as scratch:
             read = _written(folder, scratch / "recording")
+            for name, table in folder.tables.items():
+                if not table["t_s"].is_sorted():
+                    _by_time(table).write_parquet(scratch / "recording" / f"{name}.parquet")
             if out.exists():
                 out.rmdir()
             (scratch / "recording").rename(out)
@@ -186,9 +190,13 @@ def _added(folder: RecordingFolder, out: Path) -> RecordingFolder:
     with tempfile.TemporaryDirectory() as scratch:
         read = _written(replace(there, tables=dict(there.tables) | dict(folder.tables)), Path(scratch) / out.name)
     for name, table in folder.tables.items():
-        atomic_write(out / f"{name}.parquet", partial(pl.DataFrame.write_parquet, table))
+        atomic_write(out / f"{name}.parquet", partial(pl.DataFrame.write_parquet, _by_time(table)))
     new = tuple(line for line in read.notices if line not in there.notices)
     return replace(read, path=out, notices=new)
+
+
+def _by_time(table: pl.DataFrame) -> pl.DataFrame:
+    return table.sort("t_s", maintain_order=True)
 
 
 def _written(folder: RecordingFolder, path: Path) -> RecordingFolder:

@@ -148,6 +148,26 @@ def test_a_notice_is_given_by_the_import_of_its_table_alone(there):
     assert "outliers" not in second.err
 
 
+def test_rows_in_any_order_are_sorted_at_import_and_noticed_there_alone(there):
+    rows = [f"{100 * k},A1,{2000 + j}" for j, k in enumerate((0, 2, 1, 3, 3))]
+    for out, log in (("new", "log.csv"), ("hall", "late.csv")):
+        (there / log).write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
+        if out == "hall":
+            assert trackwright("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", out).code == 0
+            (there / out / "rig.toml").write_text(RIG)
+        said = trackwright("import", log, *CSV, *(("--rig", "rig.toml") if out == "new" else ()), "--out", out)
+        assert said.err.count("ranges: rows earlier than the previous row: 1 of 5; sorted") == 1
+        written = pl.read_parquet(f"{out}/ranges.parquet")["range_m"].to_list()
+        assert written == pytest.approx([2.0, 2.002, 2.001, 2.003, 2.004], abs=1e-9)
+        assert "sorted" not in trackwright("check", out).out
+
+
+def test_a_clock_that_went_back_is_refused_at_import_before_rows_are_sorted(there):
+    rows = [f"{100 * k},A1,{2000 + 7 * j}" for j, k in enumerate((*range(60), *range(20, 50)))]
+    (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
+    _refused_last(trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "new"), "the clock went back")
+
+
 def test_decimal_commas_are_read_and_named_where_they_are_not_asked_for(there):
     lines = ["Zeit;d1;d2", *(f"{0.1 * k:.1f};{2 + 0.5 * k:.1f};3,25".replace(".", ",") for k in range(5))]
     (there / "wide.csv").write_text("\n".join(lines) + "\n")
