@@ -23,6 +23,7 @@ from trackwright.trackers.recordings.checks.coverage import (
 )
 from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry, check_heights
 from trackwright.trackers.recordings.checks.imu import check_imu
+from trackwright.trackers.recordings.checks.imu_clock import check_imu_clock
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
 from trackwright.trackers.recordings.checks.readings import (
     about_local_line,
@@ -62,7 +63,9 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         results += check_truth(tables["truth"], measured)
     results += check_geometry(rig, tables)
     wrong_units = any(result.level == "error" for result in results)
-    results += [] if wrong_units else check_imu(tables)
+    of_imu = [] if wrong_units else check_imu(tables)
+    # With wrong axes, an IMU fits the ranges at no delay, or at a wrong one.
+    results += of_imu or ([] if wrong_units else check_imu_clock(recording))
     for name in measured:
         results += _check_errors(recording, name)
         view = compared(recording, name)

@@ -3,7 +3,7 @@
 Without truth: gravity, a constant vector of the world, turns in body axes by du/dt = -ω × u, whatever the heading, so
 that the specific force tests the signs and axes of the turn rates. With the true attitude: turn rates and gravity in
 body axes are known, and sizes of turn rates, which no axes change, tell how late the IMU is. With true heights alone,
-sizes of the specific force do, which follow the vertical acceleration.
+sizes of the specific force do, which follow the vertical acceleration. Without truth ranges do: `imu_clock`.
 """
 
 from __future__ import annotations
@@ -319,12 +319,13 @@ def imu_rows(table: pl.DataFrame, tag: str) -> ImuRows | None:
     if len(rows) < 10:
         return None
     t, x = rows["t_s"].to_numpy(), rows.select(columns).to_numpy()
-    sums = _integral(t, x)
+    sums = integral(t, x)
     size = np.linalg.norm(x[:, :3], axis=1, keepdims=True)
-    return ImuRows(t, sums[:, :3], sums[:, 3:], _integral(t, _integral(t, size - size.mean())))
+    return ImuRows(t, sums[:, :3], sums[:, 3:], integral(t, integral(t, size - size.mean())))
 
 
-def _integral(t: Float[np.ndarray, " N"], x: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N k"]:
+def integral(t: Float[np.ndarray, " N"], x: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N k"]:
+    """The integral of a series over time, by trapezia, zero at first."""
     areas = (x[1:] + x[:-1]) / 2 * np.diff(t)[:, None]
     return np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(areas, axis=0)])
 

@@ -1,0 +1,102 @@
+"""The clock of an IMU is compared with that of ranges without truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache, partial
+
+import numpy as np
+import polars as pl
+import pytest
+
+from trackwright.sim.imu import simulate_uwb_imu
+from trackwright.sim.paths import hand_motion
+from trackwright.sim.ranging import WALK_VOLUME, chamber
+from trackwright.trackers.core.model.rig import Tag
+from trackwright.trackers.recordings.checks import check
+from trackwright.trackers.recordings.checks.imu_clock import check_imu_clock, delay_of, windows
+from trackwright.trackers.recordings.folder import RecordingFolder
+
+T = pl.col("t_s")
+WORDS = "motion in the ranges"
+
+
+@cache
+def _world() -> RecordingFolder:
+    path = partial(hand_motion, volume=WALK_VOLUME, speed=1.0)
+    return simulate_uwb_imu(chamber(), path, seed=5, n_points=1600).folder("walk")
+
+
+def _later(by: float | pl.Expr, truth: bool = False) -> RecordingFolder:
+    tables = {name: rows for name, rows in _world().tables.items() if truth or name != "truth"}
+    return replace(_world(), tables=tables | {"imu": tables["imu"].with_columns(T + by)})
+
+
+def _messages(recording: RecordingFolder) -> list[str]:
+    return [one.message for one in check_imu_clock(recording)]
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1, 0.3, -0.5, 1.0, -2.0])
+def test_the_delay_of_an_imu_is_found_by_the_ranges(late):
+    found = [one for one in check(_later(late)) if WORDS in one.message]
+    assert len(found) == (abs(late) > 0.2)
+    for one in found:
+        assert (one.level, one.where) == ("warning", "imu")
+        assert ("late" if late > 0 else "early") in one.message
+    assert delay_of(list(windows(_later(late), "0"))) == pytest.approx(late if found else 0.0, abs=0.1)
+
+
+def test_a_true_attitude_tells_the_delay_better():
+    lines = [one.message for one in check(_later(0.5, truth=True)) if "their clocks differ" in one.message]
+    assert len(lines) == 1
+    assert "against the truth's attitude" in lines[0]
+
+
+def test_an_imu_of_another_motion_tells_no_delay():
+    folder = _later(0.0)
+    turned_back = folder.tables["imu"].with_columns(T.reverse()).sort("t_s")
+    assert _messages(replace(folder, tables=dict(folder.tables) | {"imu": turned_back})) == []
+
+
+def test_a_clock_that_jumps_has_no_delay():
+    middle = float(_world().tables["imu"]["t_s"].mean())
+    jumping = _later(pl.when(middle < T).then(1.0).otherwise(-1.0))
+    assert delay_of(list(windows(jumping, "0"))) is None
+
+
+def test_the_delay_is_found_in_coordinates_of_a_map():
+    folder = _later(-0.5)
+    anchors = {key: np.add(place, [4e5, 5e6, 300.0]) for key, place in folder.rig.anchors.items()}
+    (line,) = _messages(replace(folder, rig=replace(folder.rig, anchors=anchors)))
+    assert "0.5 s early" in line
+
+
+def test_ranges_of_all_tags_of_a_body_count():
+    folder = _later(0.5)
+    tags = {"0": Tag(offset=np.zeros(3)), "twin": Tag(offset=np.zeros(3))}
+    every_other = pl.int_range(pl.len()) // 4 % 2 == 0
+    ranges = folder.tables["ranges"].with_columns(tag=pl.when(every_other).then(pl.lit("0")).otherwise(pl.lit("twin")))
+    shared = replace(folder, rig=replace(folder.rig, tags=tags), tables=dict(folder.tables) | {"ranges": ranges})
+    expected = [len(one.times) for one in windows(folder, "0")]
+    assert [len(one.times) for one in windows(shared, "0")] == expected
+
+
+def test_a_row_of_another_clock_costs_no_memory():
+    folder = _later(0.5)
+    imu = folder.tables["imu"]
+    far = pl.concat([imu, imu.tail(1).with_columns(T + 1e14)])
+    assert len(_messages(replace(folder, tables=dict(folder.tables) | {"imu": far}))) == 1
+
+
+SILENT = {
+    "few rows": lambda imu: imu.head(5),
+    "too short": lambda imu: imu.filter(T < 20.0),
+    "without gravity": lambda imu: imu.with_columns(pl.col("accel_z_mps2") - 9.81),
+    "a gap in every window": lambda imu: imu.filter(T % 1.0 < 0.7),
+}
+
+
+@pytest.mark.parametrize("name", SILENT)
+def test_an_imu_that_cannot_tell_is_not_reported(name):
+    folder = _later(0.5)
+    assert _messages(replace(folder, tables=dict(folder.tables) | {"imu": SILENT[name](folder.tables["imu"])})) == []
