@@ -188,6 +188,8 @@ class TrackOptions(TrackerOptions):
         noise: a tuned.toml of `trackwright tune`.
         smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
         lag: smooth with the readings of the next so many seconds only.
+        motion: auto runs several levels of horizontal motion, the given one and smaller ones, weighted by how well each
+            predicts the readings: for motion unlike that of the defaults, as of a slow trolley.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
         no_figures: draw no figures.
@@ -202,6 +204,7 @@ class TrackOptions(TrackerOptions):
     noise: File | None = None
     smooth: bool = False
     lag: Seconds | None = None
+    motion: Literal["given", "auto"] = "given"
     seed: int = 0
     cluster: Address | None = None
     no_figures: bool = False

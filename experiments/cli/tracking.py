@@ -173,6 +173,8 @@ def _track(
     named = options.valued(named)
     if options.smooth or options.lag is not None:
         named = named.smoothing(options.lag)
+    if options.motion == "auto":
+        named = named.with_motion_levels()
     batches = named.batches(folders)
     for batch in batches:
         for line in batch.notices:

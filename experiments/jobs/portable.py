@@ -64,11 +64,12 @@ class PortableTracker(NamedTuple):
     source: str
     smoothed: bool
     lag: float | None
+    motion_levels: bool
 
     @classmethod
     def of(cls, tracker: NamedTracker) -> PortableTracker:
         """The name, file and numbers of a tracker of the catalogue or of a user's file."""
-        numbers = dict(tracker.values), tracker.source, tracker.smoothed, tracker.lag
+        numbers = dict(tracker.values), tracker.source, tracker.smoothed, tracker.lag, tracker.motion_levels
         return cls(tracker.name, file_of(tracker.name), tracker.free_height, *numbers)
 
     def tracks(self, folder: RecordingFolder, seed: int) -> tuple[pl.DataFrame, dict[str, int]]:
@@ -81,7 +82,9 @@ class PortableTracker(NamedTuple):
         tracker = NamedTracker.of(self.name, spec_here(self.name, self.text), folder, self.free_height)
         if self.values:
             tracker = tracker.with_values(self.values, self.source)
-        return tracker.smoothing(self.lag) if self.smoothed else tracker
+        if self.smoothed:
+            tracker = tracker.smoothing(self.lag)
+        return tracker.with_motion_levels() if self.motion_levels else tracker
 
 
 def run_on(

@@ -15,6 +15,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
+from trackwright.trackers.core.run.motion_levels import MotionLevels, levels_of_motion
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
@@ -35,9 +36,10 @@ class NamedTracker:
 
     `tracker`: the tracker of the first trajectory of the recordings it was made for. `values`: physical numbers by
     tunable name or shell pattern that replace the defaults in every recording; `source`: where they come from, for
-    messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. A recording with
-    other stations or anchors gets a tracker of its own geometry with the same numbers. `made_for`: the recordings that
-    it was made for and their rows, which are made only once.
+    messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. `motion_levels`:
+    whether it runs at several levels of motion. A recording with other stations or anchors gets a tracker of its own
+    geometry with the same numbers. `made_for`: the recordings that it was made for and their rows, which are made only
+    once.
     """
 
     name: str
@@ -48,6 +50,7 @@ class NamedTracker:
     source: str = "values"
     smoothed: bool = False
     lag: float | None = None
+    motion_levels: bool = False
     made_for: tuple[list[RecordingFolder], list[TrackerBatch]] = field(default_factory=lambda: ([], []))
 
     @classmethod
@@ -134,8 +137,18 @@ class NamedTracker:
         self._smoother(self.tracker, lag)
         return replace(self, smoothed=True, lag=lag)
 
+    def with_motion_levels(self) -> NamedTracker:
+        """This tracker at several levels of horizontal motion, weighted by their likelihoods: see `MotionLevels`.
+
+        For motion unlike that of the defaults, as of a slow trolley. Raises UnusableInput for a tracker without a noise
+        level of horizontal motion.
+        """
+        levels_of_motion(self.tracker)
+        return replace(self, motion_levels=True)
+
     def _finished(self, tracker: AbstractTracker) -> AbstractTracker:
-        return self._smoother(tracker, self.lag) if self.smoothed else tracker
+        whole = self._smoother(tracker, self.lag) if self.smoothed else tracker
+        return MotionLevels(whole) if self.motion_levels else whole  # type: ignore[arg-type]
 
     def _smoother(self, tracker: AbstractTracker, lag: float | None) -> AbstractTracker:
         try:
@@ -147,6 +160,7 @@ class NamedTracker:
 
     def __repr__(self) -> str:
         smoothed = f", smoothed over {self.lag:g} s" if self.lag else ", smoothed" if self.smoothed else ""
+        smoothed += ", at several levels of motion" if self.motion_levels else ""
         return f"<tracker {self.name}: {self.spec.about}{smoothed}; tunables {', '.join(self.tunables)}>"
 
 

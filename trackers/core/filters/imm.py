@@ -244,18 +244,18 @@ class InteractingModels(AbstractInteractingModels):
 
 def collapsed(components: Sequence[Gaussian], weights: Sequence[Scalar]) -> Gaussian:
     """The moment-matched Gaussian of a mixture with weights of sum 1."""
-    mean, deviations = _mean_and_deviations([g.mean for g in components], weights)
+    mean, deviations = mean_and_deviations([g.mean for g in components], weights)
     return Gaussian(mean, matched(weights, [g.cov for g in components], deviations))
 
 
 def collapsed_beside(components: Sequence[Gaussian], weights: Sequence[Any]) -> Gaussian:
     """`collapsed` of all trajectories, last in every array, with covariances (n, n, B)."""
     means = [g.mean for g in components]
-    mean, deviations = jax.vmap(_mean_and_deviations, in_axes=-1, out_axes=-1)(means, list(weights))
+    mean, deviations = jax.vmap(mean_and_deviations, in_axes=-1, out_axes=-1)(means, list(weights))
     return Gaussian(mean, matched(weights, [g.cov for g in components], deviations))
 
 
-def _mean_and_deviations(means: Sequence[State], weights: Sequence[Scalar]) -> tuple[State, list[Sequence[Scalar]]]:
+def mean_and_deviations(means: Sequence[State], weights: Sequence[Scalar]) -> tuple[State, list[Sequence[Scalar]]]:
     """The mean of a mixture, and the small steps from it to the means of its components."""
     steps = [local(means[0], x) for x in means[1:]]
     mean_step = [total(w * s for w, s in zip(weights[1:], column, strict=True)) for column in zip(*steps, strict=True)]
