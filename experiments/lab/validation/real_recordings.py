@@ -24,6 +24,7 @@ from trackwright.experiments.lab.validation.sites import (
     CALIBRATED,
     DEFAULTS,
     MARGIN,
+    OTHER_HALF,
     SEEN_BY_DEFAULTS,
     SITES,
     SMOOTHED_GOAL,
@@ -211,6 +212,8 @@ def _about(site: Site, results: Sequence[Judged]) -> str:
     if site.tuned:
         names = ", ".join(f"`{name}`" for name in site.tuned)
         text += f". Instead of a calibration, {names} is fitted to the other recordings"
+    if site.levels:
+        text += ". At several levels of motion (`track --motion auto`)"
     if not any(one.smoothed for one in results):
         text += ". This tracker has no smoother"
     return text + "."
@@ -222,7 +225,7 @@ def _row(one: Judged, best: Mapping[str, float]) -> Row:
     inside = "" if metrics["coverage_95"] is None else f"{100 * metrics['coverage_95']:.1f} %"
     return {
         "recording": one.recording + "*" * (one.recording in SEEN_BY_DEFAULTS.get(one.site.tracker, ())),
-        "setting": one.setting.name if one.counted or one.setting == DEFAULTS else "on the other half",
+        "setting": "on the other half" if one.on == OTHER_HALF else one.setting.name,
         "": "smoothed" if one.smoothed else "filtered",
         "RMSE": fixed(metrics["rmse_m"], 3),
         "3-D RMSE": "" if metrics["coverage_95_3d"] is None else fixed(metrics["rmse_3d_m"], 3),

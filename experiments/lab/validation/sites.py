@@ -46,6 +46,9 @@ SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """The recordings on which the default noise levels of a tracker were set."""
 
+OTHER_HALF = ("the other half",)
+"""What a recording without others of its installation is calibrated on."""
+
 LEAST_WAY = 1.0
 """Least way, m, of a recording that is judged: errors at one place are one sample, of which no share is inside."""
 
@@ -94,7 +97,8 @@ class Site(NamedTuple):
     """The recordings whose names match `pattern`, their tracker, and limits of errors.
 
     `mean`: whether the limits are of the mean over the recordings. `tuned`: tunables fitted on the other recordings
-    besides the calibration, by the 3-D RMSE. `quick`: part of the run of two minutes.
+    besides the calibration, by the 3-D RMSE. `levels`: whether the tracker runs at several levels of motion. `quick`:
+    part of the run of two minutes.
     """
 
     name: str
@@ -104,6 +108,7 @@ class Site(NamedTuple):
     calibrated: Errors = Errors()
     mean: bool = False
     tuned: tuple[str, ...] = ()
+    levels: bool = False
     quick: bool = False
 
 
@@ -122,6 +127,9 @@ SITES = (
     Site("ngbui line 1", "uwb", "ngbui-line-1-*", Errors(0.055), Errors(0.045)),
     Site("ngbui line 2", "uwb", "ngbui-line-2-*", Errors(0.42), Errors(0.30)),
     Site("ngbui line 3", "uwb", "ngbui-line-3-*", Errors(0.40), Errors(0.25)),
+    Site("ngbui line 1, motion auto", "uwb", "ngbui-line-1-*", levels=True),
+    Site("ngbui line 2, motion auto", "uwb", "ngbui-line-2-*", levels=True),
+    Site("ngbui line 3, motion auto", "uwb", "ngbui-line-3-*", levels=True),
     Site("ngbui line 1, path known", "line-grid", "ngbui-line-1-*"),
     Site("ngbui line 2, path known", "line-grid", "ngbui-line-2-*"),
     Site("ngbui line 3, path known", "line-grid", "ngbui-line-3-*"),
@@ -152,7 +160,7 @@ class Judged(NamedTuple):
 
     `on`: the recordings that it was calibrated or tuned on; none with default levels. `counted`: whether the
     covariances count: not where half of a recording is calibrated on the other, nor where it has set the default
-    levels.
+    levels, nor at several levels of motion, beside which it counts at the given one.
     """
 
     site: Site
@@ -198,7 +206,7 @@ def judged(site: Site) -> Iterator[Judged]:
             on = tuple(other.name for other in others)
             yield from _runs(site, CALIBRATED, folder, [folder.calibrated(calibrate(others))], {}, on, counted=True)
         else:
-            yield from _runs(site, CALIBRATED, folder, by_halves(folder), {}, ("the other half",), counted=False)
+            yield from _runs(site, CALIBRATED, folder, by_halves(folder), {}, OTHER_HALF, counted=False)
 
 
 def _runs(
@@ -214,14 +222,15 @@ def _runs(
     tracker = build(site.tracker, parts).with_values(values, "the fit")
     for smoothed in (False, True):
         try:
-            estimates = (tracker.smoothing() if smoothed else tracker).run(parts)
+            whole = tracker.smoothing() if smoothed else tracker
+            estimates = (whole.with_motion_levels() if site.levels else whole).run(parts)
         except UnusableInput:
             if smoothed:  # Grids and particles have no smoother.
                 return
             raise
         metrics = evaluate(estimates, parts).overall
         outside = farthest_outside(estimates.to_polars(), room(folder))
-        yield Judged(site, setting, folder.name, smoothed, metrics, outside, on, counted)
+        yield Judged(site, setting, folder.name, smoothed, metrics, outside, on, counted and not site.levels)
 
 
 def _tuned(site: Site, folders: list[RecordingFolder]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from trackwright.experiments.lab.validation import sites
 from trackwright.experiments.lab.validation.sites import (
     CALIBRATED,
     DEFAULTS,
+    OTHER_HALF,
     Errors,
     Judged,
     Outside,
@@ -143,7 +144,7 @@ def test_the_page_gives_each_recording_a_verdict_and_no_mean_of_shares():
     every = [
         _judged("a", nees_ratio=3.0, coverage_95=0.6),
         _judged("b", coverage_95=1.0),
-        _judged("a", CALIBRATED, counted=False, rmse_m=0.1),
+        _judged("a", CALIBRATED, counted=False, rmse_m=0.1)._replace(on=OTHER_HALF),
         _judged("b", CALIBRATED, outside=Outside(1.5, 0.1, 2.0, 7), rmse_m=0.1),
     ]
     summary, missed, flights, rooms = page.tables(every, {"a": 0.123})
