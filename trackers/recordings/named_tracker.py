@@ -5,6 +5,7 @@ Recordings in map coordinates are tracked about an origin nearby: single precisi
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -21,6 +22,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.reading_grids import above_rounding
+from trackwright.trackers.recordings.repeats import counted_once
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackwright.trackers.recordings.tracks import Tracks, track
 
@@ -57,7 +59,7 @@ class NamedTracker:
     def of(cls, name: str, spec: TrackerSpec, recordings: Recordings, free_height: bool = False) -> NamedTracker:
         """The tracker of an entry for recordings; raises UnusableInput for a recording that lacks what it reads."""
         folders = folder_list(recordings)
-        groups = spec.batches([*map(near_origin, folders)], name, free_height)
+        groups = _batches(spec, folders, name, free_height)
         if not groups:
             raise UnusableInput(f"tracker '{name}': no trajectory in the recordings; expected one tag at least")
         return cls(name, spec, groups[0].tracker, free_height, made_for=(folders, groups))
@@ -75,8 +77,9 @@ class NamedTracker:
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers.
 
-        A noise level below the rounding of a recording's readings is raised to it: `TrackerBatch.notices`. Recordings
-        in map coordinates are about an origin nearby, `trajectory.folder.origin`; estimates of `run` are not.
+        A noise level below the rounding of a recording's readings is raised to it, and values that a source repeats are
+        used once: `TrackerBatch.notices`. Recordings in map coordinates are about an origin nearby,
+        `trajectory.folder.origin`; estimates of `run` are not.
         """
         groups = self._batches(recordings)
         split = [part for group in groups for part in above_rounding(group)]
@@ -88,7 +91,7 @@ class NamedTracker:
         made_for, groups = self.made_for
         # Rows of long recordings take longer to make than to filter.
         if len(folders) != len(made_for) or any(a is not b for a, b in zip(folders, made_for, strict=True)):
-            groups = self.spec.batches([*map(near_origin, folders)], self.name, self.free_height)
+            groups = _batches(self.spec, folders, self.name, self.free_height)
         return [replace(group, tracker=with_values(group.tracker, self.values, self.source)) for group in groups]
 
     def only_batch(self, recordings: Recordings) -> TrackerBatch:
@@ -162,6 +165,15 @@ class NamedTracker:
         smoothed = f", smoothed over {self.lag:g} s" if self.lag else ", smoothed" if self.smoothed else ""
         smoothed += ", at several levels of motion" if self.motion_levels else ""
         return f"<tracker {self.name}: {self.spec.about}{smoothed}; tunables {', '.join(self.tunables)}>"
+
+
+def _batches(spec: TrackerSpec, folders: Sequence[RecordingFolder], name: str, free_height: bool) -> list[TrackerBatch]:
+    """The batches of recordings as trackers read them: about an origin nearby, each reading once."""
+    names = [] if spec.every_row else re.findall(r"\w+", spec.table)
+    prepared = [counted_once(near_origin(folder), names) for folder in folders]
+    groups = spec.batches([folder for folder, _ in prepared], name, free_height)
+    notices = tuple(line for _, lines in prepared for line in lines)
+    return [replace(groups[0], notices=notices), *groups[1:]] if groups else []
 
 
 def folder_list(recordings: Recordings) -> list[RecordingFolder]:

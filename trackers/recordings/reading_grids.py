@@ -155,6 +155,8 @@ def above_rounding(group: TrackerBatch) -> list[TrackerBatch]:
                     )
         if raised:
             part = trajectories.chosen(np.array(of_folder))
+            # Those of the group are told once.
+            notices = [*(() if separate else group.notices), *notices]
             separate.append(
                 replace(group, tracker=with_values(tracker, raised), trajectories=part, notices=tuple(notices))
             )
@@ -162,7 +164,7 @@ def above_rounding(group: TrackerBatch) -> list[TrackerBatch]:
             unchanged += of_folder
     if not separate:
         return [group]
-    kept = [replace(group, trajectories=trajectories.chosen(np.array(unchanged)))] if unchanged else []
+    kept = [replace(group, trajectories=trajectories.chosen(np.array(unchanged)), notices=())] if unchanged else []
     return [*kept, *separate]
 
 

@@ -19,7 +19,7 @@ class TrackerBatch:
     """Trajectories that one tracker runs as a batch.
 
     `planar`: whether the state lies in a plane: that of the floor at known heights, or that of a flat array. `notices`:
-    one line for each noise level that was raised to the rounding of the readings.
+    one line for each noise level that was raised to the rounding of the readings, and for readings used once.
     """
 
     tracker: AbstractTracker
@@ -45,7 +45,8 @@ class TrackerSpec:
     asked once for all tags of a folder that share station and known height, where the rows are `Trajectories`.
     `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
     `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so
-    that leaving the path is an event.
+    that leaving the path is an event. `every_row`: it reads rows that repeat a value, too, since
+    it averages them, counts rows, or estimates each time by itself.
     """
 
     about: str
@@ -58,6 +59,7 @@ class TrackerSpec:
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False
     on_path: bool = False
+    every_row: bool = False
 
     def missing(self, folder: RecordingFolder) -> str | None:
         """What the folder lacks for this tracker, in words, or None where it fits."""

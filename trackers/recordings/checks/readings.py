@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
 from trackwright.trackers.recordings.columns import stable_order
@@ -74,8 +74,11 @@ class Readings(NamedTuple):
     errors: Float[np.ndarray, "N m"]
 
 
-def readings(recording: RecordingFolder, name: str) -> Readings:
-    """The readings of a table with measurements; of more than `MOST_ROWS`, equally many first ones of each stream."""
+def readings(recording: RecordingFolder, name: str, errors: bool = True) -> Readings:
+    """The readings of a table with measurements; of more than `MOST_ROWS`, equally many first ones of each stream.
+
+    Without `errors` these are unknown.
+    """
     rows, kind = recording.rows(name), KINDS[name]
     measured = kind.measured(recording.rig, rows)
     stream = rows.of_each(np.arange(len(rows.tags)))
@@ -87,13 +90,13 @@ def readings(recording: RecordingFolder, name: str) -> Readings:
         within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
         order = order[within < MOST_ROWS // np.count_nonzero(counts)]
     times, measured = rows.times[order], measured.of_rows(order)
-    errors = np.full(measured.values.shape, np.nan)
-    if len(recording.paths.times) and kind.averaged and kind.predicted is not None:
+    differences = np.full(measured.values.shape, np.nan)
+    if errors and len(recording.paths.times) and kind.averaged and kind.predicted is not None:
         # The order is one of tags too.
         tag = np.searchsorted(rows.starts, order, side="right") - 1
         starts = np.searchsorted(tag, np.arange(len(rows.tags) + 1))
-        errors = measured.errors(recording.paths.at(rows.tags, starts, times)[0])
-    return Readings(measured.columns, stream[order], times, measured.values, errors)
+        differences = measured.errors(recording.paths.at(rows.tags, starts, times)[0])
+    return Readings(measured.columns, stream[order], times, measured.values, differences)
 
 
 def about_local_line(read: Readings) -> Float[np.ndarray, "N m"]:
@@ -151,13 +154,20 @@ def check_repeats(name: str, read: Readings) -> list[CheckResult]:
 
 def repeated_share(read: Readings) -> float:
     """The share of the readings with a predecessor in their stream that equal it in all columns; NaN without any."""
+    follows, moved = changes(read)
+    return float(np.mean((moved[follows] == 0.0).all(axis=1))) if follows.any() else float("nan")
+
+
+def changes(read: Readings) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "n m"]]:
+    """Of each reading but the first, in order: whether it is of the stream of the one before, and the change from it.
+
+    Rows without any value are left out. Where both lack a column its change is zero, where one does infinite.
+    """
     seen = np.isfinite(read.values).any(axis=1)
     values, stream = read.values[seen], read.stream[seen]
-    follows = stream[1:] == stream[:-1]
-    if not follows.any():
-        return float("nan")
-    same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-    return float(np.mean(same[follows].all(axis=1)))
+    missing = np.isnan(values)
+    moved = np.where(missing[1:] & missing[:-1], 0.0, wrapped(np.diff(values, axis=0), read.columns))
+    return stream[1:] == stream[:-1], np.where(np.isnan(moved), np.inf, moved)
 
 
 def check_quantisation(name: str, read: Readings, scatter: np.ndarray) -> list[CheckResult]:
