@@ -55,15 +55,16 @@ def range_tracker(
 def range_levels(calibration: Calibration | None) -> dict[str, float]:
     """The noise levels of `range_tracker`, by name, at a site with this calibration; none where it has no anchors.
 
-    The biases left by a calibration vary from place to place, with its `range_spread` as standard deviation.
+    The biases left by a calibration vary from place to place, with its `range_spread` as standard deviation. They last
+    for seconds and about a metre, as the errors of ranges against truth do (docs/decisions.md, Calibration).
     """
     if calibration is None or not calibration.anchors:
         return {}
     return {
         "bias": 0.0,
         "sigma_bias": calibration.range_spread or 0.07,
-        "time_constant": 130.0,
-        "length": 1.0,
+        "time_constant": 5.0,
+        "length": 1.5,
         "sigma_shared": 0.005,
         "sigma_r": 0.06,
         "positive_skew": 3.5,

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import trackwright as tw
 from trackwright.sim import worlds as simulate
 from trackwright.trackers.catalogue import TRACKERS, build
 from trackwright.trackers.parts.range_rows import range_trajectories
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.calibration import UNCALIBRATED, AnchorCalibration, Calibration
+from trackwright.trackers.uwb_imu.fusion import range_levels
 
 ANCHOR = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.array([0.0, 20.0]))
 
@@ -41,3 +43,39 @@ def test_every_anchor_has_a_bias_and_sites_with_a_few_more_or_fewer_share_a_prog
     tracker = TRACKERS["uwb"].build(trajectory, True)
     assert (tracker.motion.biases, *tracker.sensors[RANGES].bias.value.shape) == (biases, biases)
     assert TRACKERS["uwb"].geometry(trajectory) == (biases,)
+
+
+ANCHORS = np.array([[0.0, 0.0, 2.5], [10.0, 0.0, 2.0], [10.0, 8.0, 2.5], [0.0, 8.0, 2.0]])
+SPREAD, HEIGHT, DT, RUNS, ROWS = 0.085, 1.0, 0.05, 200, 600
+
+
+def _walks(time_constant, length):
+    """Ranges of `RUNS` walks in NumPy, with Gauss–Markov biases of standard deviation `SPREAD`, and white noise."""
+    rng = np.random.default_rng(3)
+    kept, kick = np.exp(-DT / 5.5), 0.44 * np.sqrt(DT)
+    position, velocity = [5.0, 4.0] + rng.normal(size=(RUNS, 2)), rng.normal(size=(RUNS, 2))
+    bias, number = SPREAD * rng.normal(size=(RUNS, 4)), np.arange(ROWS) % 4
+    truth, ranges = np.empty((RUNS, ROWS, 3)), np.empty((RUNS, ROWS))
+    for row, k in enumerate(number):
+        decay = np.exp(-DT * (1 / time_constant + np.hypot(*velocity.T) / length))[:, None]
+        bias = decay * bias + np.sqrt(1 - decay**2) * SPREAD * rng.normal(size=(RUNS, 4))
+        position, velocity = position + velocity * DT, kept * velocity + kick * rng.normal(size=(RUNS, 2))
+        truth[:, row] = np.column_stack([position, np.full(RUNS, HEIGHT)])
+        ranges[:, row] = np.linalg.norm(truth[:, row] - ANCHORS[k], axis=1) + bias[:, k] + 0.05 * rng.normal(size=RUNS)
+    times = np.arange(ROWS) * DT
+    recordings = [tw.range_recording(times, z, ANCHORS, anchor=number, height=HEIGHT) for z in ranges]
+    return recordings, truth[:, :, :2]
+
+
+@pytest.mark.slow
+def test_smoothed_ellipses_of_a_calibrated_site_hold_the_truth_whatever_the_biases_time_scale():
+    """Biases that last for 2 to 30 s and 0.5 to 1.5 m: inside 93 to 97 %."""
+    levels = range_levels(Calibration(anchors={"A": ANCHOR}, range_spread=SPREAD))
+    tracker = tw.Smoothed(tw.range_tracker(4, planar=True, **levels))
+    for scales in ((2.0, 0.5), (5.0, 1.5), (30.0, 0.8)):
+        recordings, truth = _walks(*scales)
+        estimates = tracker.run(recordings)
+        error = (np.stack([np.asarray(x) for x in estimates.mean.position], axis=-1) - truth)[:, 40:]
+        cov = np.asarray(estimates.covariance)[:, 40:, :2, :2]
+        nees = np.einsum("rti,rtij,rtj->rt", error, np.linalg.inv(cov), error)
+        assert 0.93 < np.mean(nees < 5.991) < 0.97, scales
