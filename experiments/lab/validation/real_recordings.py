@@ -295,7 +295,8 @@ def _draw_curves(every: Sequence[Judged], setting: Setting, smoothed: bool, axes
     axes.set_title(
         f"{setting.name}, {'smoothed' if smoothed else 'filtered'}: {sum(counted)} of {len(counted)} within limits"
     )
-    axes.set(xlim=(0, 100.8), ylim=(0, 100.8), xticks=at, yticks=at, aspect="equal")
+    ticks = [0, 50, 68, 90, 100]
+    axes.set(xlim=(0, 100.8), ylim=(0, 100.8), xticks=ticks, yticks=ticks, aspect="equal")
     axes.set(xlabel="level of the ellipse (%)", ylabel="truth inside (%)")
 
 
