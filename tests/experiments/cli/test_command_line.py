@@ -200,6 +200,7 @@ def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, tracker, pict
         "free_height": False,
         "smooth": False,
         "lag": None,
+        "motion": "given",
         "seed": 0,
     }
     assert manifest["config"] == settings

@@ -41,7 +41,7 @@ def _recursive(tracker: AbstractTracker) -> list[Any]:
     """The recursive trackers inside a tracker, which may be one itself."""
     if isinstance(tracker, Cascade):
         return [*tracker.beams.values(), tracker.fusion]
-    inner = getattr(tracker, "fusion", tracker)
+    inner = getattr(tracker, "fusion", getattr(tracker, "tracker", tracker))
     return [inner] if hasattr(inner, "motion") else []
 
 

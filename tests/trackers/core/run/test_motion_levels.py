@@ -126,7 +126,8 @@ def test_a_trolley_that_hardly_moves_is_tracked_better_and_a_walk_not_worse():
 
 def test_the_command_tracks_as_python_does(tmp_path):
     folder = worlds.agv(n=1, seed=2, rows=40).folder()
-    path = write_recording(folder, tmp_path / "hall")
+    path = tmp_path / "hall"
+    write_recording(folder, path)
     options = ("--tracker", "fix-kf", "--motion", "auto", "--no-figures", "--no-report", "--out", tmp_path / "run")
     done = trackwright("track", path, *options)
     assert done.code == 0, done
