@@ -8,6 +8,7 @@ these figures are shown and not counted, since what changes between days does no
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from fnmatch import fnmatch
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -220,17 +221,14 @@ def _runs(
 ) -> Iterator[Judged]:
     """The recording, as it is or calibrated in `parts`, filtered and smoothed with these values of tunables."""
     tracker = build(site.tracker, parts).with_values(values, "the fit")
-    for smoothed in (False, True):
-        try:
-            whole = tracker.smoothing() if smoothed else tracker
-            estimates = (whole.with_motion_levels() if site.levels else whole).run(parts)
-        except UnusableInput:
-            if smoothed:  # Grids and particles have no smoother.
-                return
-            raise
+    kinds = [tracker]
+    with suppress(UnusableInput):  # Grids and particles have no smoother.
+        kinds.append(tracker.smoothing())
+    for kind in kinds:
+        estimates = (kind.with_motion_levels() if site.levels else kind).run(parts)
         metrics = evaluate(estimates, parts).overall
         outside = farthest_outside(estimates.to_polars(), room(folder))
-        yield Judged(site, setting, folder.name, smoothed, metrics, outside, on, counted and not site.levels)
+        yield Judged(site, setting, folder.name, kind.smoothed, metrics, outside, on, counted and not site.levels)
 
 
 def _tuned(site: Site, folders: list[RecordingFolder]) -> dict[str, Any]:

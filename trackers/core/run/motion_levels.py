@@ -2,7 +2,7 @@
 
 Multiple-model adaptive estimation (Magill 1965; Bar-Shalom, Li and Kirubarajan 2001, section 11.6), with weights that
 change over time. A tracker that is tuned for hand-held tags is wrong by an order of magnitude for a slow trolley, and
-the readings tell; but errors of readings last, so that readings within `LASTING_S` count as one.
+the readings tell; but errors of readings last, so that those within `lasting` seconds count as one.
 """
 
 from __future__ import annotations
@@ -13,15 +13,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.imm import mean_and_deviations
-from trackwright.trackers.core.model.algebra import Scalar, total, triangle
-from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.covariance import Gaussian, matched, size_of
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.tunable import Scale, replaced, role_of, tunables
 from trackwright.trackers.core.run.requirements import Layout
@@ -173,23 +172,20 @@ def mixture_of(outputs: Output, weights: Weights) -> Output:
     likeliest = jnp.argmax(shares, axis=0)[None]
 
     def known(x: jax.Array) -> jax.Array:
-        """A leaf (K, T, …, B) of the mean, of members without a track that of the likeliest one."""
+        """A leaf (K, T, …, B) of the moments, of members without a track that of the likeliest one."""
         shape = x.shape[1], *(1,) * (x.ndim - 3), x.shape[-1]
         instead = jnp.take_along_axis(x, likeliest.reshape(1, *shape), axis=0)
         return jnp.where((shares > 0).reshape(-1, *shape), x, instead)
 
-    leaves = jax.tree_util.tree_map(known, outputs.mean)
-    members = [jax.tree_util.tree_map(lambda x, k=k: x[k], leaves) for k in range(len(weights))]
-    moments = jax.vmap(jax.vmap(mean_and_deviations, in_axes=-1, out_axes=-1))
-    mean, deviations = moments(members, list(shares))
-    pairs = triangle(int((np.sqrt(8 * len(outputs.cov) + 1) - 1) / 2))
-    cov = tuple(
-        total(jnp.where(w > 0, w * (P + d[i] * d[j]), 0.0) for w, P, d in zip(shares, entry, deviations, strict=True))
-        for entry, (i, j) in zip(outputs.cov, pairs, strict=True)
-    )
+    moments = jax.tree_util.tree_map(known, (outputs.mean, outputs.cov))
+    members = [jax.tree_util.tree_map(lambda x, k=k: x[k], moments) for k in range(len(weights))]
+    centre = jax.vmap(jax.vmap(mean_and_deviations, in_axes=-1, out_axes=-1))
+    mean, deviations = centre([member for member, _ in members], list(shares))
+    covs, size = [cov for _, cov in members], size_of(outputs.cov)
     return Output(
         mean,
-        cov,
+        # A covariance may be that of the leading components alone.
+        matched(list(shares), covs, [d[:size] for d in deviations]),
         outputs.log_likelihood[0],
         jnp.sum(weights * outputs.nis, axis=0),
         outputs.nis_dof[0],

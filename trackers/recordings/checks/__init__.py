@@ -63,9 +63,9 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         results += check_truth(tables["truth"], measured)
     results += check_geometry(rig, tables)
     wrong_units = any(result.level == "error" for result in results)
-    of_imu = [] if wrong_units else check_imu(tables)
-    # With wrong axes, an IMU fits the ranges at no delay, or at a wrong one.
-    results += of_imu or ([] if wrong_units else check_imu_clock(recording))
+    if not wrong_units:
+        # With wrong axes, an IMU fits the ranges at no delay, or at a wrong one.
+        results += check_imu(tables) or check_imu_clock(recording)
     for name in measured:
         results += _check_errors(recording, name)
         view = compared(recording, name)

@@ -85,34 +85,34 @@ class Window(NamedTuple):
     still: float
 
 
-def delay_of(found: Sequence[Window]) -> float | None:
+def delay_of(parts: Sequence[Window]) -> float | None:
     """Seconds by which an IMU comes late, 0 where it may not; None where windows do not tell or their halves differ."""
-    if len(found) < LEAST_WINDOWS:
+    if len(parts) < LEAST_WINDOWS:
         return None
-    squares = np.stack([one.squares for one in found])
-    total, half = squares.sum(axis=0), len(found) // 2
+    squares = np.stack([one.squares for one in parts])
+    total, half = squares.sum(axis=0), len(parts) // 2
     best = int(np.argmin(total))
-    apart = [abs(int(np.argmin(part.sum(axis=0))) - best) for part in (squares[:half], squares[half:])]
+    apart = [abs(int(np.argmin(half_of.sum(axis=0))) - best) for half_of in (squares[:half], squares[half:])]
     if not 0 < best < len(DELAYS) - 1 or STEP_S * max(apart) > 2.5 * LEAST_DELAY_S:
         return None
-    certain = CERTAIN * _variance(found, best)
+    certain = CERTAIN * _variance(parts, best)
     others = total[np.abs(DELAYS - DELAYS[best]) > APART_S]
-    if min(others.min(), sum(one.still for one in found)) - total[best] < certain:
+    if min(others.min(), sum(one.still for one in parts)) - total[best] < certain:
         return None
     if total[np.abs(DELAYS) < 1.5 * LEAST_DELAY_S].min() - total[best] < certain:
         return 0.0
     return float(DELAYS[best] + STEP_S * _lowest(*total[best - 1 : best + 2]))
 
 
-def _variance(found: Sequence[Window], best: int) -> float:
+def _variance(parts: Sequence[Window], best: int) -> float:
     """The variance of the squares' derivative by that of independent errors of one standard deviation; at least 1."""
     scores, information = [], 0.0
-    for one in found:
+    for one in parts:
         slope, turning = (one.errors[:, best + 1] - one.errors[:, best - 1]) / (2 * STEP_S), one.turning[:, best]
         slope = slope - turning * (slope @ turning) / max(turning @ turning, 1e-12)
         scores.append(one.errors[:, best] * slope)
         information += float(slope @ slope)
-    times = np.concatenate([one.times for one in found])
+    times = np.concatenate([one.times for one in parts])
     block = np.unique(np.floor(times / BLOCK_S), return_inverse=True)[1]
     return max(float(np.sum(np.bincount(block, np.concatenate(scores)) ** 2)) / max(information, 1e-12), 1.0)
 
@@ -125,10 +125,10 @@ def _lowest(before: np.ndarray, least: np.ndarray, after: np.ndarray) -> np.ndar
 def windows(recording: RecordingFolder, tag: str) -> Iterator[Window]:
     """The windows of a tag's IMU, with the ranges of all tags on its body."""
     rig, rows, ranges = recording.rig, recording.rows("imu"), recording.rows("ranges")
-    own = slice(*rows.starts[rows.tags.index(tag) :][:2])
-    x = rows.floats(layout("imu", recording.tables["imu"].columns).values)[own]
+    of_tag = slice(*rows.starts[rows.tags.index(tag) :][:2])
+    x = rows.floats(layout("imu", recording.tables["imu"].columns).values)[of_tag]
     whole = np.flatnonzero(np.isfinite(x).all(axis=1))
-    t, first = np.unique(rows.times[own][whole], return_index=True)
+    t, first = np.unique(rows.times[of_tag][whole], return_index=True)
     t, x = t[:MOST_ROWS], x[whole[first[:MOST_ROWS]]]
     offsets = {name: np.asarray(one.offset, float) for name, one in rig.tags.items() if one.offset is not None}
     carried = np.array([name == tag or (tag in offsets and name in offsets) for name in ranges.tags], bool)
@@ -272,12 +272,12 @@ def _attitudes(t: Float[np.ndarray, " N"], rates: Float[np.ndarray, "N 3"]) -> F
     half = np.linalg.norm(turn, axis=1, keepdims=True) / 2
     steps = np.concatenate([np.cos(half), turn * np.sinc(half / np.pi) / 2], axis=1)
     w, x, y, z = 1.0, 0.0, 0.0, 0.0
-    found = [(w, x, y, z)]
+    quaternions = [(w, x, y, z)]
     for a, b, c, d in steps.tolist():
         w, x, y, z = (
             w * a - x * b - y * c - z * d, w * b + x * a + y * d - z * c,
             w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a,
         )  # fmt: skip
-        found.append((w, x, y, z))
-    q = np.array(found)
+        quaternions.append((w, x, y, z))
+    q = np.array(quaternions)
     return rotation_matrices(q / np.linalg.norm(q, axis=1, keepdims=True))
