@@ -40,6 +40,9 @@ from trackwright.experiments.text.wording import fixed
 
 PAGE = REPOSITORY / "docs" / "real-recordings.md"
 CURVES = PAGE.with_name("calibration-curves.png")
+KINDS = [(setting, smoothed) for setting in (DEFAULTS, CALIBRATED) for smoothed in (False, True)]
+"""Settings, filtered and smoothed, in the order of the tables and panels."""
+
 LEVELS = (50, 68, 90, 95, 99)
 """Levels of ellipses, %, of the curves."""
 
@@ -104,15 +107,19 @@ def _share_checks(every: Sequence[Judged]) -> list[Check]:
 
 def _shares(every: Sequence[Judged]) -> Iterator[tuple[str, float, list[bool]]]:
     """By setting and kind of estimates: its name, its goal, and whether each recording that counts is within limits."""
-    for setting in (DEFAULTS, CALIBRATED):
-        for smoothed in (False, True):
-            held = [
-                one.holds
-                for one in every
-                if one.setting == setting and one.smoothed == smoothed and one.counted and one.holds is not None
-            ]
-            goal = SMOOTHED_GOAL if smoothed else setting.goal
-            yield f"{setting.name}, {'smoothed' if smoothed else 'filtered'}", goal, held
+    for setting, smoothed in KINDS:
+        goal = SMOOTHED_GOAL if smoothed else setting.goal
+        yield _named(setting, smoothed), goal, _held(every, setting, smoothed)
+
+
+def _held(every: Sequence[Judged], setting: Setting, smoothed: bool, counted: bool = True) -> list[bool]:
+    """Whether each recording that counts, or each that does not, is within limits, of those with covariances."""
+    of_kind = [one for one in every if (one.setting, one.smoothed, one.counted) == (setting, smoothed, counted)]
+    return [one.holds for one in of_kind if one.holds is not None]
+
+
+def _named(setting: Setting, smoothed: bool) -> str:
+    return f"{setting.name}, {'smoothed' if smoothed else 'filtered'}"
 
 
 def _error_checks(every: Sequence[Judged]) -> list[Check]:
@@ -185,19 +192,11 @@ def tables(every: Sequence[Judged], best: Mapping[str, float]) -> list[Table]:
 def _summary(every: Sequence[Judged]) -> list[Row]:
     """How many recordings are within limits in each setting, those that do not count beside them."""
     rows = []
-    for name, goal, held in _shares(every):
-        setting, _, kind = name.partition(", ")
-        apart = [
-            one.holds
-            for one in every
-            if one.setting.name == setting
-            and one.smoothed == (kind == "smoothed")
-            and not one.counted
-            and one.holds is not None
-        ]
+    for (name, goal, held), kind in zip(_shares(every), KINDS, strict=True):
+        apart = _held(every, *kind, counted=False)
         rows.append({
             "setting": name, "within limits": f"{sum(held)} of {len(held)}", "goal": f"{100 * goal:.0f} %",
-            "not counted": f"{sum(map(bool, apart))} of {len(apart)}" if apart else "",
+            "not counted": f"{sum(apart)} of {len(apart)}" if apart else "",
         })  # fmt: skip
     return rows
 
@@ -275,8 +274,7 @@ def _rooms(every: Sequence[Judged]) -> list[Row]:
 
 def plot_curves(path: Path, every: Sequence[Judged]) -> None:
     """The share of the truth inside the ellipses against their level: a line for each recording, a panel a setting."""
-    kinds = [(setting, smoothed) for setting in (DEFAULTS, CALIBRATED) for smoothed in (False, True)]
-    panels = [partial(_draw_curves, every, *kind) for kind in kinds]
+    panels = [partial(_draw_curves, every, *kind) for kind in KINDS]
     write_panels(path, panels, (9.0, 8.6), columns=2, legend=4)
 
 
@@ -291,10 +289,8 @@ def _draw_curves(every: Sequence[Judged], setting: Setting, smoothed: bool, axes
         shares = [0.0, *(100 * one.metrics[f"coverage_{level}"] for level in LEVELS), 100.0]
         colour = GREY if not one.counted else BLUE if one.holds else VERMILION
         axes.plot(at, shares, color=colour, linewidth=1.0, alpha=0.8)
-    counted = [bool(one.holds) for one in results if one.counted]
-    axes.set_title(
-        f"{setting.name}, {'smoothed' if smoothed else 'filtered'}: {sum(counted)} of {len(counted)} within limits"
-    )
+    held = _held(every, setting, smoothed)
+    axes.set_title(f"{_named(setting, smoothed)}: {sum(held)} of {len(held)} within limits")
     ticks = [0, 50, 68, 90, 100]
     axes.set(xlim=(0, 100.8), ylim=(0, 100.8), xticks=ticks, yticks=ticks, aspect="equal")
     axes.set(xlabel="level of the ellipse (%)", ylabel="truth inside (%)")
