@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.aoa.peak import Blocks, power, strongest_index
+from trackwright.trackers.core.model.algebra import product
 from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.rig import Station
 
@@ -87,7 +88,7 @@ def snapshots(phases: AnyArray, seen: AnyArray) -> jax.Array:
     """The sample covariance (…, n, n), complex, of the unit phasors of several rows (…, rows, n)."""
     phasor = jax.lax.complex(jnp.cos(phases), jnp.sin(phases))
     x = jnp.where(seen, phasor, jnp.zeros_like(phasor))
-    return jnp.einsum("...ri,...rj->...ij", x, x.conj()) / phases.shape[-2]
+    return jnp.einsum("...ri,...rj->...ij", x, x.conj(), precision="highest") / phases.shape[-2]
 
 
 def capon(grid: Grid, covariance: jax.Array, loading: float = 0.05) -> jax.Array:
@@ -104,7 +105,7 @@ def music(grid: Grid, covariance: jax.Array) -> jax.Array:
     vector = covariance
     for _ in range(6):
         # Six squarings are 64 power iterations; the division prevents overflow.
-        vector = vector @ vector
+        vector = product(vector, vector)
         vector = vector / (_power(vector) + 1e-30)
     signal = jnp.maximum(_form(grid, vector), 0.0)
     return n / jnp.maximum(n - signal, 1e-6 * n)
@@ -124,7 +125,7 @@ def _form(grid: Grid, matrix: jax.Array) -> jax.Array:
     """aᴴMa for every direction, for a Hermitian matrix."""
     kind = jnp.zeros((), matrix.dtype).real.dtype
     steering = jax.lax.complex(jnp.asarray(grid.cosine, kind), jnp.asarray(grid.sine, kind))
-    return jnp.einsum("ig,...ij,jg->...g", steering.conj(), matrix, steering).real
+    return jnp.einsum("ig,...ij,jg->...g", steering.conj(), matrix, steering, precision="highest").real
 
 
 def _inverse(matrix: jax.Array) -> jax.Array:

@@ -15,6 +15,7 @@ from trackwright.trackers.aoa.phases import require_arrays
 from trackwright.trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.algebra import product
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.motion import ConstantVelocity
@@ -108,7 +109,7 @@ class Cascade(AbstractEpochwiseTracker):
             rays = []
             for name, part in zip(self.beams, parts, strict=True):
                 geometry = jnp.asarray(self.geometry[name])
-                direction = geometry[3:].reshape(3, 3).T @ unit_vector(*part.values)
+                direction = product(geometry[3:].reshape(3, 3).T, unit_vector(*part.values))
                 rays.append((geometry[:3], direction, part.seen[0]))
             count = sum(jnp.where(part.seen[0], 1, 0) for part in parts)
             point = nearest_to_rays(rays, jnp.asarray(self.centre))

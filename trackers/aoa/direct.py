@@ -13,7 +13,7 @@ from trackwright.trackers.aoa.beamformer import Grid, direction
 from trackwright.trackers.aoa.fusion import region_centre
 from trackwright.trackers.aoa.phases import SphericalPhases, require_arrays
 from trackwright.trackers.aoa.rays import nearest_to_rays, unit_vector
-from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, total
+from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, product, total
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import HEIGHT, Input
 from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
@@ -57,7 +57,7 @@ class PhaseStart(AbstractStart):
             sensor, reading = sensors[name], row.readings[name]
             calibrated = reading.values - sensor.offsets.value
             beam = unit_vector(*direction(grid, calibrated, reading.seen))
-            rays.append((sensor.origin, sensor.array_from_world.T @ beam, jnp.sum(reading.seen) >= 3))
+            rays.append((sensor.origin, product(sensor.array_from_world.T, beam), jnp.sum(reading.seen) >= 3))
         return nearest_to_rays(rays, jnp.asarray(self.centre), row.inputs["height"] if self.planar else None)
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
+from trackwright.trackers.core.model.algebra import product
 from trackwright.trackers.core.model.inputs import AnyArray
 
 REACH = 2
@@ -67,8 +68,8 @@ class Blocks(eqx.Module):
 
 def power(c: jax.Array, s: jax.Array, cosine: AnyArray, sine: AnyArray) -> jax.Array:
     """|Σ (c + i s)(cosine − i sine)|², (…, G), of weighted phasors (…, n) and responses (n, G)."""
-    real = c @ cosine + s @ sine
-    imaginary = s @ cosine - c @ sine
+    real = product(c, cosine) + product(s, sine)
+    imaginary = product(s, cosine) - product(c, sine)
     return real * real + imaginary * imaginary
 
 
@@ -107,7 +108,8 @@ def _rows(cosine: AnyArray, sine: AnyArray, blocks: Blocks, phases: AnyArray, se
     strongest = jnp.min(jnp.where(inside == best[:, None, None], numbers, cosine.shape[1]), axis=(1, 2))
     # A minimum, not the last of `centres`: for a slice XLA (jaxlib 0.10) sorts all blocks, at ten times the other
     # costs.
-    unsure = jnp.sqrt(jnp.min(centres, axis=1)) >= jnp.sqrt(best) - weight @ jnp.asarray(blocks.fall, weight.dtype)
+    fall = product(weight, jnp.asarray(blocks.fall, weight.dtype))
+    unsure = jnp.sqrt(jnp.min(centres, axis=1)) >= jnp.sqrt(best) - fall
     # Rows without a phase, as in padding, have the first direction anyway.
     unsure = unsure & jnp.any(seen, axis=1)
     size = len(phases)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.data.seconds import first_not_before
-from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.algebra import Scalar, product
 from trackwright.trackers.core.model.inputs import AnyArray
 
 MIN_INFORMATION = 0.02
@@ -31,14 +31,14 @@ def nearest_to_rays(
     if height is not None:
         centre = centre.at[2].set(height)
         information = information.at[2, 2].set(1e4)
-    sums = information @ centre
+    sums = product(information, centre)
     for origin, direction, counts in rays:
         projection = jnp.where(counts, eye - jnp.outer(direction, direction), 0.0)
-        information, sums = information + projection, sums + projection @ origin
+        information, sums = information + projection, sums + product(projection, origin)
     # Cramer's rule: batched LAPACK calls can deadlock when several threads share few cores.
     a, b, c = information
     by_a, by_b, by_c = jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)
-    return (by_a * sums[0] + by_b * sums[1] + by_c * sums[2]) / (a @ by_a)
+    return (by_a * sums[0] + by_b * sums[1] + by_c * sums[2]) / product(a, by_a)
 
 
 def recent_points(

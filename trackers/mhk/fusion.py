@@ -22,7 +22,7 @@ import jax.numpy as jnp
 
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
-from trackwright.trackers.core.model.algebra import Scalar, Vector
+from trackwright.trackers.core.model.algebra import Scalar, Vector, product
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.keys import RawKey
@@ -134,11 +134,11 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         blocks = self.sphere.blocks()
         # −½ |o − ½Δt²·a|² / σ² without the term common to all states.
         accelerations = blocks.accelerations
-        along = accelerations @ displacement.array()
+        along = product(accelerations, displacement.array())
         squares = jnp.sum(accelerations * accelerations, axis=1)
         log_likelihoods = precision * half_square * (along - 0.5 * half_square * squares)
         after, _ = chain_updated(weights, log_likelihoods)
-        mean = after @ accelerations
+        mean = product(after, accelerations)
         return after, Vector(mean[0], mean[1], mean[2])
 
 

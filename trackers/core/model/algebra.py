@@ -141,6 +141,14 @@ def total(terms: Iterable[Scalar]) -> Scalar:
     return 0.0 if result is None else result
 
 
+def product(a: Any, b: Any) -> jax.Array:
+    """The matrix product a @ b in the full precision of its type.
+
+    By default some accelerators round the factors of single-precision products to ten bits.
+    """
+    return jnp.matmul(a, b, precision="highest")
+
+
 def times(a: Scalar, b: Scalar) -> Scalar:
     """a·b, where the Python float 1.0 costs no operation."""
     if isinstance(a, float) and a == 1.0:
