@@ -22,6 +22,7 @@ from jax.custom_batching import custom_vmap
 
 from trackwright.trackers.core.model.algebra import product
 from trackwright.trackers.core.model.inputs import AnyArray
+from trackwright.trackers.core.model.side_by_side import side_by_side
 
 REACH = 2
 """Grid steps from the centre of a block to its edge."""
@@ -31,6 +32,9 @@ BLOCKS = 16
 
 IN_FULL_AT_ONCE = 4
 """Rows searched in full together."""
+
+IN_FULL_AT_MOST = 256
+"""On a GPU, where each takes half a megabyte."""
 
 MARGIN = 1.1
 """Factor of the bound, since phases are not quite linear in the angles."""
@@ -113,7 +117,7 @@ def _rows(cosine: AnyArray, sine: AnyArray, blocks: Blocks, phases: AnyArray, se
     # Rows without a phase, as in padding, have the first direction anyway.
     unsure = unsure & jnp.any(seen, axis=1)
     size = len(phases)
-    n_at_once = min(IN_FULL_AT_ONCE, size)
+    n_at_once = side_by_side(IN_FULL_AT_ONCE, min(IN_FULL_AT_MOST, size))
 
     def some(state: tuple[Any, Any]) -> tuple[Any, Any]:
         unsure, strongest = state

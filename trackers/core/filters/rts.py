@@ -32,6 +32,7 @@ from trackwright.trackers.core.model.covariance import (
     with_covariances,
 )
 from trackwright.trackers.core.model.elapsed import Elapsed
+from trackwright.trackers.core.model.side_by_side import side_by_side
 from trackwright.trackers.core.model.state import State, local, retract
 
 Matrices = Float[Array, "n n B"]
@@ -106,7 +107,8 @@ def fixed_interval(
     the gain of a step. `estimate_of`: the estimates of beliefs.
     """
     n_rows, size = dt.shape
-    block = BLOCK if size % BLOCK == 0 else size
+    at_once = side_by_side(BLOCK, size)
+    block = at_once if size % at_once == 0 else size
     # A row at the time of the next one shares its belief. The other rows are ranked from the last one.
     ranked = ~connected | (dt != 0)
     rank = jnp.cumsum(ranked[::-1].astype(jnp.int32), axis=0)[::-1] - 1

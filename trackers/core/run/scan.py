@@ -35,6 +35,7 @@ from trackwright.trackers.core.model.covariance import (
 from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
+from trackwright.trackers.core.model.side_by_side import side_by_side
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
 
@@ -305,7 +306,7 @@ def reinitialise(
 
 
 def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"], few: bool) -> Any:
-    """`start.candidate` of the trajectories where `need` (B,) is true, `STARTS_AT_ONCE` at a time; zeros elsewhere."""
+    """`start.candidate` of the trajectories where `need` (B,) is true, some at a time; zeros elsewhere."""
     numbers, rest = eqx.partition((tracker.start, tracker.sensors), eqx.is_array)
     start, sensors = eqx.combine(numbers if tracker.start.smooth else jax.lax.stop_gradient(numbers), rest)
     row = jax.lax.stop_gradient(row)
@@ -320,7 +321,7 @@ def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"], few: bo
 
     def some(state: tuple[Any, Any]) -> tuple[Any, Any]:
         need, candidates = state
-        index = jnp.nonzero(need, size=min(STARTS_AT_ONCE, size), fill_value=size)[0]
+        index = jnp.nonzero(need, size=side_by_side(STARTS_AT_ONCE, size), fill_value=size)[0]
         rows = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=-1, mode="clip"), row)
         candidates = jax.tree_util.tree_map(
             lambda a, b: a.at[..., index].set(b, mode="drop"), candidates, candidate(rows)

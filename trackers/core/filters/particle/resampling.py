@@ -15,6 +15,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from trackwright.trackers.core.model.side_by_side import side_by_side
 from trackwright.trackers.core.model.state import State
 
 Tree = TypeVar("Tree")
@@ -72,7 +73,7 @@ def _in_trajectories(size: int, batched: Any, needed: Any, offset: Any, states: 
         return x if has else jnp.broadcast_to(x[None], (size, *x.shape))
 
     needed, offset, states, weights = jax.tree_util.tree_map(spread, (needed, offset, states, weights), tuple(batched))
-    n_at_once = min(RESAMPLED_AT_ONCE, size)
+    n_at_once = side_by_side(RESAMPLED_AT_ONCE, size)
 
     def some(loop: tuple[Any, Any]) -> tuple[Any, Any]:
         need, states = loop
