@@ -143,8 +143,9 @@ def _backward_loop(world, copies):
 
 
 def _carried(scan):
-    first, number = scan.params["num_consts"], scan.params["num_carry"]
-    return [x.aval.shape for x in scan.params["jaxpr"].jaxpr.invars[first : first + number]]
+    # Results of the loop that are as large as those of one step are carried, others stacked.
+    each = zip(scan.params["jaxpr"].jaxpr.outvars, scan.outvars, strict=True)
+    return [step.aval.shape for step, whole in each if step.aval.shape == whole.aval.shape]
 
 
 def _equations(jaxpr):
