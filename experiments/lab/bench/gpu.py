@@ -46,7 +46,7 @@ def gpu(*, output: Output = DEFAULTS) -> int:
     if jax.default_backend() != "gpu":
         raise UnusableInput(
             f"bench: jax finds no GPU, only {jax.devices()[0].device_kind}; expected a CUDA device; install the extra "
-            "on its host: pip install trackwright[cuda]"
+            "on its host: pip install trackwright[cuda], or trackwright[cuda13] for drivers of CUDA 13"
         )
     devices = jax.local_devices()
     counts = sorted({1, len(devices)})
