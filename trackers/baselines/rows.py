@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -96,7 +97,7 @@ def _switching(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 def _mirror(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     from trackwright.trackers.baselines.switching import mirror_tracker
 
-    return mirror_tracker()
+    return replace(mirror_tracker(), lasting_errors=True)
 
 
 def _window(median: bool) -> Callable[[Trajectory, bool], AbstractTracker]:

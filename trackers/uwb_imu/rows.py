@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from typing import NamedTuple
@@ -263,8 +264,17 @@ def _bias_slots(trajectory: Trajectory) -> int:
     return -(-_anchors(trajectory) // 8) * 8
 
 
+def _is_calibrated(trajectory: Trajectory) -> bool:
+    return bool(range_levels(trajectory.folder.calibration))
+
+
 def _ranges(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return range_tracker(_bias_slots(trajectory), planar, **range_levels(trajectory.folder.calibration))
+    tracker = range_tracker(_bias_slots(trajectory), planar, **range_levels(trajectory.folder.calibration))
+    return replace(tracker, lasting_errors=not _is_calibrated(trajectory))
+
+
+def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    return replace(inertial_tracker(_anchors(trajectory), planar), lasting_errors=not _is_calibrated(trajectory))
 
 
 _trilateration = partial(
@@ -279,9 +289,13 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "uwb-imu": partial(
         TrackerSpec,
         trajectories=inertial_trajectories,
-        build=lambda trajectory, planar: inertial_tracker(_anchors(trajectory), planar),
+        build=_inertial,
         lacks=lacks_ranges_or_imu,
-        geometry=lambda trajectory: (_anchors(trajectory), "levers" in trajectory.recording.inputs),
+        geometry=lambda trajectory: (
+            _anchors(trajectory),
+            "levers" in trajectory.recording.inputs,
+            _is_calibrated(trajectory),
+        ),
     ),
     "uwb": partial(
         TrackerSpec,

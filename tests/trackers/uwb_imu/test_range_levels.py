@@ -34,6 +34,14 @@ def test_biases_of_a_calibrated_site_have_its_spread_and_no_mean():
     assert _sigma_bias(folder.calibrated(stations)) == _sigma_bias(folder)
 
 
+@pytest.mark.parametrize("name", ["uwb", "uwb-imu"])
+def test_without_a_calibration_errors_of_ranges_last_and_batches_are_apart(name):
+    folder = simulate.tool(n=1, seed=0, rows=40).folder()
+    calibrated = replace(folder.calibrated(Calibration(anchors=dict.fromkeys(folder.rig.anchors, ANCHOR))), name="b")
+    batches = build(name, [folder, calibrated]).batches([folder, calibrated])
+    assert [batch.tracker.lasting_errors for batch in batches] == [True, False]
+
+
 @pytest.mark.parametrize(("anchors", "biases"), [(4, 8), (8, 8), (9, 16)])
 def test_every_anchor_has_a_bias_and_sites_with_a_few_more_or_fewer_share_a_program(anchors, biases):
     folder = simulate.ranges(n=1, rows=20).folder()

@@ -185,8 +185,10 @@ def noise_covariance(jacobian: Jacobian) -> jax.Array:
     kind = jacobian.sums.dtype
     variances = jacobian.squares(slice(n), slice(n, inputs))
     outside, trajectories = (coupled.start, n - coupled.stop), variances.ndim - 1
-    together = jnp.pad(transposed_product(block, block), (outside, outside, *[(0, 0)] * trajectories))
-    return together + jnp.asarray(np.diag(alone).reshape(n, n, *[1] * trajectories), kind) * variances[None]
+    apart = jnp.asarray(np.diag(alone).reshape(n, n, *[1] * trajectories), kind) * variances[None]
+    if coupled.start == coupled.stop:
+        return apart
+    return jnp.pad(transposed_product(block, block), (outside, outside, *[(0, 0)] * trajectories)) + apart
 
 
 def product_of(A: jax.Array, B: jax.Array) -> jax.Array:

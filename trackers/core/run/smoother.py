@@ -12,8 +12,8 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import require
 from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter
 from trackwright.trackers.core.filters.rts import fixed_interval, fixed_lag, in_scalars
-from trackwright.trackers.core.model.algebra import Scalar
-from trackwright.trackers.core.model.covariance import Gaussian, by_entry, few
+from trackwright.trackers.core.model.algebra import Scalar, triangle
+from trackwright.trackers.core.model.covariance import Gaussian, by_entry, few, size_of, variance
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.tunable import freeze
@@ -26,8 +26,9 @@ class Smoothed(AbstractEpochwiseTracker):
     """A tracker with an RTS smoother; log-likelihood, NIS and status remain those of the filter.
 
     `lag`: fixed-lag smoothing with measurements up to `lag` s later; None for fixed-interval smoothing. The recursion
-    does not cross a restart of the track, nor the end of a run that another continues. Raises TypeError unless the
-    filter is an `AbstractSmoothableFilter`.
+    does not cross a restart of the track, nor the end of a run that another continues. With `Tracker.lasting_errors`
+    the covariances are `bounded`, larger than the model's. Raises TypeError unless the filter is an
+    `AbstractSmoothableFilter`.
     """
 
     tracker: Tracker
@@ -75,10 +76,36 @@ class Smoothed(AbstractEpochwiseTracker):
             lag, steps = jnp.asarray(self.lag, batch.dt.dtype), (but_last, connected, dt, inputs)
             smoothed = jax.vmap(estimate_of)(fixed_lag(gain_of, filter_.rts_step, filtered, steps, dt, lag))
             mean, cov = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), smoothed, moments(end))
-        return tracker.with_age(output._replace(mean=mean, cov=by_entry(cov))), state
+        cov = by_entry(cov)
+        if self.tracker.lasting_errors:
+            cov = bounded(cov, by_entry(jax.vmap(moments)(filtered)[1]))
+        return tracker.with_age(output._replace(mean=mean, cov=cov)), state
 
     def begin(self, prior: Gaussian, batch: Batch) -> Any:
         return self.tracker.begin(prior, batch)
+
+
+def bounded(smoothed: tuple[jax.Array, ...], filtered: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    """Smoothed covariances, entries (T, B), for errors that earlier and later readings may share to any degree.
+
+    A smoothed component has the variance Pˢ = a + b, with a from the filter's error and b from the later readings. The
+    model takes the two errors for independent; whatever their correlation, the variance is at most (√a + √b)² =
+    Pˢ + 2√(ab) (Cauchy–Schwarz). Since a ≥ Pˢ²/P, with P the filtered variance, the bound is 2Pˢ where P ≥ 2Pˢ, which
+    is covariance intersection with equal weights (Julier and Uhlmann 1997), and falls to Pˢ where later readings add
+    nothing. Correlations of components stay those of the model.
+    """
+    n = size_of(smoothed)
+    factors = [_factor(variance(smoothed, k), variance(filtered, k)) for k in range(n)]
+    return tuple(entry * factors[i] * factors[j] for entry, (i, j) in zip(smoothed, triangle(n), strict=True))
+
+
+def _factor(smoothed: Scalar, filtered: Scalar) -> Scalar:
+    """The factor on the standard deviation of a component with these variances."""
+    from_later = jnp.clip(1.0 - smoothed / jnp.where(filtered > 0, filtered, 1.0), 0.0, 0.5)
+    shared = jnp.where(filtered > 0, from_later * (1.0 - from_later), 0.0)
+    # The square root has no derivative at zero.
+    some = shared > 0
+    return jnp.sqrt(1.0 + 2.0 * jnp.where(some, jnp.sqrt(jnp.where(some, shared, 1.0)), 0.0))
 
 
 def _with_zero_row(x: jax.Array) -> jax.Array:

@@ -199,6 +199,8 @@ class Tracker(AbstractTracker):
     `sensors`: by the names of their readings in a recording. `latency_of`: the sensor at whose time of measurement
     estimates are valid, an `AbstractDelayedSensor`; by default they are valid at the time of their row.
     `position_alone`: estimates have the covariance of the position alone where the state begins with it.
+    `lasting_errors`: whether errors of readings outlast the model, as constant ones of sensors without a calibration,
+    so that earlier and later readings share them; `Smoothed` then reports a bound.
     """
 
     motion: AbstractMotion
@@ -208,6 +210,7 @@ class Tracker(AbstractTracker):
     track_loss: AbstractTrackLoss = TrackLossPolicy()
     latency_of: str | None = eqx.field(static=True, default=None)
     position_alone: bool = eqx.field(static=True, default=False)
+    lasting_errors: bool = eqx.field(static=True, default=False)
 
     def check_layout(self, layout: Layout) -> None:
         check_parts(layout, self)

@@ -1,5 +1,8 @@
 """On linear models the smoothed rows are those of dense conditioning on all rows, or on those of the next seconds."""
 
+import dataclasses
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -45,6 +48,23 @@ class HalfSteps(AbstractMotion):
         return state._replace(velocity=state.velocity + w * (SIGMA_A * jnp.sqrt(dt)))
 
 
+class Place(NamedTuple):
+    position: Vector
+
+
+def _place(x):
+    return Place(Vector(*x))
+
+
+class RandomWalk(AbstractMotion):
+    """One coordinate that walks at random."""
+
+    noise_dimension = 1
+
+    def step(self, state, inputs, dt, w):
+        return Place(state.position + w * (SIGMA_A * jnp.sqrt(dt)))
+
+
 def _constant_velocity(dt):
     A = np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(2))
     return van_loan(A, np.kron([[0.0, 0.0], [0.0, SIGMA_A**2]], np.eye(2)), dt)
@@ -83,7 +103,7 @@ class World:
     def oracle(self, trajectory, lag):
         times, values, seen = self.trajectories[trajectory]
         transitions = [self.transition(dt) for dt in np.diff(times)]
-        until = [int(np.sum(times[1:] <= t + lag + 1e-12)) - 1 for t in times[1:]]
+        until = None if lag is None else [int(np.sum(times[1:] <= t + lag + 1e-12)) - 1 for t in times[1:]]
         R = np.diag(self.sigmas**2)
         return joint_conditioning(transitions, self.H, R, values[1:], seen[1:], self.mean, self.cov, until)[:2]
 
@@ -130,6 +150,52 @@ def test_noise_of_an_early_stage_passes_through_the_later_ones():
         means, covs = world.oracle(trajectory, np.inf)
         np.testing.assert_allclose(flat(estimates[trajectory].mean)[rows], means, rtol=1e-7, atol=1e-7)
         np.testing.assert_allclose(estimates[trajectory].covariance[rows], covs, rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize("copies", [1, 3], ids=["few", "many"])
+@pytest.mark.parametrize("lag", [None, LAG], ids=["fixed interval", "fixed lag"])
+def test_with_lasting_errors_variances_bound_those_of_any_correlation(world, lag, copies):
+    """The smoothed error is M e + r, e the filter's: with a correlation of one the standard deviations add up."""
+    batch = world.stacked(copies=copies)
+    lasting = Smoothed(dataclasses.replace(world.tracker, lasting_errors=True), lag).run(batch)
+    np.testing.assert_array_equal(flat(lasting.mean), flat(Smoothed(world.tracker, lag).run(batch).mean))
+    at_most = 0
+    for trajectory in range(LANES * copies):
+        rows = slice(1, len(world.trajectories[trajectory % LANES][0]))
+        # Conditioned on the rows up to each, and on those to come.
+        before, P = world.oracle(trajectory % LANES, None)[1], world.oracle(trajectory % LANES, lag or np.inf)[1]
+        M = P @ np.linalg.inv(before)
+        of_filter = np.einsum("tij,tjk,tik->ti", M, before, M)
+        model = np.einsum("tii->ti", P)
+        added_up = (np.sqrt(of_filter) + np.sqrt(np.maximum(model - of_filter, 0.0))) ** 2
+        reported = lasting[trajectory].covariance[rows]
+        variances = np.einsum("tii->ti", reported)
+        assert np.all(variances > added_up * (1 - 1e-6))
+        assert np.all(variances < 2 * model * (1 + 1e-6))
+        at_most += np.sum(variances > 2 * model * (1 - 1e-6))
+        correlations = [x / np.sqrt(np.einsum("ti,tj->tij", d, d)) for x, d in ((reported, variances), (P, model))]
+        np.testing.assert_allclose(*correlations, atol=1e-6)
+        np.testing.assert_allclose(variances[-1], model[-1], rtol=1e-6)
+    assert at_most > 20 * copies
+
+
+def test_one_component_alone_has_the_variance_of_errors_with_a_correlation_of_one():
+    """Filter and later readings as two estimates of the place, weighed as the smoother does; half-way it is 2 Pˢ."""
+    rng, times, R, start = np.random.default_rng(3), np.arange(15) * 0.4, 2.0, 9.0 * np.eye(1)
+    readings = rng.normal(size=(len(times), 1)), np.ones((len(times), 1), bool)
+    sensors = {"z": LinearSensor(np.eye(1), np.array([np.sqrt(R)]), 1)}
+    tracker = Tracker(RandomWalk(), sensors, KnownStart(_place), track_loss=NEVER_LOST, lasting_errors=True)
+    reported = Smoothed(tracker).run(recording(times, {"z": readings}, np.zeros(1), start)).covariance[:, 0, 0]
+    steps = [(np.eye(1), SIGMA_A**2 * dt * np.eye(1)) for dt in np.diff(times)]
+    every = [len(steps) - 1] * len(steps)
+    model = steps, np.eye(1), R * np.eye(1), readings[0][1:], readings[1][1:], np.zeros(1), start
+    filtered, smoothed = (joint_conditioning(*model, until)[1][:-1, 0, 0] for until in (None, every))
+    later = 1 / (1 / smoothed - 1 / filtered)
+    weight = smoothed / filtered
+    added_up = (weight * np.sqrt(filtered) + (1 - weight) * np.sqrt(later)) ** 2
+    assert 3 < np.sum(weight > 0.5) < len(weight)
+    expected = np.where(weight > 0.5, added_up, 2 * smoothed)
+    np.testing.assert_allclose(reported[1:-1], expected, rtol=1e-6)
 
 
 def _backward_loop(world, copies):
@@ -225,10 +291,11 @@ def test_single_precision_smooths_as_double_precision_does():
 @pytest.mark.slow
 def test_the_gradient_of_a_smoothed_figure_is_the_central_difference(world):
     def figure(sigma):
-        tracker = Smoothed(
-            Tracker(ConstantVelocity(sigma, 2), world.tracker.sensors, KnownStart(_state), track_loss=NEVER_LOST)
+        tracker = dataclasses.replace(world.tracker, motion=ConstantVelocity(sigma, 2), lasting_errors=True)
+        both = Smoothed(tracker).accumulate(
+            world.batch, lambda output, truth: (output.mean.position[0] ** 2, output.cov[0])
         )
-        return jnp.sum(tracker.accumulate(world.batch, lambda output, truth: (output.mean.position[0] ** 2,))[0])
+        return jnp.sum(jnp.stack(both))
 
     def at(raw):
         return figure(eqx.tree_at(lambda s: s.raw, Scale(SIGMA_A, "m/s^2/sqrt(Hz)"), raw))
