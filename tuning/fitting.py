@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from trackwright.trackers.core.model.tunable import known
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -218,6 +219,7 @@ def fit(
     model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
     tune = tuned_by_default(model, objective.needs_truth) if tune is None else tune
     parameters = select_parameters(model, tune, frozen)
+    model = known(model, [name for parameter in parameters for name in parameter.names])
     if priors and not objective.is_likelihood:
         raise ValueError("priors need the likelihood nll as objective; give bounds with another one")
     chunk = options.chunk if minibatch is None else min(options.chunk, minibatch)

@@ -15,7 +15,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.tunable import AbstractTunable, Threshold, matching, replaced, role_of, tunables
+from trackwright.trackers.core.model.tunable import (
+    AbstractTunable,
+    Considered,
+    Threshold,
+    matching,
+    replaced,
+    role_of,
+    tunables,
+)
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.reading_grids import ReadingGrid
 
@@ -107,11 +115,11 @@ def select_parameters(
 
 
 def _without_thresholds(pattern: str, nodes: Mapping[str, AbstractTunable]) -> dict[str, AbstractTunable]:
-    differentiable = {name: node for name, node in nodes.items() if not isinstance(node, Threshold)}
+    differentiable = {name: node for name, node in nodes.items() if not isinstance(node, (Threshold, Considered))}
     if not differentiable:
         raise ValueError(
-            f"'{pattern}' matches only {', '.join(nodes)}: no objective has a derivative with respect to a threshold; "
-            "use a sweep"
+            f"'{pattern}' matches only {', '.join(nodes)}: no objective has a derivative with respect to a threshold, "
+            "and what is not known is no result of a fit; use a sweep"
         )
     return differentiable
 

@@ -12,7 +12,7 @@ import numpy as np
 from trackwright.trackers.baselines.fixes import fix_tracker, floor_tracker, singer_tracker
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -25,6 +25,13 @@ if TYPE_CHECKING:
 
 COPLANAR = 0.5
 """Largest difference between the heights of anchors that count as coplanar, m."""
+
+LATENCY_STD = 0.15
+"""Standard deviation about zero, s, of a latency of fixes that nobody measured: as of delays from 0 to 0.25 s.
+
+Of positions that another system computes, autopilots allow for 0 to 0.25 s (ArduPilot, `EK3_BCN_DELAY`) or 0 to 0.3 s
+(PX4, `EKF2_GPS_DELAY`, by default 0.11 s). A maker's manual (Marvelmind, 9.4) has 0.01 to 0.15 s, 2 s with averaging.
+"""
 
 WINDOW = 9
 """Rows of the moving windows, as in the paper's median (Huang et al. 2018, section 4)."""
@@ -88,16 +95,22 @@ def _floor_geometry(trajectory: Trajectory) -> Hashable:
     return np.asarray(walls.segments).tobytes(), np.asarray(walls.outline).tobytes()
 
 
-def _switching(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+def _switching(trajectory: Trajectory, planar: bool) -> Tracker:
     from trackwright.trackers.baselines.switching import switching_tracker
 
     return switching_tracker(planar=planar)
 
 
-def _mirror(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+def _mirror(trajectory: Trajectory, planar: bool) -> Tracker:
     from trackwright.trackers.baselines.switching import mirror_tracker
 
     return replace(mirror_tracker(), lasting_errors=True)
+
+
+def _unknown_latency(build: Callable[[Trajectory, bool], Tracker]) -> Callable[[Trajectory, bool], AbstractTracker]:
+    return lambda trajectory, planar: build(trajectory, planar).with_values(
+        {f"sensors.{FIXES}.latency_std": LATENCY_STD}
+    )
 
 
 def _window(median: bool) -> Callable[[Trajectory, bool], AbstractTracker]:
@@ -116,27 +129,27 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         TrackerSpec,
         lacks=lacks_floor_plan,
         trajectories=floor_trajectories,
-        build=lambda trajectory, planar: floor_tracker(walls_of(trajectory.folder)),
+        build=_unknown_latency(lambda trajectory, planar: floor_tracker(walls_of(trajectory.folder))),
         geometry=_floor_geometry,
         planar=lambda trajectory, free_height: True,
     ),
     "fix-kf": partial(
         _of_fixes,
-        build=lambda trajectory, planar: fix_tracker(planar=planar),
+        build=_unknown_latency(lambda trajectory, planar: fix_tracker(planar=planar)),
     ),
     "fix-singer": partial(
         _of_fixes,
-        build=lambda trajectory, planar: singer_tracker(planar=planar),
+        build=_unknown_latency(lambda trajectory, planar: singer_tracker(planar=planar)),
     ),
     "imm": partial(
         _of_fixes,
-        build=_switching,
+        build=_unknown_latency(_switching),
     ),
     "fix-mirror": partial(
         TrackerSpec,
         lacks=lacks_coplanar_anchors,
         trajectories=mirror_trajectories,
-        build=_mirror,
+        build=_unknown_latency(_mirror),
         planar=lambda trajectory, free_height: False,
     ),
     "moving-average": partial(

@@ -36,7 +36,7 @@ from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.motion import GroundMotion, Kinematic, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Row
 from trackwright.trackers.core.model.start import AbstractStart
-from trackwright.trackers.core.model.tunable import Real, Scale
+from trackwright.trackers.core.model.tunable import Considered, Real, Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart
 
@@ -81,6 +81,7 @@ class MirrorSensor(AbstractFixSensor, AbstractSwitching):
     reported_std_scale: Noise
     dof: Noise | None
     latency: Noise
+    latency_std: Noise
     side: float
 
     def __init__(self, sigma_horizontal: float, sigma_vertical: float, offset: float, shrink: float, dof: float | None):
@@ -89,7 +90,7 @@ class MirrorSensor(AbstractFixSensor, AbstractSwitching):
         self.offset, self.shrink = Real(offset, "m", typical=0.1), Scale(shrink)
         self.floor, self.give = Real(0.0, "m"), Scale(0.3, "m")
         self.reported_std_scale, self.dof = Scale(1.0), None if dof is None else Scale(dof)
-        self.latency = Real(0.0, "s", typical=0.5)
+        self.latency, self.latency_std = Real(0.0, "s", typical=0.5), Considered(0.0, "s")
         self.side = -1.0
 
     @property

@@ -27,7 +27,7 @@ from trackwright.trackers.core.model.sensor import (
     student_t_log_peak,
 )
 from trackwright.trackers.core.model.start import AbstractStart
-from trackwright.trackers.core.model.tunable import Covariance, Real, Scale
+from trackwright.trackers.core.model.tunable import Considered, Covariance, Real, Scale
 from trackwright.trackers.core.run.latency import AbstractDelayedSensor
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 
@@ -38,7 +38,7 @@ PATIENT = TrackLossPolicy(nis_limit=1e3, max_gap=10.0)
 
 
 class AbstractFixSensor(AbstractDelayedSensor):
-    """x, y, z of a tag, m, measured `latency` s before the row's time.
+    """x, y, z of a tag, m, measured `latency` s before the row's time, `latency_std` s: as in its base class.
 
     The covariance `noise` adds to the reported variances (three, m²), whose square roots are scaled by
     `reported_std_scale`. `dof`: degrees of freedom of Student's t, None for normal noise. Input: `height`, m, for a
@@ -118,11 +118,13 @@ class FixSensor(AbstractFixSensor):
     reported_std_scale: Noise
     dof: Noise | None
     latency: Noise
+    latency_std: Noise
 
     def __init__(self, sigma_horizontal: float, sigma_vertical: float, dof: float | None = None, latency: float = 0.0):
         self.sigma_horizontal = Scale(sigma_horizontal, "m", "measurement noise", "horizontal")
         self.sigma_vertical = Scale(sigma_vertical, "m", "measurement noise", "vertical")
-        self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_dof_and_latency(dof, latency)
+        self.reported_std_scale, self.dof = Scale(1.0), None if dof is None else Scale(dof)
+        self.latency, self.latency_std = Real(latency, "s", typical=0.5), Considered(0.0, "s")
 
     def noise(self) -> list[list[Scalar]]:
         horizontal, vertical = self.sigma_horizontal.value**2, self.sigma_vertical.value**2
@@ -136,17 +138,15 @@ class CorrelatedFixSensor(AbstractFixSensor):
     reported_std_scale: Noise
     dof: Noise | None
     latency: Noise
+    latency_std: Noise
 
     def __init__(self, covariance: Any, dof: float | None = None, latency: float = 0.0):
         self.covariance = Covariance(covariance, "m^2", "measurement noise", "all")
-        self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_dof_and_latency(dof, latency)
+        self.reported_std_scale, self.dof = Scale(1.0), None if dof is None else Scale(dof)
+        self.latency, self.latency_std = Real(latency, "s", typical=0.5), Considered(0.0, "s")
 
     def noise(self) -> list[list[Scalar]]:
         return [[self.covariance.value[i, j] for j in range(3)] for i in range(3)]
-
-
-def _dof_and_latency(dof: float | None, latency: float) -> tuple[Scale | None, Real]:
-    return None if dof is None else Scale(dof), Real(latency, "s", typical=0.5)
 
 
 class FixStart(AbstractStart):

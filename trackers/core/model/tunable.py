@@ -8,7 +8,7 @@ from __future__ import annotations
 import fnmatch
 import re
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import equinox as eqx
@@ -194,6 +194,31 @@ class Threshold(AbstractTunable):
         return Threshold(value, self.unit)
 
 
+class Considered(AbstractTunable):
+    """The standard deviation of a parameter that is neither known nor estimated; 0 once that one is given: `known`.
+
+    Its name is that of the parameter and "_std". Set by name and swept as other tunables; no fit changes it.
+    """
+
+    bounds = ">= 0"
+    raw: Any
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1"):
+        value, math = _numbers("Considered", value)
+        if math is np and not np.all((value >= 0) & np.isfinite(value)):
+            raise UnusableInput(f"a standard deviation is positive, or 0 for what is known, found {value.tolist()}")
+        self.raw = value
+        self.unit = unit
+
+    @property
+    def value(self) -> Any:
+        return self.raw
+
+    def with_value(self, value: Any) -> Considered:
+        return Considered(value, self.unit)
+
+
 class Constant(eqx.Module):
     """The value of a tunable, frozen for a run so that it is not recomputed at each step."""
 
@@ -259,8 +284,14 @@ def replaced(tree: Tree, new: Mapping[str, AbstractTunable]) -> Tree:
     return jax.tree_util.tree_map_with_path(exchange, tree, is_leaf=is_tunable)
 
 
+def known(tree: Tree, names: Iterable[str]) -> Tree:
+    """The tree without the standard deviations that these tunables, being `Considered`, have while not known."""
+    spreads, by_name = [f"{name}_std" for name in names], tunables(tree)
+    return replaced(tree, {x: by_name[x].with_value(0.0) for x in spreads if isinstance(by_name.get(x), Considered)})
+
+
 def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values") -> Tree:
-    """The tree with physical values set by tunable name or shell pattern.
+    """The tree with physical values set by tunable name or shell pattern; what is given is `known`.
 
     Raises UnusableInput, naming `source`, for a pattern that matches nothing and a value of another shape or range.
     """
@@ -287,7 +318,7 @@ def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values"
                 new[name] = by_name[name].with_value(value)
             except ValueError as error:
                 raise UnusableInput(f"{source}: '{pattern}': {error}") from error
-    return replaced(tree, new)
+    return replaced(known(tree, new), new)
 
 
 def meanings(tree: Any) -> dict[str, str]:

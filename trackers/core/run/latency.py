@@ -2,6 +2,10 @@
 
 A sensor with latency measures an earlier state, z(t) = h(x(t − latency)). The filter estimates the state at the row's
 time t; shifted back along a straight line, p(t − latency) = p(t) − v(t)·latency, the estimate has the least error.
+
+A latency that is not known is a considered parameter (Schmidt 1966; Jazwinski 1970, section 8.4): it is not estimated,
+which readings of one sensor do not allow, but its standard deviation s is in the covariance. Along a straight line an
+error δ of the latency moves the estimate by −v·δ, whatever the gains, so that the covariance has s²·E[v vᵀ] more.
 """
 
 from __future__ import annotations
@@ -15,28 +19,35 @@ import jax.numpy as jnp
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
-from trackwright.trackers.core.model.algebra import Scalar, Vector, congruence
+from trackwright.trackers.core.model.algebra import Scalar, Vector, congruence, full, triangle
 from trackwright.trackers.core.model.covariance import AnyCovariance, as_scalars
 from trackwright.trackers.core.model.elapsed import Elapsed
 from trackwright.trackers.core.model.linearise import linearise
 from trackwright.trackers.core.model.motion import Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor
-from trackwright.trackers.core.model.state import State, coordinates, local_after
+from trackwright.trackers.core.model.state import State, component_names, coordinates, local_after
 
 LONGEST_S = 1e4
 """Longest gap, s, in elapsed times; across longer ones truth is scored only where it hardly changes."""
 
 
 class AbstractDelayedSensor(AbstractSensor):
-    """A sensor that measures the state `latency` s before the row of its reading."""
+    """A sensor that measures the state `latency` s before the row of its reading.
+
+    `latency_std` s: the standard deviation of a latency that is not known; 0 for one that is.
+    """
 
     latency: eqx.AbstractVar[Noise]
+    latency_std: eqx.AbstractVar[Noise]
 
 
-def shifted_back(mean: State, upper: AnyCovariance, seconds: Scalar) -> tuple[State, tuple[Scalar, ...]]:
+def shifted_back(
+    mean: State, upper: AnyCovariance, seconds: Scalar, std: Scalar = 0.0
+) -> tuple[State, tuple[Scalar, ...]]:
     """Mean and covariance of the state with its position `seconds` earlier, for straight motion, one trajectory.
 
-    Axes without a velocity are unchanged.
+    `std`: standard deviation of the `seconds`; it adds std²(v vᵀ + cov v) to the covariance of the position. Axes
+    without a velocity are unchanged.
     """
 
     def earlier(state: Any) -> Any:
@@ -52,7 +63,17 @@ def shifted_back(mean: State, upper: AnyCovariance, seconds: Scalar) -> tuple[St
         return local_after(shifted, before, values, earlier(before))
 
     _, rows = linearise(step, point)
-    return shifted, congruence(rows, as_scalars(upper), [{} for _ in rows])
+    cov, names = congruence(rows, as_scalars(upper), [{} for _ in rows]), component_names(mean)
+    axes = {names.index(f"position.{k}"): (v, names.index(f"velocity.{k}")) for k, v in enumerate(mean.velocity)}
+    P = full(as_scalars(upper), len(names))
+
+    def with_unknown(entry: Scalar, i: int, j: int) -> Scalar:
+        if i not in axes or j not in axes:
+            return entry
+        (v, a), (w, b) = axes[i], axes[j]
+        return entry + std**2 * (v * w + P[a][b])
+
+    return shifted, tuple(with_unknown(x, i, j) for x, (i, j) in zip(cov, triangle(len(names)), strict=True))
 
 
 def scored_truth(batch: Batch, age: Any = None) -> dict[str, tuple[Any, Any]]:

@@ -235,19 +235,24 @@ class Tracker(AbstractTracker):
         return ScanState(carry, jnp.zeros(batch.size, jnp.uint32))
 
     @property
-    def latency(self) -> Scalar | None:
-        """The time from the measurement for which an estimate is valid to its row, s; None for no latency."""
+    def _delayed(self) -> AbstractDelayedSensor | None:
+        """The sensor at whose time of measurement estimates are valid."""
         if self.latency_of is None:
             return None
         sensor = self.sensors[self.latency_of]
         assert isinstance(sensor, AbstractDelayedSensor)
-        return sensor.latency.value
+        return sensor
+
+    @property
+    def latency(self) -> Scalar | None:
+        """The time from the measurement for which an estimate is valid to its row, s; None for no latency."""
+        return None if self._delayed is None else self._delayed.latency.value
 
     def moments(self, belief: Any) -> tuple[Any, AnyCovariance]:
         """The mean and covariance of an estimate, at the time for which it is valid."""
         mean, cov = self.filter.moments(belief)
-        if self.latency is not None:
-            mean, cov = shifted_back(mean, cov, self.latency)
+        if self._delayed is not None:
+            mean, cov = shifted_back(mean, cov, self._delayed.latency.value, self._delayed.latency_std.value)
         if not self.position_alone:
             return mean, cov
         fields = [name.partition(".")[0] for name in component_names(mean)]

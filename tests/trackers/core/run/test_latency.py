@@ -12,13 +12,16 @@ from scipy.interpolate import CubicHermiteSpline
 
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.algebra import Vector, dense
+from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.latency import scored_truth, shifted_back
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.evaluation.evaluate import associate
 from trackwright.trackers.parts.fixes import FIXES
+from trackwright.tuning.fitting import FitOptions, fit
 from trackwright.tuning.objectives import RootMeanSquareError
 
 
@@ -108,6 +111,72 @@ def test_an_estimate_is_shifted_by_the_names_of_its_fields():
     J[3, 0] = J[4, 1] = -0.5
     np.testing.assert_allclose([*shifted.velocity, shifted.clock, *shifted.position], [1, 2, 5, 2.5, 3, 7])
     np.testing.assert_allclose(dense(list(cov), 6), J @ P @ J.T, rtol=1e-12)
+
+
+def _set(tracker, **values):
+    return tracker.with_values({f"sensors.fixes.{name}": value for name, value in values.items()})
+
+
+def test_ellipses_with_an_unknown_latency_hold_the_truth_of_vehicles_that_differ_in_theirs():
+    """Delays are drawn, not modelled: normal ones, of which each vehicle has one."""
+    rng, std, n = np.random.default_rng(5), 0.2, 300
+    times = np.arange(60) * 0.1
+    recordings = []
+    for k in range(n):
+        angle, start = rng.uniform(0, 2 * np.pi), rng.normal(0, 3, 2)
+        way = np.array([np.cos(angle), np.sin(angle), 0.0]) * rng.uniform(0.5, 2.0)
+        path, late = np.append(start, 1.0) + times[:, None] * way, rng.normal(0.3, std) * way
+        readings = {FIXES: Readings(path - late + 0.1 * rng.normal(size=path.shape), np.ones(path.shape, bool))}
+        truth = {"position": (path, np.ones(len(path), bool))}
+        recordings.append(Recording(times, readings, {"height": np.ones(len(times))}, truth, id=k))
+    plain = fix_tracker(sigma_a=0.02, dof=None, planar=True)
+    share = {}
+    for assumed in (0.0, std):
+        for smooth in (False, True):
+            tracker = _set(plain, latency=0.3, latency_std=assumed)
+            estimates = (Smoothed(tracker) if smooth else tracker).run(recordings)
+            rows = slice(40, None)
+            error = np.stack(list(estimates.mean.position), axis=-1)[:, rows] - np.stack(
+                [
+                    [np.interp(estimates.times[k, rows], times, r.truth["position"][0][:, i]) for i in (0, 1)]
+                    for k, r in enumerate(recordings)
+                ]
+            ).swapaxes(1, 2)
+            cov = estimates.covariance[:, rows, :2, :2]
+            nees = np.einsum("kti,kti->kt", error, np.linalg.solve(cov, error[..., None])[..., 0])
+            share[assumed, smooth] = np.mean(nees < -2 * np.log(0.05))
+    assert max(share[0.0, False], share[0.0, True]) < 0.5
+    # Vehicles are independent, their rows hardly: the standard error is 1.3 %.
+    assert all(0.91 < share[std, smooth] < 0.99 for smooth in (False, True)), share
+
+
+def test_an_unknown_latency_adds_its_variance_times_the_squared_velocity_and_leaves_the_estimate():
+    recording, tracker = _recording(), fix_tracker()
+    without = _set(tracker, latency=0.2).run(recording)
+    with_it = _set(tracker, latency=0.2, latency_std=0.1).run(recording)
+    v = np.stack(list(without.mean.velocity), axis=-1)
+    expected = without.covariance.copy()
+    expected[:, :2, :2] += 0.1**2 * (v[:, :, None] * v[:, None, :] + without.covariance[:, 3:, 3:])
+    np.testing.assert_allclose(with_it.covariance, expected, rtol=1e-9, atol=1e-15)
+    np.testing.assert_array_equal(with_it.mean.position[0], without.mean.position[0])
+
+
+def test_a_latency_that_is_given_is_known():
+    tracker = _set(fix_tracker(), latency_std=0.1)
+    spread = "sensors.fixes.latency_std"
+    assert float(tunables(_set(tracker, latency=0.2))[spread].value) == 0.0
+    assert float(tunables(_set(tracker, sigma_vertical=0.2))[spread].value) == 0.1
+    assert float(tunables(_set(tracker, latency=0.2, latency_std=0.05))[spread].value) == 0.05
+    with pytest.raises(UnusableInput, match="a standard deviation is positive, or 0"):
+        _set(tracker, latency_std=-0.1)
+
+
+def test_a_fit_of_the_latency_ends_with_one_that_is_known():
+    recording, tracker = _recording(), _set(fix_tracker(), latency_std=0.1)
+    options = FitOptions(steps=2)
+    of_latency = fit(tracker, recording, "rmse", "*latency*", options).tracker
+    of_another = fit(tracker, recording, "rmse", "motion.sigma_a", options).tracker
+    assert [float(t.sensors[FIXES].latency_std.value) for t in (of_latency, of_another)] == [0.0, 0.1]
 
 
 @pytest.fixture(scope="module")
