@@ -44,7 +44,7 @@ from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.state import Heading, Rotation
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.checks import Still
-from trackwright.trackers.core.run.motion_levels import MotionLevels
+from trackwright.trackers.core.run.noise_levels import NoiseLevels
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.line.fixes import FloorFixes
@@ -320,7 +320,7 @@ def _smoothed_cases(cases: Iterable[Case]) -> Iterator[Case]:
         return Smoothed(case.tracker(), lag)
 
     def at_levels(case: Case) -> AbstractTracker:
-        return MotionLevels(case.tracker())
+        return NoiseLevels(case.tracker())
 
     for case in cases:
         if case.smoothable:

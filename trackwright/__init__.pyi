@@ -61,7 +61,8 @@ from trackwright.trackers.core.model.tunable import tunables as tunables
 from trackwright.trackers.core.run.checks import BrokenContract as BrokenContract
 from trackwright.trackers.core.run.checks import check_motion as check_motion
 from trackwright.trackers.core.run.checks import check_sensor as check_sensor
-from trackwright.trackers.core.run.motion_levels import MotionLevels as MotionLevels
+from trackwright.trackers.core.run.noise_levels import Level as Level
+from trackwright.trackers.core.run.noise_levels import NoiseLevels as NoiseLevels
 from trackwright.trackers.core.run.smoother import Smoothed as Smoothed
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy as TrackLossPolicy
 from trackwright.trackers.core.run.tracker import AbstractTracker as AbstractTracker
@@ -183,7 +184,7 @@ __all__ = [
     "direct_tracker",
     "DelayAndSum",
     "Smoothed",
-    "MotionLevels",
+    "NoiseLevels",
     # parts of a tracker: filters, starts, track loss
     "AbstractTracker",
     "Tracker",

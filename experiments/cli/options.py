@@ -190,6 +190,9 @@ class TrackOptions(TrackerOptions):
         lag: smooth with the readings of the next so many seconds only.
         motion: auto runs several levels of horizontal motion, the given one and smaller ones, weighted by how well each
             predicts the readings: for motion unlike that of the defaults, as of a slow trolley.
+        errors: auto reports covariances that follow the size of the recording's own errors: those of the same estimates
+            under smaller and larger biases, weighted by how well each predicts the readings, for a site without a
+            calibration.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
         no_figures: draw no figures.
@@ -205,6 +208,7 @@ class TrackOptions(TrackerOptions):
     smooth: bool = False
     lag: Seconds | None = None
     motion: Literal["given", "auto"] = "given"
+    errors: Literal["given", "auto"] = "given"
     seed: int = 0
     cluster: Address | None = None
     no_figures: bool = False

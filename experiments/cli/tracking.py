@@ -175,6 +175,8 @@ def _track(
         named = named.smoothing(options.lag)
     if options.motion == "auto":
         named = named.with_motion_levels()
+    if options.errors == "auto":
+        named = named.with_error_levels()
     batches = named.batches(folders)
     for batch in batches:
         for line in batch.notices:

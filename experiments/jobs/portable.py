@@ -65,12 +65,14 @@ class PortableTracker(NamedTuple):
     smoothed: bool
     lag: float | None
     motion_levels: bool
+    error_levels: bool
 
     @classmethod
     def of(cls, tracker: NamedTracker) -> PortableTracker:
         """The name, file and numbers of a tracker of the catalogue or of a user's file."""
-        numbers = dict(tracker.values), tracker.source, tracker.smoothed, tracker.lag, tracker.motion_levels
-        return cls(tracker.name, file_of(tracker.name), tracker.free_height, *numbers)
+        numbers = dict(tracker.values), tracker.source, tracker.smoothed, tracker.lag
+        levels = tracker.motion_levels, tracker.error_levels
+        return cls(tracker.name, file_of(tracker.name), tracker.free_height, *numbers, *levels)
 
     def tracks(self, folder: RecordingFolder, seed: int) -> tuple[pl.DataFrame, dict[str, int]]:
         """Of one recording: the table of estimates, and how many trajectories ended how."""
@@ -84,7 +86,9 @@ class PortableTracker(NamedTuple):
             tracker = tracker.with_values(self.values, self.source)
         if self.smoothed:
             tracker = tracker.smoothing(self.lag)
-        return tracker.with_motion_levels() if self.motion_levels else tracker
+        if self.motion_levels:
+            tracker = tracker.with_motion_levels()
+        return tracker.with_error_levels() if self.error_levels else tracker
 
 
 def run_on(

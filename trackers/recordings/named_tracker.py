@@ -16,7 +16,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
-from trackwright.trackers.core.run.motion_levels import MotionLevels, levels_of_motion
+from trackwright.trackers.core.run.noise_levels import ERRORS, MOTION, NoiseLevels, scaled_levels
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
@@ -38,10 +38,10 @@ class NamedTracker:
 
     `tracker`: the tracker of the first trajectory of the recordings it was made for. `values`: physical numbers by
     tunable name or shell pattern that replace the defaults in every recording; `source`: where they come from, for
-    messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. `motion_levels`:
-    whether it runs at several levels of motion. A recording with other stations or anchors gets a tracker of its own
-    geometry with the same numbers. `made_for`: the recordings that it was made for and their rows, which are made only
-    once.
+    messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. `motion_levels`,
+    `error_levels`: whether it runs at several levels of motion, and of errors. A recording with other stations or
+    anchors gets a tracker of its own geometry with the same numbers. `made_for`: the recordings that it was made for
+    and their rows, which are made only once.
     """
 
     name: str
@@ -53,6 +53,7 @@ class NamedTracker:
     smoothed: bool = False
     lag: float | None = None
     motion_levels: bool = False
+    error_levels: bool = False
     made_for: tuple[list[RecordingFolder], list[TrackerBatch]] = field(default_factory=lambda: ([], []))
 
     @classmethod
@@ -141,17 +142,26 @@ class NamedTracker:
         return replace(self, smoothed=True, lag=lag)
 
     def with_motion_levels(self) -> NamedTracker:
-        """This tracker at several levels of horizontal motion, weighted by their likelihoods: see `MotionLevels`.
+        """This tracker at several levels of horizontal motion, weighted by their likelihoods: see `NoiseLevels`.
 
         For motion unlike that of the defaults, as of a slow trolley. Raises UnusableInput for a tracker without a noise
         level of horizontal motion.
         """
-        levels_of_motion(self.tracker)
+        scaled_levels(self.tracker, MOTION)
         return replace(self, motion_levels=True)
+
+    def with_error_levels(self) -> NamedTracker:
+        """This tracker with covariances that follow the size of the recording's own errors: see `NoiseLevels`.
+
+        Estimates stay those of the given levels. Raises UnusableInput for a tracker without biases that drift.
+        """
+        scaled_levels(self.tracker, ERRORS)
+        return replace(self, error_levels=True)
 
     def _finished(self, tracker: AbstractTracker) -> AbstractTracker:
         whole = self._smoother(tracker, self.lag) if self.smoothed else tracker
-        return MotionLevels(whole) if self.motion_levels else whole  # type: ignore[arg-type]
+        whole = NoiseLevels(whole) if self.motion_levels else whole  # type: ignore[arg-type]
+        return NoiseLevels(whole, ERRORS, about_first=True) if self.error_levels else whole  # type: ignore[arg-type]
 
     def _smoother(self, tracker: AbstractTracker, lag: float | None) -> AbstractTracker:
         try:
@@ -163,7 +173,7 @@ class NamedTracker:
 
     def __repr__(self) -> str:
         smoothed = f", smoothed over {self.lag:g} s" if self.lag else ", smoothed" if self.smoothed else ""
-        smoothed += ", at several levels of motion" if self.motion_levels else ""
+        smoothed += ", at several levels of motion" * self.motion_levels + ", and of errors" * self.error_levels
         return f"<tracker {self.name}: {self.spec.about}{smoothed}; tunables {', '.join(self.tunables)}>"
 
 

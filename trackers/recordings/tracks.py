@@ -13,6 +13,8 @@ from trackwright.trackers.core.data.estimates import AXES, STATUS_WORDS, STEP_CO
 from trackwright.trackers.core.data.frames import frame_html, to_pandas
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.trackers.core.run.noise_levels import NoiseLevels
+from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.recordings.columns import stable_order
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
@@ -110,6 +112,8 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
 
 def for_positions(tracker: AbstractTracker) -> AbstractTracker:
     """The tracker whose estimates have the covariances of positions alone: those of large states are hundreds."""
+    if isinstance(tracker, NoiseLevels | Smoothed):
+        return replace(tracker, tracker=for_positions(tracker.tracker))  # type: ignore[arg-type]
     return replace(tracker, position_alone=True) if isinstance(tracker, Tracker) else tracker
 
 

@@ -1,14 +1,15 @@
-"""Several levels of horizontal motion side by side, weighted by the likelihoods of the recording's own readings.
+"""Several levels of noise side by side, weighted by the likelihoods of the recording's own readings.
 
 Multiple-model adaptive estimation (Magill 1965; Bar-Shalom, Li and Kirubarajan 2001, section 11.6), with weights that
 change over time. A tracker that is tuned for hand-held tags is wrong by an order of magnitude for a slow trolley, and
-the readings tell; but errors of readings last, so that those within `lasting` seconds count as one.
+the anchors of one site err several times as much as those of another; the readings tell. But their errors last, so that
+readings within `lasting` seconds count as one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,6 +23,7 @@ from trackwright.trackers.core.filters.imm import mean_and_deviations
 from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.covariance import Gaussian, matched, size_of
 from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.model.state import local
 from trackwright.trackers.core.model.tunable import Scale, replaced, role_of, tunables
 from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.scan import Output
@@ -31,25 +33,47 @@ from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker, Trac
 Weights = Float[Array, "K T B"]
 
 
-class MotionLevels(AbstractEpochwiseTracker):
-    """A tracker at K levels of horizontal motion; estimates are the moments of their mixture.
+class Level(NamedTuple):
+    """Factors on a tracker's noise levels, and the probability of the level before any reading.
 
-    `factors`: member k has the process noise of the axis `horizontal` times `factors[k]`; from a hand to a trolley that
-    hardly moves. `prior`: probability of the first member before any reading, of which the others share the rest. The
-    weight of a member follows its likelihood, each row's to the power 1/c with c the number of rows with readings in
-    the last `lasting` s, whose errors last, and returns to the prior with the time constant `memory` s: a hidden Markov
-    model of the level, whose smoother weighs smoothed members. The log-likelihood is that of the mixture's prediction,
-    NIS and status those of weighted members. Raises UnusableInput for a tracker without such a noise level.
+    `motion`: on the process noise of the axis `horizontal`. `biases`: on the standard deviation of the biases.
+    `readings`: on the measurement noise.
     """
 
-    tracker: Tracker | Smoothed
-    factors: tuple[float, ...] = eqx.field(static=True, default=(1.0, 0.2, 0.04, 0.008))
-    prior: float = eqx.field(static=True, default=0.9)
+    prior: float
+    motion: float = 1.0
+    biases: float = 1.0
+    readings: float = 1.0
+
+
+MOTION = (Level(0.9), *(Level(0.1 / 3, motion=factor) for factor in (0.2, 0.04, 0.008)))
+"""From a hand to a trolley that hardly moves."""
+
+ERRORS = (Level(1 / 3), Level(1 / 3, biases=0.5, readings=0.25), Level(1 / 3, biases=2.0, readings=0.25))
+"""The given levels, which are robust to errors that come and go within seconds, and readings with the white noise of a
+receiver (2 cm of ranges) and biases of half and twice the size, an octave being what sites differ by."""
+
+
+class NoiseLevels(AbstractEpochwiseTracker):
+    """A tracker at K levels of noise; estimates are the moments of their mixture.
+
+    `levels`: the first is that of the estimates where no other has a track. `about_first`: the mean stays that of the
+    first member, and the covariance is the mean square of its errors under the mixture. The weight of a member follows
+    its likelihood, each row's to the power 1/c with c the number of rows with readings in the last `lasting` s, whose
+    errors last, and returns to the prior with the time constant `memory` s: a hidden Markov model of the level, whose
+    smoother weighs smoothed members. The log-likelihood is that of the mixture's prediction, NIS and status those of
+    weighted members, `about_first` the status of the first. Raises UnusableInput for a tracker without such a noise
+    level.
+    """
+
+    tracker: Tracker | Smoothed | NoiseLevels
+    levels: tuple[Level, ...] = eqx.field(static=True, default=MOTION)
+    about_first: bool = eqx.field(static=True, default=False)
     lasting: float = eqx.field(static=True, default=3.0)
     memory: float = eqx.field(static=True, default=100.0)
 
     def __check_init__(self) -> None:
-        levels_of_motion(self.tracker)
+        scaled_levels(self.tracker, self.levels)
 
     def check_layout(self, layout: Layout) -> None:
         self.tracker.check_layout(layout)
@@ -58,15 +82,21 @@ class MotionLevels(AbstractEpochwiseTracker):
     def nis_sensors(self) -> tuple[AbstractSensor, ...]:
         return self.tracker.nis_sensors
 
-    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
-        levels = levels_of_motion(self.tracker)
+    @property
+    def whole(self) -> bool:
+        """Whether estimates depend on all later rows."""
+        one = self.tracker
+        return one.whole if isinstance(one, NoiseLevels) else isinstance(one, Smoothed) and one.lag is None
 
-        def member(factor: Scalar, state: Any) -> tuple[Output, Any]:
-            scaled = {name: node.with_value(node.value * factor) for name, node in levels.items()}
-            return replaced(self.tracker, scaled).scan(batch, state)
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
+        scaled = scaled_levels(self.tracker, self.levels)
+
+        def member(factors: Mapping[str, Scalar], state: Any) -> tuple[Output, Any]:
+            nodes = {name: node.with_value(node.value * factors[name]) for name, (node, _) in scaled.items()}
+            return replaced(self.tracker, nodes).scan(batch, state)
 
         dt = jnp.where(jnp.asarray(batch.valid), batch.dt, 0.0)
-        factors = jnp.asarray(self.factors, dt.dtype)
+        factors = {name: jnp.asarray(of_levels, dt.dtype) for name, (_, of_levels) in scaled.items()}
         states, log_weights, count = (None, *self._before(batch.size, dt.dtype)) if initial is None else initial
         # Trajectories are first in every array of a state.
         members = jax.vmap(member, in_axes=(0, None if initial is None else 1), out_axes=(0, 1))
@@ -77,13 +107,13 @@ class MotionLevels(AbstractEpochwiseTracker):
         predicted, log_weights = _forward(evidence, returned, prior, log_weights.T)
         log_likelihood = jax.nn.logsumexp(predicted + outputs.log_likelihood, axis=0)
         weights = jax.nn.softmax(predicted + evidence, axis=0)
-        if isinstance(self.tracker, Smoothed) and self.tracker.lag is None:
+        if self.whole:
             weights = _smoothed(weights, evidence, returned, prior)
-        output = mixture_of(outputs, weights)._replace(log_likelihood=log_likelihood)
+        output = mixture_of(outputs, weights, self.about_first)._replace(log_likelihood=log_likelihood)
         return output, (states, log_weights.T, count)
 
     def begin(self, prior: Gaussian, batch: Batch) -> Any:
-        state, members = self.tracker.begin(prior, batch), len(self.factors)
+        state, members = self.tracker.begin(prior, batch), len(self.levels)
         states = jax.tree_util.tree_map(lambda x: jnp.stack([jnp.asarray(x)] * members, axis=1), state)
         return states, *self._before(batch.size, jnp.asarray(batch.dt).dtype)
 
@@ -92,23 +122,35 @@ class MotionLevels(AbstractEpochwiseTracker):
         return jnp.tile(jnp.log(self._prior(dtype)).T, (size, 1)), jnp.zeros(size, dtype)
 
     def _prior(self, dtype: Any) -> Float[Array, "K 1"]:
-        others = len(self.factors) - 1
-        return jnp.asarray([[self.prior]] + [[(1.0 - self.prior) / others]] * others, dtype)
+        return jnp.asarray([[level.prior] for level in self.levels], dtype)
 
 
-def levels_of_motion(tracker: Any) -> Mapping[str, Scale]:
-    """The levels of horizontal process noise of a tracker, by name; raises UnusableInput where there is none."""
-    levels = {
-        name: node
-        for name, node in tunables(tracker).items()
-        if isinstance(node, Scale) and role_of(node) == "process noise" and node.axis == "horizontal"
+def scaled_levels(tracker: Any, levels: tuple[Level, ...]) -> dict[str, tuple[Scale, list[float]]]:
+    """The noise levels that differ between levels, by name, each with its factors; raises UnusableInput without any."""
+    nodes = {name: node for name, node in tunables(tracker).items() if isinstance(node, Scale)}
+    roles = {name: role_of(node) for name, node in nodes.items()}
+    kinds = {
+        "motion": [n for n, node in nodes.items() if roles[n] == "process noise" and node.axis == "horizontal"],
+        "biases": [n for n in nodes if n.rpartition(".")[2] == "sigma_bias"],
+        "readings": [n for n in nodes if roles[n] == "measurement noise"],
     }
-    if not levels:
-        raise UnusableInput(
-            "levels of motion: this tracker has no process noise of the horizontal motion; expected one, as of `uwb`; "
-            "run it as it is"
-        )
-    return levels
+    scaled: dict[str, tuple[Scale, list[float]]] = {}
+    for kind, names in kinds.items():
+        factors = [getattr(level, kind) for level in levels]
+        if len(set(factors)) == 1:
+            continue
+        if not names:
+            raise UnusableInput(f"levels of noise: this tracker has no {LACKING[kind]}, as of `uwb`; run it as it is")
+        scaled |= {name: (nodes[name], factors) for name in names}
+    return scaled
+
+
+LACKING = {
+    "motion": "process noise of the horizontal motion; expected one",
+    "biases": "biases that drift; expected them",
+    "readings": "level of the noise of its readings; expected one",
+}
+"""What a tracker lacks for levels of each kind, in words."""
 
 
 def _powers(
@@ -162,24 +204,29 @@ def _smoothed(
     return joint / jnp.sum(joint, axis=0, keepdims=True)
 
 
-def mixture_of(outputs: Output, weights: Weights) -> Output:
-    """The moments of the members that have a track; those of the first where none has. `outputs`: members first."""
+def mixture_of(outputs: Output, weights: Weights, about_first: bool = False) -> Output:
+    """The moments of the members that have a track; those of the first where none has. `outputs`: members first.
+
+    `about_first`: the mean is that of the first member, and the covariance is about it.
+    """
     usable = (outputs.status == Status.OK) | (outputs.status == Status.RESTARTED)
-    shares = jnp.where(usable, weights, 0.0)
+    shares = jnp.where(usable & (usable[:1] if about_first else True), weights, 0.0)
     sums = jnp.sum(shares, axis=0, keepdims=True)
     first = (jnp.arange(len(weights)) == 0)[:, None, None]
     shares = jnp.where(sums > 0, shares / jnp.where(sums > 0, sums, 1.0), first.astype(shares.dtype))
     likeliest = jnp.argmax(shares, axis=0)[None]
+    kept = (shares > 0) | first if about_first else shares > 0
+    status = outputs.status[0] if about_first else jnp.take_along_axis(outputs.status, likeliest, axis=0)[0]
 
     def known(x: jax.Array) -> jax.Array:
         """A leaf (K, T, …, B) of the moments, of members without a track that of the likeliest one."""
         shape = x.shape[1], *(1,) * (x.ndim - 3), x.shape[-1]
         instead = jnp.take_along_axis(x, likeliest.reshape(1, *shape), axis=0)
-        return jnp.where((shares > 0).reshape(-1, *shape), x, instead)
+        return jnp.where(kept.reshape(-1, *shape), x, instead)
 
     moments = jax.tree_util.tree_map(known, (outputs.mean, outputs.cov))
     members = [jax.tree_util.tree_map(lambda x, k=k: x[k], moments) for k in range(len(weights))]
-    centre = jax.vmap(jax.vmap(mean_and_deviations, in_axes=-1, out_axes=-1))
+    centre = jax.vmap(jax.vmap(_about_first if about_first else mean_and_deviations, in_axes=-1, out_axes=-1))
     mean, deviations = centre([member for member, _ in members], list(shares))
     covs, size = [cov for _, cov in members], size_of(outputs.cov)
     return Output(
@@ -190,6 +237,11 @@ def mixture_of(outputs: Output, weights: Weights) -> Output:
         jnp.sum(weights * outputs.nis, axis=0),
         outputs.nis_dof[0],
         outputs.wrapped[0],
-        jnp.take_along_axis(outputs.status, likeliest, axis=0)[0],
+        status,
         None if outputs.age is None else outputs.age[0],
     )
+
+
+def _about_first(means: list[Any], weights: list[Scalar]) -> tuple[Any, list[Any]]:
+    """As `mean_and_deviations`, about the mean of the first component."""
+    return means[0], [local(means[0], x) for x in means]
