@@ -1,6 +1,7 @@
 """Residuals of phases with a common offset: density, wrapping, masks and offsets."""
 
 import itertools
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,14 +15,15 @@ FORMS = {"default": centred, "paper": pairwise}
 TURN = 2 * np.pi
 
 
+@partial(jax.jit, static_argnums=0)
 def _residual(form, phases, seen, sigma):
     """Whitened residuals (…, n), log scale, count and wrapped flag of phases (…, n) that were predicted to be zero."""
 
     def one(values):
-        result = form(Reading(values, jnp.asarray(seen)), [jnp.zeros(())] * len(seen), jnp.asarray(sigma))
+        result = form(Reading(values, seen), [jnp.zeros(())] * len(seen), sigma)
         return jnp.stack(list(result.whitened)), result.log_scale, result.nis_dof, result.wrapped
 
-    return jax.jit(jax.vmap(one))(jnp.asarray(phases))
+    return jax.vmap(one)(phases)
 
 
 @pytest.mark.parametrize(
