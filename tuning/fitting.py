@@ -24,7 +24,7 @@ from trackwright.tuning.data import Arrays, FitData, fit_arrays
 from trackwright.tuning.fit_cautions import collapsed, correlation, deciding, repetitions, standstill
 from trackwright.tuning.identifiability import kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
-from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still
+from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still, with_effect
 from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from trackwright.tuning.parameters import (
     Parameter,
@@ -40,7 +40,7 @@ from trackwright.tuning.parameters import (
 from trackwright.tuning.parts import Keep, LocalParts
 from trackwright.tuning.priors import Prior
 from trackwright.tuning.problem import Evaluation, Problem
-from trackwright.tuning.uncertainty import Uncertainty, optimum, uncertainty_at, unidentifiable
+from trackwright.tuning.uncertainty import Uncertainty, evaluations, optimum, uncertainty_at, unidentifiable
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
@@ -235,12 +235,17 @@ def fit(
     optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
     per_step = None if minibatch is None else max(1, minibatch // len(problem.parts.rows[0]))
     driver = MultiStart(problem, optimiser, options.steps, low, high, scoring, minibatch=per_step, seed=options.seed)
-    starts = options.starts
+    starts, tried = options.starts, 0
+    if starts > 1 and problem.few and not problem.stochastic:
+        # A value of few trajectories costs little more than the derivative by one number.
+        problem.moving = with_effect(problem, np.clip(flatten(parameters), low, high))
+        tried = (len(low) + 1) * problem.n_trajectories()
     if on.resume is not None:
         state = from_arrays(optimiser, on.resume)
     else:
         others = [flatten(select_parameters(guess, tune, frozen)) for guess in options.guesses]
         state = initial_state(driver, np.stack([flatten(parameters), *others]), starts)
+        state = state._replace(filter_runs=state.filter_runs + tried)
     interrupted = False
     try:
         on.report(state)
@@ -278,7 +283,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
             kept = kept_at_start(problem, uncertainty, start, float(state.past_values[0, 0]) - best.value)
         if kept is not None and kept.at_start.any():
             best = optimum(problem, kept.vector)
-            vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + 2 * len(vector) + 1
+            vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + evaluations(problem)
             uncertainty = uncertainty_at(problem, best, bound, kept.at_start)
     value = float(problem.finite_values(vector, last.terms)[0])
     # A minibatch's value is over a part of the trajectories.

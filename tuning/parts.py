@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -106,28 +107,32 @@ def _scores(objective: AbstractObjective) -> Score:
     return scores
 
 
-def term_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"], Float[Array, "S k p B"]]:
-    """The sums per vector, term and trajectory (S, k, B), and their derivatives (S, k, p, B), all tangents at once."""
-    return _with_derivatives(plain_sums, point, batch)
+@dataclass(frozen=True)
+class WithDerivatives:
+    """What `function` returns of a point, `plain_sums` or `plain_rows`, and its derivatives (S, k, p, …).
 
+    `numbers`: those of the vectors with derivatives, all tangents at once; the derivatives by all others are zero.
+    """
 
-def row_terms(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"], Float[Array, "S k p T B"]]:
-    """The numbers of every row as in `plain_rows`, and their derivatives (S, k + 3, p, T, B)."""
-    return _with_derivatives(plain_rows, point, batch)
+    function: Callable[[Point, Batch], tuple[Array]]
+    numbers: tuple[int, ...]
 
+    def __call__(self, point: Point, batch: Batch) -> tuple[Any, Any]:
+        def at(vectors: Float[Array, "S p"]) -> Any:
+            return self.function(eqx.tree_at(lambda p: p.vectors, point, vectors), batch)[0]
 
-def _with_derivatives(function: Callable[[Point, Batch], tuple[Array]], point: Point, batch: Batch) -> tuple[Any, Any]:
-    """What a function of a point returns, and its derivatives as the third axis."""
+        def along(direction: Float[Array, " p"]) -> tuple[Any, Any]:
+            """The values, and their derivatives along one direction, the same for every vector."""
+            return jax.jvp(at, (point.vectors,), (jnp.broadcast_to(direction, point.vectors.shape),))
 
-    def at(vectors: Float[Array, "S p"]) -> Any:
-        return function(eqx.tree_at(lambda p: p.vectors, point, vectors), batch)[0]
-
-    def along(direction: Float[Array, " p"]) -> tuple[Any, Any]:
-        """The values, and their derivatives along one direction, the same for every vector."""
-        return jax.jvp(at, (point.vectors,), (jnp.broadcast_to(direction, point.vectors.shape),))
-
-    # Vectors inside and directions outside: in the other order jax traces half as much again.
-    return jax.vmap(along, out_axes=(None, 2))(jnp.eye(point.vectors.shape[1], dtype=point.vectors.dtype))
+        p = point.vectors.shape[1]
+        directions = jnp.eye(p, dtype=point.vectors.dtype)[jnp.array(self.numbers)]
+        # Vectors inside and directions outside: in the other order jax traces half as much again.
+        values, derivatives = jax.vmap(along, out_axes=(None, 2))(directions)
+        if len(self.numbers) == p:
+            return values, derivatives
+        every = jnp.zeros((*values.shape[:2], p, *values.shape[2:]), derivatives.dtype)
+        return values, every.at[:, :, jnp.array(self.numbers)].set(derivatives)
 
 
 Function = Callable[[Point, Batch], Any]

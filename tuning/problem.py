@@ -20,7 +20,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.tuning.batches import AnyBatch, Pieces, by_chunks, padded_size
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, flatten
-from trackwright.tuning.parts import BESIDE, Keep, LocalParts, Point, plain_rows, plain_sums, row_terms, term_sums
+from trackwright.tuning.parts import BESIDE, Keep, LocalParts, Point, WithDerivatives, plain_rows, plain_sums
 from trackwright.tuning.priors import Penalty, Prior, penalty
 
 Vectors = Float[np.ndarray, "*S p"]
@@ -72,7 +72,8 @@ class Problem:
 
     `priors`: added to a likelihood. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory
     and their derivatives are multiplied by its weight. `keep`: takes the rows to where they are computed, in this
-    process or on workers. `sizes`: trajectories of each batch, with padding.
+    process or on workers. `sizes`: trajectories of each batch, with padding. `moving`: the numbers by which derivatives
+    are computed, all unless it is known that the others have no effect.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -108,6 +109,7 @@ class Problem:
         # row.
         fitting = CHUNK // (1 << (trajectories - 1).bit_length())
         self.few = few(trajectories)
+        self.moving = tuple(range(start.shape[1]))
         alone = self.few or has_particles(self.tracker) or not self.parameters
         self.vectors_per_call = 1 if alone else max(1, min(MAX_VECTORS, fitting))
         self.lately: dict[tuple[Any, ...], Sequence[tuple[np.ndarray, ...]]] = {}
@@ -124,7 +126,7 @@ class Problem:
         `weights` (n,) or (S, n): multiplicity of each trajectory, besides its own weight. `subset`: indices of the
         chunks, default all. `realisation`: number of the random draws, where the tracker uses any.
         """
-        by_part = self._run(row_terms if self.few else term_sums, vectors, subset, realisation)
+        by_part = self._run(self.with_derivatives, vectors, subset, realisation)
         terms, term_gradients = (np.concatenate(xs, axis=-1) for xs in zip(*by_part, strict=True))
         used = np.isfinite(terms).all(axis=1) & np.stack([_usable(x) for x in term_gradients])
         used &= self._valid(subset)
@@ -198,8 +200,13 @@ class Problem:
         return is_stochastic(self.tracker)
 
     def point(self, vectors: Vectors) -> Point:
-        """The argument of `term_sums` at vectors (S, p)."""
+        """The argument of `with_derivatives` at vectors (S, p)."""
         return self.start.at(vectors)
+
+    @property
+    def with_derivatives(self) -> WithDerivatives:
+        """The function of a point and a chunk that `evaluate` runs."""
+        return WithDerivatives(plain_rows if self.few else plain_sums, self.moving)
 
     def _run(
         self, function: Callable[..., Any], vectors: Vectors, subset: Sequence[int] | None, realisation: int

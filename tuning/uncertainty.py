@@ -33,7 +33,7 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Covariance
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, physical, physical_errors
-from trackwright.tuning.parts import row_terms
+from trackwright.tuning.parts import WithDerivatives, plain_rows
 from trackwright.tuning.problem import Evaluation, Problem, value_and_gradient
 
 MIN_CURVATURE = 1e-5
@@ -140,7 +140,7 @@ class Uncertainty:
 
 
 def uncertainty(problem: Problem, vector: Float[np.ndarray, " p"]) -> Uncertainty:
-    """The uncertainty of the optimum at `vector` (p,), in 2p + 1 evaluations."""
+    """The uncertainty of the optimum at `vector` (p,), in as many `evaluations`."""
     return uncertainty_at(problem, optimum(problem, vector))
 
 
@@ -283,8 +283,8 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     Only trajectories usable at all of the vectors count, so that all differences are of the same function.
     """
     vector = np.asarray(vector, float)
-    p = len(vector)
-    shifts = STEP * np.eye(p)
+    moving = list(problem.moving)
+    shifts = STEP * np.eye(len(vector))[moving]
     vectors = np.concatenate([vector[None], vector + shifts, vector - shifts])
     evaluation = problem.evaluate(vectors)
     used = np.asarray(evaluation.used.all(axis=0))
@@ -294,7 +294,7 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     gradients = np.einsum("sk,skp->sp", by_sum, term_gradients.sum(axis=-1))
     prior = problem.prior_penalty(vectors, sums)
     values, gradients = values + prior.values, gradients + prior.gradients
-    rows = (gradients[1 : p + 1] - gradients[p + 1 :]) / (2 * STEP)
+    rows = _differences(gradients, moving)
     # Without a single usable trajectory there is no likelihood.
     nats = problem.nats_per_unit(sums[0]) if used.any() else np.nan
     psi = influence(problem.objective, terms[0], term_gradients[0])
@@ -302,9 +302,21 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     weights = problem.weights[used]
     if np.any(weights != 1.0):
         excess = np.einsum("sk,skp->sp", by_sum, term_gradients @ (weights - 1.0))
-        more = (excess[1 : p + 1] - excess[p + 1 :]) / (2 * STEP)
+        more = _differences(excess, moving)
         squared = hessian + 0.5 * (more + more.T)
     return Optimum(vector, float(values[0]), gradients[0], hessian, psi, nats, used, evaluation.at(0), squared)
+
+
+def evaluations(problem: Problem) -> int:
+    """The number of vectors that `optimum` evaluates."""
+    return 2 * len(problem.moving) + 1
+
+
+def _differences(gradients: Float[np.ndarray, "many p"], moving: Sequence[int]) -> Float[np.ndarray, "p p"]:
+    """Second derivatives, in the rows `moving`, from gradients at a vector, ahead of it and behind it."""
+    rows, (ahead, behind) = np.zeros((gradients.shape[1],) * 2), np.split(gradients[1:], 2)
+    rows[moving] = (ahead - behind) / (2 * STEP)
+    return rows
 
 
 def influence(
@@ -342,7 +354,8 @@ def row_information(problem: Problem, vectors: Float[np.ndarray, "S p"], block: 
     Scores of `block` consecutive rows are added before they are squared, which makes the information valid for errors
     correlated over that many rows. Padding trajectories contribute zeros. Memory grows with the rows.
     """
-    by_part = problem.parts.run(row_terms, list(np.atleast_2d(vectors)[:, None]), partial(_information, block))
+    function = WithDerivatives(plain_rows, problem.moving)
+    by_part = problem.parts.run(function, list(np.atleast_2d(vectors)[:, None]), partial(_information, block))
     parts = [[np.stack(xs) for xs in zip(*each, strict=True)] for each in by_part]
     return RowInformation(*(np.concatenate(xs, axis=-1) for xs in zip(*parts, strict=True)))
 
@@ -350,7 +363,7 @@ def row_information(problem: Problem, vectors: Float[np.ndarray, "S p"], block: 
 def _information(
     block: int, results: Any, chunk: Batch
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "p n"], Float[np.ndarray, "p p n"]]:
-    """Log-likelihood, scores and information of each trajectory of a chunk, from `row_terms` at one vector."""
+    """Log-likelihood, scores and information of each trajectory of a chunk, from its rows with derivatives."""
     log_likelihoods, scores = (np.asarray(x[0, -1]) for x in results)
     starts = np.arange(0, len(log_likelihoods), block)
     blocked = np.add.reduceat(scores.astype(float), starts, axis=1)

@@ -19,7 +19,6 @@ from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareE
 from trackwright.tuning.optimisation import PATIENCE
 from trackwright.tuning.optimisers import LBFGS, Adam
 from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
-from trackwright.tuning.parts import term_sums
 from trackwright.tuning.priors import Prior
 from trackwright.tuning.problem import Problem
 
@@ -104,7 +103,7 @@ def _temporaries(rows):
     assert len(flatten(parameters)) == 4
     problem = Problem(tracker, [batch], NLL, parameters, 512)
     part = problem.parts.chunks[0]
-    lowered = jitted.lower(term_sums, problem.point(flatten(parameters)), part)
+    lowered = jitted.lower(problem.with_derivatives, problem.point(flatten(parameters)), part)
     return lowered.compile().compiled.memory_analysis().temp_size_in_bytes
 
 
@@ -348,6 +347,7 @@ def test_parameters_without_effect_keep_the_users_values_whichever_start_wins():
     assert result.trace is result.starts[1], "the guess is to win, in one step"
     assert result.trace[0].values["motion.sigma_v"] == pytest.approx(5.0)
     assert result.values["motion.sigma_v"] == pytest.approx(0.3, rel=1e-12)
+    assert result.problem.moving == (1,)
 
 
 def test_held_out_recordings_select_the_best_point():

@@ -82,6 +82,11 @@ class Numbers:
         return float(sums[1])
 
     @property
+    def moving(self):
+        """All numbers."""
+        return range(len(self.logs))
+
+    @property
     def valid(self):
         """All trajectories."""
         return np.ones(len(self.y), bool)
