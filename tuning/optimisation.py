@@ -25,8 +25,8 @@ SHORTEST, LONGEST = 0.1, 0.5
 ANOTHER_ATTEMPT = 10.0
 """Expected gain of a second and later attempt, relative to the least gain of a step."""
 
-SAME_START = 0.1
-"""Distance between two starts below which the worse one ends, in unconstrained coordinates: 10 % of a noise level."""
+SAME_START = 0.2
+"""Distance between two starts below which the worse one ends, in unconstrained coordinates: 20 % of a noise level."""
 
 PATIENCE = 15
 """Steps without the least gain after which a start of an optimiser that also takes steps up ends."""
