@@ -143,7 +143,7 @@ def comparable_values(
     return problem.values_of(terms[..., finite.any(axis=0)].sum(axis=-1))
 
 
-POINTS, FEW = 9, 7
+POINTS, FEW = 9, 5
 """Values per axis of a surface, and where each vector is a run of its own; a curve over one number has twice as many.
 
 Odd, so that the optimum is one of them.
