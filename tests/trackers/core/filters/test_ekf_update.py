@@ -20,6 +20,9 @@ from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
 from trackwright.trackers.core.model.tunable import Scale
 
+# One by one, each of their operations would be compiled for itself.
+compressed, sequential_updates = jax.jit(compressed), jax.jit(sequential_updates, static_argnums=3)
+
 STATES = 4
 # Four antennas for two angles: enough to compress.
 STATION = work_station(work_station().stations["1"].antennas[:4]).stations["1"]
@@ -181,10 +184,14 @@ def test_a_position_is_known_to_the_spacing_of_numbers(form, far):
         cov = jnp.asarray(cov) if form is not tuple else tuple(jnp.asarray(cov[np.triu_indices(4)]))
         mean = Kinematic(Vector(*(jnp.float32(far),) * 2), Vector(jnp.float32(0), jnp.float32(0)))
         belief, sensor = Gaussian(mean, cov), _Position(jnp.float32(1e-6))
-        for _ in range(20):
-            values = jnp.asarray(truth + 1e-6 * rng.normal(size=2), jnp.float32)
+
+        @jax.jit
+        def updated(belief, values):
             reading = Reading(list(values), [jnp.asarray(True)] * 2)
-            belief, _ = ExtendedKalman().update(belief, motion, sensor, reading, {})
+            return ExtendedKalman().update(belief, motion, sensor, reading, {})[0]
+
+        for _ in range(20):
+            belief = updated(belief, jnp.asarray(truth + 1e-6 * rng.normal(size=2), jnp.float32))
         variance = belief.cov[0] if form is tuple else belief.cov[0, 0]
     error = abs(float(belief.mean.position[0]) - truth[0])
     assert error <= float(variance) ** 0.5 * (1.0 if far else 5.0)
@@ -215,9 +222,14 @@ def test_variances_stay_positive_where_precise_readings_leave_large_ones_that_ca
         cov = jnp.eye(4) if form is not tuple else tuple(jnp.eye(4)[np.triu_indices(4)])
         zero = jnp.float32(0)
         belief = Gaussian(Kinematic(Vector(zero, zero), Vector(zero, zero)), cov)
+
+        @jax.jit
+        def updated(belief, row):
+            reading = Reading([zero], [jnp.asarray(True)])
+            return ExtendedKalman().update(belief, ConstantVelocity(0.1, 2), _Sums(row), reading, {})[0]
+
         for k in range(300):
-            sensor, reading = _Sums(jnp.asarray(rows[k % 3])), Reading([zero], [jnp.asarray(True)])
-            belief, _ = ExtendedKalman().update(belief, ConstantVelocity(0.1, 2), sensor, reading, {})
+            belief = updated(belief, jnp.asarray(rows[k % 3]))
         P = np.asarray(matrix(belief.cov), float)
     assert np.linalg.eigvalsh(P)[0] > 0
     unseen = np.linalg.svd(rows)[2][-1]

@@ -24,6 +24,9 @@ from trackwright.trackers.parts.fixes import FIXES
 from trackwright.tuning.fitting import FitOptions, fit
 from trackwright.tuning.objectives import RootMeanSquareError
 
+# One by one, each of its operations would be compiled for itself.
+scored_truth = jax.jit(scored_truth)
+
 
 def _recording(rows=40, unknown=()):
     rng = np.random.default_rng(3)
@@ -87,7 +90,9 @@ def test_an_objective_scores_the_rows_that_evaluate_scores_where_the_truth_has_a
     tracker = eqx.tree_at(lambda t: t.sensors[FIXES].latency, tracker, tracker.sensors[FIXES].latency.with_value(0.4))
     batch = stack([recording])
     estimates = tracker.run(recording)
-    rows = as_dtype(tracker, batch.dt.dtype).accumulate(batch, RootMeanSquareError().terms, every_row=True)[1][:, 0]
+    terms = RootMeanSquareError().terms
+    counts = eqx.filter_jit(lambda tracker, batch: tracker.accumulate(batch, terms, every_row=True)[1][:, 0])
+    rows = counts(as_dtype(tracker, batch.dt.dtype), batch)
     scored = associate(estimates, recording).scored
     before = estimates.times < recording.times[0]
     assert 0 < np.sum(~scored & ~before & recording.truth["position"][1]) < 10
@@ -200,8 +205,9 @@ def test_an_error_has_no_jump_where_the_latency_is_zero(rmse_of_latency):
 
 
 def test_the_gradient_by_the_latency_is_that_of_finite_differences(rmse_of_latency):
+    gradient = jax.jit(jax.grad(lambda x: rmse_of_latency(x)[0]))
     for latency in (0.0, 0.17):
-        slope = jax.grad(lambda x: rmse_of_latency(x)[0])(latency)
+        slope = gradient(latency)
         up, down = (float(rmse_of_latency(latency + x)[0]) for x in (1e-5, -1e-5))
         assert slope == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-5)
 
