@@ -60,15 +60,15 @@ def test_values_that_make_a_recording_worse_are_not_written_without_force(unlike
 
 
 def test_values_that_serve_every_recording_are_written(tmp_path):
-    alike = [_walk(tmp_path / f"walk-{k}", k, 0.3) for k in (1, 2)]
+    alike = [_walk(tmp_path / f"walk-{k}", k, 0.3) for k in (1, 2, 3)]  # as many as above: the same programs
     said = trackwright("tune", *alike, *FIT, "--no-report", "--out", tmp_path / "fit")
     assert said.code == 0, said.err
     assert (tmp_path / "fit" / "tuned.toml").exists()
 
 
 def test_a_fit_that_ended_early_is_not_written(tmp_path):
-    still = _walk(tmp_path / "still", 3, 0.0)
-    said = trackwright("tune", still, *FIT, "--steps", 1, "--no-report", "--out", tmp_path / "early")
+    still = [_walk(tmp_path / f"still-{k}", k, 0.0) for k in (3, 4, 5)]
+    said = trackwright("tune", *still, *FIT, "--steps", 1, "--no-report", "--out", tmp_path / "early")
     assert said.code == 1
     assert "the fit ended before its optimum. Usual fix: more --steps or --starts" in said.err.splitlines()[-1]
 

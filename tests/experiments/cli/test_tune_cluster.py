@@ -59,7 +59,7 @@ def _assert_same_files(tmp_path):
 
 
 def test_a_fit_on_a_cluster_writes_the_numbers_of_a_fit_here(paths, elsewhere, tmp_path):
-    words = (*paths[:2], "--held-out", paths[2], "--steps", 1, "--starts", 2, "--piece-rows", 20, "--no-report")
+    words = (*paths[:2], "--held-out", paths[2], "--steps", 1, "--starts", 2, "--piece-rows", 30, "--no-report")
     here, there = _both(tmp_path, *words)
     assert (here.code, there.code) == (0, 0), there.err
     _assert_same_files(tmp_path)

@@ -76,7 +76,8 @@ def test_many_trajectories_have_the_posterior_means_and_derivatives_of_each(sigm
     def mean(displacement, precision):
         return mean_acceleration(rings, Vector(*displacement), jnp.asarray(0.08), precision).array()
 
-    each = [jax.jit(mean)(d, precision) for d in displacements]
+    one = jax.jit(mean)
+    each = [one(d, precision) for d in displacements]
     every = jax.jit(jax.vmap(mean, in_axes=(0, None)))
     np.testing.assert_allclose(every(displacements, precision), each, rtol=1e-9, atol=1e-12)
     derivative = jax.jit(jax.jacfwd(every, argnums=1))(displacements, precision)

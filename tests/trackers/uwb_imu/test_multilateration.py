@@ -80,7 +80,7 @@ def test_four_ranges_of_which_one_is_ignored_determine_nothing():
     places = 1000.0 * np.random.default_rng(0).uniform(0.3, 0.7, (256, 3))
     ranges = np.linalg.norm(places[:, None] - anchors, axis=-1)
     solve = jax.vmap(lambda r: multilaterate(r, jnp.asarray(anchors), jnp.ones(4, bool), None, jnp.asarray(SCALE)))
-    fits = solve(jnp.asarray(ranges))
+    fits = jax.jit(solve)(ranges)
     error = np.linalg.norm(fits.position - places, axis=1)
     assert (error[np.asarray(fits.determined)] < 1e-3).all()
     assert (error > 100.0).any()
@@ -95,7 +95,7 @@ def test_anchors_on_one_line_determine_nothing(locate):
 
 def test_coplanar_anchors_give_the_horizontal_position():
     flat = ANCHORS * [1.0, 1.0, 0.0] + [0.0, 0.0, 2.0]
-    fit = multilaterate(jnp.asarray(_exact(flat)), jnp.asarray(flat), jnp.ones(6, bool), None, jnp.asarray(SCALE))
+    fit = jax.jit(multilaterate)(_exact(flat), flat, np.ones(6, bool), None, SCALE)
     np.testing.assert_allclose(fit.position[:2], POSITION[:2], atol=1e-6)
     # Either image: below the plane or above it.
     assert abs(abs(float(fit.position[2]) - 2.0) - 0.9) < 1e-5

@@ -134,14 +134,12 @@ def test_a_tag_on_a_turning_arm_moves_while_the_imu_stands():
 
 
 def test_two_seconds_without_an_imu_are_constant_velocity_with_white_acceleration():
-    cov = tuple(jnp.asarray(0.0) for _ in range(120))
     predict = jax.jit(lambda b, u: ExtendedKalman().predict(b, freeze(Strapdown(NOISE)), u, jnp.asarray(2.0)))
-    belief = predict(Gaussian(_arrays(SPACE), cov), _arrays({**_with_imu(0, 0), "arm": np.zeros(3)}))
+    belief = predict(Gaussian(_arrays(SPACE), jnp.zeros((15, 15))), _arrays({**_with_imu(0, 0), "arm": np.zeros(3)}))
     np.testing.assert_allclose([*belief.mean.position], [1 + 1.4, 2 - 0.8, 3.4], rtol=1e-12)
-    upper = dict(zip(zip(*np.triu_indices(15), strict=True), belief.cov, strict=True))
     # σ²T³/3, σ²T²/2, σ²T: Bar-Shalom 2001, section 6.2.2, with σ = 1.
-    np.testing.assert_allclose([upper[0, 0], upper[0, 3], upper[3, 3]], [8 / 3, 2, 2], rtol=1e-12)
-    np.testing.assert_allclose(upper[6, 6], 0.5**2 * 2, rtol=1e-12)
+    np.testing.assert_allclose(belief.cov[[0, 0, 3], [0, 3, 3]], [8 / 3, 2, 2], rtol=1e-12)
+    np.testing.assert_allclose(belief.cov[6, 6], 0.5**2 * 2, rtol=1e-12)
 
 
 @pytest.mark.parametrize("imu", [(1, 1), (1, 0), (0, 1), (0, 0)])

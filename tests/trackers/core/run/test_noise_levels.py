@@ -133,7 +133,7 @@ def test_a_member_without_a_track_has_no_share(members, recording):
     together = NoiseLevels(fix_tracker(planar=True)).run(recording)
     assert (together.status == Status.OK).all()
     batch = stack([recording])
-    outputs = jax.vmap(lambda f: filter_batch(fix_tracker(planar=True), batch))(jnp.arange(2.0))
+    outputs = jax.jit(jax.vmap(lambda f: filter_batch(fix_tracker(planar=True), batch)))(jnp.arange(2.0))
     lost = outputs.status.at[1].set(Status.LOST)
     broken = outputs._replace(status=lost, mean=jax.tree_util.tree_map(lambda x: x.at[1].set(np.nan), outputs.mean))
     weights = jnp.full((2, ROWS, 1), 0.5)
@@ -152,7 +152,7 @@ def test_a_member_without_a_track_has_no_share(members, recording):
 
 def test_a_first_member_without_a_share_keeps_its_means(recording):
     batch = stack([recording])
-    outputs = jax.vmap(lambda f: filter_batch(fix_tracker(planar=True), batch))(jnp.arange(2.0))
+    outputs = jax.jit(jax.vmap(lambda f: filter_batch(fix_tracker(planar=True), batch)))(jnp.arange(2.0))
     moved = outputs._replace(mean=jax.tree_util.tree_map(lambda x: x.at[1].add(3.0), outputs.mean))
     weights = jnp.stack([jnp.zeros((ROWS, 1)), jnp.ones((ROWS, 1))])
     mixed = mixture_of(moved, weights, about_first=True)

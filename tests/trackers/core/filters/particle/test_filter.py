@@ -1,5 +1,6 @@
 """The particle filter: effective sample size and resampling as printed, weights of zero, and a Kalman filter as oracle."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,19 @@ from trackwright.trackers.core.model.tunable import Constant, Scale
 from trackwright.trackers.core.run.tracker import Tracker
 
 KEYS, ROWS = 200, 12
+
+# One by one, each of their operations would be compiled for itself.
+running_sum, systematic = jax.jit(running_sum), jax.jit(systematic)
+
+
+@eqx.filter_jit
+def _updated(filter, belief, motion, sensor, reading):
+    return filter.update(belief, motion, sensor, reading, {})
+
+
+@eqx.filter_jit
+def _predicted(filter, belief, motion):
+    return filter.predict(belief, motion, {}, 1.0)
 
 
 class Ruler(AbstractSensor):
@@ -76,7 +90,7 @@ def test_every_particle_has_offspring_as_many_as_its_share_rounded_down_or_up():
 def test_the_mean_number_of_offspring_is_the_share():
     w = _weights(40, seed=3)
     offsets = (np.arange(2000) + 0.5) / 2000
-    ancestors = jax.vmap(lambda u: systematic(jnp.asarray(w), u))(jnp.asarray(offsets))
+    ancestors = jax.jit(jax.vmap(systematic, in_axes=(None, 0)))(w, offsets)
     mean = np.bincount(np.asarray(ancestors).ravel(), minlength=40) / 2000
     # The offsets are a grid of 1/2000: each share is exact to two of its steps.
     np.testing.assert_allclose(mean, 40 * w, atol=1e-3)
@@ -84,11 +98,10 @@ def test_the_mean_number_of_offspring_is_the_share():
 
 def test_no_particle_of_weight_zero_has_offspring_in_single_precision():
     rng = np.random.default_rng(5)
-    draw = jax.jit(systematic)
     for _ in range(300):
         weights = np.where(rng.random(1000) < 0.5, 0.0, np.exp(rng.normal(size=1000)))
         weights = (weights / weights.sum()).astype(np.float32)
-        ancestors = np.asarray(draw(jnp.asarray(weights), jnp.float32(rng.random())))
+        ancestors = np.asarray(systematic(jnp.asarray(weights), jnp.float32(rng.random())))
         assert len(ancestors) == 1000
         assert np.all(weights[ancestors] > 0)
         assert np.all(np.diff(ancestors) >= 0)
@@ -102,10 +115,10 @@ def _still(log_weights):
 def test_particles_are_drawn_again_below_half_the_number_and_not_above():
     motion = ConstantPosition(Constant(1e-12), 2)
     few, enough = _still(np.log([0.97, 0.01, 0.01, 0.01])), _still(np.log([0.4, 0.3, 0.2, 0.1]))
-    drawn = ParticleFilter(4).predict(few, motion, {}, jnp.asarray(1.0))
+    drawn = _predicted(ParticleFilter(4), few, motion)
     np.testing.assert_allclose(drawn.log_weights, -np.log(4.0))
     assert np.sum(np.round(drawn.states.position[0]) == 0) >= 3
-    kept = ParticleFilter(4).predict(enough, motion, {}, jnp.asarray(1.0))
+    kept = _predicted(ParticleFilter(4), enough, motion)
     np.testing.assert_array_equal(kept.log_weights, enough.log_weights)
     np.testing.assert_allclose(kept.states.position[0], np.arange(4.0), atol=1e-9)
     assert not np.array_equal(kept.key, enough.key)
@@ -117,8 +130,12 @@ def _reading(x, y=0.0):
 
 def test_weights_and_log_likelihood_are_those_of_bayes_rule():
     w = np.array([0.4, 0.3, 0.2, 0.1])
-    belief, innovation = ParticleFilter(4).update(
-        _still(np.log(w)), ConstantPosition(Constant(1.0), 2), Ruler(Constant(0.5)), _reading(1.2, 0.1), {}
+    belief, innovation = _updated(
+        ParticleFilter(4),
+        _still(np.log(w)),
+        ConstantPosition(Constant(1.0), 2),
+        Ruler(Constant(0.5)),
+        _reading(1.2, 0.1),
     )
     density = np.exp(-0.5 * ((1.2 - np.arange(4)) ** 2 + 0.1**2) / 0.25) / (2 * np.pi * 0.25)
     np.testing.assert_allclose(np.exp(belief.log_weights), w * density / np.sum(w * density), rtol=1e-12)
@@ -134,18 +151,18 @@ def test_states_that_a_reading_rules_out_have_weight_zero_for_good():
     states = Placed(Vector(jnp.array([-1.0, 0.5, 1.0, -2.0]), jnp.zeros(4)))
     belief = Particles(states, jnp.full(4, -np.log(4.0)), jax.random.key_data(jax.random.key(1)))
     motion, filter = ConstantPosition(Constant(1e-12), 2), ParticleFilter(4, fraction=0.9)
-    once, innovation = filter.update(belief, motion, Wall(Constant(1.0)), _reading(0.7), {})
+    once, innovation = _updated(filter, belief, motion, Wall(Constant(1.0)), _reading(0.7))
     assert np.all(np.exp(once.log_weights[np.array([0, 3])]) == 0)
     assert np.isfinite(innovation.log_likelihood)
-    twice = filter.predict(once, motion, {}, jnp.asarray(1.0))
+    twice = _predicted(filter, once, motion)
     assert np.all(twice.states.position[0] > 0)
 
 
 def test_where_all_states_are_ruled_out_the_belief_is_not_finite():
     states = Placed(Vector(jnp.full(4, -1.0), jnp.zeros(4)))
     belief = Particles(states, jnp.full(4, -np.log(4.0)), jax.random.key_data(jax.random.key(1)))
-    after, _ = ParticleFilter(4).update(
-        belief, ConstantPosition(Constant(1.0), 2), Wall(Constant(1.0)), _reading(0.7), {}
+    after, _ = _updated(
+        ParticleFilter(4), belief, ConstantPosition(Constant(1.0), 2), Wall(Constant(1.0)), _reading(0.7)
     )
     assert not np.any(np.isfinite(after.log_weights))
 
@@ -153,7 +170,9 @@ def test_where_all_states_are_ruled_out_the_belief_is_not_finite():
 def test_the_first_particles_have_the_moments_of_the_normal_belief():
     cov = (jnp.asarray(2.0), jnp.asarray(0.6), jnp.asarray(0.5))
     filter = ParticleFilter(40_000)
-    belief = filter.init(Gaussian(Placed(Vector(1.0, -2.0)), cov), jax.random.key_data(jax.random.key(3)))
+    belief = eqx.filter_jit(filter.init)(
+        Gaussian(Placed(Vector(1.0, -2.0)), cov), jax.random.key_data(jax.random.key(3))
+    )
     mean, spread = filter.moments(belief)
     # 40,000 draws: standard errors of 0.007 and, relative to a variance, of 0.007; four of them.
     np.testing.assert_allclose(list(mean.position), [1.0, -2.0], atol=0.03)
