@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from types import FunctionType
@@ -71,12 +72,19 @@ for count, layer in enumerate(LAYERS, 1):
 MAY_IMPORT["experiments."], MAY_IMPORT["experiments.__main__"] = set(), {"experiments.cli"}
 
 
+@cache
+def _imports(path):
+    """Every import of the file, wherever in it."""
+    tree = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return [node for node in tree if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def _imported(path):
-    """Every module that the file imports, wherever in it the import stands; ours without `trackwright.`."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    """Every module that the file imports; ours without `trackwright.`."""
+    for node in _imports(path):
         if isinstance(node, ast.Import):
             yield from (alias.name.removeprefix("trackwright.") for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert node.level == 0, f"{path}: relative import; the rule reads whole names"
             module = node.module.removeprefix("trackwright.")
             yield module
@@ -107,10 +115,9 @@ def test_no_modules_import_each_other_in_a_circle():
 
 def _modules_of(path):
     """Every name that the file imports, and `package.name` for each `from package import name`, TYPE_CHECKING included."""
-    nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
     members = {
         f"{n.module}.{a.name}".removeprefix("trackwright.")
-        for n in nodes
+        for n in _imports(path)
         if isinstance(n, ast.ImportFrom)
         for a in n.names
     }
