@@ -316,8 +316,8 @@ GRID_STEP = np.log(10.0)
 def with_effect(problem: Problem, vector: Float[np.ndarray, " p"]) -> tuple[int, ...]:
     """The numbers of a vector (p,) that change any term when they alone are a step larger; all, if none does."""
     terms = problem.terms(np.concatenate([vector[None], vector + GRID_STEP * np.eye(len(vector))]))
-    found = tuple(k for k, x in enumerate(terms[1:]) if not np.array_equal(x, terms[0], equal_nan=True))
-    return found or problem.moving
+    effective = tuple(k for k, x in enumerate(terms[1:]) if not np.array_equal(x, terms[0], equal_nan=True))
+    return effective or problem.moving
 
 
 def initial_state(driver: MultiStart, vectors: Float[np.ndarray, "V p"], starts: int) -> FitState:
