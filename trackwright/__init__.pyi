@@ -170,6 +170,7 @@ __all__ = [
     "switching_tracker",
     "mirror_tracker",
     "mhk_tracker",
+    "Level",
     "MovingWindow",
     "range_tracker",
     "inertial_tracker",
