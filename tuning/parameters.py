@@ -119,7 +119,7 @@ def _without_thresholds(pattern: str, nodes: Mapping[str, AbstractTunable]) -> d
     if not differentiable:
         raise ValueError(
             f"'{pattern}' matches only {', '.join(nodes)}: no objective has a derivative with respect to a threshold, "
-            "and what is not known is no result of a fit; use a sweep"
+            "and a fit does not tell what is not known; use a sweep"
         )
     return differentiable
 

@@ -38,7 +38,9 @@ PATIENT = TrackLossPolicy(nis_limit=1e3, max_gap=10.0)
 
 
 class AbstractFixSensor(AbstractDelayedSensor):
-    """x, y, z of a tag, m, measured `latency` s before the row's time, `latency_std` s: as in its base class.
+    """x, y, z of a tag, m, measured `latency` s before the row's time.
+
+    A latency that nobody has measured has the standard deviation `latency_std`, s, in reported covariances; else 0.
 
     The covariance `noise` adds to the reported variances (three, m²), whose square roots are scaled by
     `reported_std_scale`. `dof`: degrees of freedom of Student's t, None for normal noise. Input: `height`, m, for a
