@@ -14,7 +14,9 @@ from datetime import UTC, datetime
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+from cyclopts import Parameter
 
 from trackwright.experiments.cli.main import run_alone
 from trackwright.experiments.cli.options import OPTIONS
@@ -127,8 +129,8 @@ class Output:
     small: bool = False
     out: Path | None = None
     page: Path | None = None
-    began: datetime = field(default_factory=lambda: datetime.now(UTC), init=False)
-    host: Row = field(default_factory=machine, init=False)
+    began: Annotated[datetime, Parameter(parse=False)] = field(default_factory=lambda: datetime.now(UTC), init=False)
+    host: Annotated[Row, Parameter(parse=False)] = field(default_factory=machine, init=False)
 
     def __post_init__(self) -> None:
         if self.page is not None:

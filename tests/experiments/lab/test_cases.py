@@ -58,7 +58,9 @@ def test_a_case_explains_its_options_among_them_those_that_all_have(case, capsys
     app = new_app(case)
     app.default(function_of(case))
     app(["--help"])
-    assert {"--small", "--out", "--page"} <= {*capsys.readouterr().out.split()}
+    words = {*capsys.readouterr().out.split()}
+    assert {"--small", "--out", "--page"} <= words
+    assert not words & {"--began", "--host"}
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():
