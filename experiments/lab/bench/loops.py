@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from trackwright.trackers.aoa.fusion import BEARINGS, BearingSensor
@@ -61,8 +62,23 @@ def model_of(tracker: Any, recording: Recording, planar: bool) -> Model | None:
     return None
 
 
+def state_after(row: int, tracker: Any, estimates: Any) -> tuple[Any, np.ndarray]:
+    """State and covariance of a filter after a row of one trajectory, where a loop begins.
+
+    What a latency that is not known adds to a reported covariance, std²(v vᵀ + cov v), is none of the filter's.
+    """
+    mean = jax.tree_util.tree_map(lambda x: x[row], estimates.mean)
+    P = np.asarray(estimates.covariance[row], float)
+    sensor = next(iter(tracker.sensors.values()))
+    if isinstance(sensor, FixSensor):
+        v, std, d = np.array([float(x) for x in mean.velocity]), float(sensor.latency_std.value), len(mean.position)
+        of_velocity = P[d : d + len(v), d : d + len(v)]
+        P[: len(v), : len(v)] -= std**2 * (np.outer(v, v) + of_velocity)
+    return vector(mean), P
+
+
 def vector(state: Any) -> Any:
-    """The first state of a loop from a tracker's mean: a vector, or an inertial state with its quaternion apart."""
+    """A tracker's mean as the state of a loop: a vector, or an inertial state with its quaternion apart."""
     if isinstance(state, Inertial):
         q = np.array([float(getattr(state.attitude, name)) for name in "wxyz"])
         parts = [*state.position, *state.velocity, 0.0, 0.0, 0.0, *state.accel_bias, *state.gyro_bias, *state.bias]

@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from trackwright.experiments.cli.runtime import set_flags
-from trackwright.experiments.lab.bench.loops import filtered, model_of, vector, with_filterpy
+from trackwright.experiments.lab.bench.loops import filtered, model_of, state_after, with_filterpy
 from trackwright.experiments.lab.bench.timing import clocked, turns
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
 from trackwright.experiments.lab.subprocesses import required_recordings
@@ -134,8 +133,7 @@ def loops(batch: Any, recording: Any, estimates: Any) -> Runs:
     first, last = loop_rows(len(recording))
     if model is None or not estimates.usable[first - 1]:
         return {}
-    state = vector(jax.tree_util.tree_map(lambda x: x[first - 1], estimates.mean))
-    P = np.asarray(estimates.covariance[first - 1], float)
+    state, P = state_after(first - 1, batch.tracker, estimates)
     dts = np.diff(recording.times, prepend=recording.times[0])[:last]
     count = getattr(batch.tracker.filter, "count", 1)
     runs: Runs = {"NumPy": (lambda: [filtered(model, state, P, dts, first) for _ in range(count)], last - first)}

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 
-import jax
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.bench.loops import filtered, model_of, vector
+from trackwright.experiments.lab.bench.loops import filtered, model_of, state_after
 from trackwright.experiments.lab.bench.recordings import AGREEMENT_M, RECORDINGS, difference, loops
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.catalogue import TRACKERS
@@ -28,11 +27,11 @@ def test_a_loop_has_the_estimates_of_the_tracker(world, name):
         tracker = dataclasses.replace(tracker, filter=tracker.filter.kalman)
     estimates = tracker.run(recording)
     first, last = len(recording) // 2, len(recording) // 2 + 100
-    state = vector(jax.tree_util.tree_map(lambda x: x[first - 1], estimates.mean))
+    state, P = state_after(first - 1, tracker, estimates)
     dts = np.diff(recording.times, prepend=0.0)[:last]
     model = model_of(tracker, recording, batch.planar)
     assert model is not None
-    means = filtered(model, state, np.asarray(estimates.covariance[first - 1], float), dts, first)
+    means = filtered(model, state, P, dts, first)
     own = np.stack([np.asarray(x) for x in estimates.mean.position], axis=-1)[first:last]
     np.testing.assert_allclose(means[:, : own.shape[1]], own, atol=1e-6)
 
