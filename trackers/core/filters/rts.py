@@ -82,7 +82,7 @@ def rts_step(rts_gain: RtsGain, after: Gaussian) -> Gaussian:
     assert isinstance(after.cov, jax.Array)
     C_transposed = rts_gain.gain
     difference = jax.vmap(local, in_axes=-1, out_axes=-1)(rts_gain.predicted, after.mean)
-    step = total(row * d[None] for row, d in zip(C_transposed, difference, strict=True))
+    step = compute_once(total(row * d[None] for row, d in zip(C_transposed, difference, strict=True)))
     mean = jax.vmap(lambda x, step: retract(x, list(step)), in_axes=-1, out_axes=-1)(rts_gain.filtered.mean, step)
     cov = compute_once(rts_gain.base + _congruence(C_transposed, compute_once(rts_gain.noise + after.cov)))
     # Two steps at one time have one state; the filtered covariance may be singular there, without an inverse.
