@@ -16,9 +16,8 @@ from jaxtyping import Array, Float
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import (
+    AbstractGiven,
     AbstractTunable,
-    Considered,
-    Threshold,
     matching,
     replaced,
     role_of,
@@ -99,7 +98,7 @@ def select_parameters(
     for pattern in [chosen] if isinstance(chosen, str) else chosen:
         matches = matching(tracker, pattern.removeprefix(TIED))
         if not thresholds:
-            matches = _without_thresholds(pattern, matches)
+            matches = _that_fits_change(pattern, matches)
         matches = {k: v for k, v in matches.items() if k not in taken}
         taken.update(matches)
         if pattern.startswith(TIED) and matches:
@@ -114,12 +113,12 @@ def select_parameters(
     return parameters
 
 
-def _without_thresholds(pattern: str, nodes: Mapping[str, AbstractTunable]) -> dict[str, AbstractTunable]:
-    differentiable = {name: node for name, node in nodes.items() if not isinstance(node, (Threshold, Considered))}
+def _that_fits_change(pattern: str, nodes: Mapping[str, AbstractTunable]) -> dict[str, AbstractTunable]:
+    differentiable = {name: node for name, node in nodes.items() if not isinstance(node, AbstractGiven)}
     if not differentiable:
         raise ValueError(
             f"'{pattern}' matches only {', '.join(nodes)}: no objective has a derivative with respect to a threshold, "
-            "and a fit does not tell what is not known; use a sweep"
+            "and the standard deviation of an unknown parameter is not fitted; use a sweep"
         )
     return differentiable
 

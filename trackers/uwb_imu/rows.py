@@ -269,8 +269,8 @@ def _is_calibrated(trajectory: Trajectory) -> bool:
 
 
 def _ranges(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    tracker = range_tracker(_bias_slots(trajectory), planar, **range_levels(trajectory.folder.calibration))
-    return replace(tracker, lasting_errors=not _is_calibrated(trajectory))
+    levels = range_levels(trajectory.folder.calibration)
+    return replace(range_tracker(_bias_slots(trajectory), planar, **levels), lasting_errors=not levels)
 
 
 def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:

@@ -169,54 +169,55 @@ class Covariance(AbstractTunable):
         return Covariance(value, self.unit, self.role, self.axis)
 
 
-class Threshold(AbstractTunable):
-    """A positive limit that a comparison is made with; np.inf disables it.
+class AbstractGiven(AbstractTunable):
+    """A number that is set by name and swept as other tunables are, but no fit changes it."""
 
-    Set by name and swept as other tunables; derivatives with respect to it are zero, so no fit changes it.
-    """
-
-    bounds = "> 0, inf: off"
     raw: Any
-    unit: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="1")
 
     def __init__(self, value: Any, unit: str = "1"):
-        value, math = _numbers("Threshold", value)
-        if math is np and not np.all(value > 0):
-            raise UnusableInput(f"a Threshold is positive, np.inf to disable it, found {value.tolist()}")
+        value, math = _numbers(type(self).__name__, value)
+        if math is np:
+            self.check(value)
         self.raw = value
         self.unit = unit
+
+    @staticmethod
+    @abstractmethod
+    def check(value: np.ndarray) -> None:
+        """Raises UnusableInput for a value out of bounds."""
 
     @property
     def value(self) -> Any:
         return self.raw
 
-    def with_value(self, value: Any) -> Threshold:
-        return Threshold(value, self.unit)
+    def with_value(self, value: Any) -> AbstractGiven:
+        return type(self)(value, self.unit)
 
 
-class Considered(AbstractTunable):
+class Threshold(AbstractGiven):
+    """A positive limit that a comparison is made with, so that derivatives are zero; np.inf disables it."""
+
+    bounds = "> 0, inf: off"
+
+    @staticmethod
+    def check(value: np.ndarray) -> None:
+        if not np.all(value > 0):
+            raise UnusableInput(f"a Threshold is positive, np.inf to disable it, found {value.tolist()}")
+
+
+class Considered(AbstractGiven):
     """The standard deviation of a parameter that is neither known nor estimated; 0 once that one is given: `known`.
 
-    Its name is that of the parameter and "_std". Set by name and swept as other tunables; no fit changes it.
+    Its name is that of the parameter and "_std".
     """
 
     bounds = ">= 0"
-    raw: Any
-    unit: str = eqx.field(static=True)
 
-    def __init__(self, value: Any, unit: str = "1"):
-        value, math = _numbers("Considered", value)
-        if math is np and not np.all((value >= 0) & np.isfinite(value)):
+    @staticmethod
+    def check(value: np.ndarray) -> None:
+        if not np.all((value >= 0) & np.isfinite(value)):
             raise UnusableInput(f"a standard deviation is positive, or 0 for what is known, found {value.tolist()}")
-        self.raw = value
-        self.unit = unit
-
-    @property
-    def value(self) -> Any:
-        return self.raw
-
-    def with_value(self, value: Any) -> Considered:
-        return Considered(value, self.unit)
 
 
 class Constant(eqx.Module):
