@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.experiments.cli.runtime import keep_programs, set_flags
+from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.subprocesses import recordings_folder, required_recordings
 
 ROOT = Path(__file__).parents[1]
@@ -124,7 +124,6 @@ def _save(arrays: dict[str, np.ndarray], path: Path) -> None:
 
 def subject(kind: str, name: str) -> dict[str, np.ndarray]:
     """The arrays of one subject by name."""
-    set_flags()
     keep_programs()
     return {"case": of_case, "study": of_study, "recording": of_recording}[kind](name)
 

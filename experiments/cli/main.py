@@ -10,7 +10,7 @@ import unicodedata
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from trackwright.experiments.cli.runtime import set_flags
+from trackwright.experiments.cli.runtime import settle_memory
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -33,7 +33,7 @@ def main() -> None:
     """Run one command. Exit code 0, 1 (a check failed) or 2 (unusable input, one line on standard error)."""
     try:
         plain_streams()
-        set_flags()
+        settle_memory()
         code = _run(sys.argv[1:])
         sys.stdout.flush()
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""Process settings for speed: XLA flags, set before jax is imported, garbage collection, compiled programs kept."""
+"""Process settings for speed: garbage collection, memory given back, compiled programs kept."""
 
 from __future__ import annotations
 
@@ -9,29 +9,17 @@ import warnings
 
 # Our own modules are imported in functions: Ctrl-C is answered in a line within `main` alone, which imports this first.
 
-EXTRA_OPTIONS = "--xla_backend_extra_options"
-
-FLAGS = f"{EXTRA_OPTIONS}=xla_cpu_use_multi_output_fusion,xla_cpu_small_while_loop_byte_threshold=3000000"
-"""Flags of XLA's CPU compiler.
-
-Multi-output fusion computes terms shared within a filter step once, not once per use. A loop whose step moves few
-bytes, as that of one trajectory, becomes one kernel, without hundreds of calls in each step.
-"""
-
 COLLECT_AFTER = 500_000
 """Allocations between garbage collections: imports and tracing make many lasting objects, 300,000 before a track."""
 
 
-def set_flags() -> None:
-    """Add `FLAGS` to XLA_FLAGS unless the user has set them there; collect garbage less often."""
+def settle_memory() -> None:
+    """Collect garbage less often, and let polars give memory back."""
     gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
     # What lives to the end needs no last collection, which took 0.6 s after jax was used.
     atexit.register(gc.freeze)
     # The allocator of polars, which is to give memory back while jax is imported.
     os.environ.setdefault("_RJEM_MALLOC_CONF", "dirty_decay_ms:100,muzzy_decay_ms:0")
-    present = os.environ.get("XLA_FLAGS", "")
-    if EXTRA_OPTIONS not in present:
-        os.environ["XLA_FLAGS"] = f"{present} {FLAGS}".strip()
 
 
 def keep_programs() -> None:

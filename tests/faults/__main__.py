@@ -15,11 +15,7 @@ from collections import Counter
 from importlib import import_module
 from pathlib import Path
 
-from trackwright.experiments.cli.runtime import set_flags
-
-set_flags()
-
-from tests.faults.cases import CASES  # noqa: E402
+from tests.faults.cases import CASES
 
 
 def main() -> int:

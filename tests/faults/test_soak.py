@@ -14,8 +14,6 @@ from tests.faults.soak import judged
 
 ROOT = Path(__file__).parents[2]
 LEAKS = """
-from trackwright.experiments.cli.runtime import set_flags
-set_flags()
 import sys, json
 from pathlib import Path
 from tests.faults.soak import judged, rounds

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
 
-from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.lab.bench.timing import Version, apart_each, clocked, compared, turns
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
 from trackwright.trackers.aoa.beam import Beam, beam_tracker
@@ -325,7 +324,6 @@ def tuning(*, peers: bool = False, output: Output = DEFAULTS) -> int:
     Args:
         peers: also dynamax (extra: peers).
     """
-    set_flags()
     size = (16, 20) if output.small else (TRAJECTORIES, ROWS)
     world, corners = simulate(*size), CORNERS[:1] if output.small else CORNERS
     versions: dict[str, Callable[[World], Callable[[Any], Row]]] = {

@@ -20,7 +20,6 @@ import psutil
 
 from trackwright.experiments.cli.console import FoldersInTurn
 from trackwright.experiments.cli.options import ReadingOptions
-from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.cli.tuning_job import data_in_turn
 from trackwright.experiments.jobs.executors import cluster_client, cluster_executor
 from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
@@ -58,7 +57,6 @@ def cluster(*, runs: int = 100_000, output: Output = DEFAULTS) -> int:
     Args:
         runs: trajectories of the study.
     """
-    set_flags()
     with tempfile.TemporaryDirectory() as name:
         folder, study = Path(name), declared(Path(name), 20_000 if output.small else runs)
         rows = shown({"": where, **of_a_study(study, folder / where, *how)} for where, how in PLACES.items())
@@ -143,7 +141,6 @@ def cluster_fit(
         rows: of each tag.
         steps: of the optimiser.
     """
-    set_flags()
     if output.small:
         recordings, tags, rows = 4, 4, 50
     with tempfile.TemporaryDirectory() as name:

@@ -22,7 +22,6 @@ import distributed
 import numpy as np
 import psutil
 
-from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.jobs.executors import cluster_executor
 from trackwright.experiments.jobs.run import finished
 from trackwright.experiments.lab.bench.timing import clocked
@@ -88,7 +87,6 @@ def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, 
         workers: of a scheduler, with one thread each.
         parts: that are computed by so many workers.
     """
-    set_flags()
     if output.small:
         workers, parts = (PROCESSES,), 20
     with tempfile.TemporaryDirectory() as folder:

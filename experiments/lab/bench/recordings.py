@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.lab.bench.loops import filtered, model_of, state_after, with_filterpy
 from trackwright.experiments.lab.bench.timing import clocked, turns
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
@@ -59,7 +58,6 @@ def recordings(
         trackers: names of trackers; by default all that fit.
         smooth: also the smoothed estimates.
     """
-    set_flags()
     root = required_recordings()
     rounds, chosen = output.rounds(ROUNDS), recordings[:1] if output.small else recordings
     rows = shown(row for name in chosen for row in measured(root / name, trackers, smooth, rounds))

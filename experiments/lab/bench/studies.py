@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.lab.bench.timing import clocked
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
 from trackwright.experiments.monte_carlo.chunk import run_chunk
@@ -52,7 +51,6 @@ def studies(*, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), outpu
         world: worlds, all by default.
         tracker: trackers, all of each world by default.
     """
-    set_flags()
     trackers = chosen(tracker, dict.fromkeys(t for every in WORLDS.values() for t in every))
     pairs = [(w, t) for w in chosen(world, WORLDS) for t in WORLDS[w] if t in trackers]
     rows = shown(of_a_chunk(*pair, output) for pair in pairs)

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.lab.cases import Row, function_of
 from trackwright.experiments.lab.subprocesses import new_interpreter
 from trackwright.trackers.recordings.atomic import json_text
@@ -85,14 +84,13 @@ def compared(versions: Mapping[str, Version], rounds: int) -> list[Row]:
     ]  # fmt: skip
 
 
-def apart(target: str, *arguments: Any, limit_s: float, flags: bool = True) -> Row:
+def apart(target: str, *arguments: Any, limit_s: float) -> Row:
     """What a function of the laboratory returns in a new interpreter, or why not under `failed`.
 
-    `target`: as `bench.growth:point`. `flags`: with those of the command line instead of XLA's own. The peak of a
-    process is at least that of the one which started it.
+    `target`: as `bench.growth:point`. The peak of a process is at least that of the one which started it.
     """
     print(f"measuring: {target} {' '.join(map(str, arguments))} …", file=sys.stderr, flush=True)
-    program = f"from {__name__} import answer; answer({target!r}, {arguments!r}, {flags})"
+    program = f"from {__name__} import answer; answer({target!r}, {arguments!r})"
     try:
         done = new_interpreter(["-c", program], limit_s)
     except subprocess.TimeoutExpired:
@@ -104,21 +102,19 @@ def apart(target: str, *arguments: Any, limit_s: float, flags: bool = True) -> R
     return row
 
 
-def apart_each(target: str, names: Iterable[str], small: bool, limit_s: float, flags: bool = True) -> list[Row]:
+def apart_each(target: str, names: Iterable[str], small: bool, limit_s: float) -> list[Row]:
     """The rows that a function of a competitor's name returns, each competitor beside ours in a process of its own."""
     rows = []
     for name in names:
-        result = apart(target, name, small, limit_s=limit_s, flags=flags)
+        result = apart(target, name, small, limit_s=limit_s)
         rows += result.get("rows", [{"version": name, **result}])
     return rows
 
 
-def answer(target: str, arguments: Sequence[Any], flags: bool) -> None:
+def answer(target: str, arguments: Sequence[Any]) -> None:
     """Print as JSON what the function returns, computed without a cache of compiled programs."""
     for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
         os.environ.pop(name, None)
-    if flags:
-        set_flags()
     print(json_text(function_of(target)(*arguments)))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from trackwright.experiments.cli.runtime import set_flags
 from trackwright.experiments.lab.cases import run_case
 
 CASES = (
@@ -19,5 +18,4 @@ CASES = (
 )
 
 if __name__ == "__main__":
-    set_flags()
     run_case("validation", CASES)
