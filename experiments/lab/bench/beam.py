@@ -50,19 +50,16 @@ JITTER = 1e-3
 
 
 def beam(*, peers: bool = False, output: Output = DEFAULTS) -> int:
-    """Speed of the beam tracker beside a textbook version and other libraries, with and without flags for XLA.
+    """Speed of the beam tracker beside a textbook version and other libraries.
 
-    Each of both settings runs in its own process, in which all versions take turns: ratios, taken within a round, are
-    more reliable than times. 1 if a process fails.
+    Each runs beside ours in a process of its own, in which both take turns: ratios, taken within a round, are more
+    reliable than times. 1 if a process fails.
 
     Args:
         peers: also dynamax and cuthbert (extra: peers).
     """
-    rows = []
-    for flags in (False, True):
-        others = ("textbook", *(("dynamax", "cuthbert") if peers else ()))
-        measured = apart_each("bench.beam:beside", others, output.small, LIMIT_S, flags)
-        rows += [{"XLA's flags": "command line" if flags else "none", **row} for row in measured]
+    others = ("textbook", *(("dynamax", "cuthbert") if peers else ()))
+    rows = apart_each("bench.beam:beside", others, output.small, LIMIT_S)
     output.publish("bench beam", Table(rows, note="Errors: RMS of the last azimuth, degrees."))
     return int(any("failed" in row for row in rows))
 
