@@ -57,6 +57,7 @@ from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.singer import Singer
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory, cut
+from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 
@@ -156,6 +157,21 @@ def _of_fixes() -> RecordingFolder:
 
 
 @cache
+def _of_differences() -> RecordingFolder:
+    """Messages of two to four range differences among five anchors, of which one in ten is missing."""
+    anchors, rng, rows = {**RIG.anchors, "A5": np.array([3.0, 2.0, 0.3])}, np.random.default_rng(1), list[dict]()
+    for number, row in enumerate(folder().tables["truth"].rows(named=True)):
+        place = np.array([row["x_m"], row["y_m"], row["z_m"]])
+        arrival = {name: np.linalg.norm(place - anchor) + rng.normal(0, 0.05) for name, anchor in anchors.items()}
+        for first, second in [("A1", "A5"), ("A2", "A5"), ("A3", "A4"), ("A4", "A1")][: 2 + number % 3]:
+            difference = None if rng.random() < 0.1 else float(arrival[first] - arrival[second])
+            pair = {"anchor": first, "anchor_2": second, "range_difference_m": difference}
+            rows.append({"t_s": row["t_s"], "tag": row["tag"], **pair, "range_difference_std_m": 0.03})
+    tables = {"tdoa": pl.DataFrame(rows), "truth": folder().tables["truth"]}
+    return replace(folder(), rig=replace(RIG, anchors=anchors), tables=tables)
+
+
+@cache
 def trajectories(name: str, free_height: bool, source: Callable[[], RecordingFolder]) -> tuple[Trajectory, ...]:
     """The trajectories of all tags, as the ready tracker of this name reads them from `source()`.
 
@@ -237,6 +253,7 @@ def _ready_cases() -> Iterator[Case]:
     yield ready("line-pf", smoothable=False, draws=True)
     yield from both("uwb")
     yield from both("uwb-imu")
+    yield from both("tdoa", source=_of_differences)
     yield from both("multilateration", smoothable=False)
     yield ready("trilateration", smoothable=False, idle=("sigma_r",), quick=True)
     yield ready("trilateration-compensated", smoothable=False)
@@ -415,6 +432,7 @@ _S1 = RIG.stations["S1"]
 _GEOMETRY = {"origin": bearing_inputs(_S1)[:3], "axes": bearing_inputs(_S1)[3:]}
 CALIBRATED = np.array([0.1, 0.7, 0.1, 0.05, -0.1, 1.2, -0.1, 0.02, -1.0, 1.0, -0.5, 0.6])
 _TWO_ANCHORS = {"anchors": np.array([5.0, 0.0, 2.0, 0.0, 6.0, 1.0]), "anchor": np.array([0.0, 1.0])}
+_TWO_PAIRS = {"pairs": np.tile(_TWO_ANCHORS["anchors"], 2) + np.arange(12.0), "pair": np.array([0.0, 1.0, 1.0, 2.0])}
 _ROOM = Kinematic(Vector(1.0, -2.0, 0.5), Vector(0.3, -0.4))
 _MIRROR = MirrorSensor(0.1, 0.3, 0.5, 0.5, 4.0)
 SENSORS = {
@@ -426,6 +444,10 @@ SENSORS = {
     "fixes on the floor": SensorCase(FloorFixes(0.3), _ROOM, None, (0.01, 0.02)),
     "ranges": SensorCase(RangeSensor(2, 2, 0.1, 2.0, 4.0), _ROOM, _TWO_ANCHORS),
     "ranges with variances": SensorCase(RangeSensor(2, 2, 0.1, 2.0, 4.0), _ROOM, _TWO_ANCHORS, (0.02, 0.01)),
+    "range differences": SensorCase(RangeDifferenceSensor(2, 0.1, 4.0), _ROOM, _TWO_PAIRS),
+    "correlated range differences": SensorCase(
+        RangeDifferenceSensor(2, 0.1, 4.0), _ROOM, _TWO_PAIRS, (0.02, 0.01, -0.4)
+    ),
     "bearings": SensorCase(BearingSensor(0.1, 0.2, 4.0), MOVING, _GEOMETRY),
     "bearings of a calibrated station": SensorCase(
         BearingSensor(0.1, 0.2, 4.0), MOVING, {**_GEOMETRY, "calibration": CALIBRATED}

@@ -119,7 +119,7 @@ def test_a_tracker_of_ones_own_is_tuned_swept_and_studied_by_file(turning):
 @pytest.fixture
 def hall(tmp_path, monkeypatch):
     """A folder with both files of a kind of one's own, and a recording `hall` of it, while no program knows it."""
-    for name in ("tdoa", "hall", "tdoa_log"):
+    for name in ("bistatic", "hall", "bistatic_log"):
         (block,) = (b for b in _blocks("docs/extending.md") if b.startswith(f"# {name}.py"))
         (tmp_path / f"{name}.py").write_text(block, encoding="utf-8")
         monkeypatch.delitem(sys.modules, name, raising=False)
@@ -129,43 +129,43 @@ def hall(tmp_path, monkeypatch):
     made = importlib.import_module("hall")
     tw.write(made.hall(range(3), 1), "hall")
     yield made
-    for name in ("tdoa", "hall"):
+    for name in ("bistatic", "hall"):
         sys.modules.pop(name, None)
     _as_in_a_new_process()
 
 
 def _as_in_a_new_process() -> None:
     """Forgets the kind, and that its file was run."""
-    KINDS.pop("tdoa", None)
+    KINDS.pop("bistatic", None)
     user_file._module.cache_clear()
 
 
 def test_a_kind_of_ones_own_is_read_checked_and_tracked(hall):
     recording = tw.read("hall")
     results = [f"{one.level} {one.where}: {one.message}" for one in tw.check(recording)]
-    assert not [line for line in results if line.startswith(("error", "warning tdoa"))]
-    assert any("tdoa: dilution of precision" in line and "range difference noise" in line for line in results)
+    assert not [line for line in results if line.startswith(("error", "warning bistatic"))]
+    assert any("bistatic: dilution of precision" in line and "path noise" in line for line in results)
     assert any("anchor 3 against truth: bias" in line for line in results)
-    metrics = tw.evaluate(tw.build("tdoa.py:TRACKER", recording).run(recording), recording)
-    # Four differences of 0.15 m a row, ten rows a second.
+    metrics = tw.evaluate(tw.build("bistatic.py:TRACKER", recording).run(recording), recording)
+    # Four paths of 0.15 m a row, ten rows a second.
     assert metrics["rmse_m"] < 0.15
 
 
-OWN = ("--tracker", "tdoa.py:TRACKER")
+OWN = ("--tracker", "bistatic.py:TRACKER")
 
 
 def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_line(hall):
     _as_in_a_new_process()
-    assert "tdoa.parquet (not one of the tables" in trackwright("check", "hall").out
+    assert "bistatic.parquet (not one of the tables" in trackwright("check", "hall").out
     done = trackwright("check", "hall", *OWN)
-    assert (done.code, "range difference noise" in done.out) == (0, True)
+    assert (done.code, "path noise" in done.out) == (0, True)
     _as_in_a_new_process()
-    done = trackwright("tunables", "tdoa.py:TRACKER", "hall")
-    assert (done.code, "sensors.tdoa.sigma_d" in done.out, done.err) == (0, True, "")
+    done = trackwright("tunables", "bistatic.py:TRACKER", "hall")
+    assert (done.code, "sensors.bistatic.sigma_p" in done.out, done.err) == (0, True, "")
     _as_in_a_new_process()
     done = trackwright("track", "hall", *OWN, "--out", "out", "--no-figures")
     assert done.code == 0, done.err
-    assert "range difference" in Path("out/report.html").read_text("utf-8")
+    assert "path" in Path("out/report.html").read_text("utf-8")
     _as_in_a_new_process()
     done = trackwright("track", "hall", *OWN, "--out", "kept", "--keep-going", "--no-figures", "--no-report")
     assert done.code == 0, done.err
@@ -177,39 +177,41 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
 def test_a_kind_of_ones_own_is_tuned_swept_and_studied_by_file(hall):
     _as_in_a_new_process()
     done = trackwright(
-        "tune", "hall", *OWN, "--tune", "sensors.tdoa.sigma_d", "--steps", 4, "--force", "--out", "tuned"
+        "tune", "hall", *OWN, "--tune", "sensors.bistatic.sigma_p", "--steps", 4, "--force", "--out", "tuned"
     )
     assert done.code == 0, done.err
     _as_in_a_new_process()
-    assert trackwright("sweep", "hall", *OWN, "--over", "sensors.tdoa.sigma_d=0.1:0.3:3", "--out", "swept").code == 0
+    assert (
+        trackwright("sweep", "hall", *OWN, "--over", "sensors.bistatic.sigma_p=0.1:0.3:3", "--out", "swept").code == 0
+    )
     done = trackwright("study", "hall.py", "--out", "studied")
     assert done.code == 0, done.err
-    assert "tdoa" in Path("studied/results.json").read_text("utf-8")
+    assert "bistatic" in Path("studied/results.json").read_text("utf-8")
 
 
 def test_a_kind_of_ones_own_is_imported_by_a_format_that_imports_its_file(hall):
     _as_in_a_new_process()
-    sys.modules.pop("tdoa")
-    Path("tdoa.log").write_text("0 1-2 1.5\n0.1 2-3 -0.5\n", encoding="utf-8")
-    own = ("--format", "tdoa_log.py:read", "--tag", "T1", "--rig", "hall/rig.toml", "--out", "imported")
-    done = trackwright("import", "tdoa.log", *own)
+    sys.modules.pop("bistatic")
+    Path("bistatic.log").write_text("0 1-2 1.5\n0.1 2-3 -0.5\n", encoding="utf-8")
+    own = ("--format", "bistatic_log.py:read", "--tag", "T1", "--rig", "hall/rig.toml", "--out", "imported")
+    done = trackwright("import", "bistatic.log", *own)
     assert done.code == 0, done.err
-    assert tw.read("imported").tables["tdoa"]["range_difference_m"].to_list() == [1.5, -0.5]
+    assert tw.read("imported").tables["bistatic"]["path_m"].to_list() == [1.5, -0.5]
 
 
 def test_a_kind_of_ones_own_with_an_unknown_anchor_is_refused_with_its_row(hall):
-    table = pl.read_parquet("hall/tdoa.parquet")
+    table = pl.read_parquet("hall/bistatic.parquet")
     other = table.with_columns(anchor_2=pl.when(pl.int_range(pl.len()) == 4).then(pl.lit("9")).otherwise("anchor_2"))
-    other.write_parquet("hall/tdoa.parquet")
+    other.write_parquet("hall/bistatic.parquet")
     with pytest.raises(tw.UnusableInput, match=r"row 5, column anchor_2: anchor_2 '9' is not in rig.toml"):
         tw.read("hall")
 
 
 def test_swapped_signs_of_a_kind_of_ones_own_are_explained(hall):
-    table = pl.read_parquet("hall/tdoa.parquet")
-    table.with_columns(-pl.col("range_difference_m")).write_parquet("hall/tdoa.parquet")
+    table = pl.read_parquet("hall/bistatic.parquet")
+    table.with_columns(-pl.col("path_m")).write_parquet("hall/bistatic.parquet")
     errors = [one.message for one in tw.check(tw.read("hall")) if one.level == "error"]
-    assert any("sign of the tdoa flipped" in message for message in errors)
+    assert any("sign of the bistatic flipped" in message for message in errors)
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,10 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
                 "planar position from three ranges, intersection of circles with compensation (14) (Kwon et al.)",
             ),
         },
+        # The three of util.
+        "range differences": {
+            "tdoa": Entry("uwb_imu", "tdoa", "position from range differences, EKF with a drifting bias per anchor"),
+        },
         # No recording with a floor plan.
         "fixes on a floor plan": {
             "floor-pf": Entry(

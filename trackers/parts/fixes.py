@@ -82,13 +82,21 @@ class AbstractFixSensor(AbstractDelayedSensor):
         for k, variance in enumerate(reading.reported):
             noise[k][k] = noise[k][k] + variance * self.reported_std_scale.value**2
         differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-        values, sigmas = whiten(differences, noise, list(reading.seen))
-        dof = None if self.dof is None else self.dof.value
-        peak = -0.5 * LOG_2PI if dof is None else student_t_log_peak(dof)
-        seen = list(zip(reading.seen, sigmas, strict=True))
-        log_scale = total(jnp.where(s, peak - jnp.log(sigma), 0.0) for s, sigma in seen)
-        nis_dof = total(jnp.where(s, jnp.ones_like(sigma), 0.0) for s, sigma in seen)
-        return Residual(values, log_scale, nis_dof, dof=dof)
+        return correlated(differences, noise, list(reading.seen), None if self.dof is None else self.dof.value)
+
+
+def correlated(
+    differences: Sequence[Scalar],
+    covariance: Sequence[Sequence[Scalar]],
+    seen: Sequence[Scalar],
+    dof: Scalar | None = None,
+) -> Residual:
+    """The residual of channels with correlated noise: see `whiten`, and `independent` for channels without."""
+    values, sigmas = whiten(differences, covariance, seen)
+    peak = -0.5 * LOG_2PI if dof is None else student_t_log_peak(dof)
+    log_scale = total(jnp.where(s, peak - jnp.log(sigma), 0.0) for s, sigma in zip(seen, sigmas, strict=True))
+    nis_dof = total(jnp.where(s, jnp.ones_like(sigma), 0.0) for s, sigma in zip(seen, sigmas, strict=True))
+    return Residual(values, log_scale, nis_dof, dof=dof)
 
 
 def whiten(

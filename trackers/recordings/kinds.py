@@ -112,7 +112,7 @@ class Kind:
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):
-            raise UnusableInput(f"kind {self.name!r}: expected a name of a table in lower case, such as tdoa")
+            raise UnusableInput(f"kind {self.name!r}: expected a name of a table in lower case, such as bistatic")
         for column in self.columns:
             if not _NAME.fullmatch(column.name.replace("{n}", "1")):
                 raise UnusableInput(
@@ -280,6 +280,11 @@ def _angles(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
     return angles_in_array(sensors.in_array(positions))
 
 
+def _range_differences(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
+    first, second = sensors.distances(positions).T
+    return (first - second)[:, None]
+
+
 def _phases(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
     """Phases of spherical waves, up to one offset of all antennas."""
     x, y, z = sensors.in_array(positions)
@@ -305,6 +310,13 @@ KINDS: dict[str, Kind] = {
             lambda positions, sensors: sensors.distances(positions),
             averaged=True,
             calibrated="anchors",
+        ),
+        Kind(
+            "tdoa",
+            (Column("range_difference_m", bias=0.5, large=0.3, floor=0.05),),
+            ("anchor", "anchor_2"),
+            _range_differences,
+            averaged=True,
         ),
         Kind("fixes", _POSITION, (), _positions, averaged=True),
         Kind(

@@ -33,6 +33,8 @@ from trackwright.trackers.recordings.trajectories import (
     known_heights,
     trajectories_of,
 )
+from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences
+from trackwright.trackers.uwb_imu.differences import TDOA, difference_tracker
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
@@ -277,6 +279,14 @@ def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return replace(inertial_tracker(_anchors(trajectory), planar), lasting_errors=not _is_calibrated(trajectory))
 
 
+def _slots(trajectory: Trajectory) -> int:
+    return int(trajectory.recording.readings[TDOA].values.shape[1])
+
+
+def _differences(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    return replace(difference_tracker(_bias_slots(trajectory), _slots(trajectory), planar), lasting_errors=True)
+
+
 _trilateration = partial(
     TrackerSpec,
     trajectories=triple_trajectories,
@@ -303,6 +313,13 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_ranges,
         lacks=lacks_ranges,
         geometry=lambda trajectory: (_bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
+    ),
+    "tdoa": partial(
+        TrackerSpec,
+        trajectories=difference_trajectories,
+        build=_differences,
+        lacks=lacks_differences,
+        geometry=lambda trajectory: (_bias_slots(trajectory), _slots(trajectory)),
     ),
     "multilateration": partial(
         TrackerSpec,

@@ -249,8 +249,8 @@ def test_unknown_columns_and_tables_of_a_recording_are_one_notice(tmp_path: Path
 
 def test_measurements_that_have_no_table_are_named(tmp_path: Path):
     (tmp_path / "rig.toml").write_text(RIG)
-    (tmp_path / "tdoa.csv").write_text("t_s,tag,difference_m\n0,T1,1.5\n")
-    with pytest.raises(UnusableInput, match="no tables, .*; found tdoa.csv; another kind needs --tracker"):
+    (tmp_path / "bistatic.csv").write_text("t_s,tag,path_m\n0,T1,1.5\n")
+    with pytest.raises(UnusableInput, match="no tables, .*; found bistatic.csv; another kind needs --tracker"):
         read_recording(tmp_path)
 
 

@@ -99,7 +99,7 @@ def test_a_kind_with_two_sensors_is_predicted_from_both():
         first, second = sensors.distances(positions).T
         return (first - second)[:, None]
 
-    kind = Kind("tdoa", (Column("range_difference_m"),), ("anchor", "anchor_2"), difference)
+    kind = Kind("bistatic", (Column("path_m"),), ("anchor", "anchor_2"), difference)
     number = np.array([[0, 1], [1, 0]])
     found = difference(POSITIONS[:2], kind.sensors_of(RIG, ["A", "B"], number, 1))
     a, b = (np.linalg.norm(POSITIONS[:2] - place, axis=1) for place in RIG.anchors.values())
@@ -110,9 +110,9 @@ def test_a_kind_with_two_sensors_is_predicted_from_both():
 @pytest.mark.parametrize(
     ("made", "message"),
     [
-        (lambda: Kind("Tdoa", ()), "expected a name of a table in lower case"),
-        (lambda: Kind("tdoa", (Column("difference"),)), "ends with its unit"),
-        (lambda: Kind("tdoa", (Column("difference_m"),), ("beacon",)), "expected anchor, anchor_2"),
+        (lambda: Kind("Bistatic", ()), "expected a name of a table in lower case"),
+        (lambda: Kind("bistatic", (Column("path"),)), "ends with its unit"),
+        (lambda: Kind("bistatic", (Column("path_m"),), ("beacon",)), "expected anchor, anchor_2"),
         (lambda: add_kind(Kind("ranges", (Column("range_m"),))), "is a table of the format"),
         (lambda: add_kind(Kind("truth", (Column("range_m"),))), "is a table of the format"),
     ],

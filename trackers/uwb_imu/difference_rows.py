@@ -1,0 +1,169 @@
+"""Trajectories of range differences: one row per message, the differences of a tag at one time."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.parts.range_rows import anchor_positions, room_of_anchors
+from trackwright.trackers.parts.recent_positions import WINDOWS_S
+from trackwright.trackers.recordings.columns import TagRows
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
+from trackwright.trackers.uwb_imu.differences import TDOA
+from trackwright.trackers.uwb_imu.hyperbolic import Differences, hyperbolic_positions
+
+MOST_SLOTS = 8
+"""Most differences in a row; a longer message has several rows, whose differences count as independent."""
+
+SHARED = 0.9
+"""Share of the variance of a difference that is of its two times of arrival, which other differences share.
+
+The rest is its own, as of rounding: differences that close a loop exactly would else have no density.
+"""
+
+BEYOND = 1.0
+"""Length, m, by which a difference may exceed the distance of its anchors, its largest value; others are no reading."""
+
+RECENT = 32
+"""Differences from which a position for a start is computed, the latest of the last seconds."""
+
+SPACING_S = 0.2
+"""Time, s, between positions for a start."""
+
+BLOCK = 4096
+"""Positions computed at once."""
+
+
+def difference_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
+    """Each tag's range differences, one row per message, with the inputs `pairs`, `pair`, `nearby` and `room`.
+
+    Differences that the triangle inequality rules out are masked.
+    """
+    rows, anchors = folder.rows(TDOA), anchor_positions(folder)
+    values, seen = rows.values(["range_difference_m"])
+    variances = rows.variances(["range_difference_std_m"])
+    number = anchor_pairs(folder, rows)
+    apart = np.linalg.norm(anchors[number[:, 0]] - anchors[number[:, 1]], axis=1)
+    seen &= ((apart > 0.0) & (np.abs(values[:, 0]) <= apart + BEYOND))[:, None]
+    slot, message, starts = messages(rows)
+    # 1, 2, 4 or 8, so that recordings share a program.
+    count, slots = int(starts[-1]), 1 << int(slot.max(initial=0)).bit_length()
+    at = np.full((count, slots), len(values))
+    at[message, slot] = np.arange(len(values))
+    values, seen, variances, number = (
+        np.concatenate([x, np.zeros((1, x.shape[1]), x.dtype)])[at] for x in (values, seen, variances, number)
+    )
+    number = number * seen
+    times = rows.times[at[:, 0]]
+    heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
+    reported = np.concatenate([variances[..., 0], correlations(number, seen[..., 0])], axis=1)
+    readings = Readings(values[..., 0], seen[..., 0], reported)
+    inputs = {
+        "pairs": anchors[number].reshape(count, -1),
+        "pair": number.reshape(count, -1).astype(float),
+        "nearby": recent_hyperbolic_positions(starts, times, readings, number, anchors, heights),
+        **room_of_anchors(folder, count),
+    }
+    return trajectories_of(folder, rows.tags, starts, times, {TDOA: readings}, inputs)
+
+
+def anchor_pairs(folder: RecordingFolder, rows: TagRows) -> Int[np.ndarray, "N 2"]:
+    """The numbers of both anchors of each difference, in the order of their ids."""
+    ids = sorted(folder.rig.anchors)
+    return np.stack([rows.codes(name, ids).astype(int) for name in ("anchor", "anchor_2")], axis=1)
+
+
+def messages(rows: TagRows) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"], Int[np.ndarray, " ends"]]:
+    """The slot and the row of each difference of a table, and the first row of each tag, then their number."""
+    begins = np.append(True, np.diff(rows.times) != 0.0)[: len(rows.times)]
+    begins[rows.starts[:-1]] = True
+    first = np.flatnonzero(begins)
+    place = np.arange(len(begins)) - np.repeat(first, np.diff(np.append(first, len(begins))))
+    begins |= place % MOST_SLOTS == 0
+    message = np.cumsum(begins) - 1
+    starts = np.append(message[rows.starts[:-1]], begins.sum())
+    return place % MOST_SLOTS, message, starts
+
+
+def correlations(number: Int[np.ndarray, "M S 2"], seen: Bool[np.ndarray, "M S"]) -> Float[np.ndarray, "M P"]:
+    """The correlation of each pair of slots, row by row of the upper triangle.
+
+    Times of arrival of one variance make ½ for two differences to, or from, a common anchor, −½ for one to and one
+    from it.
+    """
+    first, second = number[..., 0], number[..., 1]
+    pairs = list(combinations(range(number.shape[1]), 2))
+    result = np.zeros((len(number), len(pairs)))
+    for column, (i, j) in enumerate(pairs):
+        alike = (first[:, i] == first[:, j]) * 1.0 + (second[:, i] == second[:, j])
+        opposite = (first[:, i] == second[:, j]) * 1.0 + (second[:, i] == first[:, j])
+        result[:, column] = 0.5 * SHARED * (alike - opposite) * (seen[:, i] & seen[:, j])
+    return result
+
+
+def recent_hyperbolic_positions(
+    starts: Int[np.ndarray, " ends"],
+    times: Float[np.ndarray, " M"],
+    readings: Readings,
+    number: Int[np.ndarray, "M S 2"],
+    anchors: Float[np.ndarray, "A 3"],
+    heights: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "M 4"]:
+    """For the first row of every `SPACING_S`: the position from the latest differences, m, and 1 where determined.
+
+    `starts` (n + 1,): the first row of each of n tags, then M. `number`: of the anchors of each difference in
+    `anchors`. `heights` m: of the tags, NaN where unknown. The second of `WINDOWS_S` is used where the differences of
+    the first do not determine the position. Other rows are zero: no track starts there.
+    """
+    result = np.zeros((len(times), 4))
+    tag = np.repeat(np.arange(len(heights)), np.diff(starts))
+    row, slot = np.nonzero(readings.seen)
+    # Of each row, the differences up to its last.
+    until, since = np.searchsorted(row, np.arange(len(times)), "right"), np.searchsorted(row, starts[tag])
+    period = np.floor((times - times[starts[tag]]) / SPACING_S) if len(times) else times
+    begins = np.append(True, (np.diff(period) != 0) | (np.diff(tag) != 0))[: len(times)]
+    for window in WINDOWS_S:
+        for known in (True, False):
+            wanted = np.flatnonzero(begins & (result[:, 3] == 0) & (np.isfinite(heights[tag]) == known))
+            for begin in range(0, len(wanted), BLOCK):
+                part = wanted[begin : begin + BLOCK]
+                recent = until[part, None] - 1 - np.arange(RECENT)
+                counts, recent = recent >= since[part, None], np.maximum(recent, 0)
+                counts = counts & (times[part, None] - times[row[recent]] <= window)
+                of_each = row[recent], slot[recent]
+                given = Differences(
+                    readings.values[of_each], counts, number[(*of_each, 0)], number[(*of_each, 1)], anchors
+                )
+                place, determined = hyperbolic_positions(given, heights[tag[part]])
+                result[part] = np.where(determined[:, None], np.column_stack([place, np.ones(len(part))]), 0.0)
+    return result
+
+
+def lacks_differences(folder: RecordingFolder) -> str | None:
+    """What a folder lacks for the tracker of range differences, in words: enough anchors, and differences in metres."""
+    if TDOA not in folder.tables:
+        return "a tdoa table with at least 4 anchors, found no such table"
+    rows, anchors = folder.rows(TDOA), anchor_positions(folder)
+    number, (values, seen) = anchor_pairs(folder, rows), rows.values(["range_difference_m"])
+    heard = np.zeros((len(rows.tags), len(anchors)), bool)
+    tag = rows.of_each(np.arange(len(rows.tags)))[seen[:, 0]]
+    for column in number[seen[:, 0]].T:
+        heard[tag, column] = True
+    counts, needed = heard.sum(axis=1), np.where(np.isnan(known_heights(folder, rows.tags)), 5, 4)
+    if not (counts >= needed).any():
+        return (
+            "range differences of a tag among at least 4 anchors, or 5 where rig.toml gives it no height_m, found "
+            f"{counts.max(initial=0)} at most"
+        )
+    apart = np.linalg.norm(anchors[number[:, 0]] - anchors[number[:, 1]], axis=1)
+    median, most = float(np.median(np.abs(values[seen]))), float(np.median(apart[seen[:, 0]]))
+    if median > most:
+        return (
+            f"range differences in metres, found a median of {median:.4g} between anchors {most:.4g} m apart; "
+            "are they in nanoseconds or millimetres?"
+        )
+    return None
