@@ -13,6 +13,7 @@ from trackwright.sim.corruptions import mask_antenna as mask_antenna
 from trackwright.sim.corruptions import mirrored_heights as mirrored_heights
 from trackwright.sim.corruptions import outliers as outliers
 from trackwright.sim.corruptions import white_noise as white_noise
+from trackwright.sim.differences import simulate_differences as simulate_differences
 from trackwright.sim.imu import simulate_uwb_imu as simulate_uwb_imu
 from trackwright.sim.keys import normals as normals
 from trackwright.sim.keys import stream as stream
@@ -54,6 +55,7 @@ __all__ = [
     # measurements of the other systems
     "simulate_line",
     "simulate_ranges",
+    "simulate_differences",
     "chamber",
     "simulate_uwb_imu",
     "simulate_agv",

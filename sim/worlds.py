@@ -1,4 +1,4 @@
-"""Worlds by name, with sensible defaults: `station`, `line`, `ranges`, `tool` and `agv`, each a function.
+"""Worlds by name, with sensible defaults: `station`, `line`, `ranges`, `tdoa`, `tool` and `agv`, each a function.
 
 Each takes `n`, the number of trajectories, and `seed`, and gives a `SimulatedWorld` of as many tags. Trajectories have
 the ids 0 … n − 1, or those of `ids`, which replaces `n`. A trajectory depends on the seed and its id alone: the same
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trackwright.trackers.recordings.folder import RecordingFolder
     from trackwright.trackers.recordings.trajectories import Trajectory
 
-__all__ = ["WORLDS", "SimulatedWorld", "agv", "line", "ranges", "station", "tool"]
+__all__ = ["WORLDS", "SimulatedWorld", "agv", "line", "ranges", "station", "tdoa", "tool"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -258,6 +258,60 @@ def ranges(
 
 
 @checked
+def tdoa(
+    n: Trajectories = 20,
+    seed: Seed = 0,
+    *,
+    schedule: Literal["messages", "turns"] = "messages",
+    rows: Rows = 200,
+    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 10.0,
+    sigma_d: Annotated[float, Range(0.0, 10.0)] = 0.1,
+    bias: Annotated[float, Range(0.0, 10.0)] = 0.05,
+    drift: Annotated[float, Range(0.0, 10.0)] = 0.05,
+    hidden: Annotated[float, Range(0.0, 0.9)] = 0.1,
+    lost: Annotated[float, Range(0.0, 0.99)] = 0.1,
+    ids: Ids = None,
+) -> SimulatedWorld:
+    """Simulate hand-held UWB tags in a room with eight synchronised anchors: range differences (TDoA), with truth.
+
+    Args:
+        schedule: at each time the differences of all anchors heard from the first, or one, of neighbours in turn.
+        rows: times of measurement.
+        rate_hz: times per second.
+        sigma_d: white noise of a difference, m.
+        bias: standard deviation of the anchors' constant clock offsets, m.
+        drift: standard deviation of their clock errors that last for 10 s, m.
+        hidden: share of the time for which an anchor has no line of sight, and its signal is late.
+        lost: share of an anchor's signals that are lost.
+    """
+    from trackwright.sim import corruptions
+    from trackwright.sim.differences import CORNERS, simulate_differences
+    from trackwright.sim.ranging import antenna_biases, chamber, obstruction
+
+    errors: dict[str, Corruption] = {}
+    if bias > 0:
+        errors["biases"] = antenna_biases(bias)
+    if drift > 0:
+        errors["drift"] = corruptions.gauss_markov(drift, 10.0)
+    if hidden > 0:
+        errors["hidden"] = obstruction(hidden, 2.0, 0.3, 0.3)
+    if sigma_d > 0:
+        errors["white"] = corruptions.white_noise(sigma_d / 2**0.5)
+    if lost > 0:
+        errors["lost"] = corruptions.drop_outs(lost)
+    world = simulate_differences(
+        chamber(CORNERS),
+        n=_ids(n, ids),
+        seed=seed,
+        rate_hz=rate_hz,
+        n_points=rows,
+        schedule=schedule,
+        corruptions=errors,
+    )
+    return SimulatedWorld(f"simulated-tdoa-{seed}", world)
+
+
+@checked
 def tool(
     n: Trajectories = 20,
     seed: Seed = 0,
@@ -345,7 +399,7 @@ def _folder(
 
 
 WORLDS: Mapping[str, Callable[..., RecordingFolder]] = MappingProxyType(
-    {world.__name__: partial(_folder, world) for world in (station, line, ranges, tool, agv)}
+    {world.__name__: partial(_folder, world) for world in (station, line, ranges, tdoa, tool, agv)}
 )
 """`make(ids, seed, **numbers)`, a recording folder, by the name of the world in a study."""
 

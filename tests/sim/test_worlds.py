@@ -19,6 +19,7 @@ SHORT = {
     "station": {"rows": 12, "drop_outs": 0.2},
     "line": {"rate_hz": 1.0},
     "ranges": {"rows": 15, "lost": 0.2},
+    "tdoa": {"rows": 15, "lost": 0.2},
     "tool": {"rows": 20, "gap": (0.1, 0.2)},
     "agv": {"rows": 30, "latency": 0.2},
 }
@@ -73,7 +74,9 @@ def test_a_study_makes_the_same_folder(name):
     _assert_equal(WORLDS[name](np.arange(2), 3, **SHORT[name]), _short(name, n=2).folder())
 
 
-@pytest.mark.parametrize(("name", "tracker"), [("station", "direct"), ("line", "fix-kf"), ("ranges", None)])
+@pytest.mark.parametrize(
+    ("name", "tracker"), [("station", "direct"), ("line", "fix-kf"), ("ranges", None), ("tdoa", None)]
+)
 def test_the_recordings_run_in_the_tracker_that_reads_them(name, tracker):
     world = _short(name, n=2)
     recordings = world.recordings(tracker)
@@ -85,7 +88,7 @@ def test_the_recordings_run_in_the_tracker_that_reads_them(name, tracker):
         position, known = recording.truth["position"]
         found = np.stack([np.asarray(x) for x in estimates.mean.position], axis=-1)
         errors = np.linalg.norm(found - position[:, : found.shape[1]], axis=1)[known & np.asarray(estimates.usable)]
-        # Trackers are within a metre of the truth in all three worlds, which are several metres wide or 1 m.
+        # Trackers are within a metre of the truth in all four worlds, which are several metres wide or 1 m.
         assert np.median(errors) < 1.0
 
 

@@ -34,6 +34,7 @@ WORLDS: dict[str, tuple[str, ...]] = {
     "station": ("direct", "cascade", "beam", "das"),
     "line": ("fix-kf", "imm", "moving-average", "line-grid", "line-pf", "mhk"),
     "ranges": ("uwb", "multilateration"),
+    "tdoa": ("tdoa",),
     "tool": ("uwb-imu", "uwb", "multilateration"),
     "agv": ("fix-kf", "fix-singer", "imm", "fix-mirror", "median", "mhk"),
 }

@@ -15,9 +15,15 @@ from trackwright.trackers.recordings.trajectories import Trajectories
 CASES = [
     *(("station", name) for name in ("direct", "beam")),
     *(("line", name) for name in ("fix-kf", "line-grid", "mhk")),
+    ("tdoa", "tdoa"),
     *(("tool", name) for name in ("uwb-imu", "uwb", "multilateration")),
 ]
-NUMBERS = {"station": {"rows": 12, "drop_outs": 0.3}, "line": {"rate_hz": 0.5}, "tool": {"rows": 40}}
+NUMBERS = {
+    "station": {"rows": 12, "drop_outs": 0.3},
+    "line": {"rate_hz": 0.5},
+    "tdoa": {"rows": 12},
+    "tool": {"rows": 40},
+}
 
 
 def _of_tag(folder, tag):
