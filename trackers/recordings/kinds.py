@@ -96,7 +96,8 @@ class Kind:
     from 1. `sensors`: the columns with the ids of a reading's anchors or stations. `predicted(positions, sensors)`: the
     values (N, m) at positions (N, 3), m; None where positions do not predict them. `averaged`: whether a mean over some
     tenths of a second is a reading again. `common`: whether a row has an unknown offset common to its columns.
-    `attitude`: whether the table may have a quaternion. `calibrated`: the part of a calibration that concerns it.
+    `attitude`: whether the table may have a quaternion. `difference`: whether its values are the distance to one anchor
+    less that to another, at most their own distance. `calibrated`: the part of a calibration that concerns it.
     Raises UnusableInput for names that the format cannot hold.
     """
 
@@ -108,6 +109,7 @@ class Kind:
     common: bool = False
     numbered: bool = False
     attitude: bool = False
+    difference: bool = False
     calibrated: Literal["stations", "anchors"] | None = None
 
     def __post_init__(self) -> None:
@@ -317,6 +319,7 @@ KINDS: dict[str, Kind] = {
             ("anchor", "anchor_2"),
             _range_differences,
             averaged=True,
+            difference=True,
         ),
         Kind("fixes", _POSITION, (), _positions, averaged=True),
         Kind(

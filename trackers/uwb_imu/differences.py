@@ -116,14 +116,16 @@ def difference_tracker(
     memory: float = 5.5,
     sigma_d: float = 0.13,
     dof: float = 1.8,
-    sigma_bias: float = 0.085,
-    time_constant: float = 65.0,
-    length: float = 5.0,
+    sigma_bias: float = 0.15,
+    time_constant: float = 20.0,
+    length: float = 2.0,
 ) -> Tracker:
     """Position and velocity from range differences, `slots` to a row; `planar`: at a known height.
 
-    Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeDifferenceSensor`. The defaults are those of
-    `range_tracker`, a difference having the noise of two ranges. Above `MAX_BIASES` anchors the state has no biases.
+    Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeDifferenceSensor`. Motion and noise are those of
+    `range_tracker`, a difference having the noise of two ranges; the biases, which hold clock errors and obstruction,
+    too, are those with which the ellipses of simulated rooms hold (docs/decisions.md). Above `MAX_BIASES` anchors the
+    state has no biases.
     """
     require(is_count(anchors), "difference_tracker", anchors, "the number of anchors, as len(rig.anchors)")
     biases = anchors if anchors <= MAX_BIASES else 0

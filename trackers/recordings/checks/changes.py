@@ -23,6 +23,12 @@ FACTORS = (
 )  # fmt: skip
 """Metres per unit."""
 
+OF_DIFFERENCES = ((0.2998, "nanoseconds or feet"), (1000.0, "kilometres"))
+"""Metres per unit of differences; in smaller ones they exceed the distance of the anchors (`check_units`).
+
+Some place has all differences nearly zero, so that every small factor makes errors small.
+"""
+
 FLIGHT = ((0.5, "round-trip distances"), (2.0, "halved distances"))
 
 ANTENNA_SIZES = (0.15, 10.0)
@@ -92,7 +98,8 @@ def value_changes(kind: Kind, columns: int) -> list[ValueChange]:
     if kind.position:
         return [_scaled(kind, factor, f"{kind.name} in {unit}") for factor, unit in FACTORS]
     if kind.sensors and kind.unit == "m":
-        scaled = [_scaled(kind, factor, f"{kind.name} are {unit}") for factor, unit in (*FACTORS, *FLIGHT)]
+        units = OF_DIFFERENCES if kind.difference else FACTORS
+        scaled = [_scaled(kind, factor, f"{kind.name} are {unit}") for factor, unit in (*units, *FLIGHT)]
         cause = f"{kind.name} with the wrong sign; flip it"
         return [*scaled, ValueChange(f"the sign of the {kind.name} flipped", cause, np.negative)]
     return []

@@ -1,7 +1,8 @@
 """Readings of some moments without truth: the positions that fit them best, and the errors that remain.
 
-Ranges are fitted by damped Gauss-Newton steps from below the anchors, rays of bearings by linear least squares. Where
-readings of one moment contradict each other, and no longer do with a change, that is the likely mistake.
+Ranges and their differences are fitted by damped Gauss-Newton steps from below the anchors, rays of bearings by linear
+least squares. Where readings of one moment contradict each other, and no longer do with a change, that is the likely
+mistake.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from trackwright.trackers.core.model.rig import angles_in_array
 from trackwright.trackers.core.wording import significant
@@ -53,17 +54,18 @@ STEPS = 12
 
 
 class Moments(NamedTuple):
-    """Readings (E, G, m) of E moments and G anchors or stations, NaN where one is missing.
+    """Readings (E, G, m) of E moments and G anchors, pairs of anchors or stations, NaN where one is missing.
 
-    `ids`, `places` (G, 3) m and `axes` (G, 3, 3), from array to world, of the sensors. `heights` (E,) m: NaN where not
-    known.
+    `ids`, `places` (S, 3) m and `axes` (S, 3, 3), from array to world, of the sensors. `sensors` (G, k): which of them
+    a reading is of; two are the anchors of a difference. `heights` (E,) m: NaN where not known.
     """
 
     kind: Kind
     ids: tuple[str, ...]
     values: Float[np.ndarray, "E G m"]
-    places: Float[np.ndarray, "G 3"]
-    axes: Float[np.ndarray, "G 3 3"]
+    places: Float[np.ndarray, "S 3"]
+    axes: Float[np.ndarray, "S 3 3"]
+    sensors: Int[np.ndarray, "G k"]
     heights: Float[np.ndarray, " E"]
 
     def closing(self) -> float:
@@ -79,14 +81,19 @@ class Moments(NamedTuple):
         p[:, 2] = np.where(free, p[:, 2], self.heights)
         allowed = np.stack([np.ones_like(free), np.ones_like(free), free], axis=1)
         for _ in range(STEPS):
-            away = p[:, None] - self.places
-            distance = np.maximum(np.linalg.norm(away, axis=2), 1e-6)
-            errors = np.where(known, r - distance, 0.0)
-            J = away / distance[..., None] * known[..., None] * allowed[:, None]
+            predicted, slopes = self._predicted(p)
+            errors = np.where(known, r - predicted, 0.0)
+            J = slopes * known[..., None] * allowed[:, None]
             normal = np.einsum("egi,egj->eij", J, J) + 0.02 * np.eye(3)
             p = p + np.linalg.solve(normal, np.einsum("egi,eg->ei", J, errors)[..., None])[..., 0] * allowed
-        differences = np.where(known, r - np.linalg.norm(p[:, None] - self.places, axis=2), np.nan)
-        return differences[..., None]
+        return np.where(known, r - self._predicted(p)[0], np.nan)[..., None]
+
+    def _predicted(self, p: Float[np.ndarray, "E 3"]) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (E, G) of positions, m, or their differences, and the derivatives (E, G, 3)."""
+        away = p[:, None] - self.places
+        distance = np.maximum(np.linalg.norm(away, axis=2), 1e-6)
+        both = [(distance[:, of], (away / distance[..., None])[:, of]) for of in self.sensors.T]
+        return both[0] if len(both) == 1 else (both[0][0] - both[1][0], both[0][1] - both[1][1])
 
     def _of_bearings(self) -> Float[np.ndarray, "E G 2"]:
         azimuth, elevation = np.moveaxis(self.values, 2, 0)
@@ -110,8 +117,10 @@ def moments(recording: RecordingFolder, table: str) -> Moments | None:
     rig, rows, kind = recording.rig, recording.rows(table), KINDS[table]
     measured = kind.measured(rig, rows)
     whole = np.flatnonzero(np.isfinite(measured.values[:MOST_ROWS]).all(axis=1))
-    used, number = np.unique(measured.sensors.number[whole, 0], return_inverse=True)
+    used, sensor = np.unique(measured.sensors.number[whole], return_inverse=True)
     ids, places, axes = tuple(measured.ids[k] for k in used), measured.sensors.places[used], measured.sensors.axes[used]
+    columns, number = np.unique(sensor.reshape(len(whole), -1), axis=0, return_inverse=True)
+    number = number.ravel()
     if not 2 <= len(ids) <= MOST_SENSORS or np.linalg.norm(np.ptp(places, axis=0)) < LEAST_EXTENT_M:
         return None
     times, values = rows.times[whole], measured.values[whole]
@@ -119,19 +128,19 @@ def moments(recording: RecordingFolder, table: str) -> Moments | None:
     given = [rig.tags[name].height if name in rig.tags else None for name in rows.tags]
     heights = np.array([np.nan if height is None else height for height in given])
     for span in SPANS_S:
-        tags, latest = _grid(np.floor(times / span), tag, number, values, len(ids))
+        tags, latest = _grid(np.floor(times / span), tag, number, values, len(columns))
         seen = np.isfinite(latest).all(axis=2).sum(axis=1)
         free = np.isnan(heights[tags])
         enough = np.flatnonzero(seen >= least_sensors(kind, free))
         if len(enough) >= LEAST_MOMENTS and 2 * len(enough) >= len(seen):
             chosen = enough[np.unique(np.linspace(0, len(enough) - 1, MOST_MOMENTS).astype(int))]
-            return Moments(kind, ids, latest[chosen], places, axes, heights[tags[chosen]])
+            return Moments(kind, ids, latest[chosen], places, axes, columns, heights[tags[chosen]])
     return None
 
 
 def least_sensors(kind: Kind, free: np.ndarray) -> np.ndarray:
-    """How many sensors a moment needs to contradict itself; `free`: where the height is not known."""
-    return np.where(free, 3, 2) + (0 if kind.angles else 2)
+    """How many sensors, or pairs, a moment needs to contradict itself; `free`: where the height is not known."""
+    return np.where(free, 3, 2) + (0 if kind.angles else 3 if kind.difference else 2)
 
 
 def _grid(
@@ -147,12 +156,12 @@ def _grid(
 
 
 def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
-    """An error where ranges or bearings contradict each other and one change explains it, as of units or ids.
+    """An error where readings of one moment contradict each other and one change explains it, as of units or ids.
 
     A warning where they do not without one anchor or station, and where nothing explains it.
     """
     kind = KINDS[table]
-    closes = len(kind.sensors) == 1 and (kind.angles or kind.distance)
+    closes = kind.difference or (len(kind.sensors) == 1 and (kind.angles or kind.distance))
     readings = moments(recording, table) if closes else None
     if readings is None or (before := readings.closing()) <= ONE_LARGE[kind.unit]:
         return []
@@ -182,7 +191,7 @@ def _without_each(readings: Moments) -> Iterator[tuple[float, str]]:
     """What contradictions are left without each anchor or station, where the others are enough for a position."""
     for k, name in enumerate(readings.ids):
         values = readings.values.copy()
-        values[:, k] = np.nan
+        values[:, (readings.sensors == k).any(axis=1)] = np.nan
         enough = np.isfinite(values).all(axis=2).sum(axis=1) >= least_sensors(readings.kind, np.isnan(readings.heights))
         if enough.sum() >= LEAST_MOMENTS:
             yield readings._replace(values=values[enough], heights=readings.heights[enough]).closing(), name
@@ -198,7 +207,7 @@ def _changes(readings: Moments) -> Iterator[tuple[str, str, Moments]]:
         values = of(readings.values)
         yield words, cause, readings._replace(values=values)
         for k, name in enumerate(readings.ids if kind.angles else ()):
-            mask = np.arange(count)[:, None] == k
+            mask = readings.sensors == k
             yield f"{words} of {noun} {name}", cause, readings._replace(values=np.where(mask, values, readings.values))
     for i, j in combinations(range(count), 2):
         order = exchanged(count, i, j)

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trackwright.trackers.recordings.checks.changes import LEAST_MOVE_M, Change, frame_cause, resolving, transform_text
+from trackwright.trackers.recordings.checks.changes import (
+    LEAST_MOVE_M,
+    Change,
+    exchanged,
+    frame_cause,
+    resolving,
+    transform_text,
+)
 from trackwright.trackers.recordings.checks.compared import Compared, robust_fit
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.kinds import wrapped
@@ -299,17 +307,23 @@ def _delayed(view: Compared) -> Iterator[Change]:
 def _swapped_sensors(view: Compared) -> Iterator[Change]:
     """Each anchor or station at the place of another."""
     count, sensors = len(view.ids), view.sensors
-    if len(view.kind.sensors) != 1 or not 2 <= count <= MOST_SWAPPED:
+    if not view.kind.sensors or not 2 <= count <= MOST_SWAPPED:
         return
     few = view.thinned(max(FEW, 60 * count))
-    of_others = [few.changed(places=sensors.places[[k] * count], axes=sensors.axes[[k] * count]) for k in range(count)]
-    order = _assignment(np.stack([_logs(other.sizes()) for other in of_others], axis=1))
+    single = len(view.kind.sensors) == 1
+    if single:
+        all_at = [few.changed(places=sensors.places[[k] * count], axes=sensors.axes[[k] * count]) for k in range(count)]
+        order = _assignment(np.stack([_logs(other.sizes()) for other in all_at], axis=1))
+    else:
+        # The groups are those of the first sensor; an exchange concerns the others as well.
+        orders = [exchanged(count, i, j) for i, j in combinations(range(count), 2)]
+        order = min(orders, key=lambda order: float(_logs(few.changed(places=sensors.places[order]).sizes()).sum()))
     if (order != np.arange(count)).any():
         yield Change(
             _exchange(view.noun, view.ids, order),
             f"the ids of {view.noun}s are mixed up; correct rig.toml or the table",
             {"places": sensors.places[order], "axes": sensors.axes[order]}, by_group=True,
-            groups=order != np.arange(count), together=True,
+            groups=order != np.arange(count) if single else None, together=single,
         )  # fmt: skip
 
 
@@ -348,11 +362,11 @@ def _assignment(costs: np.ndarray) -> np.ndarray:
     order = linear_sum_assignment(costs)[1]
     assigned = np.arange(len(costs))
     for first in assigned.tolist():
-        exchanged, last = [first], first
+        cycle, last = [first], first
         while (last := int(order[last])) != first:
-            exchanged.append(last)
-        if costs[exchanged, exchanged].sum() - costs[exchanged, order[exchanged]].sum() > CLEAR:
-            assigned[exchanged] = order[exchanged]
+            cycle.append(last)
+        if costs[cycle, cycle].sum() - costs[cycle, order[cycle]].sum() > CLEAR:
+            assigned[cycle] = order[cycle]
     return assigned
 
 

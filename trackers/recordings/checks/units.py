@@ -10,6 +10,7 @@ import polars as pl
 
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.columns import TableRows
 from trackwright.trackers.recordings.kinds import KINDS, QUATERNION, Column, Kind, table_kinds
 
 GRAVITY = 9.81
@@ -17,6 +18,8 @@ GRAVITY_SLACK = 0.15  # for the bias of a low-cost accelerometer and moderate mo
 FAR_M = 500.0  # beyond the range of indoor radio
 FAR_SIZES = 20.0  # times the size of the rig
 FAR_SIZES_MM = 150.0  # times the size of the rig, beyond which centimetres would be far away, too
+BEYOND_ANCHORS = 0.1  # share of range differences larger than their anchors' distance; 1 % of a real flight
+NANOSECOND_M = 0.2998
 FASTEST_TURN = 35.0  # rad/s, the full scale of common gyroscopes
 
 
@@ -34,8 +37,28 @@ def check_units(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResul
         elif kind.unit == "mps2":
             results += _accelerations(table) + _turn_rates(table)
         else:
-            results += [result for column in kind.columns for result in _values(name, column, table[column.name], size)]
+            sizes = [result for column in kind.columns for result in _values(name, column, table[column.name], size)]
+            results += sizes or _differences(kind, table, rig)
     return results
+
+
+def _differences(kind: Kind, table: pl.DataFrame, rig: Rig) -> list[CheckResult]:
+    """Differences of distances that exceed the distance of their anchors, which no place explains."""
+    if not kind.difference:
+        return []
+    measured = kind.measured(rig, TableRows(table))
+    places, number = measured.sensors.places, measured.sensors.number
+    apart = np.linalg.norm(places[number[:, 0]] - places[number[:, 1]], axis=1)
+    sizes = np.abs(measured.values[:, 0])
+    share, in_ns = (float(np.nanmean(factor * sizes > apart + kind.columns[0].bias)) for factor in (1.0, NANOSECOND_M))
+    if not share > BEYOND_ANCHORS:
+        return []
+    unit = "centimetres or millimetres, or other anchors" if in_ns > BEYOND_ANCHORS else "nanoseconds or feet"
+    message = (
+        f"{100 * share:.0f} % of {kind.columns[0].name} exceed the distance of their anchors: looks like {unit}, "
+        "expected metres"
+    )
+    return [CheckResult("error", kind.name, message)]
 
 
 def _phases(kind: Kind, table: pl.DataFrame) -> list[CheckResult]:

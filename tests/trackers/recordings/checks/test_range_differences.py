@@ -1,0 +1,86 @@
+"""Mistakes in range differences are named, with truth and, by contradictions of a moment, without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from trackwright.sim.corruptions import white_noise
+from trackwright.sim.differences import CORNERS, simulate_differences
+from trackwright.sim.ranging import chamber
+from trackwright.trackers.recordings.checks import check
+
+# Corners of a room that is no mirror image of itself: else the sign of all differences only turns the path.
+ANCHORS = CORNERS + np.random.default_rng(7).uniform(-0.6, 0.6, CORNERS.shape)
+FOLDER = simulate_differences(chamber(ANCHORS), seed=1, n_points=300, corruptions={"white": white_noise(0.05)}).folder(
+    "w"
+)
+VALUE = pl.col("range_difference_m")
+
+
+def _table(*changes):
+    return replace(FOLDER, tables={**FOLDER.tables, "tdoa": FOLDER.tables["tdoa"].with_columns(*changes)})
+
+
+def _swapped(first, second):
+    """Two anchors' ids exchanged in the table."""
+    ids = {first: second, second: first}
+    return _table(*(pl.col(column).cast(pl.String).replace(ids).alias(column) for column in ("anchor", "anchor_2")))
+
+
+def _rig(change):
+    return replace(FOLDER, rig=replace(FOLDER.rig, anchors=change(dict(FOLDER.rig.anchors))))
+
+
+def _errors(folder):
+    return [result.message for result in check(folder) if result.level == "error"]
+
+
+def test_a_good_recording_has_no_errors():
+    assert _errors(FOLDER) == []
+    assert _errors(replace(FOLDER, tables={"tdoa": FOLDER.tables["tdoa"]})) == []
+
+
+EVERYWHERE = {
+    "the sign of the tdoa flipped": _table(-VALUE),
+    "anchors A2 and A7 swapped": _swapped("A2", "A7"),
+    "anchors A3 and A4 swapped": _rig(lambda anchors: anchors | {"A3": anchors["A4"], "A4": anchors["A3"]}),
+    "nanoseconds or feet": _table(VALUE / 0.299792458),
+    "centimetres or millimetres, or other anchors": _table(VALUE * 100),
+}
+AGAINST_TRUTH = {
+    "halved distances": _table(VALUE / 2),
+    "of anchor A5": _table(pl.when(pl.col("anchor").cast(pl.String) == "A5").then(VALUE + 1.5).otherwise(VALUE)),
+    "the positions of the anchors multiplied by 0.001": _rig(lambda a: {k: 1000 * v for k, v in a.items()}),
+    "the sign of z of the truth flipped": _rig(lambda a: {k: v * [1, 1, -1] for k, v in a.items()}),
+    "x and y of the truth swapped": _rig(lambda a: {k: v[[1, 0, 2]] for k, v in a.items()}),
+    "the truth shifted by (2.00": replace(
+        FOLDER, tables={**FOLDER.tables, "truth": FOLDER.tables["truth"].with_columns(pl.col("x_m") - 2)}
+    ),
+}
+
+
+@pytest.mark.parametrize("words", [*EVERYWHERE, *AGAINST_TRUTH])
+def test_a_mistake_is_named_against_truth(words):
+    errors = _errors((EVERYWHERE | AGAINST_TRUTH)[words])
+    assert any(words in message for message in errors), errors
+
+
+@pytest.mark.parametrize("words", EVERYWHERE)
+def test_a_mistake_is_named_without_truth(words):
+    folder = EVERYWHERE[words]
+    errors = _errors(replace(folder, tables={"tdoa": folder.tables["tdoa"]}))
+    assert any(words in message for message in errors), errors
+
+
+def test_an_anchor_at_a_wrong_place_is_named_without_truth():
+    moved = _rig(lambda anchors: anchors | {"A6": anchors["A6"] + [1.5, 0.0, 0.0]})
+    (warning,) = [
+        result.message
+        for result in check(replace(moved, tables={"tdoa": moved.tables["tdoa"]}))
+        if "contradict each other" in result.message
+    ]
+    assert "without anchor A6: its place in rig.toml is wrong" in warning
