@@ -116,7 +116,7 @@ def difference_tracker(
     memory: float = 5.5,
     sigma_d: float = 0.13,
     dof: float = 1.8,
-    sigma_bias: float = 0.15,
+    sigma_bias: float = 0.12,
     time_constant: float = 20.0,
     length: float = 2.0,
 ) -> Tracker:

@@ -310,20 +310,20 @@ def _swapped_sensors(view: Compared) -> Iterator[Change]:
     if not view.kind.sensors or not 2 <= count <= MOST_SWAPPED:
         return
     few = view.thinned(max(FEW, 60 * count))
-    single = len(view.kind.sensors) == 1
-    if single:
+    if len(view.kind.sensors) == 1:
         all_at = [few.changed(places=sensors.places[[k] * count], axes=sensors.axes[[k] * count]) for k in range(count)]
         order = _assignment(np.stack([_logs(other.sizes()) for other in all_at], axis=1))
     else:
         # The groups are those of the first sensor; an exchange concerns the others as well.
         orders = [exchanged(count, i, j) for i, j in combinations(range(count), 2)]
         order = min(orders, key=lambda order: float(_logs(few.changed(places=sensors.places[order]).sizes()).sum()))
+    moved = (order != np.arange(count))[sensors.number].any(axis=1)
     if (order != np.arange(count)).any():
         yield Change(
             _exchange(view.noun, view.ids, order),
             f"the ids of {view.noun}s are mixed up; correct rig.toml or the table",
             {"places": sensors.places[order], "axes": sensors.axes[order]}, by_group=True,
-            groups=order != np.arange(count) if single else None, together=single,
+            groups=2 * np.bincount(view.group, moved, count) > np.bincount(view.group, minlength=count), together=True,
         )  # fmt: skip
 
 
