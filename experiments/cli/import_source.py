@@ -27,7 +27,7 @@ FormatName = Annotated[
 ]
 """A format by name, or a user's own."""
 
-Table = Literal["ranges", "fixes", "bearings", "phases", "imu", "truth"]
+Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "truth"]
 
 
 def import_source(

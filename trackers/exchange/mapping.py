@@ -17,14 +17,21 @@ from trackwright.trackers.recordings.input_file import beginning, read_toml
 from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
 from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file
 
+# fmt: off
 UNITS: dict[str, dict[str, float]] = {
-    "m": {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048},
+    "m": {
+        "m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048,
+        "ns": 0.299792458,
+    },
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "iso": 1.0},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
     "radps": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": 0.017453292519943295, "rpm": 0.10471975511965977},
     "mps2": {"m/s^2": 1.0, "cm/s^2": 1e-2, "mm/s^2": 1e-3, "g": 9.80665, "mg": 9.80665e-3},
 }
-"""By the ending of a column's name: units and their factors to it. `iso`: dates such as 2026-05-01T12:00:00.25."""
+# fmt: on
+"""By the ending of a column's name: units and their factors to it. `iso`: dates such as 2026-05-01T12:00:00.25.
+
+A length in `ns` is the way of light in that time."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _EXPRESSION = re.compile(
@@ -122,7 +129,7 @@ def columns_of(entries: Sequence[str]) -> dict[str, Expression]:
 
 
 def sensor_of(target: str) -> tuple[str, str | None]:
-    """The column of a target and the anchor or station in its brackets: `range_m[A1]` gives range_m, A1."""
+    """The column of a target and what is in its brackets, an anchor or station: `range_m[A1]` gives range_m, A1."""
     match = _TARGET.fullmatch(target)
     assert match is not None
     return match["name"], match["sensor"]
@@ -261,7 +268,10 @@ def _part(
     if sensor is not None:
         if len(ids) < 2:
             raise UnusableInput(f"{mapping.table}: has no anchors or stations; leave [{sensor}] out of the columns")
-        expressions[ids[1]] = Expression(repr(sensor), constant=sensor)
+        each = [sensor] if len(ids) == 2 else [one.strip() for one in sensor.split(",")]
+        if len(each) != len(ids) - 1:
+            raise UnusableInput(f"{mapping.table}: [{sensor}] in the columns; expected [{','.join(ids[1:])}]")
+        expressions |= {name: Expression(repr(one), constant=one) for name, one in zip(ids[1:], each, strict=True)}
     known = ("t_s", *ids, *wanted.values, *wanted.optional)
     unknown = [name for name in expressions if name not in known]
     if unknown:

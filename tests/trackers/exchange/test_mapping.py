@@ -36,6 +36,7 @@ RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7"
         ("t_s", "d in us", 2.5e6, 2.5),
         ("t_s", "d - 1718000000", 1718000001.5, 1.5),
         ("range_m", "d*1e-3", 1500.0, 1.5),
+        ("range_m", "d in ns", 10.0, 2.99792458),
     ],
 )
 def test_an_expression_is_the_arithmetic_it_says(target, text, value, expected):
@@ -64,6 +65,14 @@ def test_a_column_for_each_anchor_becomes_a_row_for_each(tmp_path):
     table, notices = mapped_table(read_table_file(path), mapping)
     assert table.rows() == [(0.1, "T", "A1", 1.0), (0.1, "T", "A2", 2.0), (0.2, "T", "A2", 2.1)]
     assert notices == ["1 row without a value left out", "columns not used: note"]
+
+
+def test_a_column_for_each_pair_of_anchors_becomes_a_row_for_each(tmp_path):
+    path = tmp_path / "wide.csv"
+    path.write_text("t_s,d21,d71\n0.1,1.0,2.0\n0.2,,2.5\n")
+    columns = columns_of(["range_difference_m[A2,A1]=d21", "range_difference_m[7, A1]=d71"])
+    table, _ = mapped_table(read_table_file(path), TableMapping("tdoa", columns, tag="T"))
+    assert table.rows() == [(0.1, "T", "A2", "A1", 1.0), (0.1, "T", "7", "A1", 2.0), (0.2, "T", "7", "A1", 2.5)]
 
 
 def test_a_name_may_hold_blanks_and_signs():
@@ -131,6 +140,7 @@ def test_dates_with_and_without_a_time_zone_are_told_apart(dates, words):
             ["x_m=gap", "y_m=gap"],
             ("needs z_m, which no column gives", "expected a column, an empty one where no height is measured"),
         ),
+        ("tdoa", ["t_s=word", "range_difference_m[A1]=word"], ("[A1] in the columns; expected [anchor,anchor_2]",)),
         ("fixes", ["x_m[A1]=word"], ("has no anchors or stations",)),
         ("truth", ["qw=distance_mm", "x_m=distance_mm", "y_m=distance_mm", "z_m=distance_mm"], ("qw alone",)),
     ],
