@@ -21,6 +21,7 @@ def plan(
     sigma_range: float = 0.1,
     sigma_angle: float = 0.05,
     sigma_phase: float = 0.3,
+    sigma_difference: float | None = None,
     place: int = 0,
     format: FigureFormat = "png",
     json: bool = False,
@@ -37,12 +38,14 @@ def plan(
         sigma_range: standard deviation of a range, m.
         sigma_angle: standard deviation of an azimuth or elevation, rad.
         sigma_phase: standard deviation of a phase, rad.
+        sigma_difference: standard deviation of a range difference (TDoA), m, which anchors give instead of ranges.
         place: propose places on the outline of the floor for so many more anchors.
         format: of the figure, plan.png or plan.pdf.
         json: print the bounds, m, and proposed anchors as JSON instead of a table.
     """
-    for name, sigma in (("range", sigma_range), ("angle", sigma_angle), ("phase", sigma_phase)):
-        if not 0 < sigma < math.inf:
+    sigmas = {"range": sigma_range, "angle": sigma_angle, "phase": sigma_phase, "difference": sigma_difference}
+    for name, sigma in sigmas.items():
+        if sigma is not None and not 0 < sigma < math.inf:
             raise UnusableInput(f"--sigma-{name} {sigma:g}: expected a number above zero")
     if not 0 <= place <= 8:
         raise UnusableInput(f"--place {place}: expected a number of anchors from 0 to 8")
@@ -64,7 +67,7 @@ def plan(
     from trackwright.experiments.pages.reports.plan import summary, summary_text, write_bound_maps, write_plan
     from trackwright.experiments.pages.reports.plan_accuracy import Sigmas, floor_map, place_anchors
 
-    floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase), height)
+    floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase, sigma_difference), height)
     placement = place_anchors(geometry, place, floor, known) if place else None
     proposed, planned = ({}, floor) if placement is None else placement
     drawn = out / f"plan.{format}"

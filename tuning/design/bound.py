@@ -24,11 +24,12 @@ Points = Float[Array | np.ndarray, "k d"]
 
 
 class SensorAtEpoch(NamedTuple):
-    """A sensor with its number of `channels`, and the inputs of its row."""
+    """A sensor with its number of `channels`, the inputs of its row, and the noise that the device reports."""
 
     sensor: AbstractSensor
     inputs: Mapping[str, Array]
     channels: int
+    reported: tuple[float, ...] = ()
 
 
 def information(sensors: Sequence[SensorAtEpoch], position: Float[Array, " d"]) -> Float[Array, "d d"]:
@@ -37,33 +38,33 @@ def information(sensors: Sequence[SensorAtEpoch], position: Float[Array, " d"]) 
     d is 2 where the inputs hold the `height`.
     """
     total = jnp.zeros((len(position), len(position)), position.dtype)
-    for channels, alike in _by_kind(sensors):
+    for noise, alike in _by_kind(sensors):
 
-        def of_look(look: tuple[AbstractSensor, Mapping[str, Array]], channels: int = channels) -> Float[Array, "d d"]:
-            return _of_sensor(SensorAtEpoch(look[0], look[1], channels), position)
+        def of_look(look: tuple[AbstractSensor, Mapping[str, Array]], noise: Any = noise) -> Float[Array, "d d"]:
+            return _of_sensor(SensorAtEpoch(*look, *noise), position)
 
         total = total + jnp.sum(jax.vmap(of_look)(alike), axis=0)
     return total
 
 
-def _by_kind(sensors: Sequence[SensorAtEpoch]) -> Iterator[tuple[int, Any]]:
-    """Sensors of one kind with their inputs, stacked for one compiled function."""
+def _by_kind(sensors: Sequence[SensorAtEpoch]) -> Iterator[tuple[Any, Any]]:
+    """Sensors of one kind with their inputs, stacked for one compiled function; first their channels and noise."""
     kinds = defaultdict(list)
-    for sensor, inputs, channels in sensors:
+    for sensor, inputs, channels, reported in sensors:
         leaves, tree = jax.tree_util.tree_flatten((sensor, inputs))
-        kinds[channels, tree, tuple(jnp.shape(x) for x in leaves)].append(leaves)
-    for (channels, tree, _), members in kinds.items():
-        yield channels, jax.tree_util.tree_unflatten(tree, [jnp.stack(parts) for parts in zip(*members, strict=True)])
+        kinds[(channels, reported), tree, tuple(jnp.shape(x) for x in leaves)].append(leaves)
+    for (noise, tree, _), members in kinds.items():
+        yield noise, jax.tree_util.tree_unflatten(tree, [jnp.stack(parts) for parts in zip(*members, strict=True)])
 
 
 def _of_sensor(look: SensorAtEpoch, position: Float[Array, " d"]) -> Float[Array, "d d"]:
-    sensor, inputs, channels = look
+    sensor, inputs, channels, reported = look
 
     def predicted(p: Float[Array, " d"]) -> list[Scalar]:
         return list(sensor.measure(Kinematic(Vector(*p), Vector(*(jnp.zeros_like(x) for x in p))), inputs))
 
     # The noise-free reading is a constant: it does not depend on the assumed position.
-    exact = Reading(jax.lax.stop_gradient(predicted(position)), [jnp.asarray(True)] * channels)
+    exact = Reading(jax.lax.stop_gradient(predicted(position)), [jnp.asarray(True)] * channels, reported)
 
     def residual_at(p: Float[Array, " d"]) -> tuple[Float[Array, " m"], Scalar | None]:
         residual = sensor.residual(exact, predicted(p))

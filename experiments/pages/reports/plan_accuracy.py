@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from trackwright.trackers.aoa.fusion import AXES, ORIGIN, BearingSensor, bearing
 from trackwright.trackers.aoa.phases import SphericalPhases
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.uwb_imu.differences import PAIR, PAIRS, RangeDifferenceSensor
 from trackwright.tuning.design.bound import SensorAtEpoch, information
 from trackwright.tuning.design.layouts import WallAnchors, range_sensor
 from trackwright.tuning.design.search import descend
@@ -29,11 +31,15 @@ UNLIMITED = 1e3
 
 
 class Sigmas(NamedTuple):
-    """Standard deviations of a range, m, of an azimuth or elevation, rad, and of a phase, rad."""
+    """Standard deviations of a range, m, of an azimuth or elevation, rad, and of a phase, rad.
+
+    `difference`: of a range difference, m, which anchors then give in the place of ranges.
+    """
 
     range: float
     angle: float
     phase: float
+    difference: float | None = None
 
 
 @dataclass(frozen=True)
@@ -71,14 +77,15 @@ def minimised(height_known: bool) -> str:
 
 
 def sensors_of(rig: Rig, sigmas: Sigmas, height: float | None) -> list[SensorAtEpoch]:
-    """One epoch: a range of every anchor, phases of every station with antennas, angles of every other station.
+    """One epoch: ranges of the anchors or their differences, phases of stations with antennas, angles of the others.
 
     `height`: of the tags, m, if known; the sensors then take a position in the plane. Noise is normal; biases are zero.
     """
     known = {} if height is None else {"height": jnp.asarray(height)}
-    sensors = [
+    sensors = [] if sigmas.difference is None else _differences(rig, sigmas.difference, known)
+    sensors += [
         SensorAtEpoch(range_sensor(1, sigmas.range), {"anchors": jnp.asarray(p), "anchor": jnp.zeros(1), **known}, 1)
-        for p in rig.anchors.values()
+        for p in (rig.anchors.values() if sigmas.difference is None else ())
     ]
     for station in rig.stations.values():
         if station.antennas is not None:
@@ -89,6 +96,18 @@ def sensors_of(rig: Rig, sigmas: Sigmas, height: float | None) -> list[SensorAtE
             inputs = {ORIGIN.name: jnp.asarray(origin), AXES.name: jnp.asarray(axes)}
             sensors.append(SensorAtEpoch(angles, inputs | known, 2))
     return sensors
+
+
+def _differences(rig: Rig, sigma: float, known: Mapping[str, jax.Array]) -> list[SensorAtEpoch]:
+    """The differences of all anchors from the first, which is as good as any: they share its time of arrival."""
+    anchors = np.array([*rig.anchors.values()]).reshape(-1, 3)
+    slots = len(anchors) - 1
+    if slots < 1:
+        return []
+    number = np.stack([np.arange(1, slots + 1), np.zeros(slots, int)], axis=1)
+    inputs = {PAIRS.name: jnp.asarray(anchors[number].ravel()), PAIR.name: jnp.asarray(1.0 * number.ravel()), **known}
+    reported = (*[0.0] * slots, *[0.5] * (slots * (slots - 1) // 2))
+    return [SensorAtEpoch(RangeDifferenceSensor(slots, sigma, 1e6), inputs, slots, reported)]
 
 
 def floor_of(rig: Rig) -> Float[np.ndarray, "m 2"]:
@@ -161,6 +180,8 @@ def place_anchors(rig: Rig, count: int, floor: FloorMap, height_known: bool) -> 
     The bound is that of the horizontal position if the height is known, else of the position in space. Anchors are
     called P1, P2, ..., less the names in the rig. Raises UnusableInput for a rig with stations or without anchors.
     """
+    if floor.sigmas.difference is not None:
+        raise UnusableInput(f"--place {count}: anchors are proposed for ranges alone; leave --sigma-difference out")
     if not rig.anchors or rig.stations:
         has = "stations" if rig.stations else "no anchors"
         raise UnusableInput(f"--place {count}: {rig.name} has {has}; expected a rig with anchors alone")

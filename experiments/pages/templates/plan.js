@@ -18,9 +18,16 @@ const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const scaled = (a, s) => a.map((x) => x * s);
 const sum = (a, b) => a.map((x, k) => x + b[k]);
 
-function rangeRow(anchor, point) {
-  const d = minus(point, anchor.position);
-  return scaled(d, 1 / (Math.hypot(...d) * data.sigmas.range));
+// Times of arrival are known up to an offset that all anchors share: rows less their mean, of half a difference's variance.
+function anchorRows(point) {
+  const sigma = data.sigmas.difference === null ? data.sigmas.range : data.sigmas.difference / Math.SQRT2;
+  const rows = anchors.map((anchor) => {
+    const d = minus(point, anchor.position);
+    return scaled(d, 1 / (Math.hypot(...d) * sigma));
+  });
+  if (data.sigmas.difference === null || !rows.length) return rows;
+  const mean = scaled(rows.reduce(sum, [0, 0, 0]), 1 / rows.length);
+  return rows.map((row) => minus(row, mean));
 }
 
 function angleRows(station, point) {
@@ -45,7 +52,7 @@ function phaseRows(station, point) {
 }
 
 function information(point) {
-  const rows = anchors.map((anchor) => rangeRow(anchor, point));
+  const rows = anchorRows(point);
   for (const station of stations) rows.push(...(station.antennas ? phaseRows : angleRows)(station, point));
   const J = [[0, 0, 0], [0, 0, 0], [0, 0, 0]];
   for (const row of rows) for (let i = 0; i < 3; i++) for (let k = 0; k < 3; k++) J[i][k] += row[i] * row[k];
@@ -74,7 +81,7 @@ const left = data.x[0] - cell / 2, top_ = data.y[data.y.length - 1] + cell / 2;
 const width = data.x.length * cell, height = data.y.length * cell, margin = 0.08 * Math.max(width, height);
 let field = [], computed = null;
 
-const factor = () => (element("unit").value === "cm" ? 100 : 1 / data.sigmas.range);
+const factor = () => (element("unit").value === "cm" ? 100 : 1 / (data.sigmas.difference ?? data.sigmas.range));
 const shown = (value) => (Number.isFinite(value) ? (value * factor()).toPrecision(3) : "–") + (element("unit").value === "cm" ? " cm" : "");
 const tagHeight = () => Number(element("height").value);
 

@@ -60,6 +60,22 @@ def _covariance(rig, point, axes):
     return np.linalg.inv(H.T @ H)
 
 
+def test_bounds_of_range_differences_are_those_of_a_dense_covariance():
+    rig = replace(ROOM, anchors=ROOM.anchors | {"E": np.array([4.0, 0, 2.6]), "F": np.array([4.0, 5, 0.3])})
+    floor, anchors = floor_map(rig, SIGMAS._replace(difference=0.2), HEIGHT), np.array([*rig.anchors.values()])
+    # Of all pairs, from six times of arrival with half the variance each.
+    pairs = np.array([(i, j) for i in range(6) for j in range(i)])
+    incidence = np.eye(6)[pairs[:, 0]] - np.eye(6)[pairs[:, 1]]
+    precision = np.linalg.pinv(incidence @ incidence.T * 0.2**2 / 2)
+    for i, k in [(3, 4), (len(floor.x) // 2, len(floor.y) // 2), (-2, 1)]:
+        away = np.array([floor.x[i], floor.y[k], HEIGHT]) - anchors
+        H = incidence @ (away / np.linalg.norm(away, axis=1)[:, None])
+        for n, covariance in ((2, floor.flat[i, k]), (3, floor.covariance[i, k])):
+            np.testing.assert_allclose(covariance, np.linalg.inv(H[:, :n].T @ precision @ H[:, :n]), rtol=1e-4)
+    with pytest.raises(UnusableInput, match="for ranges alone; leave --sigma-difference out"):
+        place_anchors(rig, 1, floor, height_known=False)
+
+
 def _work_station(angles):
     rig = work_station()
     if angles:

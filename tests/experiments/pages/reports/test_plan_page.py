@@ -32,10 +32,10 @@ def browser():
         yield started
 
 
-def _opened(browser, tmp_path, rig):
+def _opened(browser, tmp_path, rig, sigmas=SIGMAS):
     page = browser.new_page(viewport={"width": 1300, "height": 1000})
     errors = watched(page)
-    floor = floor_map(rig, SIGMAS, HEIGHT)
+    floor = floor_map(rig, sigmas, HEIGHT)
     page.goto(write_plan(tmp_path / "plan.html", rig, floor, {}, ["trackwright"]).as_uri())
     return page, floor, errors
 
@@ -47,9 +47,13 @@ def _compare(page, floor):
         np.testing.assert_allclose(values, floor.bounds[name], rtol=1e-5)
 
 
-@pytest.mark.parametrize("rig", [ROOM, work_station(), ANGLES], ids=["ranges", "phases", "angles"])
-def test_the_page_computes_the_bounds_that_python_computes(browser, tmp_path, rig):
-    page, floor, errors = _opened(browser, tmp_path, rig)
+@pytest.mark.parametrize(
+    ("rig", "sigmas"),
+    [(ROOM, SIGMAS), (ROOM, SIGMAS._replace(difference=0.15)), (work_station(), SIGMAS), (ANGLES, SIGMAS)],
+    ids=["ranges", "range differences", "phases", "angles"],
+)
+def test_the_page_computes_the_bounds_that_python_computes(browser, tmp_path, rig, sigmas):
+    page, floor, errors = _opened(browser, tmp_path, rig, sigmas)
     _compare(page, floor)
     assert not errors
 
