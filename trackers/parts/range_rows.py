@@ -14,6 +14,9 @@ from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
 
+COLLINEAR = 1e-2
+"""Ratio of the horizontal singular values of the anchor positions below which the anchors count as collinear."""
+
 
 def range_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's ranges, one row per table row, with the inputs of `range_inputs`, and `room`."""
@@ -67,6 +70,14 @@ def range_inputs(
 def anchor_positions(folder: RecordingFolder) -> np.ndarray:
     """The anchors' positions (A, 3), m, in the order of their ids."""
     return np.stack([np.asarray(folder.rig.anchors[a], float) for a in sorted(folder.rig.anchors)])
+
+
+def lacks_a_plane(positions: np.ndarray) -> str | None:
+    """What anchors at these positions (A, 3), m, lack for a position over the floor, in words."""
+    sizes = np.linalg.svd(positions[:, :2] - positions[:, :2].mean(axis=0), compute_uv=False)
+    if sizes[1] > COLLINEAR * sizes[0]:
+        return None
+    return f"anchors that span a plane, found all {len(positions)} on one line or at one place seen from above"
 
 
 def room_of_anchors(folder: RecordingFolder, rows: int) -> dict[str, np.ndarray]:

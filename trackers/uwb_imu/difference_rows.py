@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.data.recording import Readings
-from trackwright.trackers.parts.range_rows import anchor_positions, room_of_anchors
+from trackwright.trackers.parts.range_rows import anchor_positions, lacks_a_plane, room_of_anchors
 from trackwright.trackers.parts.recent_positions import WINDOWS_S
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -122,10 +122,12 @@ def recent_hyperbolic_positions(
     result = np.zeros((len(times), 4))
     tag = np.repeat(np.arange(len(heights)), np.diff(starts))
     row, slot = np.nonzero(readings.seen)
+    if not len(row):
+        return result
     # Of each row, the differences up to its last.
     until, since = np.searchsorted(row, np.arange(len(times)), "right"), np.searchsorted(row, starts[tag])
-    period = np.floor((times - times[starts[tag]]) / SPACING_S) if len(times) else times
-    begins = np.append(True, (np.diff(period) != 0) | (np.diff(tag) != 0))[: len(times)]
+    period = np.floor((times - times[starts[tag]]) / SPACING_S)
+    begins = np.append(True, (np.diff(period) != 0) | (np.diff(tag) != 0))
     for window in WINDOWS_S:
         for known in (True, False):
             wanted = np.flatnonzero(begins & (result[:, 3] == 0) & (np.isfinite(heights[tag]) == known))
@@ -159,6 +161,9 @@ def lacks_differences(folder: RecordingFolder) -> str | None:
             "range differences of a tag among at least 4 anchors, or 5 where rig.toml gives it no height_m, found "
             f"{counts.max(initial=0)} at most"
         )
+    line = lacks_a_plane(anchors[heard.any(axis=0)])
+    if line is not None:
+        return line
     apart = np.linalg.norm(anchors[number[:, 0]] - anchors[number[:, 1]], axis=1)
     median, most = float(np.median(np.abs(values[seen]))), float(np.median(apart[seen[:, 0]]))
     if median > most:

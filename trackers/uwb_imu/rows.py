@@ -15,6 +15,7 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.parts.range_rows import (
     anchor_positions,
+    lacks_a_plane,
     range_inputs,
     range_rows,
     range_trajectories,
@@ -49,9 +50,6 @@ MIN_ANCHORS = 3
 
 WINDOWS = (0.1, 0.25, 0.5, 1.0)
 """Candidate times, s, for which a range stays valid in a snapshot of the latest ranges."""
-
-COLLINEAR = 1e-2
-"""Ratio of the horizontal singular values of the anchor positions below which the anchors count as collinear."""
 
 MAX_RANGE_RATIO = 20.0
 """Largest plausible median range, as a multiple of the anchors' extent."""
@@ -236,9 +234,9 @@ def lacks_ranges(folder: RecordingFolder) -> str | None:
             f"{counts.max(initial=0)} at most"
         )
     positions = anchor_positions(folder)[heard.any(axis=0)]
-    sizes = np.linalg.svd(positions[:, :2] - positions[:, :2].mean(axis=0), compute_uv=False)
-    if sizes[1] <= COLLINEAR * sizes[0]:
-        return f"anchors that span a plane, found all {len(positions)} on one line or at one place seen from above"
+    line = lacks_a_plane(positions)
+    if line is not None:
+        return line
     median, extent = float(np.median(ranges[positive])), float(np.ptp(positions, axis=0).max())
     if median > MAX_RANGE_RATIO * extent:
         return (

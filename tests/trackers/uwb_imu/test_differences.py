@@ -183,6 +183,13 @@ def test_starts_near_the_truth_ten_times_in_two_seconds():
     assert np.linalg.norm(nearby[known, :2] - PATH[:20][known, :2], axis=1).max() < 0.6
 
 
+def test_anchors_on_a_line_are_refused():
+    folder = _folder(RING)
+    line = {name: place * [1, 0, 1] for name, place in ANCHORS.items()}
+    with pytest.raises(UnusableInput, match="anchors that span a plane, found all 6 on one line"):
+        build(TDOA, replace(folder, rig=replace(folder.rig, anchors=line)))
+
+
 @pytest.mark.parametrize(
     ("change", "pairs", "message"),
     [
