@@ -151,10 +151,10 @@ def lacks_differences(folder: RecordingFolder) -> str | None:
         return "a tdoa table with at least 4 anchors, found no such table"
     rows, anchors = folder.rows(TDOA), anchor_positions(folder)
     number, (values, seen) = anchor_pairs(folder, rows), rows.values(["range_difference_m"])
-    heard = np.zeros((len(rows.tags), len(anchors)), bool)
-    tag = rows.of_each(np.arange(len(rows.tags)))[seen[:, 0]]
-    for column in number[seen[:, 0]].T:
-        heard[tag, column] = True
+    part = np.flatnonzero(seen[:, 0] & (number[:, 0] != number[:, 1]))
+    number, sizes, heard = number[part], np.abs(values[part, 0]), np.zeros((len(rows.tags), len(anchors)), bool)
+    for column in number.T:
+        heard[rows.of_each(np.arange(len(rows.tags)))[part], column] = True
     counts, needed = heard.sum(axis=1), np.where(np.isnan(known_heights(folder, rows.tags)), 5, 4)
     if not (counts >= needed).any():
         return (
@@ -165,7 +165,7 @@ def lacks_differences(folder: RecordingFolder) -> str | None:
     if line is not None:
         return line
     apart = np.linalg.norm(anchors[number[:, 0]] - anchors[number[:, 1]], axis=1)
-    median, most = float(np.median(np.abs(values[seen]))), float(np.median(apart[seen[:, 0]]))
+    median, most = float(np.median(sizes)), float(np.median(apart))
     if median > most:
         return (
             f"range differences in metres, found a median of {median:.4g} between anchors {most:.4g} m apart; "

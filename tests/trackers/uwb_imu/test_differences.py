@@ -193,6 +193,7 @@ def test_anchors_on_a_line_are_refused():
 @pytest.mark.parametrize(
     ("change", "pairs", "message"),
     [
+        (lambda table: table.with_columns(anchor_2="anchor"), RING, "found 0 at most"),
         (lambda table: table, RING[:3], "at least 4 anchors, or 5 where rig.toml gives it no height_m, found 4"),
         (
             lambda table: table.with_columns(pl.col("range_difference_m") * 1000),

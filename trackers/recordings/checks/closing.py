@@ -117,9 +117,10 @@ def moments(recording: RecordingFolder, table: str) -> Moments | None:
     rig, rows, kind = recording.rig, recording.rows(table), KINDS[table]
     measured = kind.measured(rig, rows)
     whole = np.flatnonzero(np.isfinite(measured.values[:MOST_ROWS]).all(axis=1))
-    used, sensor = np.unique(measured.sensors.number[whole], return_inverse=True)
+    sensors = measured.sensors.number[whole]
+    used, sensor = np.unique(sensors, return_inverse=True)
     ids, places, axes = tuple(measured.ids[k] for k in used), measured.sensors.places[used], measured.sensors.axes[used]
-    columns, number = np.unique(sensor.reshape(len(whole), -1), axis=0, return_inverse=True)
+    columns, number = np.unique(sensor.reshape(sensors.shape), axis=0, return_inverse=True)
     number = number.ravel()
     if not 2 <= len(ids) <= MOST_SENSORS or np.linalg.norm(np.ptp(places, axis=0)) < LEAST_EXTENT_M:
         return None
