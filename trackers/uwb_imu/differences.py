@@ -124,7 +124,7 @@ def difference_tracker(
 
     Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeDifferenceSensor`. Motion and noise are those of
     `range_tracker`, a difference having the noise of two ranges; the biases, which hold clock errors and obstruction,
-    too, are those with which the ellipses of simulated rooms hold (docs/decisions.md). Above `MAX_BIASES` anchors the
+    too, are wider and shorter, by simulated rooms and three flights (docs/decisions.md). Above `MAX_BIASES` anchors the
     state has no biases.
     """
     require(is_count(anchors), "difference_tracker", anchors, "the number of anchors, as len(rig.anchors)")
