@@ -36,7 +36,7 @@ class Pairs(NamedTuple):
 
     `true` and `measured` (N, 2) rad or (N, 1) m, NaN where not measured. `positions` (N, 3) m. `recording` (N,): the
     number of each row's recording. `piece`, `place` (N,): numbers of its piece of time and of its square. `tag` (N,):
-    its id.
+    its id. `time` (N,) s. `time` (N,) s.
     """
 
     true: np.ndarray
@@ -46,6 +46,7 @@ class Pairs(NamedTuple):
     piece: np.ndarray
     place: np.ndarray
     tag: np.ndarray
+    time: np.ndarray
 
 
 def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind) -> dict[str, Pairs]:
@@ -89,6 +90,7 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
                 piece[mask],
                 place[mask],
                 tag[mask],
+                rows.times[mask],
             ),
         )
 

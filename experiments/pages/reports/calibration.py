@@ -35,6 +35,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import calibrate
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
+from trackwright.tuning.lasting_errors import LastingErrors, Series, lasting_errors, series_of
 
 WIDTH = 150
 SHOWN = 12
@@ -48,6 +49,8 @@ TAG_HEAD = ("tag", "bias, m", "rows")
 _ERRORS = ("rows", "as measured", "calibrated", "left out")
 ANGLE_HEAD = ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS)
 RANGE_HEAD = ("anchor", "bias, m", "slope", *_ERRORS)
+_LASTS = "correlated for, s"
+LASTING_HEAD = ("source", "quantity", "lasting", "white noise", _LASTS, "and over, m")
 NOT_LINEAR = ", not linear"
 """What follows the name of an anchor whose errors differ by distance after the line is removed."""
 
@@ -58,6 +61,8 @@ NOTES = {
     "(p < 0.001); see the figures.",
     "as measured": "As measured, calibrated: 68th percentile of the absolute error before and after.",
     "left out": "Left out: cross-validated, by a calibration on the other recordings.",
+    _LASTS: "Errors that last: standard deviations of a Gauss–Markov error and of white noise beside it, time constant "
+    "and length, with 95 % intervals, of the errors left out; – where these recordings do not determine them.",
 }
 """What the tables' marks mean, by the text that has to occur in them."""
 
@@ -87,6 +92,14 @@ class Source(NamedTuple):
             expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
         return self.pairs.measured[:, k] - expected
 
+    def series(self, errors: np.ndarray) -> Iterator[Series]:
+        """The errors (N,) along the path of each tag in each recording."""
+        pairs = self.pairs
+        for number in np.unique(pairs.recording):
+            for tag in np.unique(pairs.tag[pairs.recording == number]):
+                part = (pairs.recording == number) & (pairs.tag == tag)
+                yield series_of(pairs.time[part], pairs.positions[part], errors[part])
+
     def bend(self, calibration: Calibration) -> str:
         """`NOT_LINEAR` where the ranges contradict the line of the calibration."""
         errors = self.errors(calibration)
@@ -107,12 +120,14 @@ class Source(NamedTuple):
 class Report(NamedTuple):
     """The tables of a calibration, by station and angle, by anchor, and by tag where there are several.
 
+    `lasting`: by station and angle and by anchor, how large the errors left out are and how long they last.
     `undetermined`: each source with the terms that are not determined.
     """
 
     stations: list[list[str]]
     anchors: list[list[str]]
     tags: list[list[str]]
+    lasting: list[list[str]]
     undetermined: list[tuple[str, str]]
     sources: list[Source]
 
@@ -123,7 +138,8 @@ class Report(NamedTuple):
         for (title, head, texts), rows in zip(heads, (self.stations, self.anchors), strict=True):
             width = len(head) - all(row[-1] == MISSING for row in rows)
             tables.append((title, head[:width], texts, [row[:width] for row in rows]))
-        return [*tables, ("Tags, relative to their mean", TAG_HEAD, 1, self.tags)]
+        tables.append(("Tags, relative to their mean", TAG_HEAD, 1, self.tags))
+        return [*tables, ("Errors that last, left out", LASTING_HEAD, 2, self.lasting)]
 
     @property
     def note(self) -> str:
@@ -139,7 +155,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     sources = list(_sources(folders))
     without = _without_each(folders)
     tables: tuple[list[list[str]], list[list[str]]] = ([], [])
-    undetermined = []
+    undetermined, series = [], {}
     for source in sources:
         terms, covariance, determined, names = _fit(calibration, source)
         sigmas = np.sqrt(np.diag(covariance))
@@ -149,9 +165,10 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
             if other is not None:
                 of_recording = source.pairs.recording == number
                 left_out[of_recording] = source.errors(other)[of_recording]
+        series[source.name, source.quantity] = list(source.series(left_out))
         measured = source.errors(None)
         spreads = [source.spread(errors) for errors in (measured, source.errors(calibration), left_out)]
-        factor, unit = (DEGREES, "°") if source.is_angle else (100.0, " cm")
+        factor, unit = _shown(source.quantity)
         shown = [MISSING if np.isnan(spread) else fixed(factor * spread, 1) + unit for spread in spreads]
         head = [source.name, source.quantity] if source.is_angle else [source.name + source.bend(calibration)]
         tables[not source.is_angle].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
@@ -160,7 +177,8 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
             word = f"station {source.name}, {source.quantity}" if source.is_angle else f"anchor {source.name}"
             undetermined.append((word, ", ".join(lacking)))
     tags = [[name, _term(tag.bias, tag.sigma, True), str(tag.rows)] for name, tag in calibration.tags.items()]
-    return Report(*tables, tags if len(tags) > 1 else [], undetermined, sources)
+    lasting = [[*key, *_lasting(numbers, *_shown(key[1]))] for key, numbers in lasting_errors(series).items()]
+    return Report(*tables, tags if len(tags) > 1 else [], lasting, undetermined, sources)
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
@@ -189,6 +207,23 @@ def _fit(calibration: Calibration, source: Source) -> tuple[np.ndarray, np.ndarr
         return station.coefficients[k], station.covariances[k], station.determined[k], ANGLE_TERMS
     anchor = calibration.anchors[source.name]
     return anchor.coefficients, anchor.covariance, anchor.determined, RANGE_TERMS
+
+
+def _shown(quantity: str) -> tuple[float, str]:
+    """The factor and the unit with which sizes of errors are shown."""
+    return (DEGREES, "°") if quantity in ANGLES else (100.0, " cm")
+
+
+def _lasting(numbers: LastingErrors, factor: float, unit: str) -> list[str]:
+    """The cells of the four numbers, each with its interval where it is determined."""
+    scales, units, digits = (factor, factor, 1.0, 1.0), (unit, unit, "", ""), (1, 1, 1, 2)
+    cells = []
+    for value, interval, known, scale, of, count in zip(
+        numbers.values, numbers.intervals, numbers.determined, scales, units, digits, strict=True
+    ):
+        low, high = (fixed(scale * end, count) for end in interval)
+        cells.append(f"{fixed(scale * value, count)}{of} [{low}, {high}]" if known else MISSING)
+    return cells
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:
@@ -250,7 +285,7 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
         (kind, [reading_chart(panel) for panel in panels], floor_image(panels, n))
         for kind, n, panels in _panels(calibration, report)
     ]
-    stations, anchors, _ = report.tables()
+    stations, anchors, _, lasting = report.tables()
     text = page(
         "calibration.html",
         title=f"Calibration on {counted(len(calibration.recordings), 'recording')}",
@@ -258,6 +293,7 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
         stations=stations,
         anchors=anchors,
         tag_head=TAG_HEAD,
+        lasting=lasting,
         report=report,
         figures=figures,
         several=len(calibration.recordings) > 1,

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from tests.in_process import assert_refused, trackwright
-from tests.tuning.calibration_worlds import RIG, world
+from tests.tuning.calibration_worlds import LENGTH, RIG, TIME, world
 from trackwright.experiments.cli.tuning_job import cross_calibrated
 from trackwright.experiments.pages.reports.calibration import report_on
 from trackwright.trackers.core.model.rig import Rig, Tag
@@ -104,6 +104,19 @@ def test_an_anchor_whose_errors_have_a_step_is_marked_and_the_note_explains_only
     alone = report_on(calibrate(folders[:1]), folders[:1])
     assert "Left out: " not in alone.note
     assert [head[-1] for _, head, _, rows in alone.tables() if rows] == ["calibrated"]
+
+
+def test_the_report_says_how_large_the_errors_of_readings_are_and_how_long_they_last():
+    _, folders = world(5, 4, seconds=120.0)
+    report = report_on(calibrate(folders), folders)
+    assert "Errors that last: " in report.note
+    rows = [row for row in report.lasting if row[1] == "range"]
+    assert [row[0] for row in rows] == ["A", "B", "C", "D"]
+    numbers = np.array([[float(cell.split()[0]) for cell in row[2:]] for row in rows])
+    # The errors of ranges that `calibration_worlds` draws: 10 cm that last for 7.5 s and 0.28 m, 3 cm of white
+    # noise; beside them those of the terms of the other recordings, which last longer.
+    assert np.exp(np.log(numbers).mean(axis=0)) == pytest.approx([10.0, 3.0, TIME, LENGTH], rel=0.2)
+    assert report_on(calibrate(folders[:1]), folders[:1]).lasting == []
 
 
 @pytest.mark.parametrize("table", ["bearings", pytest.param("uwb", marks=pytest.mark.slow)])

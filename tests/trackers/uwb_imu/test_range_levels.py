@@ -12,6 +12,7 @@ from trackwright.trackers.parts.range_rows import range_trajectories
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.calibration import UNCALIBRATED, AnchorCalibration, Calibration
 from trackwright.trackers.uwb_imu.fusion import range_levels
+from trackwright.tuning.lasting_errors import lasting_errors, series_of
 
 ANCHOR = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.array([0.0, 20.0]))
 
@@ -75,15 +76,39 @@ def _walks(time_constant, length):
     return recordings, truth[:, :, :2]
 
 
+def _inside(tracker, recordings, truth):
+    """The share of true positions (R, T, 2), m, inside the 95 % ellipses, after the first two seconds."""
+    estimates = tracker.run(recordings)
+    error = (np.stack([np.asarray(x) for x in estimates.mean.position], axis=-1) - truth)[:, 40:]
+    cov = np.asarray(estimates.covariance)[:, 40:, :2, :2]
+    return np.mean(np.einsum("rti,rtij,rtj->rt", error, np.linalg.inv(cov), error) < 5.991)
+
+
 @pytest.mark.slow
 def test_smoothed_ellipses_of_a_calibrated_site_hold_the_truth_whatever_the_biases_time_scale():
     """Biases that last for 2 to 30 s and 0.5 to 1.5 m: inside 93 to 97 %."""
     levels = range_levels(Calibration(anchors={"A": ANCHOR}, range_spread=SPREAD))
     tracker = tw.Smoothed(tw.range_tracker(4, planar=True, **levels))
     for scales in ((2.0, 0.5), (5.0, 1.5), (30.0, 0.8)):
-        recordings, truth = _walks(*scales)
-        estimates = tracker.run(recordings)
-        error = (np.stack([np.asarray(x) for x in estimates.mean.position], axis=-1) - truth)[:, 40:]
-        cov = np.asarray(estimates.covariance)[:, 40:, :2, :2]
-        nees = np.einsum("rti,rtij,rtj->rt", error, np.linalg.inv(cov), error)
-        assert 0.93 < np.mean(nees < 5.991) < 0.97, scales
+        assert 0.93 < _inside(tracker, *_walks(*scales)) < 0.97, scales
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scales", [(2.0, 0.5), (5.0, 1.5), (30.0, 0.8)])
+def test_ellipses_with_levels_estimated_on_other_walks_hold_93_to_97_percent_of_the_truth(scales):
+    recordings, truth = _walks(*scales)
+    height = np.full((ROWS, 1), HEIGHT)
+    series = []
+    for recording, path in zip(recordings[:40], truth[:40], strict=True):
+        ranges = recording.readings[RANGES].values[:, 0]
+        for k, anchor in enumerate(ANCHORS):
+            heard = slice(k, None, 4)
+            positions = np.hstack([path, height])[heard]
+            errors = ranges[heard] - np.linalg.norm(positions - anchor, axis=1)
+            series.append(series_of(np.asarray(recording.times)[heard], positions, errors))
+    sigma, noise, time_constant, length = lasting_errors({"all": series})["all"].values
+    levels = {"sigma_bias": sigma, "sigma_r": noise, "time_constant": time_constant, "length": length, "bias": 0.0}
+    white = {"positive_skew": 1.0, "dof": 100.0, "sigma_shared": 0.001}
+    tracker = tw.range_tracker(4, planar=True, **levels, **white)
+    for kind in (tracker, tw.Smoothed(tracker)):
+        assert 0.93 < _inside(kind, recordings[40:], truth[40:]) < 0.97, kind
