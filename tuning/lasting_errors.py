@@ -14,8 +14,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from scipy.ndimage import median_filter
 
-GAP_S, MOST = 0.1, 1000
-"""Least time between the rows of a series, s, and their most."""
+GAP_S, MOST = 0.5, 1000
+"""Least time between the rows of a series, s, over which `bearings` averages readings that repeat, and their most."""
 
 STEP_M = 0.1
 """Distance, m, of the corners along which a way is measured: the noise of a truth at rest adds nothing to it."""
@@ -33,7 +33,7 @@ DETERMINED = 0.7
 Source = TypeVar("Source")
 
 _STEPS, _DIFFERENCE, _CONVERGED = 40, 0.03, 1e-3
-_SHARES = np.array([1.0, 0.5, 0.2, 0.05])
+_SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
 
 
 class Series(NamedTuple):
@@ -66,12 +66,12 @@ def series_of(times: np.ndarray, positions: np.ndarray, errors: np.ndarray) -> S
     seen = np.flatnonzero(np.isfinite(errors))
     if not len(seen):
         return Series(*(np.zeros(0),) * 3)
-    away = np.abs(errors[seen] - median_filter(errors[seen], NEIGHBOURS, mode="mirror"))
-    limit = SPIKE * 1.4826 * float(np.median(away))
-    # Where most readings repeat the one before, the median says nothing.
-    seen = seen[away <= limit] if limit > 0.0 else seen
     cell = np.floor((times[seen] - times[seen[0]]) / max(GAP_S, float(np.ptp(times[seen])) / MOST))
     kept = seen[np.append(True, np.diff(cell) > 0)]
+    away = np.abs(errors[kept] - median_filter(errors[kept], NEIGHBOURS, mode="mirror"))
+    limit = SPIKE * 1.4826 * float(np.median(away))
+    # Where most readings repeat the one before, the median says nothing.
+    kept = kept[away <= limit] if limit > 0.0 else kept
     way, begun, corner, far = np.zeros(len(kept)), 0.0, positions[kept[0]], 0.0
     for k, position in enumerate(positions[kept]):
         far = max(far, float(np.linalg.norm(position - corner)))
@@ -102,7 +102,8 @@ def lasting_errors(series: Mapping[Source, Sequence[Series]]) -> dict[Source, La
         value, gradient, information = _quadratic(log_posterior, logarithms)
         eigenvalues, axes = np.linalg.eigh(information)
         curvature = np.maximum(np.abs(eigenvalues), 1.0 / WIDTH**2)
-        step = np.clip(np.einsum("nij,nj,nkj,nk->ni", axes, 1.0 / curvature, axes, gradient), -1.0, 1.0)
+        step = np.einsum("nij,nj,nkj,nk->ni", axes, 1.0 / curvature, axes, gradient)
+        step /= np.maximum(np.abs(step).max(axis=1, keepdims=True), 1.0)
         trials = logarithms + _SHARES[:, None, None] * step
         values = log_posterior(trials)
         best = values.argmax(axis=0), np.arange(len(series))
