@@ -115,7 +115,7 @@ def test_the_report_says_how_large_the_errors_of_readings_are_and_how_long_they_
     numbers = np.array([[float(cell.split()[0]) for cell in row[2:]] for row in rows])
     # The errors of ranges that `calibration_worlds` draws: 10 cm that last for 7.5 s and 0.28 m, 3 cm of white
     # noise; beside them those of the terms of the other recordings, which last longer.
-    assert np.exp(np.log(numbers).mean(axis=0)) == pytest.approx([10.0, 3.0, TIME, LENGTH], rel=0.2)
+    assert np.exp(np.log(numbers).mean(axis=0)) == pytest.approx([10.0, 3.0, TIME, LENGTH], rel=0.1)
     assert report_on(calibrate(folders[:1]), folders[:1]).lasting == []
 
 
