@@ -22,7 +22,7 @@ from trackwright.trackers.core.errors import UnusableInput, has_control, one_lin
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.comparison import LEAST_PIECES, METRICS, Difference, jackknifed
 from trackwright.trackers.evaluation.evaluate import Evaluation
-from trackwright.trackers.evaluation.metrics import metric_rows
+from trackwright.trackers.evaluation.metrics import MetricRows
 from trackwright.trackers.evaluation.scores import Scores
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES
@@ -109,7 +109,7 @@ class Run:
         assert self.scores is not None
         recordings, tracks = self.recordings.frame.sort("recording"), self.tracks.frame
         keys = [name for name in ("recording", "tag", "station") if name in tracks.columns]
-        return Evaluation(self.bearing, metric_rows(self.scores)[0], Rows(recordings), Rows(tracks.sort(keys)))
+        return Evaluation(self.bearing, MetricRows(self.scores)[0], Rows(recordings), Rows(tracks.sort(keys)))
 
     def write(self, out: Path) -> Evaluation:
         """Writes the metrics into the folder `out` and returns them."""

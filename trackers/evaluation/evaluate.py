@@ -24,7 +24,7 @@ from trackwright.trackers.evaluation.association import (
     associate_truth,
     refuse_without_overlap,
 )
-from trackwright.trackers.evaluation.metrics import metric_rows
+from trackwright.trackers.evaluation.metrics import MetricRows
 from trackwright.trackers.evaluation.scores import Scores
 from trackwright.trackers.evaluation.scoring import score, scores_of_tracks
 from trackwright.trackers.evaluation.statements import covariance_statements
@@ -130,7 +130,7 @@ def _ratios(estimates: Tracks | Estimates | pl.DataFrame | Association) -> dict[
 class TrackScores(NamedTuple):
     """The scores of tracks: the `keys` that identify each, and whether they are bearings."""
 
-    keys: Sequence[Mapping[str, str]]
+    keys: pl.DataFrame
     bearing: bool
     scores: Scores
 
@@ -140,18 +140,19 @@ class TrackScores(NamedTuple):
     ) -> TrackScores:
         """The tracks of associated estimates; `stations`, `every` as in `evaluate_table`."""
         rows = association.rows
-        keys = rows.select(track_keys(rows))[association.starts[:-1]].to_dicts()
+        keys = rows.select(track_keys(rows))[association.starts[:-1]]
         return cls(keys, is_bearing(rows), scores_of_tracks(association, score(association, stations, every)))
 
     @classmethod
     def joined(cls, parts: Sequence[TrackScores]) -> TrackScores:
         """The tracks of all parts."""
-        keys = [key for part in parts for key in part.keys]
-        return cls(keys, parts[0].bearing, Scores.joined([part.scores for part in parts]))
+        return cls(
+            pl.concat([part.keys for part in parts]), parts[0].bearing, Scores.joined([part.scores for part in parts])
+        )
 
     def recordings(self, ratios: Mapping[str, float]) -> tuple[list[str], Scores]:
         """The names of the recordings and their scores; `ratios`: of their residuals, see `residual_ratios`."""
-        names = [key["recording"] for key in self.keys]
+        names = self.keys["recording"].to_list()
         first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
         single = len(first) == len(names)
         scores = self.scores if single else self.scores.grouped(np.array([*first, len(names)]))
@@ -162,11 +163,9 @@ class TrackScores(NamedTuple):
     def evaluation(self, ratios: Mapping[str, float] | None = None) -> Evaluation:
         """The metrics by track, by recording and overall."""
         names, recordings = self.recordings(ratios or {})
-        (overall,) = metric_rows(recordings.grouped(np.array([0, len(names)])))
-        labels = {name: [key[name] for key in self.keys] for name in self.keys[0]} if self.keys else {}
-        return Evaluation(
-            self.bearing, overall, metric_rows(recordings, {"recording": names}), metric_rows(self.scores, labels)
-        )
+        (overall,) = MetricRows(recordings.grouped(np.array([0, len(names)])))
+        tracks = MetricRows(self.scores, self.keys.to_dict(as_series=False))
+        return Evaluation(self.bearing, overall, MetricRows(recordings, {"recording": names}), tracks)
 
 
 def _of(name: str, values: Mapping[str, T]) -> dict[str, T]:
@@ -248,24 +247,20 @@ def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
 
 def _true_paths(recordings: Sequence[Recording]) -> TruePaths:
     """The true paths of recordings in arrays, each of one trajectory, which its name identifies."""
-    names = numbered_names([recording.name for recording in recordings])
-    true = [
-        (name, recording) for name, recording in zip(names, recordings, strict=True) if "position" in recording.truth
-    ]
-    starts = np.cumsum([0, *(len(recording.times) for _, recording in true)])
-    times = np.concatenate([recording.times for _, recording in true])
-    known = np.concatenate([recording.truth["position"][1] for _, recording in true])
+    numbered = zip(numbered_names([recording.name for recording in recordings]), recordings, strict=True)
+    true = [(name, r.times, *r.truth["position"]) for name, r in numbered if "position" in r.truth]
+    names, all_times, values, all_known = zip(*true, strict=True)
+    times, known, lengths = np.concatenate(all_times), np.concatenate(all_known), [len(x) for x in values]
+    dimensions = np.repeat([x.shape[1] for x in values], lengths)
     positions = np.full((len(times), 3), np.nan)
-    for start, (_, recording) in zip(starts, true, strict=False):
-        values = recording.truth["position"][0]
-        positions[start : start + len(values), : values.shape[1]] = values
-    path = np.repeat(np.arange(len(true)), np.diff(starts))[known]
+    positions[np.arange(3) < dimensions[:, None]] = np.concatenate(values, axis=None)
+    path = np.repeat(np.arange(len(true)), lengths)
     # Of rows of one time the first counts, as in a table.
-    first = np.append(True, (np.diff(times[known]) > 0) | (np.diff(path) > 0))[: len(path)]
-    count = np.bincount(path[first], minlength=len(true))
-    return TruePaths(
-        [name for name, _ in true], np.append(0, np.cumsum(count)), times[known][first], positions[known][first]
-    )
+    kept = np.flatnonzero(known)
+    later = (np.diff(times[kept]) > 0) | (np.diff(path[kept]) > 0)
+    kept = kept[np.append(True, later)[: len(kept)]]
+    count = np.bincount(path[kept], minlength=len(true))
+    return TruePaths(names, np.append(0, np.cumsum(count)), times[kept], positions[kept])
 
 
 def _true_positions(recording: Recording) -> pl.DataFrame:

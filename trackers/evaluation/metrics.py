@@ -9,6 +9,7 @@ unless the name has `3d`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -226,10 +227,33 @@ def metrics(scores: Scores) -> dict[str, np.ndarray]:
     return values
 
 
-def metric_rows(scores: Scores, labels: Mapping[str, Sequence[str]] | None = None) -> list[dict[str, Any]]:
-    """The metrics of each group by name, None where there are no data; `labels` (g,) by name go before."""
-    columns: dict[str, Sequence[Any]] = {**(labels or {})}
-    for name, values in metrics(scores).items():
-        missing = np.isnan(values)
-        columns[name] = [None if x != x else x for x in values.tolist()] if missing.any() else values.tolist()
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+class MetricRows(Sequence[dict[str, Any]]):
+    """The metrics of each of g groups by name, None where there are no data; `labels` (g,) by name go before.
+
+    Computed when the first is asked for.
+    """
+
+    def __init__(self, scores: Scores, labels: Mapping[str, Sequence[str]] | None = None) -> None:
+        self._scores, self._labels = scores, labels or {}
+
+    @cached_property
+    def _columns(self) -> dict[str, Sequence[Any]]:
+        columns: dict[str, Sequence[Any]] = {**self._labels}
+        for name, values in metrics(self._scores).items():
+            missing = np.isnan(values)
+            columns[name] = [None if x != x else x for x in values.tolist()] if missing.any() else values.tolist()
+        return columns
+
+    def __len__(self) -> int:
+        return len(self._scores["n"])
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[k] for k in range(len(self))[index]]
+        return {name: values[index] for name, values in self._columns.items()}
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and [*self] == [*other]
+
+    def __repr__(self) -> str:
+        return repr([*self])

@@ -71,15 +71,16 @@ def rank_sums(
         return result
     track = np.repeat(np.arange(n_tracks), np.diff(starts))[rows]
     u = _ranks(values[rows], dof[rows], track)
-    first = np.flatnonzero(_changes(track))
-    elapsed = times[rows] - np.repeat(times[rows[first]], np.diff(np.append(first, len(rows))))
+    begins = np.flatnonzero(_changes(track))
+    elapsed = times[rows] - np.repeat(times[rows[begins]], np.diff(np.append(begins, len(rows))))
     for name, lag in LAGS_S.items():
         i, j = _pairs(elapsed, track, lag)
-        for what, x in zip(PAIRED, (u[i] * u[j], u[i] ** 2, u[j] ** 2, np.ones(len(i))), strict=True):
-            result[f"{what} {name}"] = np.bincount(track[i], x, minlength=n_tracks)
-    first = np.flatnonzero(_changes(track, np.floor(elapsed / WINDOW_S)))
-    sums = np.add.reduceat(u, first)
-    of_windows = (track[first], sums**2), (track, u**2), (track, np.ones(len(u)))
+        first, second, of_track = u[i], u[j], track[i]
+        for what, x in zip(PAIRED, (first * second, first**2, second**2, np.ones(len(i))), strict=True):
+            result[f"{what} {name}"] = np.bincount(of_track, x, minlength=n_tracks)
+    begins = np.flatnonzero(_changes(track, np.floor(elapsed / WINDOW_S)))
+    sums = np.add.reduceat(u, begins)
+    of_windows = (track[begins], sums**2), (track, u**2), (track, np.ones(len(u)))
     for name, (of_track, x) in zip(WINDOWED, of_windows, strict=True):
         result[name] = np.bincount(of_track, x, minlength=n_tracks)
     return result

@@ -6,20 +6,24 @@ long as the tag stays there, and covariances are too small.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from trackwright.trackers.core.data.recording import Columns
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.state import wrap
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.recordings.columns import run_starts
 from trackwright.trackers.recordings.tracks import Tracks, from_origins
-from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.recordings.trajectories import Trajectories
 
 BLOCK_S = 5.0
 """Time, s, over which residuals are averaged."""
@@ -38,55 +42,75 @@ def residual_ratios(tracks: Tracks) -> dict[str, float]:
     robust standard deviation (median absolute deviation) of all residuals. At most about 1 for normal residuals,
     however correlated. Of sensors that measure a position, the largest of their channels.
     """
-    residuals: dict[str, dict[str, list[np.ndarray]]] = {}
-    rows: dict[str, int] = {}
     if "x_m" not in tracks.table.columns:
         return {}
     table = from_origins(tracks.table, tracks.batches)
     estimates = table.select("recording", "tag", "t_s", "x_m", "y_m", "z_m").drop_nulls(["x_m", "y_m"])
-    of_tags = estimates.partition_by(["recording", "tag"], as_dict=True)
+    starts = run_starts(estimates, ["recording", "tag"])
+    keys = estimates.select("recording", "tag")[starts[:-1]].rows()
+    estimated = dict(zip(keys, map(slice, starts[:-1], starts[1:]), strict=True))
+    residuals: dict[str, dict[str, list[np.ndarray]]] = defaultdict(lambda: defaultdict(list))
+    rows: Counter[str] = Counter()
     for batch in tracks.batches:
         tracker = batch.tracker.tracker if isinstance(batch.tracker, Smoothed) else batch.tracker
         sensors = tracker.sensors if isinstance(tracker, Tracker) else {}
-        for trajectory in batch.trajectories:
-            of_tag = of_tags.get((trajectory.folder.name, trajectory.tag))
-            if of_tag is None or rows.get(trajectory.folder.name, 0) > MOST_ROWS:
-                continue
-            channels, number = residuals.setdefault(trajectory.folder.name, {}), rows.get(trajectory.folder.name, 0)
-            for name, sensor in sensors.items():
-                if sensor.view_fields == ("position",):
-                    for channel, values in _residuals(name, sensor, trajectory, of_tag, batch.planar):
-                        # The rows so far tell trajectories apart.
-                        values = np.column_stack([values, np.full(len(values), number)])
-                        channels.setdefault(channel, []).append(values)
-            rows[trajectory.folder.name] = number + len(trajectory.recording)
+        sensors = {name: sensor for name, sensor in sensors.items() if sensor.view_fields == ("position",)}
+        trajectories = Trajectories.of(batch.trajectories)
+        keys = [(folder.name, tag) for folder, tag in zip(trajectories.folders, trajectories.tags, strict=True)]
+        chosen, before = [], []
+        for k, length in enumerate(np.diff(trajectories.columns.starts).tolist()):
+            recording = keys[k][0]
+            if sensors and keys[k] in estimated and rows[recording] <= MOST_ROWS:
+                chosen.append(k)
+                # The rows so far tell trajectories apart.
+                before.append(rows[recording])
+                rows[recording] += length
+        if not chosen:
+            continue
+        columns, names = trajectories.columns.chosen(np.array(chosen)), [keys[k][0] for k in chosen]
+        parts, axes = [estimated[keys[k]] for k in chosen], "xy" if batch.planar else "xyz"
+        first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
+        position = _interpolated(estimates, parts, columns, axes)
+        for channel, values, seen in _residuals(sensors, columns, position, np.array(before)):
+            for a, b in pairwise([*first, len(names)]):
+                part = slice(*columns.starts[[a, b]])
+                residuals[names[a]][channel].append(values[part][seen[part]])
     ratios = {
-        name: [r for parts in channels.values() if (r := _ratio(np.concatenate(parts))) is not None]
+        name: [r for values in channels.values() if (r := _ratio(np.concatenate(values))) is not None]
         for name, channels in residuals.items()
     }
     return {name: max(each) for name, each in ratios.items() if each}
 
 
+def _interpolated(estimates: pl.DataFrame, parts: Sequence[slice], columns: Columns, axes: str) -> Vector:
+    """The positions at the times of all rows (N,) of trajectories, whose estimates are these parts of the table."""
+    at, *known = (estimates[name].to_numpy() for name in ("t_s", *(f"{axis}_m" for axis in axes)))
+    position = np.empty((len(axes), len(columns.times)))
+    for part, (a, b) in zip(parts, pairwise(columns.starts.tolist()), strict=True):
+        for values, x in zip(position, known, strict=True):
+            values[a:b] = np.interp(columns.times[a:b], at[part], x[part])
+    return Vector(*position)
+
+
 def _residuals(
-    name: str, sensor: AbstractSensor, trajectory: Trajectory, estimates: pl.DataFrame, planar: bool
-) -> Iterator[tuple[str, Float[np.ndarray, "n 3"]]]:
-    """Residuals of each channel about the estimated positions, with the numbers of their source and block."""
-    recording = trajectory.recording
-    at = estimates["t_s"].to_numpy()
-    axes = "xy" if planar else "xyz"
-    position = Vector.of(np.interp(recording.times, at, estimates[f"{axis}_m"].to_numpy()) for axis in axes)
-    inputs = {key: np.moveaxis(x, 0, -1) for key, x in recording.inputs.items()}
-    reading = recording.readings[name]
-    predicted = sensor.measure(SimpleNamespace(position=position), inputs)
-    for k, channel in enumerate(sensor.channels):
-        source: Int[np.ndarray, " T"] = np.zeros(len(recording), int)
-        if "station" in inputs or "anchor" in inputs:
-            source = np.ravel(inputs["station"] if "station" in inputs else inputs["anchor"][k]).astype(int)
-        block = (recording.times - recording.times[0]) // BLOCK_S
-        residual = reading.values[:, k] - np.asarray(predicted[k])
-        residual = np.asarray(wrap(residual)) if channel.wraps else residual
-        seen = reading.seen[:, k] & np.isfinite(residual)
-        yield f"{name}.{channel.name}", np.stack([residual, source, block], axis=1)[seen]
+    sensors: Mapping[str, AbstractSensor], columns: Columns, position: Vector, before: Int[np.ndarray, " n"]
+) -> Iterator[tuple[str, Float[np.ndarray, "N 4"], Bool[np.ndarray, " N"]]]:
+    """Residuals of each channel about the positions, with the numbers of their source, block and trajectory, `before`.
+
+    And the mask of the rows that have one.
+    """
+    inputs = {key: np.moveaxis(x, 0, -1) for key, x in columns.inputs.items()}
+    block = (columns.times - columns.of_each(columns.times[columns.starts[:-1]])) // BLOCK_S
+    for name, sensor in sensors.items():
+        reading, predicted = columns.readings[name], sensor.measure(SimpleNamespace(position=position), inputs)
+        for k, channel in enumerate(sensor.channels):
+            source: Int[np.ndarray, " N"] = np.zeros(len(block), int)
+            if "station" in inputs or "anchor" in inputs:
+                source = np.ravel(inputs["station"] if "station" in inputs else inputs["anchor"][k]).astype(int)
+            residual = reading.values[:, k] - np.asarray(predicted[k])
+            residual = np.asarray(wrap(residual)) if channel.wraps else residual
+            values = np.stack([residual, source, block, columns.of_each(before)], axis=1)
+            yield f"{name}.{channel.name}", values, reading.seen[:, k] & np.isfinite(residual)
 
 
 def _ratio(residuals: Float[np.ndarray, "n 4"]) -> float | None:
@@ -94,8 +118,11 @@ def _ratio(residuals: Float[np.ndarray, "n 4"]) -> float | None:
     if not len(residuals):
         return None
     about = residuals[:, 0] - np.median(residuals[:, 0])
-    _, block, count = np.unique(residuals[:, 1:], axis=0, return_inverse=True, return_counts=True)
-    means = (np.bincount(block.ravel(), about) / count)[count >= LEAST_ROWS]
+    # One number for each block, in the order of source, block and trajectory.
+    source, block, trajectory = residuals[:, 1:].T.astype(int)
+    number = (source * (block.max() + 1) + block) * (trajectory.max() + 1) + trajectory
+    _, block, count = np.unique(number, return_inverse=True, return_counts=True)
+    means = (np.bincount(block, about) / count)[count >= LEAST_ROWS]
     scatter = 1.4826 * float(np.median(np.abs(about)))
     if len(means) < LEAST_BLOCKS or scatter == 0.0:
         return None

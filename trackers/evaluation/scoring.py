@@ -125,8 +125,7 @@ def covariances(rows: pl.DataFrame) -> np.ndarray:
 def _positions(association: Association, kept: np.ndarray) -> Scored:
     rows = association.rows if len(kept) == len(association.rows) else association.rows[kept]
     errors = np.stack([float_column(rows, f"{axis}_m") for axis in "xyz"], axis=1) - association.truth[kept]
-    covs = covariances(rows)
-    nees, nees_3d = metrics.nees(errors[:, :2], covs[:, :2, :2]), metrics.nees(errors, covs)
+    _, nees, nees_3d = metrics.nees_of_leading(errors, covariances(rows))
     return Scored(kept, errors, position_sizes(errors), nees, nees_3d)
 
 

@@ -21,7 +21,7 @@ from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import Evaluation, TrackScores, evaluate
-from trackwright.trackers.evaluation.metrics import metric_rows
+from trackwright.trackers.evaluation.metrics import MetricRows
 from trackwright.trackers.evaluation.scores import Scores
 from trackwright.trackers.recordings.atomic import json_text
 
@@ -116,7 +116,7 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
         association = associate_truth(table, {folder.name: folder.tables["truth"]})
         parts.append(_scores(association, {folder.name: folder.rig.stations}))
     kept = [Scores.from_plain(json.loads(json_text(part.plain()))) for part in parts]
-    (found,) = metric_rows(kept[0] + kept[1] + kept[2])
+    (found,) = MetricRows(kept[0] + kept[1] + kept[2])
     expected = evaluate(pl.concat(tables), folders).overall
     assert list(found) == list(expected)
     for name, value in expected.items():
@@ -128,7 +128,7 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
 def test_metrics_without_a_scored_row_have_no_value():
     folder = recording("r", 0)
     association = associate_truth(build("fix-kf", folder).run(folder).table, {})
-    (found,) = metric_rows(_scores(association, {}))
+    (found,) = MetricRows(_scores(association, {}))
     assert (found["n"], found["n_no_truth"]) == (0, 40)
     assert {found[name] for name in ("rmse_m", "p95_m", "max_m", "bias_x_m", "coverage_95", "sigma_factor")} == {None}
     assert found["nis_ratio"] > 0

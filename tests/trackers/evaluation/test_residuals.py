@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
+from trackwright.trackers.evaluation.residuals import residual_ratios
 from trackwright.trackers.evaluation.statements import LASTING, covariance_statements
 
 
@@ -56,6 +57,12 @@ def test_means_over_5_s_of_an_obstructed_anchor_are_larger_than_most_residuals(c
     assert found["obstructed"]["residual_ratio_5s"] > LASTING
     assert not [s for s in found["clear"].statements if "last:" in s]
     assert [s for s in found["obstructed"].statements if "Residuals of some stations or anchors last:" in s]
+
+
+def test_recordings_that_run_together_have_the_ratios_of_each_alone(clear, obstructed):
+    folders = [dataclasses.replace(f, name=name) for f, name in ((clear, "clear"), (obstructed, "obstructed"))]
+    together = residual_ratios(tw.build("uwb", clear).run(folders))
+    assert together == {f.name: residual_ratios(tw.build("uwb", clear).run(f))[f.name] for f in folders}
 
 
 def test_the_ratio_is_none_where_no_sensor_measures_a_position_alone():

@@ -197,7 +197,9 @@ class Estimates:
         merged = replace(
             self,
             mean=jax.tree_util.tree_map(chosen, self.mean),
-            cov_upper=np.stack([chosen(entry) for entry in self.cov_upper]),
+            cov_upper=np.asarray(self.cov_upper).reshape(-1, last.size)
+            if last.all()
+            else np.stack([entry[last] for entry in self.cov_upper]),
             log_likelihood=summed(self.log_likelihood),
             nis=summed(np.where(counted, self.nis, 0.0)),
             nis_dof=summed(np.where(counted, self.nis_dof, 0.0)),
@@ -285,12 +287,10 @@ def state_columns(estimates: Estimates) -> dict[str, Num[np.ndarray, "*rows"]]:
     columns: dict[str, Any] = {}
     if hasattr(mean, "position"):
         axes = AXES[: len(mean.position)]
-        cov = estimates.marginal("position")
+        cov = estimates.entries("position")
         columns |= {f"{a}_m": x for a, x in zip(axes, mean.position, strict=True)}
         columns |= {f"std_{a}_m": sigmas[f"position.{k}"] for k, a in enumerate(axes)}
-        columns |= {
-            f"cov_{axes[i]}{axes[j]}_m2": cov[..., i, j] for i in range(len(axes)) for j in range(i + 1, len(axes))
-        }
+        columns |= {f"cov_{axes[i]}{axes[j]}_m2": cov[i][j] for i in range(len(axes)) for j in range(i + 1, len(axes))}
     if hasattr(mean, "velocity"):
         columns |= {f"v{a}_mps": v for a, v in zip(AXES, mean.velocity, strict=False)}
     for path, leaf in jax.tree_util.tree_flatten_with_path(mean)[0]:
