@@ -21,7 +21,8 @@ from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chos
 from trackwright.experiments.lab.validation.track_loss import kidnapped_walk
 from trackwright.sim import worlds
 from trackwright.trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_tracker
-from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.catalogue import TRACKERS, build
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model import covariance
 from trackwright.trackers.core.model.motion import ConstantVelocity
@@ -30,6 +31,7 @@ from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.start_nearby import NearbyStart
@@ -40,7 +42,7 @@ from trackwright.tuning.problem import Problem
 Run = tuple[Callable[[], Any], int]
 """What is timed, and its number of rows."""
 
-ROWS, TRAJECTORIES, BEAMS, SMOOTHED_ROWS, INERTIAL_ROWS = 200, 64, 16, 50, 100
+ROWS, TRAJECTORIES, BEAMS, SMOOTHED_ROWS, INERTIAL_ROWS, EVALUATED_ROWS = 200, 64, 16, 50, 100, 40
 ALL = 10**9
 
 
@@ -51,7 +53,7 @@ def growth(*series: str, output: Output = DEFAULTS) -> int:
 
     Args:
         series: rows, trajectories, states, anchors, particles, tunables, which are the default; bearings, inertial,
-            form-4, form-12 (states, whose covariances are scalars or matrices), smoothed-TRACKER.
+            form-4, form-12 (states, whose covariances are scalars or matrices), smoothed-TRACKER, evaluated.
     """
     tables = []
     for name in chosen(series, SERIES, USUAL):
@@ -150,6 +152,17 @@ def smoothed(name: str, version: str, size: int) -> Run:
     return (lambda: tracker.run(recordings)), sum(map(len, recordings))
 
 
+def evaluated(version: str, size: int) -> Run:
+    """A named tracker of simulated folders, or one of arrays: its run, or the evaluation of what that estimates."""
+    name, _, what = version.partition(" ")
+    world = (worlds.ranges if name == "uwb" else worlds.agv)(n=size, rows=EVALUATED_ROWS)
+    recordings: Any = world.recordings() if name == "arrays" else world.folder()
+    tracker: Any = fix_tracker() if name == "arrays" else build(name, recordings)
+    estimates = tracker.run(recordings)
+    run = (lambda: evaluate(estimates, recordings)) if what else (lambda: tracker.run(recordings))
+    return run, size * EVALUATED_ROWS
+
+
 def gradient(tracker: Any, recordings: Sequence[Recording], tune: Sequence[str]) -> Callable[[], Any]:
     """A run of likelihood and gradient of the numbers that these patterns name."""
     parameters = select_parameters(tracker, tune)
@@ -244,5 +257,9 @@ SERIES = {
         )
         for name in ("uwb", "fix-kf", "fix-singer", "imm", "uwb-imu")
     },
+    "evaluated": Series(
+        f"runs over {EVALUATED_ROWS} times of simulated recordings, and their evaluation", evaluated, (500, 5000),
+        {f"{name}{what}": ALL for name in ("fix-kf", "uwb", "arrays") for what in ("", " evaluated")}, 5,
+    ),
 }  # fmt: skip
 USUAL = ("rows", "trajectories", "states", "anchors", "particles", "tunables")
