@@ -13,7 +13,6 @@ from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.atomic import json_text
 from trackwright.trackers.recordings.calibration import Calibration, identity
-from trackwright.trackers.recordings.checks import quick_check
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, refuse_repeated
 
 
@@ -56,6 +55,8 @@ def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> t
 
 def errors_of(recording: RecordingFolder, force: bool, calibrated: bool) -> list[str]:
     """A line for each mistake of `quick_check`; raises UnusableInput for errors without `force`."""
+    from trackwright.trackers.recordings.checks.all_checks import quick_check
+
     mistakes = quick_check(recording, not calibrated)
     lines = [f"{recording.path}: {mistake.where}: {mistake.message}" for mistake in mistakes]
     errors = [line for line, mistake in zip(lines, mistakes, strict=True) if mistake.level == "error"]

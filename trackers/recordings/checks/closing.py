@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,10 +19,8 @@ from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks.changes import exchanged, value_changes
 from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.checks.readings import MOST_ROWS
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
-
-if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackwright.trackers.recordings.folder import RecordingFolder
 
 LARGE = {"m": 0.3, "rad": 0.12}
 """Contradiction, m or rad, up to which nothing needs an explanation."""

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.columns import stable_order
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors
 from trackwright.trackers.recordings.truth import TruePaths
-
-if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackwright.trackers.recordings.folder import RecordingFolder
 
 MOST_OF_GROUP = 500
 """Readings of an anchor, station or tag that are compared, evenly spaced in time."""

@@ -9,7 +9,7 @@ respect to the delay, from its sums over blocks of time.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,10 +18,8 @@ from numpy.polynomial import chebyshev
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.checks.imu import GAP_S, LEAST_DELAY_S, LONGEST_DELAY_S, MOST_ROWS, integral
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, QUATERNION, layout
-
-if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackwright.trackers.recordings.folder import RecordingFolder
 
 MOST_TAGS = 2
 """Tags whose IMU is compared with their ranges."""

@@ -7,17 +7,15 @@ differences are multiples; the autocorrelation time of errors, against truth or 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
 from trackwright.trackers.recordings.columns import stable_order
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, unit_of, wrapped
-
-if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackwright.trackers.recordings.folder import RecordingFolder
 
 MOST_ROWS = 100_000
 """Readings of a table that are looked at."""

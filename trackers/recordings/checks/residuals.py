@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared, compared
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, wrapped
-
-if TYPE_CHECKING:  # the folder's module imports `anomalies`
-    from trackwright.trackers.recordings.folder import RecordingFolder
 
 OUTLIER = 5.0
 """Robust standard deviations beyond which a reading is an outlier."""

@@ -14,7 +14,8 @@ import pytest
 from tests.broken import ANOMALOUS
 from tests.faulty import write_good
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.checks import CheckResult, check, format_results, quick_check
+from trackwright.trackers.recordings.checks.all_checks import check, quick_check
+from trackwright.trackers.recordings.checks.check_result import CheckResult, format_results
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 
 RECORDINGS = Path(

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from trackwright.trackers.core.model.rig import Rig, Station
-from trackwright.trackers.recordings.checks import check
+from trackwright.trackers.recordings.checks.all_checks import check
 from trackwright.trackers.recordings.checks.readings import (
     Readings,
     about_local_line,

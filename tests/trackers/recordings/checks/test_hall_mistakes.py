@@ -12,7 +12,8 @@ import pytest
 
 from tests.trackers.recordings.checks.made import with_columns
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
-from trackwright.trackers.recordings.checks import check, closing, quick_check
+from trackwright.trackers.recordings.checks import closing
+from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.checks.closing import moments
 from trackwright.trackers.recordings.folder import RecordingFolder
 

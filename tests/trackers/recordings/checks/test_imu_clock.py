@@ -13,7 +13,7 @@ from trackwright.sim.imu import simulate_uwb_imu
 from trackwright.sim.paths import hand_motion
 from trackwright.sim.ranging import WALK_VOLUME, chamber
 from trackwright.trackers.core.model.rig import Tag
-from trackwright.trackers.recordings.checks import check
+from trackwright.trackers.recordings.checks.all_checks import check
 from trackwright.trackers.recordings.checks.imu_clock import check_imu_clock, delay_of, windows
 from trackwright.trackers.recordings.folder import RecordingFolder
 

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from trackwright.sim import worlds
-from trackwright.trackers.recordings.checks import check, quick_check
+from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.checks.imu import check_imu, imu_rows, true_attitude
 from trackwright.trackers.recordings.folder import RecordingFolder
 

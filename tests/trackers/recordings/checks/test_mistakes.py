@@ -13,7 +13,7 @@ import pytest
 
 from tests.trackers.recordings.checks.made import about_z, with_columns
 from trackwright.trackers.core.model.rig import Rig, Station
-from trackwright.trackers.recordings.checks import check, quick_check
+from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 
 

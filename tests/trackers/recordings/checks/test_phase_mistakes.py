@@ -12,7 +12,7 @@ import pytest
 from tests.trackers.recordings.checks.made import about_z, with_columns
 from trackwright.sim import worlds
 from trackwright.trackers.core.model.rig import Station
-from trackwright.trackers.recordings.checks import check, quick_check
+from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 
 SIGMA_P = 0.3

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.checks import check
+from trackwright.trackers.recordings.checks.all_checks import check
 from trackwright.trackers.recordings.checks.compared import compared, median_of, robust_fit
 from trackwright.trackers.recordings.checks.residuals import residuals
 from trackwright.trackers.recordings.folder import RecordingFolder

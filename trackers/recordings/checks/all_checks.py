@@ -1,0 +1,110 @@
+"""Data-quality checks of a recording: time base, gaps, outliers, ids, units, geometry, errors against truth.
+
+for result in check(read_recording("hall")):
+    print(result.level, result.where, result.message)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trackwright.trackers.recordings.checks.anomalies import anomalies
+from trackwright.trackers.recordings.checks.check_result import LEVELS, CheckResult
+from trackwright.trackers.recordings.checks.compared import Compared, compared
+from trackwright.trackers.recordings.checks.coverage import (
+    check_ids,
+    check_overlap,
+    check_rates,
+    check_time_base,
+    check_truth,
+)
+from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry, check_heights
+from trackwright.trackers.recordings.checks.imu import check_imu
+from trackwright.trackers.recordings.checks.mistakes import check_against_truth
+from trackwright.trackers.recordings.checks.readings import (
+    about_local_line,
+    check_correlation,
+    check_quantisation,
+    check_repeats,
+    readings,
+    robust_std,
+)
+from trackwright.trackers.recordings.checks.residuals import check_residuals
+from trackwright.trackers.recordings.checks.units import check_units
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
+
+
+def check(recording: RecordingFolder) -> list[CheckResult]:
+    """Errors, warnings and notes on a recording, the most severe first."""
+    tables, rig = recording.tables, recording.rig
+    measured = {name: tables[name] for name in KINDS if name in tables}
+    results = []
+    for notice in dict.fromkeys((*recording.notices, *anomalies(tables, rig))):
+        where, _, message = notice.partition(": ")
+        results.append(CheckResult("warning", where, message))
+    if not measured:
+        results.append(CheckResult("error", "tables", "no measurements, only truth; expected a table to track"))
+    results += check_time_base(measured or tables)
+    results += check_rates(tables)
+    results += check_ids(rig, measured)
+    results += check_units(rig, tables)
+    results += check_heights(rig, tables)
+    results += check_fix_heights(rig, recording.rows("fixes")) if "fixes" in tables else []
+    if measured and "truth" in tables:
+        results += check_truth(tables["truth"], measured)
+    results += check_geometry(rig, tables)
+    wrong_units = any(result.level == "error" for result in results)
+    if not wrong_units:
+        from trackwright.trackers.recordings.checks.imu_clock import check_imu_clock
+
+        # With wrong axes, an IMU fits the ranges at no delay, or at a wrong one.
+        results += check_imu(tables) or check_imu_clock(recording)
+    for name in measured:
+        results += _check_errors(recording, name)
+        view = compared(recording, name)
+        if view is not None:
+            results += check_residuals(view)
+        # Wrong units are a mistake that is named already.
+        results += [] if wrong_units else _mistakes(recording, name, view)
+    return sorted(results, key=lambda result: LEVELS.index(result.level))
+
+
+def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[CheckResult]:
+    """The errors alone that `check` finds, and its warnings of units and of an IMU, in a fraction of its time.
+
+    `against_truth`: also those of measurements compared with truth.
+    """
+    tables, rig = recording.tables, recording.rig
+    measured = {name: tables[name] for name in KINDS if name in tables}
+    sizes = [*check_units(rig, tables), *check_heights(rig, tables)]
+    results = [result for result in check_time_base(measured or tables) if result.level == "error"]
+    results += [result for result in sizes if result.level != "info"]
+    if measured and "truth" in tables:
+        results += [result for result in check_overlap(tables["truth"], measured) if result.level == "error"]
+    if any(result.level == "error" for result in results):
+        return results
+    results += check_imu(tables, against_truth)
+    for name in measured if against_truth else ():
+        results += _mistakes(recording, name, compared(recording, name))
+    return results
+
+
+def _mistakes(recording: RecordingFolder, name: str, view: Compared | None) -> list[CheckResult]:
+    """The most likely mistake in a table: against the truth, or where there is none, of readings among themselves."""
+    if view is not None:
+        return check_against_truth(view)
+    from trackwright.trackers.recordings.checks.closing import check_closing
+
+    return check_closing(recording, name)
+
+
+def _check_errors(recording: RecordingFolder, name: str) -> list[CheckResult]:
+    """Checks of the errors of a table's readings: repeats, quantisation steps, correlation."""
+    read = readings(recording, name)
+    about = about_local_line(read)
+    results = [*check_repeats(name, read), *check_quantisation(name, read, robust_std(about))]
+    if not KINDS[name].averaged:
+        return results  # a local line through an IMU or phases does not follow the motion
+    true = bool(np.isfinite(read.errors).any())
+    return [*results, *check_correlation(name, read, read.errors if true else about, true)]
