@@ -48,15 +48,14 @@ offset_m = [0.1, 0.0, 0.0]
 knots_m = [[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]
 """
 _ANCHORS = {"A1": (0.0, 0.0, 0.3), "A2": (6.0, 0.0, 2.6), "A3": (6.0, 5.0, 0.4), "A4": (0.0, 5.0, 2.9)}
+_ANTENNAS, _WAVELENGTH = np.array([[0.02, 0.0], [0.0, 0.01], [-0.02, 0.0], [0.0, -0.01]]), 0.0125
 _STATIONS = {
-    "S1": Station(np.array([0.0, 2.5, 2.3]), np.array([0.5, 0.5, 0.5, 0.5])),
-    "S2": Station(np.array([6.0, 2.5, 2.3]), np.array([0.5, 0.5, -0.5, -0.5])),
+    "S1": Station(np.array([0.0, 2.5, 2.3]), np.array([0.5, 0.5, 0.5, 0.5]), _ANTENNAS, _WAVELENGTH),
+    "S2": Station(np.array([6.0, 2.5, 2.3]), np.array([0.5, 0.5, -0.5, -0.5]), _ANTENNAS, _WAVELENGTH),
 }
-
-
 @cache
 def good_tables() -> dict[str, pl.DataFrame]:
-    """Five seconds of two tags at 10 Hz in every table; values are smooth, and but for phases and the IMU physical."""
+    """Five seconds of two tags at 10 Hz in every table; values are smooth, and but for the IMU physical."""
     rng = np.random.default_rng(3)
     rows: dict[str, list[dict]] = {name: [] for name in ("ranges", "fixes", "bearings", "phases", "imu", "truth")}
     for t in np.round(np.arange(50) * 0.1, 3):
@@ -77,7 +76,9 @@ def good_tables() -> dict[str, pl.DataFrame]:
                 azimuth, elevation = (float(x) for x in _STATIONS[station].angles(position))
                 angles = {"azimuth_rad": azimuth, "elevation_rad": elevation + rng.normal(0, 0.01)}
                 rows["bearings"].append(head | {"station": station} | angles)
-                phases = {f"phase_{k}_rad": float(rng.uniform(-3, 3)) for k in (1, 2, 3, 4)}
+                paths = np.linalg.norm(position - _STATIONS[station].antenna_positions(), axis=1)
+                turned = rng.uniform(-0.3, 0.3, 4) - 2 * np.pi / _WAVELENGTH * paths
+                phases = {f"phase_{k + 1}_rad": x for k, x in enumerate(np.angle(np.exp(1j * turned)).tolist())}
                 rows["phases"].append(head | {"station": station} | phases)
     return {name: pl.DataFrame(table) for name, table in rows.items()}
 
