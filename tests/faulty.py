@@ -53,6 +53,8 @@ _STATIONS = {
     "S1": Station(np.array([0.0, 2.5, 2.3]), np.array([0.5, 0.5, 0.5, 0.5]), _ANTENNAS, _WAVELENGTH),
     "S2": Station(np.array([6.0, 2.5, 2.3]), np.array([0.5, 0.5, -0.5, -0.5]), _ANTENNAS, _WAVELENGTH),
 }
+
+
 @cache
 def good_tables() -> dict[str, pl.DataFrame]:
     """Five seconds of two tags at 10 Hz in every table; values are smooth, and but for the IMU physical."""

@@ -15,12 +15,6 @@ SPEED_OF_LIGHT = 299_792_458.0
 """m/s; the paper rounds to 3e8, an error of 7 mm in ten metres."""
 
 
-def elapsed(start: Any, stop: Any, period: float | None = None) -> np.ndarray:
-    """Seconds between two time stamps of one clock, whose counter wraps every `period` s."""
-    interval = np.asarray(stop, float) - np.asarray(start, float)
-    return interval if period is None else np.mod(interval, period)
-
-
 def single_sided(total: Any, reply: Any, drift: Any = 0.0) -> np.ndarray:
     """Distance, m, by single-sided two-way ranging (Kwon et al. 2021, equations 8 and 9).
 
