@@ -173,6 +173,14 @@ def _check_sensors(file: TableFile, frame: pl.DataFrame, kind: Kind, rig: Rig) -
                     f"{file.location(row, column)}: {column} {sensor!r} is not in rig.toml, expected one of: {there}; "
                     "ids are text and must be spelt the same"
                 )
+    if kind.difference:
+        first, second = kind.sensors
+        same = frame[first] == frame[second]
+        if same.any():
+            row = first_row(same)
+            raise UnusableInput(
+                f"{file.location(row, second)}: {second} {frame[second][row]!r} is the {first}, too; expected another"
+            )
     if kind.numbered:
         stations = frame[kind.noun].unique(maintain_order=True)
         _check_antennas(file, frame, kind, {name: rig.stations[name].antennas for name in stations})

@@ -15,7 +15,7 @@ from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.model.sensor import Reading
-from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackwright.trackers.uwb_imu.difference_rows import (
     BEYOND,
     MOST_SLOTS,
@@ -205,3 +205,13 @@ def test_anchors_on_a_line_are_refused():
 def test_what_a_folder_lacks_is_said(change, pairs, message):
     with pytest.raises(UnusableInput, match=message):
         build(TDOA, _folder(pairs, change=change))
+
+
+def test_a_difference_of_an_anchor_from_itself_is_refused_with_its_row(tmp_path):
+    row = pl.int_range(pl.len()) == 4
+    same = _folder(
+        RING, change=lambda table: table.with_columns(anchor_2=pl.when(row).then("anchor").otherwise("anchor_2"))
+    )
+    write_recording(same, tmp_path / "room")
+    with pytest.raises(UnusableInput, match=r"row 5, column anchor_2: anchor_2 '.*' is the anchor, too"):
+        read_recording(tmp_path / "room")
