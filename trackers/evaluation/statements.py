@@ -68,8 +68,10 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
 
 def holds(metrics: Mapping[str, Any], suffix: str = "") -> bool:
     """Whether the reported covariances hold, or are unknown; `suffix`: _3d for those in three dimensions."""
-    share, ratio = metrics[f"coverage_95{suffix}"], metrics[f"nees{suffix}_ratio"]
-    return share is None or (COVERAGE[0] <= share <= COVERAGE[1] and RATIO[0] <= ratio <= RATIO[1])
+    if metrics[f"coverage_95{suffix}"] is None:
+        return True
+    share, ratio = _as_printed(metrics, suffix)
+    return COVERAGE[0] <= share <= COVERAGE[1] and RATIO[0] <= ratio <= RATIO[1]
 
 
 def correlated(metrics: Mapping[str, Any]) -> bool:
@@ -81,8 +83,7 @@ def correlated(metrics: Mapping[str, Any]) -> bool:
 def _covariance(metrics: Mapping[str, Any], suffix: str) -> str:
     """The size of the standard deviations relative to the errors, and the figures that show it."""
     shape = "ellipsoid" if suffix else "ellipse"
-    names = (f"coverage_95{suffix}", f"nees{suffix}_ratio", f"sigma_factor{suffix}")
-    share, ratio, factor = (metrics[name] for name in names)
+    (share, ratio), factor = _as_printed(metrics, suffix), metrics[f"sigma_factor{suffix}"]
     figures = (
         f"the 95 % {shape} holds the truth in {_percent(share)} of the rows ({LIMITS[0]}), "
         f"NEES/dof is {significant(ratio, 3)} ({LIMITS[1]})"
@@ -99,6 +100,12 @@ def _covariance(metrics: Mapping[str, Any], suffix: str) -> str:
         return f"standard deviations are {times} times too large{where}: {figures}"
     large = "too small for large errors" if small else "too large for large errors"
     return f"standard deviations fit the median error and are {large}: {figures}"
+
+
+def _as_printed(metrics: Mapping[str, Any], suffix: str) -> tuple[float, float]:
+    """The share in the 95 % ellipse and NEES per degree of freedom, rounded as in the sentences that name the limits."""
+    share = metrics[f"coverage_95{suffix}"]
+    return round(share, 2 if share <= 0.99 else 3), float(f"{metrics[f'nees{suffix}_ratio']:.3g}")
 
 
 def _innovations(overall: Mapping[str, Any], recordings: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -6,6 +6,7 @@ import pytest
 
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import evaluate_association, evaluate_table
+from trackwright.trackers.evaluation.statements import holds
 
 N = 4000
 
@@ -119,6 +120,14 @@ def test_a_tracker_without_covariance_and_innovations_has_no_statement():
 def test_standard_deviations_a_fifth_too_small_are_the_limit(factor, word):
     # Of normal errors, 1.25 times the reported ones: 85 % inside, NEES/dof 1.56.
     assert word in _statements(*_tracks(factor))[0]
+
+
+@pytest.mark.parametrize(
+    ("share", "ratio", "hold"),
+    [(0.8751, 1.4049, True), (0.8749, 1.0, False), (0.95, 1.4051, False), (0.9904, 1.0, True), (0.9906, 0.665, False)],
+)
+def test_the_verdict_is_that_of_the_figures_as_they_are_printed(share, ratio, hold):
+    assert holds({"coverage_95": share, "nees_ratio": ratio}) == hold
 
 
 def test_losses_come_before_what_the_innovations_show():
