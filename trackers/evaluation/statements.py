@@ -54,10 +54,18 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     losses = _losses(overall)
     if overall["coverage_95"] is None:
         return losses + _innovations(overall, recordings)
-    sentences = [*losses, f"Reported {_covariance(overall, '')}."]
     bad = [f"{r['recording']} ({_percent(r['coverage_95'])})" for r in recordings if not holds(r)]
-    if bad and len(recordings) > 1:
-        sentences.append(f"They do not hold in {len(bad)} of {len(recordings)} recordings: {listed(bad)}.")
+    of_all, several = _covariance(overall, ""), f"{len(bad)} of {len(recordings)} recordings: {listed(bad)}"
+    if not bad or len(recordings) == 1:
+        sentences = [*losses, f"Reported {of_all}."]
+    elif holds(overall):
+        # Too large ones and too small ones have a good mean.
+        sentences = [
+            *losses,
+            f"Reported covariances do not hold in {several}. In all rows {of_all.partition(': ')[2]}.",
+        ]
+    else:
+        sentences = [*losses, f"Reported {of_all}.", f"They do not hold in {several}."]
     if overall.get("coverage_95_3d") is not None and not holds(overall, "_3d"):
         sentences.append(f"In three dimensions, reported {_covariance(overall, '_3d')}.")
     sentences += _lasting(recordings)
@@ -103,7 +111,7 @@ def _covariance(metrics: Mapping[str, Any], suffix: str) -> str:
 
 
 def _as_printed(metrics: Mapping[str, Any], suffix: str) -> tuple[float, float]:
-    """The share in the 95 % ellipse and NEES per degree of freedom, rounded as in the sentences that name the limits."""
+    """The share in the 95 % ellipse and NEES per degree of freedom, rounded as in the sentences with the limits."""
     share = metrics[f"coverage_95{suffix}"]
     return round(share, 2 if share <= 0.99 else 3), float(f"{metrics[f'nees{suffix}_ratio']:.3g}")
 

@@ -48,7 +48,10 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
         if (ordered["dt"] == 0).any():
             lines += _duplicates(name, streams(whole, expected.ids), expected.values)
         if name != "truth":
-            lines += _gaps(name, ordered, whole.select(expected.ids), zero)
+            # Which anchors a message has in common changes from one to the next.
+            of_gaps = expected.ids[:1] if kinds[name].difference else expected.ids
+            by_gaps = streams(whole, of_gaps, ["row", "t_s"], tags[name]) if kinds[name].difference else ordered
+            lines += _gaps(name, by_gaps, whole.select(of_gaps), zero)
             outliers += _outliers(name, ordered, expected.values, zero)
     return [*lines, "; ".join(outliers)] if outliers else lines
 

@@ -7,6 +7,7 @@ Hegarty, Understanding GPS, chapter 7).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -48,10 +49,14 @@ class Dilution:
 def dilution(kind: Kind, rig: Rig, ids: Sequence[Sequence[str]], positions: np.ndarray) -> Dilution:
     """Metres per metre or per degree of noise at `positions` (p, 3), m, with a reading of each of some sensors.
 
-    `ids`: the anchors or stations of each reading. Infinite where the readings do not determine a coordinate.
+    `ids`: the anchors or stations of each reading; of differences those of one message, whose noise is that of both
+    arrivals. Infinite where the readings do not determine a coordinate.
     """
     assert kind.predicted is not None
     names = list(dict.fromkeys(name for row in ids for name in row))
+    if kind.difference:
+        # However they are paired, the anchors of a message tell as much as their differences from one of them.
+        ids = [(name, names[0]) for name in names[1:]]
     number = np.array([[names.index(name) for name in row] for row in ids])
     count, columns = len(positions), len(kind.columns)
     sensors = kind.sensors_of(rig, names, np.tile(number, (count, 1)), columns)
@@ -61,6 +66,10 @@ def dilution(kind: Kind, rig: Rig, ids: Sequence[Sequence[str]], positions: np.n
         [wrapped(up - down, kind.least) for up, down in zip(sides[::2], sides[1::2], strict=True)], axis=-1
     )
     jacobian = slopes.reshape(count, len(ids) * columns, 3) / (2.0 * _STEP_M)
+    if kind.difference:
+        # Whitened: the arrival at the first anchor gives all differences a correlation of ½.
+        shared = (1.0 - len(names) ** -0.5) / len(ids)
+        jacobian = math.sqrt(2.0) * (jacobian - shared * jacobian.sum(axis=1, keepdims=True))
     return _dilution(jacobian, 1.0 if kind.unit == "m" else _ONE_DEGREE)
 
 
@@ -112,7 +121,7 @@ def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckRe
         noun, among = kind.noun, np.stack(list(used.values()))
         results += _coincident(used) if len(used) > 1 else []
         if noun == "anchor":
-            results += _flat("anchors", among, known_height)
+            results += _flat("anchors", among, known_height, 3 if not kind.difference else 4 if known_height else 5)
         elif len(used) == 1:
             message = f"only station {next(iter(used))} is observed: bearings, no position without a known height"
             results.append(CheckResult("info", name, message))
@@ -163,11 +172,11 @@ def _coincident(positions: Mapping[str, np.ndarray]) -> list[CheckResult]:
     ]
 
 
-def _flat(what: str, positions: np.ndarray, known_height: bool) -> list[CheckResult]:
+def _flat(what: str, positions: np.ndarray, known_height: bool, least: int = 3) -> list[CheckResult]:
     kind, normal = shape(positions)
     level: Level = "warning"
-    if len(positions) < 3:
-        message = f"{what} observed: {len(positions)}, expected three or more for a position"
+    if len(positions) < least:
+        message = f"{what} observed: {len(positions)}, expected {least} or more for a position"
     elif kind in ("point", "line"):
         message = f"the {what} are collinear: positions on a circle around their line cannot be distinguished"
     elif kind == "plane" and abs(normal[2]) > 0.7:

@@ -20,6 +20,7 @@ FAR_SIZES = 20.0  # times the size of the rig
 FAR_SIZES_MM = 150.0  # times the size of the rig, beyond which centimetres would be far away, too
 BEYOND_ANCHORS = 0.1  # share of range differences larger than their anchors' distance; 1 % of a real flight
 NANOSECOND_M = 0.2998
+LEAST_DIFFERENCE_M = 1e-5  # a difference in seconds is at most 1e-6 in 300 m; in metres some exceed their resolution
 FASTEST_TURN = 35.0  # rad/s, the full scale of common gyroscopes
 
 
@@ -50,6 +51,10 @@ def _differences(kind: Kind, table: pl.DataFrame, rig: Rig) -> list[CheckResult]
     places, number = measured.sensors.places, measured.sensors.number
     apart = np.linalg.norm(places[number[:, 0]] - places[number[:, 1]], axis=1)
     sizes = np.abs(measured.values[:, 0])
+    largest = np.nanmax(sizes, initial=0.0)
+    if largest < LEAST_DIFFERENCE_M:
+        message = f"{kind.columns[0].name} is at most {largest:.2g}: looks like seconds, expected metres"
+        return [CheckResult("error", kind.name, message)]
     share, in_ns = (float(np.nanmean(factor * sizes > apart + kind.columns[0].bias)) for factor in (1.0, NANOSECOND_M))
     if not share > BEYOND_ANCHORS:
         return []

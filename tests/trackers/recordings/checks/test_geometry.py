@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
+import pytest
 
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.checks.geometry import Dilution, dilution, shape
@@ -81,3 +84,18 @@ def test_shapes_are_recognised_in_any_orientation():
     assert shape((corners * [1, 1, 0.05]) @ turn)[0] == "plane"
     assert shape((corners * [1, 0.01, 0.01]) @ turn)[0] == "line"
     assert shape(corners * 0 + 1)[0] == "point"
+
+
+@pytest.mark.parametrize("pairs", ["of one anchor", "all"])
+def test_dilution_of_differences_is_that_of_arrivals_at_an_unknown_time(pairs):
+    anchors = np.random.default_rng(4).uniform(0.0, [6.0, 5.0, 3.0], (6, 3))
+    rig = Rig("room", anchors={f"A{k}": x for k, x in enumerate(anchors)})
+    ids = list(combinations(rig.anchors, 2))[: 5 if pairs == "of one anchor" else None]
+    place = np.array([2.0, 2.5, 1.2])
+    away = place - anchors
+    # Arrivals of half the variance of a difference; the last column is the time of transmission.
+    jacobian = np.column_stack([away / np.linalg.norm(away, axis=1, keepdims=True), np.ones(6)])
+    covariance = 0.5 * np.linalg.inv(jacobian.T @ jacobian)
+    seen = dilution(KINDS["tdoa"], rig, ids, place[None])
+    np.testing.assert_allclose(seen.horizontal, np.sqrt(covariance[0, 0] + covariance[1, 1]), rtol=1e-6)
+    np.testing.assert_allclose(seen.vertical, np.sqrt(covariance[2, 2]), rtol=1e-6)

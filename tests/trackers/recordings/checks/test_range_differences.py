@@ -11,7 +11,9 @@ import pytest
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.differences import CORNERS, simulate_differences
 from trackwright.sim.ranging import chamber
-from trackwright.trackers.recordings.checks import check
+from trackwright.trackers.core.model.rig import Tag
+from trackwright.trackers.recordings.checks.all_checks import check
+from trackwright.trackers.recordings.checks.anomalies import anomalies
 
 # Corners of a room that is no mirror image of itself: else the sign of all differences only turns the path.
 ANCHORS = CORNERS + np.random.default_rng(7).uniform(-0.6, 0.6, CORNERS.shape)
@@ -50,6 +52,7 @@ EVERYWHERE = {
     "anchors A3 and A4 swapped": _rig(lambda anchors: anchors | {"A3": anchors["A4"], "A4": anchors["A3"]}),
     "nanoseconds or feet": _table(VALUE / 0.299792458),
     "centimetres or millimetres, or other anchors": _table(VALUE * 100),
+    "looks like seconds": _table(VALUE / 299792458),
 }
 AGAINST_TRUTH = {
     "halved distances": _table(VALUE / 2),
@@ -84,3 +87,22 @@ def test_an_anchor_at_a_wrong_place_is_named_without_truth():
         if "contradict each other" in result.message
     ]
     assert "without anchor A6: its place in rig.toml is wrong" in warning
+
+
+def test_gaps_are_those_of_the_tag_whichever_anchors_it_hears():
+    pair = pl.struct("anchor", "anchor_2").rank("dense")
+    in_turn = FOLDER.tables["tdoa"].filter(pair % 3 == (pl.col("t_s") // 2) % 3)
+    notices = anomalies({"tdoa": in_turn}, FOLDER.rig)
+    assert not [notice for notice in notices if "gaps" in notice], notices
+    late = in_turn.with_columns(pl.when(pl.col("t_s") > 10).then(pl.col("t_s") + 7).otherwise("t_s"))
+    (notice,) = [notice for notice in anomalies({"tdoa": late}, FOLDER.rig) if "gaps" in notice]
+    assert notice.startswith("tdoa: gaps longer than 1 s: 1, the longest 7.1 s before t_s 17.1 (tag ")
+
+
+@pytest.mark.parametrize(("height", "least"), [(None, 5), (1.0, 4)])
+def test_too_few_anchors_for_differences_are_named(height, least):
+    heard = [f"A{k + 1}" for k in range(least - 1)]
+    few = FOLDER.tables["tdoa"].filter(pl.col("anchor").is_in(heard) & pl.col("anchor_2").is_in(heard))
+    rig = replace(FOLDER.rig, tags={tag: Tag(height=height) for tag in few["tag"].unique()})
+    messages = [result.message for result in check(replace(FOLDER, rig=rig, tables={"tdoa": few}))]
+    assert f"anchors observed: {least - 1}, expected {least} or more for a position" in messages
