@@ -168,7 +168,8 @@ def _stream_line(stream: dict, ids: tuple[str, ...], zero: float) -> str:
 
 
 def _summary(per_stream: pl.DataFrame, ids: tuple[str, ...], zero: float) -> str:
-    counts = ", ".join(f"{per_stream[column].n_unique()} {column}s" for column in ids)
+    counts = ", ".join(counted(per_stream[column].n_unique(), column) for column in ids[:2])
+    counts += f", {counted(per_stream.select(ids[1:]).n_unique(), 'pair')} of {ids[1]}s" if len(ids) > 2 else ""
     rates = np.sort(1 / per_stream["interval"].drop_nulls().to_numpy())
     line = f"{counts}: {per_stream['rows'].sum()} rows"
     if len(rates):
