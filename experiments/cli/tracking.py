@@ -25,7 +25,7 @@ from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
 from trackwright.trackers.catalogue import build, fitting, spec_of
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
@@ -124,11 +124,14 @@ def track_folders(
     """
     of_file = None if options.tuned is None else options.tuned.tracker
     runs, unfit = tracked_by(folders, options.tracker or of_file, options.noise)
-    for name in (run.tracker for run in runs if options.tracker is None):
+    for name, chosen in runs if options.tracker is None else ():
         if of_file is not None:
             notice(f"tracker: {name}, that of {options.noise}; choose another with --tracker")
         else:
-            notice(f"tracker: {name} ({spec_of(name).about}); choose another with --tracker")
+            spec = spec_of(name)
+            unread = {t for folder in chosen for t in folder.tables if t not in (spec.table, "imu", "truth")}
+            without = f"; without {listed(sorted(unread))}" if unread else ""
+            notice(f"tracker: {name} ({spec.about}{without}); choose another with --tracker")
     with suppress(OSError):
         # That of an archive which was tracked to this folder before.
         (options.out / RESULTS).unlink(missing_ok=True)

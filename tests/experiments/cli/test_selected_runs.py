@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -61,6 +62,14 @@ def test_the_last_reading_of_each_anchor_and_interval_is_kept(room):
 def test_a_part_that_holds_nothing_is_refused(room, part, expected):
     with pytest.raises(UnusableInput, match=expected):
         part.of(read_recording(room))
+
+
+def test_tables_that_the_chosen_tracker_does_not_read_are_named(room, tmp_path):
+    folder = read_recording(room)
+    fixes = folder.tables["truth"].select("t_s", "tag", "x_m", "y_m", "z_m")
+    write_recording(replace(folder, tables={**folder.tables, "fixes": fixes}), tmp_path / "both")
+    said = trackwright("track", tmp_path / "both", "--no-figures", "--no-report", "--out", tmp_path / "out")
+    assert "EKF with a drifting bias per anchor; without fixes); choose another with --tracker" in said.err
 
 
 def test_a_value_set_is_that_of_a_noise_file_and_goes_before_it(room, tmp_path):
