@@ -21,7 +21,7 @@ from trackwright.trackers.recordings.table_file import TableFile, first_row, rea
 UNITS: dict[str, dict[str, float]] = {
     "m": {
         "m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048,
-        "ns": 0.299792458,
+        "s": 299792458.0, "us": 299.792458, "ns": 0.299792458, "ps": 2.99792458e-4,
     },
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "iso": 1.0},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
@@ -31,7 +31,7 @@ UNITS: dict[str, dict[str, float]] = {
 # fmt: on
 """By the ending of a column's name: units and their factors to it. `iso`: dates such as 2026-05-01T12:00:00.25.
 
-A length in `ns` is the way of light in that time."""
+A length in a unit of time is the way of light in that time."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _EXPRESSION = re.compile(

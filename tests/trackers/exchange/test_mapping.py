@@ -37,6 +37,7 @@ RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7"
         ("t_s", "d - 1718000000", 1718000001.5, 1.5),
         ("range_m", "d*1e-3", 1500.0, 1.5),
         ("range_m", "d in ns", 10.0, 2.99792458),
+        ("range_m", "d in s", 1e-8, 2.99792458),
     ],
 )
 def test_an_expression_is_the_arithmetic_it_says(target, text, value, expected):
