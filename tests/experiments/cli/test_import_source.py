@@ -142,7 +142,7 @@ def test_a_notice_is_given_by_the_import_of_its_table_alone(there):
     rows = [f"{100 * k},A1,{2000 + k if k != 9 else 13440}" for k in range(20)]
     (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
     first = trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "hall")
-    assert "outliers of range_m: 1, the worst 13.44 at t_s 0.9" in first.err
+    assert "outliers of range_m: 1, the worst 13.44 at t_s 0.9 (tag " in first.err
     second = trackwright("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", "hall")
     assert second.code == 0
     assert "outliers" not in second.err

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -52,7 +53,7 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
             of_gaps = expected.ids[:1] if kinds[name].difference else expected.ids
             by_gaps = streams(whole, of_gaps, ["row", "t_s"], tags[name]) if kinds[name].difference else ordered
             lines += _gaps(name, by_gaps, whole.select(of_gaps), zero)
-            outliers += _outliers(name, ordered, expected.values, zero)
+            outliers += _outliers(name, ordered, whole.select(expected.ids), expected.values, zero)
     return [*lines, "; ".join(outliers)] if outliers else lines
 
 
@@ -109,9 +110,14 @@ def _gaps(name: str, ordered: pl.DataFrame, ids: pl.DataFrame, zero: float) -> l
     if gaps.height == 0:
         return []
     longest = gaps.row(int(gaps["dt"].arg_max() or 0), named=True)
-    where = ", ".join(f"{column} {ident}" for column, ident in ids.row(longest["row"], named=True).items())
-    example = f"the longest {longest['dt']:.3g} s before {place_in_time(longest['t_s'], zero)} ({where})"
+    example = f"the longest {longest['dt']:.3g} s before {_place(longest, ids, zero)}"
     return [f"{name}: gaps longer than 1 s: {gaps.height}, {example}"]
+
+
+def _place(row: Mapping[str, Any], ids: pl.DataFrame, zero: float) -> str:
+    """The time, the tag and the sensors of a row."""
+    of = ", ".join(f"{column} {ident}" for column, ident in ids.row(row["row"], named=True).items())
+    return f"{place_in_time(row['t_s'], zero)} ({of})"
 
 
 def _impossible(kind: Kind, table: pl.DataFrame, values: tuple[str, ...]) -> list[str]:
@@ -140,7 +146,7 @@ def _least_jump(column: str) -> float | None:
     return _LEAST_JUMP.get(column.rpartition("_")[2])
 
 
-def _outliers(name: str, ordered: pl.DataFrame, values: tuple[str, ...], zero: float) -> list[str]:
+def _outliers(name: str, ordered: pl.DataFrame, ids: pl.DataFrame, values: tuple[str, ...], zero: float) -> list[str]:
     """Values far from both neighbours in their stream, or above 100 times its median: spikes, unlike motion."""
     lines = []
     for column in values:
@@ -148,7 +154,7 @@ def _outliers(name: str, ordered: pl.DataFrame, values: tuple[str, ...], zero: f
         if least is None:
             continue
         x = pl.col(column)
-        present = ordered.select("stream", "t_s", column).drop_nulls()
+        present = ordered.select("stream", "row", "t_s", column).drop_nulls()
         spike = pl.lit(False)
         for reach in (1, 2):  # 2 finds two adjacent outliers
             before, after = x.shift(reach), x.shift(-reach)
@@ -166,6 +172,6 @@ def _outliers(name: str, ordered: pl.DataFrame, values: tuple[str, ...], zero: f
         outliers = present.join(per_stream, on="stream", how="left", maintain_order="left").filter(spike | tall)
         if outliers.height:
             worst = outliers.row(int((outliers[column].abs() - outliers["typical"]).abs().arg_max() or 0), named=True)
-            example = f"the worst {worst[column]:.4g} at {place_in_time(worst['t_s'], zero)}"
+            example = f"the worst {worst[column]:.4g} at {_place(worst, ids, zero)}"
             lines.append(f"{name}: outliers of {column}: {outliers.height}, {example}")
     return lines
