@@ -2,7 +2,8 @@
 
 Each angle of a station, and each anchor, is a robust linear regression of its own with a weak normal prior. Its errors
 are correlated: over seconds, and at a place however often a tag returns. Rows of one piece of time and place share
-their weight, and the covariance is a sandwich whose meat adds scores within pieces of time and within places.
+their weight, and the covariance is a sandwich whose meat adds scores within pieces of time and within places. The
+biases of range differences are those of one regression, since each difference has two.
 
 Cross-fitting corrects a recording by what others show, or each half of it by the other half.
 """
@@ -16,12 +17,15 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Point
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
+    NO_DIFFERENCES,
     RANGE_PRIOR,
     TAG_SIGMA,
     AnchorCalibration,
     Calibration,
+    DifferenceCalibration,
     StationCalibration,
     TagCalibration,
     angle_terms,
@@ -52,16 +56,18 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     _check_at_rest(folders)
     stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
     anchors, tags, spread = _anchors(calibration_pairs(folders, KINDS["ranges"]))
-    if not stations and not anchors:
+    places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}
+    differences = _differences(calibration_pairs(folders, KINDS["tdoa"]), places)
+    if not stations and not anchors and not differences.anchors:
         raise UnusableInput(_lacking(folders))
     mounted = {name: station for folder in folders for name, station in folder.rig.stations.items()}
-    places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}
     return Calibration(
         {name: replace(calibration, mounted=mounted[name]) for name, calibration in stations.items()},
         {name: replace(calibration, position=places[name]) for name, calibration in anchors.items()},
         tags,
         tuple(folder.name for folder in folders),
         spread,
+        differences,
     )
 
 
@@ -171,6 +177,34 @@ def _tag_biases(
     fits = regressions(of_tags, np.zeros(1), np.array([TAG_SIGMA])).values()
     biases = np.array([fit.terms[0] for fit in fits])
     return biases - biases.mean(), np.sqrt([fit.covariance[0, 0] for fit in fits])
+
+
+def _differences(pairs: Mapping[str, Pairs], places: Mapping[str, Point]) -> DifferenceCalibration:
+    """The biases of anchors in range differences, by one regression on all of them."""
+    ids = np.array(sorted(pairs))
+    parts = []
+    for name, values in pairs.items():
+        rows = _rows(values, (ids == name) * 1.0 - (ids == values.other[:, None]), 0)
+        rows = rows._replace(y=rows.y - values.true[np.isfinite(values.measured[:, 0]), 0])
+        # Each difference once; by its anchors, so that evenly spaced ones of a place are of all of them.
+        other = values.other[np.isfinite(values.measured[:, 0])]
+        order = np.argsort(other, kind="stable")
+        order = order[np.isin(other[order], ids) & (other[order] > name)]
+        parts.append(Rows(*(column[order] for column in rows)))
+    if not sum(len(part.y) for part in parts):
+        return NO_DIFFERENCES
+    joined = Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    fit = regressions({"": joined}, np.zeros(len(ids)), np.full(len(ids), RANGE_PRIOR[1][0]))[""]
+    # Differences do not see the mean of the biases.
+    centred = np.eye(len(ids)) - 1.0 / len(ids)
+    return DifferenceCalibration(
+        tuple(ids.tolist()),
+        centred @ fit.terms,
+        centred @ fit.covariance @ centred,
+        np.stack([np.asarray(places[name], float) for name in ids]),
+        tuple(int((joined.x[:, k] != 0.0).sum()) for k in range(len(ids))),
+        fit.scale,
+    )
 
 
 def by_others(folder: RecordingFolder, folders: Sequence[RecordingFolder]) -> RecordingFolder:

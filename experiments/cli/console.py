@@ -14,6 +14,7 @@ from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.atomic import json_text
 from trackwright.trackers.recordings.calibration import Calibration, identity
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, refuse_repeated
+from trackwright.trackers.recordings.kinds import KINDS
 
 
 @contextmanager
@@ -113,9 +114,10 @@ def notice_other_calibration(noise: Path | None, fitted: Mapping[str, str] | Non
 
 
 def notice_unused_calibration(folders: Sequence[RecordingFolder], tracker: str, table: str) -> None:
-    """A notice where the recordings have a calibration, but the tracker reads neither bearings nor ranges."""
-    if folders[0].calibration is not None and not {"bearings", "ranges"} & set(table.replace(",", " ").split()):
-        notice(f"notice: tracker '{tracker}' reads {table}; a calibration changes bearings and ranges alone")
+    """A notice where the recordings have a calibration, but the tracker reads nothing that one changes."""
+    changed = [name for name, kind in KINDS.items() if kind.calibrated is not None]
+    if folders[0].calibration is not None and not {*changed} & {*table.replace(",", " ").split()}:
+        notice(f"notice: tracker '{tracker}' reads {table}; a calibration changes {listed(changed)} alone")
 
 
 def output_folder(path: Path) -> Path:

@@ -214,10 +214,13 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the spread of the file's ranges, which sets the tracker's noise levels as `track` has them."""
+    """The recording with the spreads of the file, which set the tracker's noise levels as `track` has them."""
     if part.calibration is None:
         return part
-    return replace(part, calibration=replace(part.calibration, range_spread=whole.range_spread))
+    differences = replace(part.calibration.differences, spread=whole.differences.spread)
+    return replace(
+        part, calibration=replace(part.calibration, range_spread=whole.range_spread, differences=differences)
+    )
 
 
 def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], file: Path) -> list[RecordingFolder]:

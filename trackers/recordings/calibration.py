@@ -2,8 +2,8 @@
 and their file `calibration.toml`, written by `calibrate`, read by `--calibration`.
 
 A station measures each angle a as offset + gain·a + cubic·a³ + cross·a·b, where b is the other angle, both in its array
-frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. The fit is in
-`tuning/calibrating.py`.
+frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. A range difference is that of
+the distances plus the bias of the first anchor less that of the second. The fit is in `tuning/calibrating.py`.
 """
 
 from __future__ import annotations
@@ -58,6 +58,7 @@ _STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
 _RANGE_TERMS = ("bias_m", "slope")
 _ANCHOR = ("rows", *_RANGE_TERMS, "lowest_m", "highest_m", "covariance")
 _TAG = ("rows", "bias_m", "standard_error_m")
+_DIFFERENCES = ("anchors", "rows", "bias_m", "covariance", "position_m", "spread_m")
 
 
 def angle_terms(true: np.ndarray, spans: np.ndarray) -> np.ndarray:
@@ -140,11 +141,52 @@ class TagCalibration:
 
 
 @dataclass(frozen=True)
+class DifferenceCalibration:
+    """The biases of times of arrival at anchors, as lengths, of which range differences have the difference.
+
+    `biases` (A,) m, of `anchors`, relative to their mean; `covariance` (A, A) m². `positions` (A, 3) m: where they
+    stood. `rows` (A,): the differences of each in the fit. `spread`: the scale of Student's t of the errors that the
+    biases leave in differences, m.
+    """
+
+    anchors: tuple[str, ...]
+    biases: Float[np.ndarray, " A"]
+    covariance: Float[np.ndarray, "A A"]
+    positions: Float[np.ndarray, "A 3"]
+    rows: tuple[int, ...]
+    spread: float
+
+    def __contains__(self, anchor: str) -> bool:
+        return anchor in self.anchors
+
+    @property
+    def determined(self) -> np.ndarray:
+        """Whether the recordings of the fit determine each bias (A,), rather than its prior."""
+        return np.sqrt(np.diag(self.covariance)) < DETERMINED * RANGE_PRIOR[1][0]
+
+    def of(self, anchors: Sequence[str]) -> DifferenceCalibration:
+        """The part on some of its anchors."""
+        part = [self.anchors.index(name) for name in anchors]
+        return replace(
+            self,
+            anchors=tuple(anchors),
+            biases=self.biases[part],
+            covariance=self.covariance[np.ix_(part, part)],
+            positions=self.positions[part],
+            rows=tuple(self.rows[k] for k in part),
+        )
+
+
+NO_DIFFERENCES = DifferenceCalibration((), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3)), (), 0.0)
+"""Range differences without systematic errors."""
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Systematic errors of stations, anchors and tags by their ids; `recordings`: the names of those of the fit.
 
     `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
-    the anchors; None without anchors.
+    the anchors; None without anchors. `differences`: the biases of anchors in range differences.
     """
 
     stations: Mapping[str, StationCalibration] = field(default_factory=dict)
@@ -152,6 +194,7 @@ class Calibration:
     tags: Mapping[str, TagCalibration] = field(default_factory=dict)
     recordings: tuple[str, ...] = ()
     range_spread: float | None = None
+    differences: DifferenceCalibration = NO_DIFFERENCES
 
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""
@@ -168,6 +211,13 @@ class Calibration:
                 for name, anchor in self.anchors.items()
                 if name in anchors and (anchor.position is None or not has_moved(anchor.position, anchors[name]))
             },
+            differences=self.differences.of(
+                [
+                    name
+                    for name, place in zip(self.differences.anchors, self.differences.positions, strict=True)
+                    if name in anchors and not has_moved(place, anchors[name])
+                ]
+            ),
         )
 
     def of_bearings(
@@ -213,6 +263,19 @@ class Calibration:
             part = number == k
             variances[part] += np.einsum("ni,ij,nj->n", factors[part], anchor.covariance, factors[part])
         return distances, variances / (1.0 + slope) ** 2
+
+    def of_differences(
+        self, anchors: Sequence[str], number: np.ndarray, measured: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The differences of distances (N,), m, of range differences (N,) to `anchors[number]` (N, 2).
+
+        Also the variances that the uncertainty of the biases adds (N,), m². An anchor without a calibration has none.
+        """
+        known = self.differences
+        signs = np.array([[name == other for other in known.anchors] for name in anchors], float)
+        signs = signs.reshape(len(anchors), len(known.anchors))
+        factors = signs[number[:, 0]] - signs[number[:, 1]]
+        return measured - factors @ known.biases, np.einsum("ni,ij,nj->n", factors, known.covariance, factors)
 
 
 def has_moved(before: Point, now: Point) -> bool:
@@ -276,6 +339,11 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
             for name, tag in calibration.tags.items()
         },
     }
+    known = calibration.differences
+    if known.anchors:
+        arrays = known.biases, known.covariance, known.positions
+        values = [list(known.anchors), list(known.rows), *(x.tolist() for x in arrays), known.spread]
+        content["tdoa"] = dict(zip(_DIFFERENCES, values, strict=True))
     text = COMMENT + tomli_w.dumps(content)
     return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
@@ -308,14 +376,14 @@ class _Reader(TomlReader):
     def calibration(self) -> Calibration:
         self.of_format(FORMAT)
         content = self.content
-        spread = (_SPREAD,) if _SPREAD in content else ()
-        self.exactly(content, (*_TOP, *spread), "the top level")
+        spread, differences = ((key,) if key in content else () for key in (_SPREAD, "tdoa"))
+        self.exactly(content, (*_TOP, *spread, *differences), "the top level")
         names = content["recordings"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             self.wrong("recordings", names, "a list of names")
         stations, anchors, tags = (self.table(key, content[key]) for key in ("stations", "anchors", "tags"))
-        if not stations and not anchors:
-            self.refuse("neither a station nor an anchor, expected [stations.ID] or [anchors.ID]")
+        if not stations and not anchors and not differences:
+            self.refuse("neither a station nor an anchor, expected [stations.ID], [anchors.ID] or [tdoa]")
         if spread and self.number(_SPREAD, content[_SPREAD]) <= 0.0:
             self.wrong(_SPREAD, content[_SPREAD], "a number above zero")
         return Calibration(
@@ -324,6 +392,7 @@ class _Reader(TomlReader):
             {name: self.tag(f"tags.{name}", entry) for name, entry in tags.items()},
             tuple(names),
             float(content[_SPREAD]) if spread else None,
+            self.differences(self.table("tdoa", content["tdoa"])) if differences else NO_DIFFERENCES,
         )
 
     def station(self, where: str, content: Any) -> StationCalibration:
@@ -356,6 +425,26 @@ class _Reader(TomlReader):
             self.wrong(f"{where}.standard_error_m", sigma, "a number of zero or more")
         return TagCalibration(bias, sigma, self.rows(where, content["rows"]))
 
+    def differences(self, content: dict[str, Any]) -> DifferenceCalibration:
+        self.exactly(content, _DIFFERENCES, "[tdoa]")
+        names, rows = content["anchors"], content["rows"]
+        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+            self.wrong("tdoa.anchors", names, "a list of names")
+        if len(set(names)) < len(names):
+            self.wrong("tdoa.anchors", names, "each name once")
+        if not isinstance(rows, list) or len(rows) != len(names):
+            self.wrong("tdoa.rows", rows, f"a list of {len(names)} counts")
+        if self.number("tdoa.spread_m", content["spread_m"]) <= 0.0:
+            self.wrong("tdoa.spread_m", content["spread_m"], "a number above zero")
+        return DifferenceCalibration(
+            tuple(names),
+            self.array("tdoa.bias_m", content["bias_m"], (len(names),)),
+            self.covariance("tdoa.covariance", content["covariance"], len(names)),
+            self.array("tdoa.position_m", content["position_m"], (len(names), 3)),
+            tuple(self.rows("tdoa", count) for count in rows),
+            float(content["spread_m"]),
+        )
+
     def terms(
         self, where: str, table: dict[str, Any], names: Sequence[str], ends: tuple[str, str]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -363,11 +452,14 @@ class _Reader(TomlReader):
         terms, span = (np.array([self.number(f"{where}.{name}", table[name]) for name in n]) for n in (names, ends))
         if span[0] > span[1]:
             self.refuse(f"{where}.{ends[0]} = {span[0]:.6g} is above {ends[1]} = {span[1]:.6g}, expected it below")
-        covariance = self.array(f"{where}.covariance", table["covariance"], (len(names), len(names)))
+        return terms, span, self.covariance(f"{where}.covariance", table["covariance"], len(names))
+
+    def covariance(self, where: str, value: Any, size: int) -> np.ndarray:
+        covariance = self.array(where, value, (size, size))
         symmetric = np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12)
         if not symmetric or np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.trace(covariance):
-            self.refuse(f"{where}.covariance is no covariance, expected a symmetric, positive semidefinite matrix")
-        return terms, span, covariance
+            self.refuse(f"{where} is no covariance, expected a symmetric, positive semidefinite matrix")
+        return covariance
 
     def rows(self, where: str, value: Any) -> int:
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:

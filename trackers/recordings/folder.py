@@ -11,6 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Literal, cast, get_args
 
@@ -46,7 +47,7 @@ class RecordingFolder:
 
     `path`: the folder it was read from, None for one made in memory. `tables`: by name, with t_s and values as Float64,
     ids as String, null where a value is missing. `notices`: one line for each anomaly found while reading.
-    `calibration`: the systematic errors that trackers remove from its bearings and ranges; the tables are as measured.
+    `calibration`: the systematic errors that trackers remove from bearings, ranges, tdoa; the tables are as measured.
     `average_s`: interval, s, over which its readings are averages; None where trackers are to average of themselves.
     `origin`: x and y, m, in the recording as it was read, of the point from which positions are given.
     `unaveraged`: the recording that they are averages of, None for readings as they were.
@@ -108,10 +109,10 @@ class RecordingFolder:
         """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""
         known = Calibration() if self.calibration is None else self.calibration
         return [
-            f"{kind.noun} {name}"
+            f"{kind.noun} {name}" + (f" of {table}" if kind.difference else "")
             for table, kind in KINDS.items()
             if kind.calibrated is not None and table in self.tables
-            for name in self.tables[table][kind.noun].cast(pl.String).unique().sort().to_list()
+            for name in sorted({*chain(*(self.tables[table][of].cast(pl.String).unique() for of in kind.sensors))})
             if name not in getattr(known, kind.calibrated)
         ]
 

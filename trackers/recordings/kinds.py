@@ -110,7 +110,7 @@ class Kind:
     numbered: bool = False
     attitude: bool = False
     difference: bool = False
-    calibrated: Literal["stations", "anchors"] | None = None
+    calibrated: Literal["stations", "anchors", "differences"] | None = None
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):
@@ -320,6 +320,7 @@ KINDS: dict[str, Kind] = {
             _range_differences,
             averaged=True,
             difference=True,
+            calibrated="differences",
         ),
         Kind("fixes", _POSITION, (), _positions, averaged=True),
         Kind(

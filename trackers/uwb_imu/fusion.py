@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from trackwright.trackers.core.errors import is_count, require
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.track_loss import TrackScorePolicy
@@ -52,19 +54,21 @@ def range_tracker(
     )
 
 
+LASTING = MappingProxyType({"time_constant": 5.0, "length": 1.5})
+"""How long biases last that a calibration leaves, s and m, as errors of ranges against truth do (docs/decisions.md)."""
+
+
 def range_levels(calibration: Calibration | None) -> dict[str, float]:
     """The noise levels of `range_tracker`, by name, at a site with this calibration; none where it has no anchors.
 
-    The biases left by a calibration vary from place to place, with its `range_spread` as standard deviation. They last
-    for seconds and about a metre, as the errors of ranges against truth do (docs/decisions.md, Calibration).
+    The biases left by a calibration vary from place to place, with its `range_spread` as standard deviation.
     """
     if calibration is None or not calibration.anchors:
         return {}
     return {
         "bias": 0.0,
         "sigma_bias": calibration.range_spread or 0.07,
-        "time_constant": 5.0,
-        "length": 1.5,
+        **LASTING,
         "sigma_shared": 0.005,
         "sigma_r": 0.06,
         "positive_skew": 3.5,

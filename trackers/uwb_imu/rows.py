@@ -35,7 +35,7 @@ from trackwright.trackers.recordings.trajectories import (
     trajectories_of,
 )
 from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences
-from trackwright.trackers.uwb_imu.differences import TDOA, difference_tracker
+from trackwright.trackers.uwb_imu.differences import TDOA, difference_levels, difference_tracker
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
@@ -282,7 +282,9 @@ def _slots(trajectory: Trajectory) -> int:
 
 
 def _differences(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return replace(difference_tracker(_bias_slots(trajectory), _slots(trajectory), planar), lasting_errors=True)
+    levels = difference_levels(trajectory.folder.calibration)
+    tracker = difference_tracker(_bias_slots(trajectory), _slots(trajectory), planar, **levels)
+    return replace(tracker, lasting_errors=not levels)
 
 
 _trilateration = partial(
@@ -317,7 +319,11 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         trajectories=difference_trajectories,
         build=_differences,
         lacks=lacks_differences,
-        geometry=lambda trajectory: (_bias_slots(trajectory), _slots(trajectory)),
+        geometry=lambda trajectory: (
+            _bias_slots(trajectory),
+            _slots(trajectory),
+            *difference_levels(trajectory.folder.calibration).values(),
+        ),
     ),
     "multilateration": partial(
         TrackerSpec,

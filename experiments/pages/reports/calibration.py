@@ -49,8 +49,10 @@ TAG_HEAD = ("tag", "bias, m", "rows")
 _ERRORS = ("rows", "as measured", "calibrated", "left out")
 ANGLE_HEAD = ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS)
 RANGE_HEAD = ("anchor", "bias, m", "slope", *_ERRORS)
+DIFFERENCE_HEAD = ("anchor", "bias, m", *_ERRORS)
 _LASTS = "correlated for, s"
 LASTING_HEAD = ("source", "quantity", "lasting", "white noise", _LASTS, "and over, m")
+DIFFERENCE = "range difference"
 NOT_LINEAR = ", not linear"
 """What follows the name of an anchor whose errors differ by distance after the line is removed."""
 
@@ -68,7 +70,10 @@ NOTES = {
 
 
 class Source(NamedTuple):
-    """One angle of a station, or the ranges of an anchor: its name, `quantity` and column of the pairs."""
+    """One angle of a station, or the ranges of an anchor or its range differences to others.
+
+    Its name, `quantity` and column of the pairs.
+    """
 
     name: str
     quantity: str
@@ -80,12 +85,21 @@ class Source(NamedTuple):
         """Whether the values are angles, not ranges."""
         return self.quantity in ANGLES
 
+    @property
+    def table(self) -> int:
+        """The table of a report: 0 of stations, 1 of anchors, 2 of range differences."""
+        return 0 if self.is_angle else 1 + (self.quantity == DIFFERENCE)
+
     def errors(self, calibration: Calibration | None) -> np.ndarray:
         """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
         true, k = self.pairs.true, self.column
         expected = true[:, k]
         if calibration is not None and self.is_angle:
             expected = calibration.stations.get(self.name, UNCALIBRATED).measured(true)[:, k]
+        elif calibration is not None and self.quantity == DIFFERENCE:
+            names, number = np.unique(self.pairs.other, return_inverse=True)
+            both = np.column_stack([np.full(len(number), len(names)), number])
+            expected = expected - calibration.of_differences([*names, self.name], both, np.zeros(len(number)))[0]
         elif calibration is not None and self.name in calibration.anchors:
             tags, number = np.unique(self.pairs.tag, return_inverse=True)
             biases = np.array([calibration.tags[tag].bias if tag in calibration.tags else 0.0 for tag in tags])
@@ -118,7 +132,7 @@ class Source(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The tables of a calibration, by station and angle, by anchor, and by tag where there are several.
+    """The tables of a calibration, by station and angle, by anchor of ranges and of differences, and by tag if several.
 
     `lasting`: by station and angle and by anchor, how large the errors left out are and how long they last.
     `undetermined`: each source with the terms that are not determined.
@@ -126,6 +140,7 @@ class Report(NamedTuple):
 
     stations: list[list[str]]
     anchors: list[list[str]]
+    differences: list[list[str]]
     tags: list[list[str]]
     lasting: list[list[str]]
     undetermined: list[tuple[str, str]]
@@ -133,9 +148,9 @@ class Report(NamedTuple):
 
     def tables(self) -> list[tuple[str, Sequence[str], int, list[list[str]]]]:
         """Title, head, number of columns of text and rows of each table; no column `left out` of dashes alone."""
-        heads = (("Stations", ANGLE_HEAD, 2), ("Anchors", RANGE_HEAD, 1))
+        heads = (("Stations", ANGLE_HEAD, 2), ("Anchors", RANGE_HEAD, 1), ("Range differences", DIFFERENCE_HEAD, 1))
         tables = []
-        for (title, head, texts), rows in zip(heads, (self.stations, self.anchors), strict=True):
+        for (title, head, texts), rows in zip(heads, (self.stations, self.anchors, self.differences), strict=True):
             width = len(head) - all(row[-1] == MISSING for row in rows)
             tables.append((title, head[:width], texts, [row[:width] for row in rows]))
         tables.append(("Tags, relative to their mean", TAG_HEAD, 1, self.tags))
@@ -154,7 +169,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     """The tables of a calibration of these recordings."""
     sources = list(_sources(folders))
     without = _without_each(folders)
-    tables: tuple[list[list[str]], list[list[str]]] = ([], [])
+    tables: tuple[list[list[str]], list[list[str]], list[list[str]]] = ([], [], [])
     undetermined, series = [], {}
     for source in sources:
         terms, covariance, determined, names = _fit(calibration, source)
@@ -165,16 +180,19 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
             if other is not None:
                 of_recording = source.pairs.recording == number
                 left_out[of_recording] = source.errors(other)[of_recording]
-        series[source.name, source.quantity] = list(source.series(left_out))
+        if source.quantity != DIFFERENCE:
+            series[source.name, source.quantity] = list(source.series(left_out))
         measured = source.errors(None)
         spreads = [source.spread(errors) for errors in (measured, source.errors(calibration), left_out)]
         factor, unit = _shown(source.quantity)
         shown = [MISSING if np.isnan(spread) else fixed(factor * spread, 1) + unit for spread in spreads]
-        head = [source.name, source.quantity] if source.is_angle else [source.name + source.bend(calibration)]
-        tables[not source.is_angle].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
+        heads = [source.name, source.quantity], [source.name + source.bend(calibration)], [source.name]
+        head = heads[source.table]
+        tables[source.table].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
         lacking = [name for name, known in zip(names, determined, strict=True) if not known]
         if lacking:
-            word = f"station {source.name}, {source.quantity}" if source.is_angle else f"anchor {source.name}"
+            words = f"station {source.name}, {source.quantity}", f"anchor {source.name}"
+            word = (*words, f"anchor {source.name} in range differences")[source.table]
             undetermined.append((word, ", ".join(lacking)))
     tags = [[name, _term(tag.bias, tag.sigma, True), str(tag.rows)] for name, tag in calibration.tags.items()]
     lasting = [[*key, *_lasting(numbers, *_shown(key[1]))] for key, numbers in lasting_errors(series).items()]
@@ -187,6 +205,8 @@ def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
             yield Source(name, angle, column, pairs)
     for name, pairs in calibration_pairs(folders, KINDS["ranges"]).items():
         yield Source(name, "range", 0, pairs)
+    for name, pairs in calibration_pairs(folders, KINDS["tdoa"]).items():
+        yield Source(name, DIFFERENCE, 0, pairs)
 
 
 def _without_each(folders: Sequence[RecordingFolder]) -> list[Calibration | None]:
@@ -205,6 +225,9 @@ def _fit(calibration: Calibration, source: Source) -> tuple[np.ndarray, np.ndarr
     if source.is_angle:
         station, k = calibration.stations[source.name], source.column
         return station.coefficients[k], station.covariances[k], station.determined[k], ANGLE_TERMS
+    if source.quantity == DIFFERENCE:
+        known, k = calibration.differences, calibration.differences.anchors.index(source.name)
+        return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]], RANGE_TERMS[:1]
     anchor = calibration.anchors[source.name]
     return anchor.coefficients, anchor.covariance, anchor.determined, RANGE_TERMS
 
@@ -251,10 +274,10 @@ def draw_report(out: Path, calibration: Calibration, report: Report) -> list[str
 
 
 def _panels(calibration: Calibration, report: Report) -> Iterator[tuple[str, int, list[Panel]]]:
-    """Stations and anchors, where there are any: what they are called, the columns of their figures, their panels."""
-    for kind, columns, angles in (("stations", 2, True), ("anchors", 3, False)):
-        panels = [_panel(calibration, source) for source in report.sources if source.is_angle == angles]
-        panels = [panel for panel in panels if len(panel.true)][: 2 * SHOWN if angles else SHOWN]
+    """Of each table with sources: what they are called, the columns of their figures, their panels."""
+    for number, (kind, columns) in enumerate((("stations", 2), ("anchors", 3), ("differences", 3))):
+        panels = [_panel(calibration, source) for source in report.sources if source.table == number]
+        panels = [panel for panel in panels if len(panel.true)][: SHOWN if number else 2 * SHOWN]
         if panels:
             yield kind, min(columns, len(panels)), panels
 
@@ -272,7 +295,7 @@ def _panel(calibration: Calibration, source: Source) -> Panel:
         factors = angle_terms(angles, calibration.stations[source.name].spans)[:, column]
         fitted = factors @ terms
     else:
-        factors = range_terms(at)
+        factors = range_terms(at)[:, : len(terms)]
         fitted = at + factors @ terms
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", factors, covariance, factors))
     columns = true, true + source.errors(None)[seen], true + source.errors(calibration)[seen]
@@ -285,19 +308,20 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
         (kind, [reading_chart(panel) for panel in panels], floor_image(panels, n))
         for kind, n, panels in _panels(calibration, report)
     ]
-    stations, anchors, _, lasting = report.tables()
+    stations, anchors, differences, _, lasting = report.tables()
     text = page(
         "calibration.html",
         title=f"Calibration on {counted(len(calibration.recordings), 'recording')}",
         recordings=calibration.recordings,
         stations=stations,
         anchors=anchors,
+        differences=differences,
         tag_head=TAG_HEAD,
         lasting=lasting,
         report=report,
         figures=figures,
         several=len(calibration.recordings) > 1,
-        most=SHOWN if max(len(report.stations) // 2, len(report.anchors)) > SHOWN else None,
+        most=SHOWN if max(len(report.stations) // 2, len(report.anchors), len(report.differences)) > SHOWN else None,
         out=str(out),
         words=shlex.join(["trackwright", *command[1:]]),
     )

@@ -134,6 +134,8 @@ def _without_systematic_errors(folder: RecordingFolder, measured: Measured, rows
     number = measured.sensors.number[:, 0]
     if kind.calibrated == "stations":
         return folder.calibration.of_bearings(measured.ids, number, values)[1]
+    if kind.calibrated == "differences":
+        return folder.calibration.of_differences(measured.ids, measured.sensors.number, values[:, 0])[0][:, None]
     tag = rows.of_each(np.arange(len(rows.tags)))
     return folder.calibration.of_ranges(measured.ids, number, rows.tags, tag, values[:, 0])[0][:, None]
 

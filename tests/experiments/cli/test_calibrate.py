@@ -161,7 +161,7 @@ def test_a_tracker_that_reads_neither_bearings_nor_ranges_is_named_in_a_notice(w
     said = trackwright("track", tmp_path / "fixes", "--tracker", "median", "--calibration",
                        there / "site" / "calibration.toml", "--out", tmp_path / "out")  # fmt: skip
     assert said.code == 0, said.err
-    assert "notice: tracker 'median' reads fixes; a calibration changes bearings and ranges alone" in said.err
+    assert "notice: tracker 'median' reads fixes; a calibration changes ranges, tdoa, bearings alone" in said.err
 
 
 def test_an_output_that_is_no_toml_file_is_refused(walks, tmp_path):

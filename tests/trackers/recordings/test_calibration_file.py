@@ -10,6 +10,7 @@ from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.recordings.calibration import (
     AnchorCalibration,
     Calibration,
+    DifferenceCalibration,
     StationCalibration,
     TagCalibration,
     read_calibration,
@@ -43,6 +44,14 @@ CALIBRATION = Calibration(
     {"1": TagCalibration(0.03, 0.01, 40)},
     ("walk 1", "walk 2"),
     0.0583,
+    DifferenceCalibration(
+        ("A", "B"),
+        np.array([0.02, -0.02]),
+        _covariance(2),
+        np.array([[1.0, 2.0, 2.5], [4.0, 0.0, 2.0]]),
+        (70, 71),
+        0.0625,
+    ),
 )
 
 
@@ -56,6 +65,10 @@ def test_a_calibration_is_read_back_to_the_bit(path):
     assert found.recordings == CALIBRATION.recordings
     assert found.tags == CALIBRATION.tags
     assert found.range_spread == CALIBRATION.range_spread
+    one, other = found.differences, CALIBRATION.differences
+    assert (one.anchors, one.rows, one.spread) == (other.anchors, other.rows, other.spread)
+    for name in ("biases", "covariance", "positions"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     np.testing.assert_array_equal(found.anchors["A"].position, CALIBRATION.anchors["A"].position)
     station, other = found.stations["S 1"].mounted, CALIBRATION.stations["S 1"].mounted
     np.testing.assert_array_equal(station.position, other.position)
@@ -91,6 +104,11 @@ def test_a_calibration_is_read_back_to_the_bit(path):
         ("position_m = [\n    0.0", "place_m = [\n    0.0", "[stations.S 1] has unknown key 'place_m'"),
         ("standard_error_m = 0.01", "standard_error_m = -0.01", "standard_error_m = -0.01, expected a number of zero"),
         ("lowest_m = 0.4", "lowest_m = 9.0", "lowest_m = 9 is above highest_m = 7"),
+        ("spread_m = 0.0625", "spread_m = 0", "tdoa.spread_m = 0, expected a number above zero"),
+        ("    70,\n", "", "tdoa.rows = [71], expected a list of 2 counts"),
+        ("    70,\n", "    -7,\n", "tdoa.rows = -7, expected a count"),
+        ('    "B",\n', '    "A",\n', "tdoa.anchors = ['A', 'A'], expected each name once"),
+        ('    "B",\n', "    2,\n", "tdoa.anchors = ['A', 2], expected a list of names"),
         ('recordings = [\n', "recordings = [\n    3,\n", "expected a list of names"),
     ],
 )  # fmt: skip
