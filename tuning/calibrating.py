@@ -94,7 +94,7 @@ def _lacking(folders: Sequence[RecordingFolder]) -> str:
     calibrated = [name for name, kind in KINDS.items() if kind.calibrated is not None]
     if not any(name in folder.tables for folder in folders for name in calibrated):
         tables = ", ".join(dict.fromkeys(table for folder in folders for table in folder.tables))
-        expected = " or ".join(calibrated)
+        expected = f"{', '.join(calibrated[:-1])} or {calibrated[-1]}"
         return f"{names}: tables {tables}; expected {expected} to calibrate; give recordings with such a table"
     return (
         f"{names}: fewer than {MIN_ROWS} rows with truth in x, y and z for every station and anchor; expected at least "
@@ -185,11 +185,10 @@ def _differences(pairs: Mapping[str, Pairs], places: Mapping[str, Point]) -> Dif
     parts = []
     for name, values in pairs.items():
         rows = _rows(values, (ids == name) * 1.0 - (ids == values.other[:, None]), 0)
-        rows = rows._replace(y=rows.y - values.true[np.isfinite(values.measured[:, 0]), 0])
+        rows = rows._replace(y=rows.y - values.true[:, 0])
         # Each difference once; by its anchors, so that evenly spaced ones of a place are of all of them.
-        other = values.other[np.isfinite(values.measured[:, 0])]
-        order = np.argsort(other, kind="stable")
-        order = order[np.isin(other[order], ids) & (other[order] > name)]
+        order = np.argsort(values.other, kind="stable")
+        order = order[np.isin(values.other[order], ids) & (values.other[order] > name)]
         parts.append(Rows(*(column[order] for column in rows)))
     if not sum(len(part.y) for part in parts):
         return NO_DIFFERENCES

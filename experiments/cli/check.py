@@ -56,7 +56,7 @@ def calibrate_recordings(*recordings: Recording, out: File, json: bool = False) 
     tuned with the result should be others than these.
 
     Args:
-        recordings: recording folders with truth, and bearings or ranges; each has the same weight.
+        recordings: recording folders with truth, and bearings, ranges or tdoa; each has the same weight.
         out: the file to write, as calibration.toml; the page and its figures go beside it.
         json: print the content of that file as JSON instead of tables.
     """

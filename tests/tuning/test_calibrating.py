@@ -193,7 +193,7 @@ def test_azimuths_beyond_half_a_turn_are_compared_the_short_way_round():
     ("tables", "words"),
     [
         (("bearings", "ranges"), "no truth table; expected truth to calibrate against"),
-        (("truth",), "expected ranges or bearings to calibrate"),
+        (("truth",), "expected ranges, tdoa or bearings to calibrate"),
     ],
 )
 def test_recordings_that_lack_something_are_refused_in_one_line(tables, words):

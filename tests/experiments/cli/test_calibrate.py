@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from tests.in_process import assert_refused, trackwright
-from tests.tuning.calibration_worlds import LENGTH, RIG, TIME, world
+from tests.tuning.calibration_worlds import LENGTH, RIG, TIME, differences, world
 from trackwright.experiments.cli.tuning_job import cross_calibrated
 from trackwright.experiments.pages.reports.calibration import report_on
 from trackwright.trackers.core.model.rig import Rig, Tag
@@ -237,3 +237,24 @@ def test_a_noise_file_of_another_calibration_is_noticed(walks, tmp_path):
         assert said.code == 0, said.err
         assert (text in said.err) == (expected is not None)
         assert expected is None or text + expected in said.err
+
+
+def test_range_differences_are_calibrated_tracked_and_fitted_with_the_file(tmp_path):
+    rng = np.random.default_rng(8)
+    paths = [tmp_path / name for name in ("one", "two", "three")]
+    for path in paths:
+        write_recording(differences(rng, path.name, np.array([0.1, -0.1, 0.05, -0.05]), 30.0), path)
+    file = tmp_path / "site.toml"
+    said = trackwright("calibrate", *paths[:2], "--out", file)
+    assert said.code == 0, said.err
+    known = read_calibration(file).differences
+    cell = f"{known.biases[0]:.3f} ± {np.sqrt(known.covariance[0, 0]):.3f}".replace(" ", "\xa0")
+    assert cell in said.out
+    assert cell in (tmp_path / "site.html").read_text("utf-8")
+    assert "4 anchors in range differences" in (tmp_path / "site.html").read_text("utf-8")
+    said = trackwright("track", paths[2], "--calibration", file, "--out", tmp_path / "tracks")
+    assert said.code == 0, said.err
+    assert "uncalibrated" not in said.err
+    parts = cross_calibrated([read_recording(path) for path in paths[:2]], file)
+    assert {part.calibration.differences.spread for (part,) in parts} == {known.spread}
+    assert parts[0][0].calibration.recordings == ("two",)
