@@ -167,7 +167,8 @@ class Report(NamedTuple):
 
 def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
     """The tables of a calibration of these recordings."""
-    sources = list(_sources(folders))
+    # An anchor whose differences are to anchors with too few has no bias.
+    sources = [source for source in _sources(folders) if source.table < 2 or source.name in calibration.differences]
     without = _without_each(folders)
     tables: tuple[list[list[str]], list[list[str]], list[list[str]]] = ([], [], [])
     undetermined, series = [], {}
