@@ -70,7 +70,7 @@ def series_of(times: np.ndarray, positions: np.ndarray, errors: np.ndarray) -> S
     kept = seen[np.append(True, np.diff(cell) > 0)]
     away = np.abs(errors[kept] - median_filter(errors[kept], NEIGHBOURS, mode="mirror"))
     limit = SPIKE * 1.4826 * float(np.median(away))
-    # Where most readings repeat the one before, the median says nothing.
+    # Where most readings repeat the one before, the median is zero.
     kept = kept[away <= limit] if limit > 0.0 else kept
     way, begun, corner, far = np.zeros(len(kept)), 0.0, positions[kept[0]], 0.0
     for k, position in enumerate(positions[kept]):

@@ -70,6 +70,7 @@ CASES: Mapping[str, Callable[[int], Case]] = {
     "line-pf": partial(simulated, "line-pf", worlds.line),
     "uwb": partial(simulated, "uwb", worlds.ranges),
     "uwb-imu": partial(simulated, "uwb-imu", worlds.tool),
+    "tdoa": partial(simulated, "tdoa", worlds.tdoa),
     "floor-pf": floor,
     "fix-kf": partial(simulated, "fix-kf", worlds.agv, rows=500),
     "fix-singer": partial(simulated, "fix-singer", worlds.agv, rows=500),

@@ -23,6 +23,7 @@ from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.fixes import FloorFixes
 from trackwright.trackers.parts.fixes import AbstractFixSensor
 from trackwright.trackers.parts.ranges import RangeSensor
+from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter, with_yaw_added
 
 NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
@@ -151,6 +152,8 @@ def _read(sensor: AbstractSensor, predicted: np.ndarray, rng: np.random.Generato
     if isinstance(sensor, BearingSensor):
         sigmas = np.array([[float(sensor.sigma_azimuth.value)], [float(sensor.sigma_elevation.value)]])
         return predicted + sigmas * _unit(rng, sensor.dof, shape)
+    if isinstance(sensor, RangeDifferenceSensor):
+        return predicted + float(sensor.sigma_d.value) * _unit(rng, sensor.dof, shape)
     if isinstance(sensor, AbstractFixSensor):
         return predicted + np.linalg.cholesky(np.array(sensor.noise(), float)) @ _unit(rng, sensor.dof, shape)
     raise TypeError(f"no draw of the readings of a {type(sensor).__name__}")

@@ -90,7 +90,7 @@ def test_notices_and_checks_name_times_that_count_from_1970_by_the_seconds_since
     rig = Rig("hall", {"A": np.zeros(3)})
     gaps, outlier = anomalies({"ranges": ranges}, rig)
     assert "the longest 20.1 s before 26 s after the start" in gaps
-    assert outlier.endswith("the worst 900 at 3 s after the start")
+    assert outlier.endswith("the worst 900 at 3 s after the start (tag T, anchor A)")
     said = " ".join(
         result.message for result in check(RecordingFolder("hall", None, rig, {"ranges": ranges, "truth": truth}))
     )
