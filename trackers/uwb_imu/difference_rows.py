@@ -31,8 +31,9 @@ BEYOND = 1.0
 RECENT = 32
 """Differences from which a position for a start is computed, the latest of the last seconds."""
 
-SPACING_S = 0.2
-"""Time, s, between positions for a start."""
+SPACING_S, SOON_S, LATER_S = 0.2, 5.0, 1.0
+"""Time, s, between positions for a start, how long after the first row, and the time between later ones, for tracks
+that were lost."""
 
 BLOCK = 4096
 """Positions computed at once."""
@@ -117,7 +118,7 @@ def recent_hyperbolic_positions(
     anchors: Float[np.ndarray, "A 3"],
     heights: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "M 4"]:
-    """For the first row of every `SPACING_S`: the position from the latest differences, m, and 1 where determined.
+    """For the first row of each such time: the position from the latest differences, m, and 1 where determined.
 
     `starts` (n + 1,): the first row of each of n tags, then M. `number`: of the anchors of each difference in
     `anchors`. `heights` m: of the tags, NaN where unknown. The second of `WINDOWS_S` is used where the differences of
@@ -130,7 +131,9 @@ def recent_hyperbolic_positions(
         return result
     # Of each row, the differences up to its last.
     until, since = np.searchsorted(row, np.arange(len(times)), "right"), np.searchsorted(row, starts[tag])
-    period = np.floor((times - times[starts[tag]]) / SPACING_S)
+    elapsed = times - times[starts[tag]]
+    later = SOON_S / SPACING_S + (elapsed - SOON_S) / LATER_S
+    period = np.floor(np.where(elapsed < SOON_S, elapsed / SPACING_S, later))
     begins = np.append(True, (np.diff(period) != 0) | (np.diff(tag) != 0))
     for window in WINDOWS_S:
         for known in (True, False):

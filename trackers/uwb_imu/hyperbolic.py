@@ -21,7 +21,7 @@ Thirty differences of 0.13 m then leave 0.75 m; beside the anchors a difference 
 """
 
 ITERATIONS = 15
-"""Gauss–Newton steps, and a third of them for the differences between anchors."""
+"""Gauss–Newton steps, a third of them with all differences, and for the distances from the reference."""
 
 
 class Differences(NamedTuple):
@@ -51,11 +51,16 @@ def hyperbolic_positions(
     starts = np.concatenate(
         [_around(given.anchors, heard, heights), _closed_form(given.anchors, heard, ranges, reference, heights)]
     )
-    place, cost, scale = _refined(given, starts, n)
+    # Most steps with a few distances in the place of many differences.
+    to_all = np.broadcast_to(np.arange(len(given.anchors)), heard.shape)
+    of_reference = Differences(ranges, heard, to_all, np.broadcast_to(reference[:, None], heard.shape), given.anchors)
+    place = _refined(of_reference, starts, n, ITERATIONS)
+    cost = np.sum(given.counts * np.log1p((_linearised(given, place, n)[0] / CAUCHY_SCALE) ** 2), axis=-1)
     best = np.argmin(cost + 1e-3 * np.arange(len(starts))[:, None], axis=0)
     epochs = np.arange(len(best))
-    place, scale = place[best, epochs], scale[best, epochs]
+    place = _refined(given, place[best, epochs][None], n, ITERATIONS // 3)[0]
     residual, jacobian = _linearised(given, place, n)
+    scale = _scale(residual, given.counts)
     agree = given.counts & (np.abs(residual) <= FURTHEST * scale[:, None])
     information = np.einsum("ms,msi,msj->mij", agree, jacobian, jacobian)
     information = information / np.maximum(agree.sum(axis=1), 1)[:, None, None]
@@ -139,12 +144,12 @@ def _around(anchors: np.ndarray, heard: np.ndarray, heights: np.ndarray) -> np.n
     return np.stack([np.column_stack([centroid[:, :2], height]) for height in z])
 
 
-def _refined(given: Differences, starts: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions (H, M, 3) after Gauss–Newton steps of n axes from H starts each, their cost and scale (H, M)."""
+def _refined(given: Differences, starts: np.ndarray, n: int, steps: int) -> np.ndarray:
+    """Positions (H, M, 3) after robust Gauss–Newton steps of n axes from H starts each."""
     place, eye = starts.copy(), RIDGE * np.eye(n)
     # A hyperbola is straight far away: no step is longer than the installation.
     longest = np.ptp(given.anchors, axis=0).max()
-    for _ in range(ITERATIONS):
+    for _ in range(steps):
         residual, jacobian = _linearised(given, place, n)
         weight = given.counts / (1.0 + (residual / _scale(residual, given.counts)[..., None]) ** 2)
         weighted = weight[..., None] * jacobian
@@ -152,9 +157,7 @@ def _refined(given: Differences, starts: np.ndarray, n: int) -> tuple[np.ndarray
         move = np.linalg.solve(normal, np.einsum("hmsi,hms->hmi", weighted, residual)[..., None])[..., 0]
         move /= np.maximum(np.linalg.norm(move, axis=-1, keepdims=True) / longest, 1.0)
         place[..., :n] += move
-    residual, _ = _linearised(given, place, n)
-    cost = np.sum(given.counts * np.log1p((residual / CAUCHY_SCALE) ** 2), axis=-1)
-    return place, cost, _scale(residual, given.counts)
+    return place
 
 
 def _linearised(given: Differences, place: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
