@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from trackwright.sim.corruptions import Corruption, Times, corrupted
 from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys
 from trackwright.sim.paths import PathFunction
-from trackwright.sim.ranging import WALK, Ranges
+from trackwright.sim.ranging import WALK, Ranges, distances_to
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -95,8 +95,7 @@ def simulate_differences(
 
     def arrived(keys: Keys) -> tuple[np.ndarray, ...]:
         positions = path(stream(keys, "path"), times)
-        x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
-        arrivals = np.sqrt(x * x + y * y + z * z)
+        arrivals = distances_to(anchors, positions)
         heard = np.ones(arrivals.shape, bool)
         return positions, *corrupted(corruptions, stream(keys, "corruptions"), times, arrivals, heard)
 

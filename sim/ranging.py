@@ -165,6 +165,12 @@ def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
     return Rig("chamber", anchors={f"A{k + 1}": np.asarray(a, float) for k, a in enumerate(anchors)})
 
 
+def distances_to(anchors: Float[np.ndarray, "A 3"], positions: Float[np.ndarray, "n T 3"]) -> Ranges:
+    """The distances (n, T, A) of positions, m, from anchors."""
+    x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
 def simulate_ranges(
     rig: Rig,
     path: PathFunction = WALK,
@@ -190,8 +196,7 @@ def simulate_ranges(
 
     def ranged(keys: Keys) -> tuple[np.ndarray, ...]:
         positions = path(stream(keys, "path"), times)
-        x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
-        distances = np.sqrt(x * x + y * y + z * z)
+        distances = distances_to(anchors, positions)
         ranges = two_way_ranges(stream(keys, "two-way ranging"), distances, protocol or Protocol())
         corruption_keys, all_seen = stream(keys, "corruptions"), np.ones(ranges.shape, bool)
         ranges, seen = corrupted(corruptions, corruption_keys, times, ranges, all_seen)

@@ -241,18 +241,9 @@ def ranges(
         hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
         lost: share of the ranges that are missing.
     """
-    from trackwright.sim import corruptions
-    from trackwright.sim.ranging import antenna_biases, chamber, obstruction, simulate_ranges
+    from trackwright.sim.ranging import chamber, simulate_ranges
 
-    errors: dict[str, Corruption] = {}
-    if bias > 0:
-        errors["biases"] = antenna_biases(bias)
-    if hidden > 0:
-        errors["hidden"] = obstruction(hidden, 2.0, 0.3, 0.3)
-    if sigma_r > 0:
-        errors["white"] = corruptions.white_noise(sigma_r)
-    if lost > 0:
-        errors["lost"] = corruptions.drop_outs(lost)
+    errors = _errors_of_anchors(bias, 0.0, hidden, sigma_r, lost)
     world = simulate_ranges(chamber(), n=_ids(n, ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=errors)
     return SimulatedWorld(f"simulated-ranges-{seed}", world)
 
@@ -284,21 +275,11 @@ def tdoa(
         hidden: share of the time for which an anchor has no line of sight, and its signal is late.
         lost: share of an anchor's signals that are lost.
     """
-    from trackwright.sim import corruptions
     from trackwright.sim.differences import CORNERS, simulate_differences
-    from trackwright.sim.ranging import antenna_biases, chamber, obstruction
+    from trackwright.sim.ranging import chamber
 
-    errors: dict[str, Corruption] = {}
-    if bias > 0:
-        errors["biases"] = antenna_biases(bias)
-    if drift > 0:
-        errors["drift"] = corruptions.gauss_markov(drift, 10.0)
-    if hidden > 0:
-        errors["hidden"] = obstruction(hidden, 2.0, 0.3, 0.3)
-    if sigma_d > 0:
-        errors["white"] = corruptions.white_noise(sigma_d / 2**0.5)
-    if lost > 0:
-        errors["lost"] = corruptions.drop_outs(lost)
+    # A difference has the noise of two arrivals.
+    errors = _errors_of_anchors(bias, drift, hidden, sigma_d / 2**0.5, lost)
     world = simulate_differences(
         chamber(CORNERS),
         n=_ids(n, ids),
@@ -309,6 +290,25 @@ def tdoa(
         corruptions=errors,
     )
     return SimulatedWorld(f"simulated-tdoa-{seed}", world)
+
+
+def _errors_of_anchors(bias: float, drift: float, hidden: float, sigma: float, lost: float) -> dict[str, Corruption]:
+    """The errors of distances to anchors, m, and the shares of hidden and lost ones, as of `ranges` and `tdoa`."""
+    from trackwright.sim import corruptions
+    from trackwright.sim.ranging import antenna_biases, obstruction
+
+    errors: dict[str, Corruption] = {}
+    if bias > 0:
+        errors["biases"] = antenna_biases(bias)
+    if drift > 0:
+        errors["drift"] = corruptions.gauss_markov(drift, 10.0)
+    if hidden > 0:
+        errors["hidden"] = obstruction(hidden, 2.0, 0.3, 0.3)
+    if sigma > 0:
+        errors["white"] = corruptions.white_noise(sigma)
+    if lost > 0:
+        errors["lost"] = corruptions.drop_outs(lost)
+    return errors
 
 
 @checked
