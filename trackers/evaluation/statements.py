@@ -55,17 +55,13 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     if overall["coverage_95"] is None:
         return losses + _innovations(overall, recordings)
     bad = [f"{r['recording']} ({_percent(r['coverage_95'])})" for r in recordings if not holds(r)]
-    of_all, several = _covariance(overall, ""), f"{len(bad)} of {len(recordings)} recordings: {listed(bad)}"
-    if not bad or len(recordings) == 1:
-        sentences = [*losses, f"Reported {of_all}."]
-    elif holds(overall):
+    several = f"do not hold in {len(bad)} of {len(recordings)} recordings: {listed(bad)}."
+    if len(recordings) > 1 and bad and holds(overall):
         # Too large ones and too small ones have a good mean.
-        sentences = [
-            *losses,
-            f"Reported covariances do not hold in {several}. In all rows {of_all.partition(': ')[2]}.",
-        ]
+        sentences = [*losses, f"Reported covariances {several} In all rows {_figures(overall, '')}."]
     else:
-        sentences = [*losses, f"Reported {of_all}.", f"They do not hold in {several}."]
+        sentences = [*losses, f"Reported {_covariance(overall, '')}."]
+        sentences += [f"They {several}"] if len(recordings) > 1 and bad else []
     if overall.get("coverage_95_3d") is not None and not holds(overall, "_3d"):
         sentences.append(f"In three dimensions, reported {_covariance(overall, '_3d')}.")
     sentences += _lasting(recordings)
@@ -90,12 +86,8 @@ def correlated(metrics: Mapping[str, Any]) -> bool:
 
 def _covariance(metrics: Mapping[str, Any], suffix: str) -> str:
     """The size of the standard deviations relative to the errors, and the figures that show it."""
-    shape = "ellipsoid" if suffix else "ellipse"
     (share, ratio), factor = _as_printed(metrics, suffix), metrics[f"sigma_factor{suffix}"]
-    figures = (
-        f"the 95 % {shape} holds the truth in {_percent(share)} of the rows ({LIMITS[0]}), "
-        f"NEES/dof is {significant(ratio, 3)} ({LIMITS[1]})"
-    )
+    figures = _figures(metrics, suffix)
     if holds(metrics, suffix):
         return f"covariances hold: {figures}"
     small = share < COVERAGE[0] or ratio > RATIO[1]
@@ -108,6 +100,15 @@ def _covariance(metrics: Mapping[str, Any], suffix: str) -> str:
         return f"standard deviations are {times} times too large{where}: {figures}"
     large = "too small for large errors" if small else "too large for large errors"
     return f"standard deviations fit the median error and are {large}: {figures}"
+
+
+def _figures(metrics: Mapping[str, Any], suffix: str) -> str:
+    """The share of the truth inside and NEES per degree of freedom, with their limits."""
+    shape, share = "ellipsoid" if suffix else "ellipse", metrics[f"coverage_95{suffix}"]
+    return (
+        f"the 95 % {shape} holds the truth in {_percent(share)} of the rows ({LIMITS[0]}), "
+        f"NEES/dof is {significant(metrics[f'nees{suffix}_ratio'], 3)} ({LIMITS[1]})"
+    )
 
 
 def _as_printed(metrics: Mapping[str, Any], suffix: str) -> tuple[float, float]:

@@ -118,11 +118,13 @@ def recent_hyperbolic_positions(
     anchors: Float[np.ndarray, "A 3"],
     heights: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "M 4"]:
-    """For the first row of each such time: the position from the latest differences, m, and 1 where determined.
+    """The position from the latest differences, m, and 1 where determined, at the rows where a start is sought.
+
+    These are the first rows of every `SPACING_S`, and from `SOON_S` on of every `LATER_S`; the others are zero.
 
     `starts` (n + 1,): the first row of each of n tags, then M. `number`: of the anchors of each difference in
     `anchors`. `heights` m: of the tags, NaN where unknown. The second of `WINDOWS_S` is used where the differences of
-    the first do not determine the position. Other rows are zero: no track starts there.
+    the first do not determine the position.
     """
     result = np.zeros((len(times), 4))
     tag = np.repeat(np.arange(len(heights)), np.diff(starts))

@@ -21,7 +21,7 @@ Thirty differences of 0.13 m then leave 0.75 m; beside the anchors a difference 
 """
 
 ITERATIONS = 15
-"""Gauss–Newton steps, a third of them with all differences, and for the distances from the reference."""
+"""Gauss–Newton steps by the distances from the reference, and a third as many for these, and by all differences."""
 
 
 class Differences(NamedTuple):

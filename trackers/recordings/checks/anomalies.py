@@ -51,7 +51,7 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
         if name != "truth":
             # Which anchors a message has in common changes from one to the next.
             of_gaps = expected.ids[:1] if kinds[name].difference else expected.ids
-            by_gaps = streams(whole, of_gaps, ["row", "t_s"], tags[name]) if kinds[name].difference else ordered
+            by_gaps = ordered if of_gaps == expected.ids else streams(whole, of_gaps, ["row", "t_s"], tags[name])
             lines += _gaps(name, by_gaps, whole.select(of_gaps), zero)
             outliers += _outliers(name, ordered, whole.select(expected.ids), expected.values, zero)
     return [*lines, "; ".join(outliers)] if outliers else lines
