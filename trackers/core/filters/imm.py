@@ -55,7 +55,7 @@ class ModeTransition(NamedTuple):
 
 
 class ModeGains(NamedTuple):
-    """RTS gains between modes: `gains` from mode i to mode j of the next time step, i and j first in every array.
+    """RTS gains between modes: `gains` (…, pairs, B) from mode i to mode j of the next time step, by j, then i.
 
     `backward` (K, K, B): P(mode i now | mode j at the next step). Where the motion is the same in all modes, `gains`
     has one j. `connected`: whether the next step continues the track.
@@ -187,14 +187,11 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
             ]
         )
         motions = [motion.in_mode(j) for j in range(len(prior))] if isinstance(motion, AbstractSwitching) else [motion]
-        modes = _stacked(belief.components)
-
-        def gains_to(later: AbstractMotion) -> RtsGain:
-            gain = jax.vmap(lambda mode: self.filter.rts_gain(mode, later, connected, dt, inputs))
-            gains: RtsGain = gain(modes)
-            return gains
-
-        return ModeGains(belief, _stacked([gains_to(later) for later in motions], axis=1), backward, connected)
+        # Pairs of modes take the place of trajectories: with arrays (K, K, n, n, B) a step takes a third longer.
+        known = [_side_by_side([x] * len(prior)) for x in (connected, dt, inputs)]
+        modes = _side_by_side(belief.components)
+        gains = _side_by_side([self.filter.rts_gain(modes, later, *known) for later in motions])
+        return ModeGains(belief, _apart(gains, len(motions) * len(prior)), backward, connected)
 
     def rts_step(self, rts_gain: ModeGains, after: Mixture) -> Mixture:
         """The smoothed belief of a time step, given that of the next one (Kim 1994).
@@ -210,16 +207,15 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
             for j, (p, w) in enumerate(zip(rts_gain.backward.swapaxes(0, 1), after.log_weights, strict=True))
         ]
         probability = compute_once(total(joint))
-        weights = [x / probability for x in joint]
-        if rts_gain.gains.connected.shape[1] == 1:
-            later = jax.vmap(lambda *w: collapsed_beside(after.components, w))(*weights)
-            gains = jax.tree_util.tree_map(lambda x: x[:, 0], rts_gain.gains)
-            smoothed = jax.vmap(self.filter.rts_step)(gains, later)
+        weights = [_together(x / probability) for x in joint]
+        gains = _together(rts_gain.gains)
+        if rts_gain.gains.connected.shape[0] == K:
+            later = _collapsed_beside([_side_by_side([x] * K) for x in after.components], weights)
+            smoothed = self.filter.rts_step(gains, later)
         else:
-            to_each = jax.vmap(jax.vmap(self.filter.rts_step), in_axes=(0, None))
-            each = compute_once(to_each(rts_gain.gains, _stacked(after.components)))
-            smoothed = jax.vmap(lambda one, *w: collapsed_beside(_unstacked(one, K), w))(each, *weights)
-        components = _unstacked(compute_once(smoothed), K)
+            later = _side_by_side([x for x in after.components for _ in range(K)])
+            smoothed = _collapsed_beside(_parts(compute_once(self.filter.rts_step(gains, later)), K), weights)
+        components = _parts(compute_once(smoothed), K)
         log_weights = [
             jnp.where(rts_gain.connected, jnp.log(p), w)
             for p, w in zip(probability, rts_gain.filtered.log_weights, strict=True)
@@ -248,7 +244,7 @@ def collapsed(components: Sequence[Gaussian], weights: Sequence[Scalar]) -> Gaus
     return Gaussian(mean, matched(weights, [g.cov for g in components], deviations))
 
 
-def collapsed_beside(components: Sequence[Gaussian], weights: Sequence[Any]) -> Gaussian:
+def _collapsed_beside(components: Sequence[Gaussian], weights: Sequence[Any]) -> Gaussian:
     """`collapsed` of all trajectories, last in every array, with covariances (n, n, B)."""
     means = [g.mean for g in components]
     mean, deviations = jax.vmap(mean_and_deviations, in_axes=-1, out_axes=-1)(means, list(weights))
@@ -263,12 +259,25 @@ def mean_and_deviations(means: Sequence[State], weights: Sequence[Scalar]) -> tu
     return mean, [local(mean, x) for x in means]
 
 
-def _stacked(trees: Sequence[Any], axis: int = 0) -> Any:
-    return jax.tree_util.tree_map(lambda *x: jnp.stack(x, axis=axis), *trees)
+def _side_by_side(trees: Sequence[Any]) -> Any:
+    """Trees of trajectories, last in every array, as one of all their trajectories."""
+    return jax.tree_util.tree_map(lambda *x: jnp.concatenate(x, axis=-1), *trees)
 
 
-def _unstacked(tree: Any, number: int) -> list[Any]:
-    return [jax.tree_util.tree_map(lambda x, k=k: x[k], tree) for k in range(number)]
+def _apart(tree: Any, number: int) -> Any:
+    """A tree of `number` parts side by side with the parts as the last axis but one."""
+    return jax.tree_util.tree_map(lambda x: x.reshape(*x.shape[:-1], number, -1), tree)
+
+
+def _together(tree: Any) -> Any:
+    """The inverse of `_apart`."""
+    return jax.tree_util.tree_map(lambda x: x.reshape(*x.shape[:-2], -1), tree)
+
+
+def _parts(tree: Any, number: int) -> list[Any]:
+    """The `number` parts of a tree side by side."""
+    parts = _apart(tree, number)
+    return [jax.tree_util.tree_map(lambda x, k=k: x[..., k, :], parts) for k in range(number)]
 
 
 def _in_mode(part: Any, mode: int) -> Any:

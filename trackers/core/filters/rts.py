@@ -164,7 +164,9 @@ def in_matrices(beliefs: Any) -> Any:
     def one(cov: AnyCovariance) -> Any:
         if not isinstance(cov, tuple):
             return cov
-        return jnp.stack([jnp.stack(row, axis=-2) for row in full(cov, size_of(cov))], axis=-3)
+        n = size_of(cov)
+        entries = jnp.stack([x for row in full(cov, n) for x in row], axis=-2)
+        return entries.reshape(*entries.shape[:-2], n, n, entries.shape[-1])
 
     return with_covariances(beliefs, one)
 
@@ -227,7 +229,7 @@ def _sparse_product(rows: Sequence[SparseRow], A: Matrices) -> Matrices:
     def one(row: SparseRow) -> Any:
         return total(A[j] if isinstance(entry, float) else entry[None] * A[j] for j, entry in row.items())
 
-    return jnp.stack([one(row) if row else jnp.zeros_like(A[0]) for row in rows])
+    return compute_once(jnp.stack([one(row) if row else jnp.zeros_like(A[0]) for row in rows]))
 
 
 def _transposed(rows: Sequence[SparseRow]) -> list[SparseRow]:
@@ -262,4 +264,4 @@ def _solved(cov: Matrices, right: Matrices) -> Matrices:
     for i in reversed(range(n)):
         later = total(upper[i][k - i][None] * solution[k] for k in range(i + 1, n))
         solution[i] = compute_once(solution[i] - later)
-    return jnp.stack(solution)
+    return compute_once(jnp.stack(solution))

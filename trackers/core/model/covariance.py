@@ -134,7 +134,7 @@ def matched(
             total(w * (P[k] + d[i] * d[j]) for w, P, d in zip(weights, covs, deviations, strict=True))
             for k, (i, j) in enumerate(triangle(len(deviations[0])))
         )
-    parts = zip(weights, map(jnp.asarray, covs), [jnp.stack(list(d)) for d in deviations], strict=True)
+    parts = zip(weights, map(jnp.asarray, covs), [compute_once(jnp.stack(list(d))) for d in deviations], strict=True)
     # Arrays of one trajectory, or of many, which are last.
     cov: jax.Array = total(jnp.expand_dims(w, (0, 1)) * (P + d[:, None] * d[None]) for w, P, d in parts)
     return cov
