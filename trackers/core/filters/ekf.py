@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -114,15 +115,15 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
     ) -> RtsGain:
         """The RTS gains to the next time step, `dt` s later; `connected`: whether that step continues the track."""
-        constants: list[Any] = []
 
-        def linearised(belief: Gaussian, inputs: Inputs, dt: Scalar) -> tuple[State, Array]:
-            predicted, (sums, *rest) = jacobian_of(motion.at(belief), belief.mean, inputs, dt)
-            constants[:] = rest
-            return predicted, sums
+        def linearised(belief: Gaussian, inputs: Inputs, dt: Scalar) -> tuple[State, list[SparseRow], list[SparseRow]]:
+            at = motion.at(belief)
+            return sparse_jacobians(at, at.step, belief.mean, inputs, dt)
 
-        predicted, sums = jax.vmap(linearised, in_axes=-1, out_axes=-1)(belief, inputs, dt)
-        return rts_gain(belief, predicted, Jacobian(sums, *constants), connected, dt == 0)
+        # Structural ones stay Python floats.
+        by_trajectory = eqx.filter_vmap(linearised, in_axes=-1, out_axes=eqx.if_array(-1))
+        predicted, F, G = by_trajectory(belief, inputs, dt)
+        return rts_gain(belief, predicted, F, G, connected, dt == 0)
 
     def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
         """The smoothed beliefs of a time step, given those of the next one."""

@@ -21,12 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from trackwright.trackers.core.model.algebra import Jacobian, Scalar, SparseRow, compute_once, full, total, triangle
+from trackwright.trackers.core.model.algebra import Scalar, SparseRow, compute_once, full, times, total, triangle
 from trackwright.trackers.core.model.covariance import (
     AnyCovariance,
     Gaussian,
     OneArray,
-    noise_covariance,
     size_of,
     transposed_product,
     with_covariances,
@@ -58,16 +57,19 @@ class RtsGain(NamedTuple):
 
 
 def rts_gain(
-    belief: Gaussian, predicted: State, jacobian: Jacobian, connected: Scalar, simultaneous: Scalar
+    belief: Gaussian,
+    predicted: State,
+    F: Sequence[SparseRow],
+    G: Sequence[SparseRow],
+    connected: Scalar,
+    simultaneous: Scalar,
 ) -> RtsGain:
-    """The gains of one time step, from the filtered beliefs and their predictions.
-
-    `jacobian`: of the motion with respect to state and noise, (F G).
-    """
-    n, P = len(jacobian.structure), belief.cov
+    """The gains of one time step, from the filtered beliefs, their predictions and the motion's Jacobians F and G."""
+    n, P = len(F), belief.cov
     assert isinstance(P, jax.Array)
-    F = [{j: entry for j, entry in row.items() if j < n} for row in compute_once(jacobian.rows())]
-    noise = compute_once(noise_covariance(jacobian))
+    zero = jnp.zeros_like(P[0, 0])
+    shared = [zero + total(times(g, G[j][q]) for q, g in G[i].items() if q in G[j]) for i, j in triangle(n)]
+    noise = compute_once(_matrices(shared))
     FP = compute_once(_sparse_product(F, P))
     C_transposed = _solved(compute_once(_sparse_product(F, FP.swapaxes(0, 1)) + noise), FP)
     unit = np.eye(n).reshape(n, n, 1)
@@ -164,9 +166,7 @@ def in_matrices(beliefs: Any) -> Any:
     def one(cov: AnyCovariance) -> Any:
         if not isinstance(cov, tuple):
             return cov
-        n = size_of(cov)
-        entries = jnp.stack([x for row in full(cov, n) for x in row], axis=-2)
-        return entries.reshape(*entries.shape[:-2], n, n, entries.shape[-1])
+        return _matrices(cov)
 
     return with_covariances(beliefs, one)
 
@@ -216,6 +216,14 @@ def fixed_lag(
         return jax.tree_util.tree_map(lambda x: jnp.moveaxis(x, -1, 0), smoothed)
 
     return jax.vmap(trajectory, in_axes=-1, out_axes=-1)(gains, filtered, dt)
+
+
+def _matrices(upper: Sequence[jax.Array]) -> jax.Array:
+    """The symmetric matrices (…, n, n, B) of an upper triangle of entries (…, B)."""
+    n = size_of(upper)
+    # One concatenation: XLA selects among the parts of nested ones for every number.
+    entries = jnp.stack([x for row in full(upper, n) for x in row], axis=-2)
+    return entries.reshape(*entries.shape[:-2], n, n, entries.shape[-1])
 
 
 def _chosen(condition: Bool[Array, " B"], yes: Any, no: Any) -> Any:

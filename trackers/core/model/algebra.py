@@ -30,7 +30,7 @@ ZERO, ONE, VARIABLE = range(3)
 
 
 class Jacobian(NamedTuple):
-    """A Jacobian compressed by adding columns without a common row: `sums` (groups, outputs[, B]).
+    """A Jacobian compressed by adding columns without a common row: `sums` (groups, outputs).
 
     `group` (inputs,): of each column. `structure` (outputs, inputs): the kind of each entry.
     """
@@ -43,24 +43,16 @@ class Jacobian(NamedTuple):
         """The entries of some outputs and inputs, (inputs, outputs)."""
         return self.sums[self.group[inputs], outputs] * self._constant((self.structure[outputs, inputs] != ZERO).T)
 
-    def rows(self) -> list[SparseRow]:
-        """The rows of all outputs; a structural one is the float 1.0."""
-        return [
-            {j: 1.0 if kind == ONE else self.sums[self.group[j], i] for j, kind in enumerate(kinds) if kind != ZERO}
-            for i, kinds in enumerate(self.structure)
-        ]
-
     def squares(self, outputs: slice, inputs: slice) -> jax.Array:
         """The sum of squares of each output's entries over some inputs, (outputs,)."""
         weights = np.zeros(self.sums.shape[:2])
         for j in range(self.structure.shape[1])[inputs]:
             weights[self.group[j]] += self.structure[:, j] != ZERO
-        squares = jnp.square(self.sums) * self._constant(weights)
-        return (jnp.sum(squares, axis=0) if squares.ndim == 2 else total(squares))[outputs]
+        return jnp.sum(jnp.square(self.sums) * self._constant(weights), axis=0)[outputs]
 
     def _constant(self, array: np.ndarray) -> jax.Array:
-        """A constant with two axes, broadcast over trajectories, in the type of the entries."""
-        return jnp.asarray(array.reshape(array.shape + (1,) * (self.sums.ndim - 2)), self.sums.dtype)
+        """A constant in the type of the entries."""
+        return jnp.asarray(array, self.sums.dtype)
 
 
 @jax.tree_util.register_pytree_node_class

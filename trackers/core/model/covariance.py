@@ -184,11 +184,10 @@ def noise_covariance(jacobian: Jacobian) -> jax.Array:
     alone[coupled] = 0.0
     kind = jacobian.sums.dtype
     variances = jacobian.squares(slice(n), slice(n, inputs))
-    outside, trajectories = (coupled.start, n - coupled.stop), variances.ndim - 1
-    apart = jnp.asarray(np.diag(alone).reshape(n, n, *[1] * trajectories), kind) * variances[None]
+    apart = jnp.diag(jnp.asarray(alone, kind) * variances)
     if coupled.start == coupled.stop:
         return apart
-    return jnp.pad(transposed_product(block, block), (outside, outside, *[(0, 0)] * trajectories)) + apart
+    return jnp.pad(transposed_product(block, block), (coupled.start, n - coupled.stop)) + apart
 
 
 def product_of(A: jax.Array, B: jax.Array) -> jax.Array:
