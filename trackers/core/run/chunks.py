@@ -32,6 +32,10 @@ CHUNK = 512
 LONG = 1000
 """Rows from which on few recordings run one by one: a call takes a millisecond, as long as hundreds of rows."""
 
+ALONE = 16
+"""Most long recordings whose estimates are computed one by one: the program of sixteen compiles two or three times as
+long as that of one, and a row side by side costs nearly as much."""
+
 
 def as_numbers(tree: Tree, dtype: DTypeLike) -> Tree:
     """The tree with its floats as NumPy arrays of `dtype`, but for arrays of jax, which remain where they are."""
@@ -186,7 +190,7 @@ def batch_estimates(tracker: Scans, batch: Batch, chunk: int, state: Any = None,
     have the state after the last row as `final`.
     """
     # No truth: it would be copied for nothing.
-    parts = pieces(batch._replace(truth={}), chunk)
+    parts = pieces(batch._replace(truth={}), 1 if batch.size <= ALONE and len(batch.dt) >= LONG else chunk)
     # Arrays used once go to the device with the call.
     alone, size = len(parts) == 1, parts[0].size
     model = (as_numbers if alone else as_dtype)(tracker, batch.dt.dtype)
