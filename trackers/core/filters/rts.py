@@ -70,7 +70,7 @@ def rts_gain(
     zero = jnp.zeros_like(P[0, 0])
     shared = [zero + total(times(g, G[j][q]) for q, g in G[i].items() if q in G[j]) for i, j in triangle(n)]
     noise = compute_once(_matrices(shared))
-    FP = compute_once(_sparse_product(F, P))
+    FP = _sparse_product(F, P)
     C_transposed = _solved(compute_once(_sparse_product(F, FP.swapaxes(0, 1)) + noise), FP)
     unit = np.eye(n).reshape(n, n, 1)
     # (I − CF)ᵀ = I − FᵀCᵀ.
@@ -163,12 +163,7 @@ def fixed_interval(
 def in_matrices(beliefs: Any) -> Any:
     """Beliefs with covariances (…, n, n, B)."""
 
-    def one(cov: AnyCovariance) -> Any:
-        if not isinstance(cov, tuple):
-            return cov
-        return _matrices(cov)
-
-    return with_covariances(beliefs, one)
+    return with_covariances(beliefs, lambda cov: _matrices(cov) if isinstance(cov, tuple) else cov)
 
 
 def in_scalars(beliefs: Any) -> Any:
