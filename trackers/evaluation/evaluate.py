@@ -251,16 +251,17 @@ def _true_paths(recordings: Sequence[Recording]) -> TruePaths:
     true = [(name, r.times, *r.truth["position"]) for name, r in numbered if "position" in r.truth]
     names, all_times, values, all_known = zip(*true, strict=True)
     times, known, lengths = np.concatenate(all_times), np.concatenate(all_known), [len(x) for x in values]
-    dimensions = np.repeat([x.shape[1] for x in values], lengths)
-    positions = np.full((len(times), 3), np.nan)
-    positions[np.arange(3) < dimensions[:, None]] = np.concatenate(values, axis=None)
-    path = np.repeat(np.arange(len(true)), lengths)
-    # Of rows of one time the first counts, as in a table.
+    dimensions, positions = np.array([x.shape[1] for x in values]), np.full((len(times), 3), np.nan)
+    for d in set(dimensions.tolist()):
+        positions[np.repeat(dimensions == d, lengths), :d] = np.concatenate([x for x in values if x.shape[1] == d])
+    starts = np.append(0, np.cumsum(lengths))
+    # Of known rows of one time the first counts, as in a table.
     kept = np.flatnonzero(known)
-    later = (np.diff(times[kept]) > 0) | (np.diff(path[kept]) > 0)
-    kept = kept[np.append(True, later)[: len(kept)]]
-    count = np.bincount(path[kept], minlength=len(true))
-    return TruePaths(names, np.append(0, np.cumsum(count)), times[kept], positions[kept])
+    first = np.searchsorted(kept, starts[:-1])
+    later = np.diff(times[kept], prepend=-np.inf) > 0
+    later[first[first < len(kept)]] = True
+    kept = kept[later]
+    return TruePaths(names, np.searchsorted(kept, starts), times[kept], positions[kept])
 
 
 def _true_positions(recording: Recording) -> pl.DataFrame:

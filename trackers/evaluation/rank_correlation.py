@@ -11,6 +11,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int, Num
 
+from trackwright.trackers.evaluation.scores import Groups
+
 LAGS_S = {"100ms": 0.1, "1s": 1.0, "5s": 5.0}
 """Lags, s, by the ending of their metric's name."""
 
@@ -63,42 +65,42 @@ def rank_sums(
     out. `times`: s, sorted in each track; `starts` (g + 1,): the first row of each track, then n. Rows with dof 0, or
     without time or value, take no part.
     """
-    n_tracks = len(starts) - 1
-    result: dict[str, np.ndarray] = {f"{what} {lag}": np.zeros(n_tracks) for lag in LAGS_S for what in PAIRED}
-    result |= {name: np.zeros(n_tracks) for name in WINDOWED}
-    rows = np.flatnonzero(np.isfinite(times) & np.isfinite(values) & (dof > 0))
-    if not len(rows):
-        return result
-    track = np.repeat(np.arange(n_tracks), np.diff(starts))[rows]
-    u = _ranks(values[rows], dof[rows], track)
-    begins = np.flatnonzero(_changes(track))
-    elapsed = times[rows] - np.repeat(times[rows[begins]], np.diff(np.append(begins, len(rows))))
+    known = np.isfinite(times) & np.isfinite(values) & (dof > 0)
+    tracks, times = Groups(starts).where(known, times)
+    if not len(times):
+        names = [*(f"{what} {lag}" for lag in LAGS_S for what in PAIRED), *WINDOWED]
+        return {name: np.zeros(len(starts) - 1) for name in names}
+    track = np.repeat(np.arange(len(tracks.count)), tracks.count)
+    u = _ranks(values[known], dof[known], track)
+    elapsed = times - np.repeat(times[tracks.starts[:-1][tracks.count > 0]], tracks.count[tracks.count > 0])
+    result: dict[str, np.ndarray] = {}
     for name, lag in LAGS_S.items():
-        i, j = _pairs(elapsed, track, lag)
-        first, second, of_track = u[i], u[j], track[i]
-        for what, x in zip(PAIRED, (first * second, first**2, second**2, np.ones(len(i))), strict=True):
-            result[f"{what} {name}"] = np.bincount(of_track, x, minlength=n_tracks)
+        i, j = _pairs(elapsed, tracks.starts, lag)
+        pairs, first, second = Groups(np.searchsorted(i, tracks.starts)), u[i], u[j]
+        sums = *map(pairs.sum, (first * second, first**2, second**2)), pairs.count.astype(float)
+        result |= {f"{what} {name}": x for what, x in zip(PAIRED, sums, strict=True)}
     begins = np.flatnonzero(_changes(track, np.floor(elapsed / WINDOW_S)))
-    sums = np.add.reduceat(u, begins)
-    of_windows = (track[begins], sums**2), (track, u**2), (track, np.ones(len(u)))
-    for name, (of_track, x) in zip(WINDOWED, of_windows, strict=True):
-        result[name] = np.bincount(of_track, x, minlength=n_tracks)
-    return result
+    windows = Groups(np.searchsorted(begins, tracks.starts))
+    in_windows = windows.sum(np.add.reduceat(u, begins) ** 2), tracks.sum(u**2), tracks.count.astype(float)
+    return result | dict(zip(WINDOWED, in_windows, strict=True))
 
 
 def _ranks(values: np.ndarray, dof: np.ndarray, track: np.ndarray) -> np.ndarray:
     """Ranks within each group of equal track and dof, scaled to −1/2 … 1/2, ties averaged."""
-    starts = np.flatnonzero(np.append(_changes(track, dof), True))
+    count, starts = len(values), np.flatnonzero(np.append(_changes(track, dof), True))
     # Mostly the rows of a track have one dof and stand together: sorted group by group they take a fifth of the time.
-    apart = np.count_nonzero(_changes(track)) < len(starts) - 1
-    order = np.lexsort((values, dof, track)) if apart else _order_within(values, starts)
-    group = np.flatnonzero(_changes(track[order], dof[order]))
-    tie = np.flatnonzero(_changes(track[order], dof[order], values[order]))
-    count = len(values)
+    if np.count_nonzero(_changes(track)) < len(starts) - 1:
+        order = np.lexsort((values, dof, track))
+        starts = np.flatnonzero(np.append(_changes(track[order], dof[order]), True))
+    else:
+        order = _order_within(values, starts)
+    tied = _changes(values[order])
+    tied[starts[:-1]] = True
+    tie = np.flatnonzero(tied)
     middle = np.repeat((tie + np.append(tie[1:], count) - 1) / 2, np.diff(np.append(tie, count)))
-    sizes = np.diff(np.append(group, count))
+    sizes = np.diff(starts)
     ranks = np.empty(count)
-    ranks[order] = (middle - np.repeat(group, sizes) + 0.5) / np.repeat(sizes, sizes) - 0.5
+    ranks[order] = (middle - np.repeat(starts[:-1], sizes) + 0.5) / np.repeat(sizes, sizes) - 0.5
     return ranks
 
 
@@ -113,18 +115,31 @@ def _order_within(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
 
 def _changes(*columns: np.ndarray) -> np.ndarray:
     """Mask of the rows at which any column differs from the row before; the first row counts."""
-    changed = np.ones(len(columns[0]), bool)
-    changed[1:] = np.any([x[1:] != x[:-1] for x in columns], axis=0)
+    changed = np.zeros(len(columns[0]), bool)
+    changed[:1] = True
+    for x in columns:
+        changed[1:] |= x[1:] != x[:-1]
     return changed
 
 
-def _pairs(elapsed: np.ndarray, track: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of rows (i, j) of one track, j nearest to the lag after i; `elapsed`: s since the start of the track."""
+def _pairs(elapsed: np.ndarray, starts: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of rows (i, j) of one track, j nearest to the lag after i, sorted by i.
+
+    `elapsed` (n,): s since the start of the track; `starts` (g + 1,): the first row of each track, then n.
+    """
+    lengths = np.diff(starts)
+    if len(lengths) > 1 and (lengths == lengths[0]).all():
+        # Tracks of simulated recordings have the same times, and then the same pairs.
+        each = elapsed.reshape(len(lengths), -1)
+        if (each == each[0]).all():
+            i, j = _pairs(each[0], starts[:2], lag)
+            return (starts[:-1, None] + i).ravel(), (starts[:-1, None] + j).ravel()
     # All tracks one after the other, so that one search serves all. Differences are taken within a track: the pairs of
     # a track then do not depend on the others.
-    last = np.flatnonzero(np.append(_changes(track)[1:], True))
-    spans = elapsed[last] + 2 * lag
-    at = elapsed + np.repeat(np.cumsum(spans) - spans, np.diff(np.append(-1, last)))
+    track = np.repeat(np.arange(len(lengths)), lengths)
+    spans = np.zeros(len(lengths))
+    spans[lengths > 0] = elapsed[starts[1:][lengths > 0] - 1] + 2 * lag
+    at = elapsed + np.repeat(np.cumsum(spans) - spans, lengths)
     i = np.arange(len(at))
     after = np.minimum(np.searchsorted(at, at + lag), len(at) - 1)
     before = np.maximum(after - 1, 0)

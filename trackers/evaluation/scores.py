@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -34,28 +35,32 @@ LEVELS = (50, 68, 90, 95, 99)
 Arrays = Mapping[str, np.ndarray]
 
 
-class Ordered(NamedTuple):
-    """All values of some kind: those of each of g groups in ascending order, and `starts` (g + 1,) of the groups.
+@dataclass(frozen=True)
+class Values:
+    """All values of some kind (n,), those of each of g groups in any order; `starts` (g + 1,) of the groups.
 
-    Of a single group in the order in which those at the ranks of `SHARES` have their places: in a third of the time.
+    They are ordered when the first quantile is asked for: few ask for those of every track.
     """
 
     values: np.ndarray
     starts: np.ndarray
 
-    @classmethod
-    def of(cls, values: np.ndarray, starts: np.ndarray) -> Ordered:
-        """The values (n,) of groups that begin at `starts`, in any order within each."""
-        ordered, lengths = np.array(values, float), np.diff(starts)
+    @cached_property
+    def _ordered(self) -> np.ndarray:
+        """Those of each group in ascending order; of a single one only those at the ranks of `SHARES` in their places.
+
+        That takes a third of the time.
+        """
+        ordered, lengths = np.array(self.values, float), np.diff(self.starts)
         if len(lengths) == 1 and len(ordered):
             lower = np.floor(_ranks(np.array(SHARES), lengths)).astype(int)
             ordered.partition(np.append(lower, np.minimum(lower + 1, len(ordered) - 1)))
         elif len(lengths) and (lengths == lengths[0]).all():
             ordered.reshape(len(lengths), -1).sort(axis=1)
         else:
-            for a, b in pairwise(starts.tolist()):
+            for a, b in pairwise(self.starts.tolist()):
                 ordered[a:b].sort()
-        return cls(ordered, starts)
+        return ordered
 
     def quantile(self, share: float) -> np.ndarray:
         """The quantile (g,) of one of `SHARES`, linear between order statistics, NaN of none."""
@@ -64,8 +69,8 @@ class Ordered(NamedTuple):
         quantiles, some = np.full(len(count), np.nan), count > 0
         lower = np.floor(rank[some]).astype(int)
         first = self.starts[:-1][some]
-        below = self.values[first + lower]
-        above = self.values[first + np.minimum(lower + 1, count[some] - 1)]
+        below = self._ordered[first + lower]
+        above = self._ordered[first + np.minimum(lower + 1, count[some] - 1)]
         # An infinite value above one of rank 0 has no weight.
         part = rank[some] - lower
         quantiles[some] = np.where(part > 0, below + part * (above - below), below)
@@ -88,7 +93,7 @@ class Scores:
     sums: Arrays
     largest: Arrays
     histograms: Arrays = field(default_factory=dict)
-    values: Mapping[str, Ordered] = field(default_factory=dict)
+    values: Mapping[str, Values] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.sums[name]
@@ -107,7 +112,7 @@ class Scores:
             {name: np.fmax(x, other.largest[name]) for name, x in self.largest.items()},
             {name: x + other.histograms[name] for name, x in self.histograms.items()},
             {
-                name: Ordered.of(np.concatenate([x.values, other.values[name].values]), np.array([0, n]))
+                name: Values(np.concatenate([x.values, other.values[name].values]), np.array([0, n]))
                 for name, x in self.values.items()
                 if name in other.values and (n := len(x.values) + len(other.values[name].values)) <= EXACT
             },
@@ -122,9 +127,9 @@ class Scores:
 
         values = {}
         for name in parts[0].values:
-            ordered = [part.values[name] for part in parts]
-            counts = np.concatenate([np.diff(part.starts) for part in ordered])
-            values[name] = Ordered(np.concatenate([part.values for part in ordered]), np.append(0, np.cumsum(counts)))
+            each = [part.values[name] for part in parts]
+            counts = np.concatenate([np.diff(part.starts) for part in each])
+            values[name] = Values(np.concatenate([part.values for part in each]), np.append(0, np.cumsum(counts)))
         return cls(all_of("sums"), all_of("largest"), {}, values)
 
     def grouped(self, starts: np.ndarray) -> Scores:
@@ -134,7 +139,7 @@ class Scores:
             {name: groups.sum(x) for name, x in self.sums.items()},
             {name: groups.max(x) for name, x in self.largest.items()},
             {},
-            {name: Ordered.of(x.values, x.starts[starts]) for name, x in self.values.items()},
+            {name: Values(x.values, x.starts[starts]) for name, x in self.values.items()},
         )
 
     def condensed(self) -> Scores:
@@ -190,7 +195,7 @@ class Scores:
             {name: np.array([x]) for name, x in content["sums"].items()},
             {name: np.array([x], float) for name, x in content["largest"].items()},
             histograms,
-            {name: Ordered(np.array(x, float), np.array([0, len(x)])) for name, x in content["values"].items()},
+            {name: Values(np.array(x, float), np.array([0, len(x)])) for name, x in content["values"].items()},
         )
 
 
@@ -212,16 +217,8 @@ class Groups:
     """Rows that stand one after the other in g groups; `starts` (g + 1,): the first of each, then their number."""
 
     def __init__(self, starts: np.ndarray) -> None:
-        self.starts = starts
-        # A place before each group: empty ones have a sum, and others are added as np.sum adds them.
-        self._first = starts[:-1] + np.arange(len(starts) - 1)
-        self._rows = np.ones(int(starts[-1]) + len(self._first), bool)
-        self._rows[self._first] = False
-
-    @property
-    def count(self) -> np.ndarray:
-        """The number of rows (g,)."""
-        return np.diff(self.starts)
+        self.starts, self.count = starts, np.diff(starts)
+        self._even = len(self.count) > 0 and bool((self.count == self.count[0]).all()) and self.count[0] > 0
 
     def sum(self, values: np.ndarray) -> np.ndarray:
         """The sums (g,) of values (n,)."""
@@ -231,14 +228,29 @@ class Groups:
         """The largest (g,) of values (n,), NaN of none."""
         return self._reduced(np.fmax, values, np.nan)
 
-    def where(self, mask: np.ndarray) -> Groups:
-        """The groups of the rows in the mask (n,) alone."""
-        return Groups(np.append(0, np.cumsum(mask))[self.starts])
+    def where(self, mask: np.ndarray, values: np.ndarray) -> tuple[Groups, np.ndarray]:
+        """The groups of the rows in the mask (n,) alone, and those of the values (n,)."""
+        return (self, values) if mask.all() else (Groups(np.append(0, np.cumsum(mask))[self.starts]), values[mask])
 
     def _reduced(self, how: np.ufunc, values: np.ndarray, first: float) -> np.ndarray:
-        padded = np.full(len(self._rows), first, values.dtype)
-        padded[self._rows] = values
-        return how.reduceat(padded, self._first)
+        if self._even:
+            reduced: np.ndarray = how.reduce(values.reshape(len(self.count), -1), axis=1)
+            return reduced
+        places, rows = self._padded
+        padded = np.full(len(rows), first, values.dtype)
+        padded[rows] = values
+        return how.reduceat(padded, places)
+
+    @cached_property
+    def _padded(self) -> tuple[np.ndarray, np.ndarray]:
+        """The first place of each group, which is no row's, and the mask of the places of rows.
+
+        So empty groups have a sum, and others are added as np.sum adds them.
+        """
+        first = self.starts[:-1] + np.arange(len(self.count))
+        rows = np.ones(int(self.starts[-1]) + len(first), bool)
+        rows[first] = False
+        return first, rows
 
 
 def error_sums(kind: str, size: np.ndarray, rows: Rows) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

@@ -13,7 +13,7 @@ from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.evaluation.association import Association, true_bearings
 from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
 from trackwright.trackers.evaluation.rank_correlation import rank_sums
-from trackwright.trackers.evaluation.scores import Groups, Ordered, Scores, error_sums, nees_sums
+from trackwright.trackers.evaluation.scores import Groups, Scores, Values, error_sums, nees_sums
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.tracks_table import is_bearing
 from trackwright.trackers.recordings.truth import TruthStatus
@@ -62,19 +62,17 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
     largest = {"residual_ratio_5s": np.full(len(rows.count), np.nan)}
     values = {}
     for kind, size in scored.sizes.items():
-        which = ~np.isnan(size)
-        groups = rows.where(which)
-        more, top = error_sums(kind, size[which], groups)
-        sums, largest, values[kind] = sums | more, largest | top, Ordered.of(size[which], groups.starts)
+        groups, known = rows.where(~np.isnan(size), size)
+        more, top = error_sums(kind, known, groups)
+        sums, largest, values[kind] = sums | more, largest | top, Values(known, groups.starts)
     for component, errors in zip(COMPONENTS[scored.errors.shape[1]], scored.errors.T, strict=True):
-        which = ~np.isnan(scored.sizes.get(component, errors))
-        sums[f"bias {component}"] = rows.where(which).sum(errors[which])
+        groups, known = rows.where(~np.isnan(scored.sizes.get(component, errors)), errors)
+        sums[f"bias {component}"] = groups.sum(known)
     for name, nees, dof in (("nees", scored.nees, 2), ("nees_3d", scored.nees_3d, 3)):
         if nees is not None:
-            known = np.isfinite(nees)
-            groups = rows.where(known)
-            sums |= nees_sums(name, nees[known], dof, groups)
-            values[name] = Ordered.of(nees[known], groups.starts)
+            groups, known = rows.where(np.isfinite(nees), nees)
+            sums |= nees_sums(name, known, dof, groups)
+            values[name] = Values(known, groups.starts)
     sums |= _innovations(association, all_rows) | _lost(association, all_rows)
     return Scores(sums, largest, {}, values)
 
@@ -123,8 +121,10 @@ def covariances(rows: pl.DataFrame) -> np.ndarray:
 
 
 def _positions(association: Association, kept: np.ndarray) -> Scored:
-    rows = association.rows if len(kept) == len(association.rows) else association.rows[kept]
-    errors = np.stack([float_column(rows, f"{axis}_m") for axis in "xyz"], axis=1) - association.truth[kept]
+    rows, truth = association.rows, association.truth
+    if len(kept) < len(rows):
+        rows, truth = rows[kept], truth[kept]
+    errors = np.stack([float_column(rows, f"{axis}_m") - true for axis, true in zip("xyz", truth.T, strict=True)]).T
     _, nees, nees_3d = metrics.nees_of_leading(errors, covariances(rows))
     return Scored(kept, errors, position_sizes(errors), nees, nees_3d)
 
@@ -168,8 +168,8 @@ def _lost(association: Association, rows: Groups) -> dict[str, np.ndarray]:
         return {"lost s": none, "span s": none, "lost rows": none.astype(int), "losses": none.astype(int)}
     status = association.rows["status"].cast(pl.String).fill_null("ok")
     lost, known = (status == "lost").to_numpy(), np.isfinite(times)
-    timed = rows.where(known)
-    at, lost_at, some = times[known], lost[known], timed.count > 0
+    (timed, at), (_, lost_at) = rows.where(known, times), rows.where(known, lost)
+    some = timed.count > 0
     first, last = timed.starts[:-1][some], timed.starts[1:][some] - 1
     steps = np.diff(at, append=0.0)
     steps[last] = 0.0

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 import polars as pl
-from jaxtyping import Bool, Float, Int, Num
+from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from trackwright.trackers.core.data.frames import estimates_html, to_pandas
 from trackwright.trackers.core.errors import UnusableInput
@@ -180,35 +180,31 @@ class Estimates:
         estimates' times and ages.
         """
         last = self.last_rows(times)
+        mean = jax.tree_util.tree_map(lambda x: _chosen(np.asarray(x), last), self.mean)
+        cov = np.asarray(self.cov_upper)
+        cov = cov.reshape(-1, last.size) if last.all() else np.stack([entry[last] for entry in cov])
+        return last, replace(self, mean=mean, cov_upper=cov, **self._steps_per_time(last))
+
+    def _steps_per_time(self, last: Bool[np.ndarray, "*rows"]) -> dict[str, Any]:
+        """What `per_time` gives of each time but the state; `last`: see `last_rows`."""
         rows = self.status != Status.PADDING
         row_each = np.array_equal(rows, last)
         first = np.flatnonzero(np.append(True, last[rows])[:-1])
         counted = np.isfinite(self.nis)
 
-        def chosen(values: Any, mask: np.ndarray = last) -> np.ndarray:
-            # A mask takes several times as long as a copy.
-            whole = np.asarray(values)
-            return whole.reshape(-1, *whole.shape[mask.ndim :]) if mask.all() else whole[mask]
-
         def summed(values: np.ndarray) -> np.ndarray:
-            each = chosen(values, rows).astype(float)
+            each = _chosen(values, rows).astype(float)
             return each if row_each else np.add.reduceat(each, first)
 
-        merged = replace(
-            self,
-            mean=jax.tree_util.tree_map(chosen, self.mean),
-            cov_upper=np.asarray(self.cov_upper).reshape(-1, last.size)
-            if last.all()
-            else np.stack([entry[last] for entry in self.cov_upper]),
-            log_likelihood=summed(self.log_likelihood),
-            nis=summed(np.where(counted, self.nis, 0.0)),
-            nis_dof=summed(np.where(counted, self.nis_dof, 0.0)),
-            wrapped=summed(self.wrapped),
-            status=self.status_per_time(last),
-            times=None if self.times is None else self.times[last],
-            age=None if self.age is None else self.age[last],
-        )
-        return last, merged
+        return {
+            "log_likelihood": summed(self.log_likelihood),
+            "nis": summed(np.where(counted, self.nis, 0.0)),
+            "nis_dof": summed(np.where(counted, self.nis_dof, 0.0)),
+            "wrapped": summed(self.wrapped),
+            "status": self.status_per_time(last),
+            "times": None if self.times is None else self.times[last],
+            "age": None if self.age is None else self.age[last],
+        }
 
     def last_rows(self, times: np.ndarray | None = None) -> Bool[np.ndarray, "*rows"]:
         """The mask (…, T) of the last row of each time; `times` as in `per_time`."""
@@ -246,16 +242,21 @@ class Estimates:
         estimate is valid. Empty where there is no estimate. Recordings of one name are numbered (`numbered_names`).
         Raises UnusableInput where the run was of a bare `Batch`, which has no times.
         """
-        last, merged = self.per_time()
-        assert merged.times is not None
+        last = self.last_rows()
+        steps = self._steps_per_time(last)
         number = np.broadcast_to(np.arange(len(last))[:, None] if last.ndim == 2 else 0, last.shape)[last]
-        columns = {name: np.asarray(x, float) for name, x in state_columns(merged).items()}
-        state = {name: np.where(merged.usable, x, np.nan) for name, x in columns.items()}
+        missing = ~is_usable(steps["status"])
+
+        def column(values: np.ndarray) -> pl.Series:
+            numbers = _chosen(np.ascontiguousarray(values, float), last)
+            return pl.Series(np.where(missing, np.nan, numbers) if missing.any() else numbers, nan_to_null=True)
+
+        # Most entries of a large covariance have no column.
         return pl.DataFrame(
-            {"recording": pl.Series(numbered_names(self.names)).gather(number), "t_s": merged.times}
-            | {name: pl.Series(x, nan_to_null=True) for name, x in state.items()}
-            | {name: getattr(merged, name) for name in STEP_COLUMNS}
-            | {"status": pl.Series([STATUS_WORDS.get(s) for s in Status]).gather(merged.status)}
+            {"recording": pl.Series(numbered_names(self.names)).gather(number), "t_s": steps["times"]}
+            | {name: column(x) for name, x in state_columns(self).items()}
+            | {name: steps[name] for name in STEP_COLUMNS}
+            | {"status": pl.Series([STATUS_WORDS.get(s) for s in Status]).gather(steps["status"])}
         )
 
     def to_pandas(self) -> Any:
@@ -279,6 +280,12 @@ class Estimates:
         if restarts or np.any(status == Status.LOST):
             return f"lost and re-started {restarts} times" if restarts else "lost and never re-started"
         return "ok"
+
+
+def _chosen(values: Shaped[np.ndarray, "*all"], mask: Bool[np.ndarray, "*rows"]) -> Shaped[np.ndarray, "N *shape"]:
+    """The values of the N rows in the mask."""
+    # A mask takes several times as long as a copy.
+    return values.reshape(-1, *values.shape[mask.ndim :]) if mask.all() else values[mask]
 
 
 def state_columns(estimates: Estimates) -> dict[str, Num[np.ndarray, "*rows"]]:

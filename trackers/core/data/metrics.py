@@ -35,20 +35,21 @@ def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
     return nees_of_leading(errors, covs)[-1]
 
 
-def nees_of_leading(errors: Errors, covs: Covariances) -> Float[np.ndarray, "d N"]:
+def nees_of_leading(errors: Errors, covs: Covariances) -> list[Float[np.ndarray, " N"]]:
     """NEES of the first axis, of the first two, … and of all d; NaN where their part of P is not positive definite.
 
     Elimination over the d columns, for all rows at once: a singular P affects its row alone.
     """
     # Each entry is a vector over the rows of the errors.
-    remainder = [np.array(x, float) for x in errors.T]
-    upper = {(i, j): np.array(covs[:, i, j], float) for i in range(len(remainder)) for j in range(i, len(remainder))}
+    remainder = [np.asarray(x, float) for x in errors.T]
+    upper = {(i, j): np.asarray(covs[:, i, j], float) for i in range(len(remainder)) for j in range(i, len(remainder))}
     P = {(i, j): upper[min(i, j), max(i, j)] for i in range(len(remainder)) for j in range(len(remainder))}
     values: list[np.ndarray] = []
     # Covariances of a damaged file may overflow; the NEES of their rows is infinite or NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         for j, reduced in enumerate(remainder):
-            pivot = np.where(P[j, j] > 0, P[j, j], math.nan)
+            positive = P[j, j] > 0
+            pivot = P[j, j] if positive.all() else np.where(positive, P[j, j], math.nan)
             value = reduced**2 / pivot
             values.append(values[-1] + value if values else value)
             for a in range(j + 1, len(remainder)):
@@ -56,7 +57,7 @@ def nees_of_leading(errors: Errors, covs: Covariances) -> Float[np.ndarray, "d N
                 remainder[a] = remainder[a] - gain * reduced
                 for b in range(j + 1, len(remainder)):
                     P[a, b] = P[a, b] - gain * P[j, b]
-    return np.stack(values) if values else np.zeros((0, len(errors)))
+    return values
 
 
 def consistency(
