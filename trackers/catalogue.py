@@ -79,6 +79,11 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
                 "ranges and imu",
                 "position, velocity and attitude from ranges and an IMU, error-state EKF",
             ),
+            "body": Entry(
+                "uwb_imu",
+                "ranges",
+                "position and heading of a body from the ranges of its tags, EKF",
+            ),
             "multilateration": Entry(
                 "uwb_imu", "ranges", "position from the latest ranges, robust least squares without a filter"
             ),

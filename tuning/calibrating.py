@@ -21,6 +21,7 @@ from trackwright.trackers.core.model.rig import Point
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
     NO_DIFFERENCES,
+    OFFSET_SIGMA,
     RANGE_PRIOR,
     TAG_SIGMA,
     AnchorCalibration,
@@ -35,7 +36,7 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs
+from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, tag_factors
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
 LEAST_SLOPE = 0.2
@@ -55,8 +56,8 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
     _check_at_rest(folders)
     stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
-    anchors, tags, spread = _anchors(calibration_pairs(folders, KINDS["ranges"]))
     places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}
+    anchors, tags, spread = _anchors(calibration_pairs(folders, KINDS["ranges"]), places)
     differences = _differences(calibration_pairs(folders, KINDS["tdoa"]), places)
     if not stations and not anchors and not differences.anchors:
         raise UnusableInput(_lacking(folders))
@@ -136,7 +137,7 @@ def _increasing(regression: Regression, spans: np.ndarray, k: int) -> Regression
 
 
 def _anchors(
-    pairs: Mapping[str, Pairs],
+    pairs: Mapping[str, Pairs], places: Mapping[str, Point]
 ) -> tuple[dict[str, AnchorCalibration], dict[str, TagCalibration], float | None]:
     """The calibrations of anchors and of tags, fitted in turn: the range errors of both add; what spread they leave."""
     if not pairs:
@@ -146,37 +147,62 @@ def _anchors(
     owners = {name: values.tag[np.isfinite(values.measured[:, 0])] for name, values in pairs.items()}
     tags, counts = np.unique(np.concatenate(list(owners.values())), return_counts=True)
     number = {name: np.searchsorted(tags, row_tags) for name, row_tags in owners.items()}
-    biases, sigmas = np.zeros(len(tags)), np.zeros(len(tags))
+    factors = {
+        name: tag_factors(values, places[name])[np.isfinite(values.measured[:, 0])] for name, values in pairs.items()
+    }
+    terms_of_tags, sigmas = np.zeros((2, len(tags), 3))
     for _ in range(TAG_ROUNDS if len(tags) > 1 else 1):
-        corrected = {name: of_anchor._replace(y=of_anchor.y - biases[number[name]]) for name, of_anchor in rows.items()}
+        corrected = {
+            name: of_anchor._replace(y=of_anchor.y - (factors[name] * terms_of_tags[number[name]]).sum(axis=1))
+            for name, of_anchor in rows.items()
+        }
         fitted = regressions(corrected, *RANGE_PRIOR)
         if len(tags) > 1:
-            biases, sigmas = _tag_biases(rows, fitted, number, len(tags))
+            terms_of_tags, sigmas = _tag_terms(rows, fitted, number, factors)
     calibrations = {}
     for name, regression in fitted.items():
         terms, covariance, _ = with_least_slope(regression, np.array([[0.0, 1.0]]), LEAST_SLOPE - 1.0)
         distances = rows[name].x[:, 1]
         span = np.array([distances.min(), distances.max()])
         calibrations[name] = AnchorCalibration(terms, covariance, span, len(distances))
-    of_tags = zip(tags.tolist(), biases.tolist(), sigmas.tolist(), counts.tolist(), strict=True)
+    of_tags = {
+        tag: TagCalibration(terms[0], sigma[0], count, tuple(terms[1:]), tuple(sigma[1:]))
+        for tag, terms, sigma, count in zip(
+            tags.tolist(), terms_of_tags.tolist(), sigmas.tolist(), counts.tolist(), strict=True
+        )
+    }
     spread = float(np.sqrt(np.mean([regression.scale**2 for regression in fitted.values()])))
-    return calibrations, {tag: TagCalibration(*fields) for tag, *fields in of_tags}, spread
+    return calibrations, of_tags, spread
 
 
-def _tag_biases(
-    rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Mapping[str, np.ndarray], count: int
+def _tag_terms(
+    rows: Mapping[str, Rows],
+    fitted: Mapping[str, Regression],
+    number: Mapping[str, np.ndarray],
+    factors: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Biases of tags (count,), relative to their mean, and their standard deviations, from errors at all anchors."""
-    left = [
-        of_anchor._replace(x=np.ones((len(of_anchor.y), 1)), y=of_anchor.y - of_anchor.x @ fitted[name].terms)
-        for name, of_anchor in rows.items()
-    ]
+    """Terms of tags (tags, 3) and their standard deviations, from the errors that the fits of all anchors leave.
+
+    Biases are relative to their mean.
+    """
+    left = []
+    for code, (name, of_anchor) in enumerate(rows.items()):
+        # Obstruction and multipath at a place are those of an anchor.
+        clusters = {key: getattr(of_anchor, key) * len(rows) + code for key in ("piece", "place")}
+        error = of_anchor.y - of_anchor.x @ fitted[name].terms
+        left.append(of_anchor._replace(x=factors[name], y=error, **clusters))
     joined = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
+    with_heading = bool(joined.x[:, 1:].any())
+    count, prior = (3 if with_heading else 1), np.array([TAG_SIGMA, OFFSET_SIGMA, OFFSET_SIGMA])
+    joined = joined._replace(x=joined.x[:, :count])
     tag = np.concatenate([number[name] for name in rows])
-    of_tags = {str(k): Rows(*(column[tag == k] for column in joined)) for k in range(count)}
-    fits = regressions(of_tags, np.zeros(1), np.array([TAG_SIGMA])).values()
-    biases = np.array([fit.terms[0] for fit in fits])
-    return biases - biases.mean(), np.sqrt([fit.covariance[0, 0] for fit in fits])
+    of_tags = {str(k): Rows(*(column[tag == k] for column in joined)) for k in range(tag.max() + 1)}
+    fits = regressions(of_tags, np.zeros(count), prior[:count]).values()
+    terms, sigmas = np.zeros((2, len(of_tags), 3))
+    terms[:, :count] = [fit.terms for fit in fits]
+    sigmas[:, :count] = [np.sqrt(np.diag(fit.covariance)) for fit in fits]
+    terms[:, 0] -= terms[:, 0].mean()
+    return terms, sigmas
 
 
 def _differences(pairs: Mapping[str, Pairs], places: Mapping[str, Point]) -> DifferenceCalibration:

@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 from scipy.stats import f_oneway
 
+from trackwright.trackers.core.model.rig import Point
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import Kind, wrapped
@@ -36,7 +37,8 @@ class Pairs(NamedTuple):
 
     `true` and `measured` (N, 2) rad or (N, 1) m, NaN where not measured. `positions` (N, 3) m. `recording` (N,): the
     number of each row's recording. `piece`, `place` (N,): numbers of its piece of time and of its square. `tag` (N,):
-    its id. `time` (N,) s. `other` (N,): the id of the anchor whose distance is subtracted, "" where none is.
+    its id. `time` (N,) s. `other` (N,): the id of the anchor whose distance is subtracted, "" where none is. `heading`
+    (N,) rad: of the body, NaN where it is not known.
     """
 
     true: np.ndarray
@@ -48,6 +50,7 @@ class Pairs(NamedTuple):
     tag: np.ndarray
     time: np.ndarray
     other: np.ndarray
+    heading: np.ndarray
 
 
 def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind) -> dict[str, Pairs]:
@@ -72,6 +75,7 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
     raw = kind.measured(folder.rig, rows)
     measured = raw.usable
     positions, status = folder.paths.at(rows.tags, rows.starts, rows.times)
+    headings = folder.paths.headings_at(rows.tags, rows.starts, rows.times)
     # A truth over the floor is completed by the height of the tag in the rig.
     heights = rows.of_each(known_heights(folder, rows.tags))
     positions = np.column_stack([positions[:, :2], np.where(np.isnan(positions[:, 2]), heights, positions[:, 2])])
@@ -101,8 +105,20 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
                     tag[mask],
                     rows.times[mask],
                     names[sensors[mask, second]],
+                    headings[mask],
                 ),
             )
+
+
+def tag_factors(pairs: Pairs, anchor: Point) -> np.ndarray:
+    """What ranges grow by (N, 3) per metre of a tag's bias, and of the offset of their end ahead and to the left.
+
+    Zero of the offset where the heading of the body is not known.
+    """
+    away = pairs.positions - anchor
+    x, y = away[:, :2].T / np.maximum(np.linalg.norm(away, axis=1), 1e-6)
+    cosine, sine = np.cos(pairs.heading), np.sin(pairs.heading)
+    return np.nan_to_num(np.stack([np.ones(len(x)), cosine * x + sine * y, cosine * y - sine * x], axis=1))
 
 
 def _pieces(rows: TagRows, positions: np.ndarray, known: np.ndarray) -> np.ndarray:

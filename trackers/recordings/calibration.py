@@ -36,6 +36,9 @@ RANGE_PRIOR = np.zeros(2), np.array([0.3, 0.02])
 TAG_SIGMA = 0.05
 """Standard deviation of the bias of a tag, m, relative to other tags, before any recording."""
 
+OFFSET_SIGMA = 0.02
+"""Standard deviation, m, of where the ranges of a tag end ahead and to the left of it, before any recording."""
+
 MOVED_M, MOVED_RAD = 0.1, 0.05
 """Distance, m, and angle, rad, by which a station or anchor may have moved since its calibration."""
 
@@ -58,6 +61,7 @@ _STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
 _RANGE_TERMS = ("bias_m", "slope")
 _ANCHOR = ("rows", *_RANGE_TERMS, "lowest_m", "highest_m", "covariance")
 _TAG = ("rows", "bias_m", "standard_error_m")
+_OFFSET = ("offset_m", "offset_standard_error_m")
 _DIFFERENCES = ("anchors", "rows", "bias_m", "covariance", "position_m", "spread_m")
 
 
@@ -133,11 +137,22 @@ class AnchorCalibration:
 
 @dataclass(frozen=True)
 class TagCalibration:
-    """The bias of a tag's ranges, m, relative to the mean of all tags of the fit, and its standard deviation, m."""
+    """The bias of a tag's ranges, m, relative to the mean of all tags of the fit, and its standard deviation, m.
+
+    `offset` (2,) m: from the place of the tag on its body to where its ranges end, the phase centre of its antenna,
+    ahead and to the left; `offset_sigmas` (2,) m. Zero where the heading of the body is not known.
+    """
 
     bias: float
     sigma: float
     rows: int = 0
+    offset: tuple[float, float] = (0.0, 0.0)
+    offset_sigmas: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def placed(self) -> bool:
+        """Whether the recordings of the fit have the heading of its body."""
+        return any(self.offset_sigmas)
 
 
 @dataclass(frozen=True)
@@ -219,6 +234,10 @@ class Calibration:
                 ]
             ),
         )
+
+    def offset_of(self, tag: str) -> tuple[float, float]:
+        """The calibrated offset of a tag, m, on its body; zero without one."""
+        return self.tags[tag].offset if tag in self.tags else (0.0, 0.0)
 
     def of_bearings(
         self, stations: Sequence[str], number: np.ndarray, measured: np.ndarray
@@ -336,6 +355,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
         "anchors": anchors,
         "tags": {
             name: dict(zip(_TAG, (tag.rows, tag.bias, tag.sigma), strict=True))
+            | (dict(zip(_OFFSET, map(list, (tag.offset, tag.offset_sigmas)), strict=True)) if tag.placed else {})
             for name, tag in calibration.tags.items()
         },
     }
@@ -419,11 +439,13 @@ class _Reader(TomlReader):
         return AnchorCalibration(terms, covariance, span, self.rows(where, content["rows"]), position)
 
     def tag(self, where: str, content: Any) -> TagCalibration:
-        self.exactly(self.table(where, content), _TAG, f"[{where}]")
+        placed = _OFFSET if any(key in self.table(where, content) for key in _OFFSET) else ()
+        self.exactly(content, (*_TAG, *placed), f"[{where}]")
         bias, sigma = (self.number(f"{where}.{key}", content[key]) for key in _TAG[1:])
         if sigma < 0.0:
             self.wrong(f"{where}.standard_error_m", sigma, "a number of zero or more")
-        return TagCalibration(bias, sigma, self.rows(where, content["rows"]))
+        offsets = [tuple(self.array(f"{where}.{key}", content[key], (2,)).tolist()) for key in placed]
+        return TagCalibration(bias, sigma, self.rows(where, content["rows"]), *offsets)
 
     def differences(self, content: dict[str, Any]) -> DifferenceCalibration:
         self.exactly(content, _DIFFERENCES, "[tdoa]")

@@ -21,7 +21,7 @@ HIGHEST = 1e5  # metres, of a tag
 SHORTEST = 1e-6  # wavelength, m: that of light
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
-_TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "path", "floor")
+_TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "bodies", "path", "floor")
 _ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 _STATION = ("position_m", "rotation_wxyz", *_ANGLES, "wavelength_m", "antennas_m")
 _TAG = ("height_m", "offset_m")
@@ -52,10 +52,10 @@ class _Reader(TomlReader):
         for key, text in texts.items():
             if not isinstance(text, str):
                 self.wrong(key, text, "a text in quotes")
-        anchors, stations, tags, path, floor = (
-            self.table(key, content.get(key, {})) for key in ("anchors", "stations", "tags", "path", "floor")
+        anchors, stations, tags, bodies, path, floor = (
+            self.table(key, content.get(key, {})) for key in ("anchors", "stations", "tags", "bodies", "path", "floor")
         )
-        for text in (texts["name"], *anchors, *stations, *tags):
+        for text in (texts["name"], *anchors, *stations, *tags, *bodies):
             if has_control(text):
                 self.refuse(f"{text!r} has a control character; expected a name without")
         self.known(path, ("knots_m",), "[path]")
@@ -72,6 +72,7 @@ class _Reader(TomlReader):
             anchors={key: self.array(f"anchors.{key}", place, (3,)) for key, place in anchors.items()},
             stations={key: self.station(f"stations.{key}", v) for key, v in stations.items()},
             tags={key: self.tag(f"tags.{key}", v) for key, v in tags.items()},
+            bodies=self.bodies(bodies, tags),
             path_knots=self.knots(path["knots_m"]) if path else None,
             walls=self.points("floor.walls_m", floor["walls_m"], 4, 1) if "walls_m" in floor else None,
             outline=self.points("floor.outline_m", floor["outline_m"], 2, 3) if "outline_m" in floor else None,
@@ -123,6 +124,23 @@ class _Reader(TomlReader):
             offset=self.array(f"{where}.offset_m", content["offset_m"], (3,)) if "offset_m" in content else None,
         )
 
+    def bodies(self, content: dict[str, Any], tags: dict[str, Any]) -> dict[str, tuple[str, ...]]:
+        """The tags of each body, each with a place on it, and on one body alone."""
+        bodies: dict[str, tuple[str, ...]] = {}
+        for key, body in content.items():
+            where = f"bodies.{key}"
+            self.known(self.table(where, body), ("tags",), f"[{where}]")
+            names = body.get("tags")
+            if not isinstance(names, list) or len(names) < 2 or not all(isinstance(name, str) for name in names):
+                self.wrong(f"{where}.tags", names, "a list of at least two tags")
+            for name in names:
+                if "offset_m" not in tags.get(name, {}):
+                    self.refuse(f"{where}.tags names {name!r}, which has no offset_m under [tags.{name}]; add it")
+                if any(name in other for other in bodies.values()):
+                    self.refuse(f"{where}.tags names {name!r}, which is on another body; expected each tag on one")
+            bodies[key] = tuple(names)
+        return bodies
+
     def knots(self, value: Any) -> np.ndarray:
         knots = self.points("path.knots_m", value)
         try:
@@ -173,6 +191,8 @@ def rig_text(rig: Rig) -> str:
         parts.append(f"[stations.{_text(key)}]\n{_entries(values | array)}")
     for key, tag in rig.tags.items():
         parts.append(f"[tags.{_text(key)}]\n{_entries({'height_m': tag.height, 'offset_m': tag.offset})}")
+    for key, names in rig.bodies.items():
+        parts.append(f"[bodies.{_text(key)}]\ntags = [{', '.join(map(_text, names))}]\n")
     if rig.path_knots is not None:
         parts.append("[path]\n" + _entries({"knots_m": rig.path_knots}))
     if rig.walls is not None or rig.outline is not None:

@@ -10,6 +10,7 @@ import polars as pl
 
 from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S, first_not_before
 from trackwright.trackers.recordings.columns import TableRows, require_columns
+from trackwright.trackers.recordings.kinds import QUATERNION
 
 
 class TruthStatus(IntEnum):
@@ -25,12 +26,20 @@ class TruePaths:
     """The true paths of tags: positions at sorted times, no two of them equal, between which they are interpolated.
 
     `tags`: of the paths. `starts` (paths + 1,): the first row of each path, then their number n. `times` (n,) s and
-    `positions` (n, 3) m: z is NaN where there is no height.
+    `positions` (n, 3) m: z is NaN where there is no height. `headings` (n,) rad: of the bodies, about the vertical;
+    NaN, or None for all, where they are not known.
     """
 
-    def __init__(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray, positions: np.ndarray) -> None:
+    def __init__(
+        self,
+        tags: Sequence[str],
+        starts: np.ndarray,
+        times: np.ndarray,
+        positions: np.ndarray,
+        headings: np.ndarray | None = None,
+    ) -> None:
         self.number = {tag: k for k, tag in enumerate(tags)}
-        self.starts, self.times, self.positions = starts, times, positions
+        self.starts, self.times, self.positions, self.headings = starts, times, positions, headings
         self._latest: list[tuple[Sequence[str], np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
 
     @classmethod
@@ -54,13 +63,31 @@ class TruePaths:
         if not later.all():
             distinct = present.unique(["tag", "t_s"], keep="first", maintain_order=True)
             rows = TableRows(distinct.sort("t_s", maintain_order=True))
-        return cls(rows.tags, rows.starts, rows.times, rows.floats(["x_m", "y_m", "z_m"]))
+        headings = None
+        if QUATERNION[0] in rows:
+            w, x, y, z = rows.floats(QUATERNION).T
+            headings = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return cls(rows.tags, rows.starts, rows.times, rows.floats(["x_m", "y_m", "z_m"]), headings)
 
     def of_tag(self, tag: str) -> tuple[np.ndarray, np.ndarray]:
         """Times (n,) s and positions (n, 3) m of one path."""
         number = self.number[tag]
         part = slice(self.starts[number], self.starts[number + 1])
         return self.times[part], self.positions[part]
+
+    def headings_at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """True headings (N,), rad, linearly interpolated, of rows as in `at`; NaN where they are not known."""
+        result = np.full(len(times), np.nan)
+        for tag, first, end in zip(tags, starts[:-1], starts[1:], strict=True):
+            if self.headings is None or tag not in self.number:
+                continue
+            part = slice(*self.starts[self.number[tag] :][:2])
+            known = np.isfinite(self.headings[part])
+            if known.any():
+                angles = np.unwrap(self.headings[part][known])
+                known_times = self.times[part][known]
+                result[first:end] = np.interp(times[first:end], known_times, angles, np.nan, np.nan)
+        return result
 
     def at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """True positions (N, 3), m, linearly interpolated at `times` (N,), s, and their `TruthStatus` (N,).

@@ -34,6 +34,7 @@ from trackwright.trackers.recordings.trajectories import (
     known_heights,
     trajectories_of,
 )
+from trackwright.trackers.uwb_imu.body import body_levels, body_tracker
 from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences
 from trackwright.trackers.uwb_imu.differences import TDOA, difference_levels, difference_tracker
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
@@ -58,8 +59,8 @@ MAX_RANGE_RATIO = 20.0
 def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterable[Trajectory]:
     """Each tag's ranges, one per row, and further rows at the times of the IMU's samples.
 
-    Tags with an `offset_m` are on one body, with the IMU at the body's origin: the trajectory of each has the ranges of
-    all of them, with their lever arms from its own tag.
+    The IMU is at the origin of a tag's body: the trajectory of each has the ranges of all tags on it, with their lever
+    arms from its own tag.
     """
     rows = folder.rows("ranges")
     bodies = {tag: _tags_on_body(folder, tag, free_height) for tag in sorted(rows.tags)}
@@ -68,13 +69,47 @@ def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterabl
     alone = _with_imu(folder, rows, {tag: [tag] for tag in single}, free_height) if single else []
     if not shared:
         return alone
-    table = folder.tables["ranges"]
-    of_bodies = [
-        table.filter(pl.col("tag").is_in(body)).with_columns(carrier="tag", tag=pl.lit(tag))
-        for tag, body in shared.items()
-    ]
-    together = _with_imu(folder, TableRows(pl.concat(of_bodies)), shared, free_height)
+    together = _with_imu(folder, _ranges_of_bodies(folder, shared), shared, free_height)
     return sorted([*alone, *together], key=lambda trajectory: trajectory.tag) if alone else together
+
+
+def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
+    """Of each tag on a body the ranges of all tags on it, one per row, with their lever arms from that tag.
+
+    A tag without ranges is a place on the body, such as a tool's tip.
+    """
+    rows = _ranges_of_bodies(folder, {tag: folder.rig.on_body_of(tag) for tag in _tags_on_bodies(folder)})
+    readings, number = range_rows(folder, rows)
+    heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
+    inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
+    inputs |= {"levers": _levers(folder, rows)} | room_of_anchors(folder, len(number))
+    return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
+
+
+def _tags_on_bodies(folder: RecordingFolder) -> list[str]:
+    """The tags that are on a body with others, by their ids."""
+    return [tag for tag in sorted(folder.rig.tags) if len(folder.rig.on_body_of(tag)) > 1]
+
+
+def _ranges_of_bodies(folder: RecordingFolder, bodies: Mapping[str, Sequence[str]]) -> TableRows:
+    """The ranges of all tags on the body of each tag, of which the column `carrier` holds the one ranged to."""
+    table = folder.tables["ranges"].with_columns(pl.col("tag").cast(pl.String))
+    return TableRows(
+        pl.concat(
+            table.filter(pl.col("tag").is_in(body)).with_columns(carrier="tag", tag=pl.lit(tag))
+            for tag, body in sorted(bodies.items())
+        )
+    )
+
+
+def _levers(folder: RecordingFolder, rows: TagRows) -> np.ndarray:
+    """The lever arms (N, 3), m, from each row's tag to where the ranges of its carrier end, which a calibration has."""
+    carriers = _tags_on_bodies(folder)
+    ends = np.stack([_offset(folder, carrier) for carrier in carriers])
+    if folder.calibration is not None:
+        ends[:, :2] += [folder.calibration.offset_of(carrier) for carrier in carriers]
+    places = np.stack([_offset(folder, tag) for tag in rows.tags])
+    return np.asarray(ends[rows.codes("carrier", carriers)] - rows.of_each(places))
 
 
 def _with_imu(
@@ -86,10 +121,7 @@ def _with_imu(
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
     tags = list(bodies)
     if len(bodies[tags[0]]) > 1:
-        carriers = bodies[tags[0]]
-        offsets = np.stack([_offset(folder, carrier) for carrier in carriers])
-        tag_offsets = np.stack([_offset(folder, tag) for tag in rows.tags])
-        inputs["levers"] = offsets[rows.codes("carrier", carriers)] - rows.of_each(tag_offsets)
+        inputs["levers"] = _levers(folder, rows)
     samples = folder.rows("imu")
     accel, gyro = _imu_samples(samples)
     at = {tag: slice(*samples.starts[k : k + 2]) for k, tag in enumerate(samples.tags)}
@@ -123,10 +155,8 @@ def _with_zeros(values: np.ndarray) -> np.ndarray:
 
 def _tags_on_body(folder: RecordingFolder, tag: str, free_height: bool) -> list[str]:
     """The tags on the same body, the tag itself first; the tag alone if its state is planar."""
-    known = folder.rig.tags.get(tag)
-    if known is None or known.offset is None or (known.height is not None and not free_height):
-        return [tag]
-    return [tag, *(other for other, t in folder.rig.tags.items() if t.offset is not None and other != tag)]
+    planar = known_height(folder, tag) is not None and not free_height
+    return [tag] if planar else [tag, *(other for other in folder.rig.on_body_of(tag) if other != tag)]
 
 
 def _offset(folder: RecordingFolder, tag: str) -> np.ndarray:
@@ -246,6 +276,20 @@ def lacks_ranges(folder: RecordingFolder) -> str | None:
     return None
 
 
+def _lacks_bodies(folder: RecordingFolder) -> str | None:
+    """What a folder lacks for the tracker of bodies, in words."""
+    lacking = lacks_ranges(folder)
+    if lacking is not None:
+        return lacking
+    single = sorted(set(folder.rows("ranges").tags) - set(_tags_on_bodies(folder)))
+    if single:
+        return (
+            "offset_m in rig.toml for at least two tags on the body of each, found no other tag on that of "
+            f"{', '.join(single)}"
+        )
+    return None
+
+
 def _lacks_known_height(folder: RecordingFolder) -> str | None:
     """What a folder lacks for trilateration, in words."""
     lacking = lacks_ranges(folder)
@@ -271,6 +315,11 @@ def _is_calibrated(trajectory: Trajectory) -> bool:
 def _ranges(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     levels = range_levels(trajectory.folder.calibration)
     return replace(range_tracker(_bias_slots(trajectory), planar, **levels), lasting_errors=not levels)
+
+
+def _body(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    levels = body_levels(trajectory.folder.calibration)
+    return replace(body_tracker(_bias_slots(trajectory), planar, **levels), lasting_errors=not levels)
 
 
 def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
@@ -313,6 +362,14 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_ranges,
         lacks=lacks_ranges,
         geometry=lambda trajectory: (_bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
+    ),
+    "body": partial(
+        TrackerSpec,
+        trajectories=body_trajectories,
+        build=_body,
+        lacks=_lacks_bodies,
+        geometry=lambda trajectory: (_bias_slots(trajectory), *body_levels(trajectory.folder.calibration).values()),
+        automatic=lambda folder: False,
     ),
     "tdoa": partial(
         TrackerSpec,

@@ -25,16 +25,19 @@ from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.calibration import (
     ANGLE_TERMS,
     ANGLES,
+    DETERMINED,
+    OFFSET_SIGMA,
     RANGE_TERMS,
     UNCALIBRATED,
     Calibration,
+    TagCalibration,
     angle_terms,
     range_terms,
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import calibrate
-from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
+from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance, tag_factors
 from trackwright.tuning.lasting_errors import LastingErrors, Series, lasting_errors, series_of
 
 WIDTH = 150
@@ -45,7 +48,7 @@ CURVE = 80
 """Points of a fitted curve."""
 
 DEGREES = float(np.rad2deg(1.0))
-TAG_HEAD = ("tag", "bias, m", "rows")
+TAG_HEAD = ("tag", "bias, m", "ahead, m", "to the left, m", "rows")
 _ERRORS = ("rows", "as measured", "calibrated", "left out")
 ANGLE_HEAD = ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS)
 RANGE_HEAD = ("anchor", "bias, m", "slope", *_ERRORS)
@@ -102,8 +105,12 @@ class Source(NamedTuple):
             expected = expected - calibration.of_differences([*names, self.name], both, np.zeros(len(number)))[0]
         elif calibration is not None and self.name in calibration.anchors:
             tags, number = np.unique(self.pairs.tag, return_inverse=True)
-            biases = np.array([calibration.tags[tag].bias if tag in calibration.tags else 0.0 for tag in tags])
-            expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
+            anchor, none = calibration.anchors[self.name], TagCalibration(0.0, 0.0)
+            assert anchor.position is not None  # as `calibrate` has it
+            found = [calibration.tags.get(tag, none) for tag in tags]
+            of_tags = np.array([(tag.bias, *tag.offset) for tag in found])[number]
+            factors = tag_factors(self.pairs, anchor.position)
+            expected = expected + range_terms(expected) @ anchor.coefficients + (factors * of_tags).sum(axis=1)
         return self.pairs.measured[:, k] - expected
 
     def series(self, errors: np.ndarray) -> Iterator[Series]:
@@ -153,7 +160,7 @@ class Report(NamedTuple):
         for (title, head, texts), rows in zip(heads, (self.stations, self.anchors, self.differences), strict=True):
             width = len(head) - all(row[-1] == MISSING for row in rows)
             tables.append((title, head[:width], texts, [row[:width] for row in rows]))
-        tables.append(("Tags, relative to their mean", TAG_HEAD, 1, self.tags))
+        tables.append(("Tags: bias relative to their mean, and where their ranges end", TAG_HEAD, 1, self.tags))
         return [*tables, ("Errors that last, left out", LASTING_HEAD, 2, self.lasting)]
 
     @property
@@ -195,9 +202,17 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
             words = f"station {source.name}, {source.quantity}", f"anchor {source.name}"
             word = (*words, f"anchor {source.name} in range differences")[source.table]
             undetermined.append((word, ", ".join(lacking)))
-    tags = [[name, _term(tag.bias, tag.sigma, True), str(tag.rows)] for name, tag in calibration.tags.items()]
+    tags = [
+        [name, _term(tag.bias, tag.sigma, True), *map(_offset, tag.offset, tag.offset_sigmas), str(tag.rows)]
+        for name, tag in calibration.tags.items()
+    ]
     lasting = [[*key, *_lasting(numbers, *_shown(key[1]))] for key, numbers in lasting_errors(series).items()]
     return Report(*tables, tags if len(tags) > 1 else [], lasting, undetermined, sources)
+
+
+def _offset(value: float, sigma: float) -> str:
+    """A part of the place where the ranges of a tag end; none where the heading of its body is not known."""
+    return _term(value, sigma, sigma < DETERMINED * OFFSET_SIGMA) if sigma else MISSING
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:

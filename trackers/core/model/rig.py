@@ -88,6 +88,7 @@ class Tag:
 class Rig:
     """The fixed geometry of an installation.
 
+    `bodies`: the tags on each rigid body, which have an `offset`.
     `path_knots`: (k, 2) m, corners of a known path on the floor. `walls`: (n, 4) m, x1, y1, x2, y2 of each; `outline`:
     (m, 2) m, corners of the floor that holds the tags. `about`, `licence`, `source`: free text. Raises UnusableInput
     for an anchor without three finite coordinates.
@@ -97,6 +98,7 @@ class Rig:
     anchors: Mapping[str, Point] = field(default_factory=dict)
     stations: Mapping[str, Station] = field(default_factory=dict)
     tags: Mapping[str, Tag] = field(default_factory=dict)
+    bodies: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     path_knots: Float[np.ndarray, "k 2"] | None = None
     walls: Float[np.ndarray, "n 4"] | None = None
     outline: Float[np.ndarray, "m 2"] | None = None
@@ -108,6 +110,15 @@ class Rig:
         for name, place in self.anchors.items():
             if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
                 raise UnusableInput(f"Rig: anchor {name} is at {np.asarray(place).tolist()}; expected [x, y, z], m")
+
+    def on_body_of(self, tag: str) -> tuple[str, ...]:
+        """The tags on the body of this one, itself among them; without `bodies` all that have an `offset` are on one.
+
+        None of a tag on no body.
+        """
+        with_offset = tuple(name for name, known in self.tags.items() if known.offset is not None)
+        bodies = tuple(self.bodies.values()) or (with_offset,)
+        return next((body for body in bodies if tag in body), ())
 
     def all_walls(self) -> Float[np.ndarray, "n 4"]:
         """The walls and the edges of the outline, (n, 4), m."""
