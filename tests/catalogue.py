@@ -57,6 +57,7 @@ from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.singer import Singer
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory, cut
+from trackwright.trackers.uwb_imu.body import BodyState, TurningBody
 from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
@@ -172,6 +173,22 @@ def _of_differences() -> RecordingFolder:
 
 
 @cache
+def _of_bodies() -> RecordingFolder:
+    """Four bodies, of each of which two tags answer in turn."""
+    pairs = {k: (f"{k}", f"{(k + 4) % TAGS}") for k in range(2, 6)}
+    ranges = folder().tables["ranges"].filter(pl.col("tag").cast(int).is_in(list(pairs)))
+    turn = pl.int_range(pl.len()).over("tag") % 2 * 4
+    ranges = ranges.with_columns(tag=((pl.col("tag").cast(int) + turn) % TAGS).cast(pl.String))
+    tags = {
+        name: Tag(RIG.tags[body[0]].height, np.array([0.4 * (name == body[0]), 0.1, 0.0]))
+        for body in pairs.values()
+        for name in body
+    }
+    rig = replace(RIG, tags=tags, bodies={f"body {k}": body for k, body in pairs.items()})
+    return replace(folder(), rig=rig, tables={"ranges": ranges, "truth": folder().tables["truth"]})
+
+
+@cache
 def trajectories(name: str, free_height: bool, source: Callable[[], RecordingFolder]) -> tuple[Trajectory, ...]:
     """The trajectories of all tags, as the ready tracker of this name reads them from `source()`.
 
@@ -253,6 +270,7 @@ def _ready_cases() -> Iterator[Case]:
     yield ready("line-pf", smoothable=False, draws=True)
     yield from both("uwb")
     yield from both("uwb-imu")
+    yield from both("body", source=_of_bodies)
     yield from both("tdoa", source=_of_differences)
     yield from both("multilateration", smoothable=False)
     yield ready("trilateration", smoothable=False, idle=("sigma_r",), quick=True)
@@ -415,6 +433,10 @@ MOTIONS = {
     "damped velocity on the floor": MotionCase(
         DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0),
         BiasedState(Vector(0.1, 0.1), Vector(0.2, 0.2), Vector(0.01, -0.02)),
+    ),
+    "turning body": MotionCase(
+        TurningBody(0.5, 1.0, 2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0),
+        BodyState(Vector(0.1, 0.1), Heading(0.4), Vector(0.2, 0.2), 0.3, Vector(0.01, -0.02), Vector()),
     ),
     "damped velocity": MotionCase(
         DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0),

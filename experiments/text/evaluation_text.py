@@ -22,8 +22,8 @@ from trackwright.trackers.recordings.atomic import json_text
 SHOWN_TRACKS = 10
 """The most tracks listed per recording: the worst."""
 
-SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0)}
-"""Factor and digits of metrics that are no errors, by their units."""
+SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0), "rad": (180 / math.pi, 2)}
+"""Factor and digits of metrics that are no lengths, by their units."""
 
 LARGE = 1e4
 """Values in a table from here on have no digits after the point."""

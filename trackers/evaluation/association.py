@@ -14,7 +14,7 @@ from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.columns import float_column, require_columns, run_starts
-from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, track_keys
+from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, track_keys
 from trackwright.trackers.recordings.truth import TruePaths, TruthStatus
 
 
@@ -23,12 +23,14 @@ class Association(NamedTuple):
 
     `rows`: the table of estimates, sorted by recording, tag, station and time. `truth`: (n, 3), m, NaN without truth.
     `truth_status`: (n,) values of `TruthStatus`. `starts`: (g + 1,) first row of each of the g tracks, then n.
+    `headings`: (n,) true ones, rad, NaN where they are not known; None for estimates without.
     """
 
     rows: pl.DataFrame
     truth: np.ndarray
     truth_status: np.ndarray
     starts: np.ndarray
+    headings: np.ndarray | None = None
 
     @property
     def scored(self) -> np.ndarray:
@@ -42,7 +44,8 @@ class Association(NamedTuple):
         begin, stop = (self.starts[tracks[0]], self.starts[tracks[-1] + 1]) if len(tracks) else (0, 0)
         starts = self.starts[tracks[0] : tracks[-1] + 2] - begin if len(tracks) else np.zeros(1, int)
         part = slice(begin, stop)
-        return Association(self.rows[part], self.truth[part], self.truth_status[part], starts)
+        headings = None if self.headings is None else self.headings[part]
+        return Association(self.rows[part], self.truth[part], self.truth_status[part], starts, headings)
 
     @classmethod
     def joined(cls, parts: Sequence[Association]) -> Association:
@@ -54,6 +57,7 @@ class Association(NamedTuple):
             np.concatenate([part.truth for part in parts]),
             np.concatenate([part.truth_status for part in parts]),
             np.concatenate([*starts, before[-1:]]),
+            None if parts[0].headings is None else np.concatenate([part.headings for part in parts]),
         )
 
 
@@ -66,6 +70,7 @@ def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) ->
     rows, usable, starts = _sorted(tracks)
     paths = {name: TruePaths.of_table(frame, name) for name, frame in truths.items()}
     truth, status = _without_truth(usable)
+    headings = np.full(len(rows), np.nan) if HEADING in rows.columns else None
     times = float_column(rows, "t_s")
     recordings, tags = (rows[name].gather(starts[:-1]).to_list() for name in ("recording", "tag"))
     first = [k for k, name in enumerate(recordings) if k == 0 or name != recordings[k - 1]]
@@ -76,7 +81,9 @@ def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) ->
             # Estimates alone, since other rows may have no time.
             kept = np.searchsorted(part, starts[k : end + 1])
             truth[part], status[part] = path.at(tags[k:end], kept, times[part])
-    return Association(rows, truth, status, starts)
+            if headings is not None:
+                headings[part] = path.headings_at(tags[k:end], kept, times[part])
+    return Association(rows, truth, status, starts, headings)
 
 
 def associate_paths(tracks: pl.DataFrame, paths: TruePaths) -> Association:

@@ -42,6 +42,7 @@ class Metric(NamedTuple):
 KIND_WORDS = {
     "m": "",
     "3d_m": "in 3-D",
+    "heading_rad": "of heading",
     "direction_rad": "of direction",
     "azimuth_rad": "of azimuth",
     "elevation_rad": "of elevation",
@@ -74,11 +75,19 @@ def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat
 
 
-SHORT = {"m": "", "3d_m": "3-D\n", "direction_rad": "angle\n", "azimuth_rad": "az\n", "elevation_rad": "el\n"}
+SHORT = {
+    "m": "",
+    "3d_m": "3-D\n",
+    "heading_rad": "heading,\n° ",
+    "direction_rad": "angle\n",
+    "azimuth_rad": "az\n",
+    "elevation_rad": "el\n",
+}
 SHOWN = {
     "m": {"rmse": (0, True), "median": (2, True), "p90": (3, False), "p95": (0, True), "p99": (3, False),
           "max": (0, True)},
     "3d_m": {"rmse": (0, True), "p95": (3, False)},
+    "heading_rad": {"rmse": (0, True), "p95": (3, False)},
     "direction_rad": {"rmse": (1, True), "median": (2, False), "p95": (0, True)},
     "azimuth_rad": {"rmse": (0, True), "bias": (3, False)},
     "elevation_rad": {"rmse": (0, True), "bias": (3, False)},
@@ -182,6 +191,7 @@ METRICS = {
         _bias("x_m", "m"),
         _bias("y_m", "m"),
         _bias("z_m", "3d_m"),
+        *_of_kind("heading_rad"),
         *_of_kind("azimuth_rad"),
         _bias("azimuth_rad", "azimuth_rad"),
         *_of_kind("elevation_rad"),

@@ -15,7 +15,7 @@ from trackwright.trackers.evaluation.metrics import bearing_sizes, position_size
 from trackwright.trackers.evaluation.rank_correlation import rank_sums
 from trackwright.trackers.evaluation.scores import Groups, Scores, Values, error_sums, nees_sums
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.tracks_table import is_bearing
+from trackwright.trackers.recordings.tracks_table import HEADING, is_bearing
 from trackwright.trackers.recordings.truth import TruthStatus
 
 
@@ -126,7 +126,11 @@ def _positions(association: Association, kept: np.ndarray) -> Scored:
         rows, truth = rows[kept], truth[kept]
     errors = np.stack([float_column(rows, f"{axis}_m") - true for axis, true in zip("xyz", truth.T, strict=True)]).T
     _, nees, nees_3d = metrics.nees_of_leading(errors, covariances(rows))
-    return Scored(kept, errors, position_sizes(errors), nees, nees_3d)
+    sizes = position_sizes(errors)
+    if association.headings is not None:
+        turned = float_column(rows, HEADING) - association.headings[kept]
+        sizes["heading_rad"] = np.abs(np.pi - (np.pi - turned) % (2 * np.pi))
+    return Scored(kept, errors, sizes, nees, nees_3d)
 
 
 def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str, Mapping[str, Station]]) -> Scored:

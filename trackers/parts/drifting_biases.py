@@ -13,6 +13,7 @@ from trackwright.trackers.core.model.covariance import Gaussian, variance
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.motion import AbstractMotion, Noise
 from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
 
@@ -80,9 +81,9 @@ class DriftingBiases(AbstractMotion):
         direction of the velocity is noise, it would act as a measurement of velocity.
         """
         state, cov = belief
-        n = len(state.position)
+        first = component_names(state).index("velocity.0")
         square = total(v * v for v in state.velocity)
-        spread = total(variance(cov, n + k) for k in range(len(state.velocity)))
+        spread = total(variance(cov, first + k) for k in range(len(state.velocity)))
         moves = square > spread
         speed = jnp.where(moves, (square - spread) / jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
         return eqx.tree_at(lambda motion: motion.speed, self, speed, is_leaf=lambda x: x is None)

@@ -12,12 +12,14 @@ import polars as pl
 from trackwright.trackers.core.data.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
 from trackwright.trackers.core.data.frames import frame_html, to_pandas
 from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.state import Heading
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.noise_levels import NoiseLevels
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.recordings.columns import stable_order
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.tracks_table import HEADING
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
 
 MAX_BATCH = 8 * CHUNK
@@ -180,7 +182,23 @@ def _positions(estimates: Estimates, height: np.ndarray, origins: np.ndarray) ->
     columns |= {f"cov_{AXES[i]}{AXES[j]}_m2": cov[i][j] for i in range(n) for j in range(i + 1, n)}
     # A moving window has no velocity.
     velocity = [np.asarray(x) for x in getattr(estimates.mean, "velocity", ())]
-    return columns | {f"v{a}_mps": v for a, v in zip(AXES, velocity, strict=False)}
+    columns |= {f"v{a}_mps": v for a, v in zip(AXES, velocity, strict=False)}
+    return columns | _heading(estimates)
+
+
+def _heading(estimates: Estimates) -> dict[str, np.ndarray]:
+    """The heading of a state with an attitude, rad in (−π, π], and its standard deviation where it is kept."""
+    attitude = getattr(estimates.mean, "attitude", None)
+    if attitude is None:
+        return {}
+    if isinstance(attitude, Heading):
+        angle = np.asarray(attitude.angle)
+    else:
+        w, x, y, z = (np.asarray(q) for q in (attitude.w, attitude.x, attitude.y, attitude.z))
+        angle = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    columns = {HEADING: np.pi - (np.pi - angle) % (2 * np.pi)}
+    sigma = estimates.sigmas.get("attitude.0") if isinstance(attitude, Heading) else None
+    return columns if sigma is None else columns | {f"std_{HEADING}": sigma}
 
 
 def from_origins(tracks: pl.DataFrame, batches: Iterable[TrackerBatch]) -> pl.DataFrame:

@@ -13,6 +13,9 @@ from trackwright.trackers.recordings.table_file import read_parquet
 TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.txt"
 """Files in the output folder of `trackwright track`: estimates, error metrics, a path of a recording per line."""
 
+HEADING = "heading_rad"
+"""The column with the heading of a body, from x towards y."""
+
 NO_ESTIMATE = ("waiting", "non-finite")
 """Values of `status` of rows without an estimate."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -20,20 +21,19 @@ from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import DriftingBiases, damped_velocity
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
-from trackwright.trackers.recordings.calibration import Calibration
-from trackwright.trackers.uwb_imu.fusion import MAX_BIASES, REACH, range_levels
+from trackwright.trackers.uwb_imu.fusion import MAX_BIASES, REACH
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 
 class BodyState(NamedTuple):
-    """Position, m, velocity, m/s, range biases, m, heading about the vertical, rad, and turning rate, rad/s."""
+    """Position, m, heading about the vertical, rad, velocity, m/s, turning rate, rad/s, and range biases, m."""
 
     position: Vector
+    attitude: Heading
     velocity: Vector
+    rate: Scalar
     bias: Vector
     shared: Vector
-    attitude: Heading
-    rate: Scalar
 
 
 class TurningBody(DriftingBiases):
@@ -61,7 +61,8 @@ class TurningBody(DriftingBiases):
         decay, gain, rate_noise, shared, separate = damped_velocity(dt, self.turn_memory.value)
         sigma = self.sigma_turn.value
         heading = state.attitude.angle + state.rate * gain + sigma * (a * shared + b * separate)
-        return BodyState(*carried_on, Heading(heading), state.rate * decay + sigma * a * rate_noise)
+        turning = {"attitude": Heading(heading), "rate": state.rate * decay + sigma * a * rate_noise}
+        return BodyState(**carried_on._asdict(), **turning)
 
 
 class BodyStart(AbstractNearbyStart):
@@ -82,28 +83,33 @@ class BodyStart(AbstractNearbyStart):
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n, zero = 2 if self.planar else 3, jnp.zeros_like(candidate[0])
-        sizes = {"position": n, "velocity": n, "bias": self.biases, "shared": 1, "heading": 1, "rate": 1}
+        sizes = {"position": n, "heading": 1, "velocity": n, "rate": 1, "bias": self.biases, "shared": 1}
         state = BodyState(
             Vector(*(candidate[k] for k in range(n))),
+            Heading(zero),
             Vector(*[zero] * n),
+            zero,
             Vector(*[zero] * self.biases),
             Vector(zero),
-            Heading(zero),
-            zero,
         )
         variances = [getattr(self, f"sigma_{name}").value ** 2 for name, size in sizes.items() for _ in range(size)]
         return Gaussian(state, diagonal(variances, zero))
 
 
+LASTS = 0.1
+"""How long the error of a range to a tag on a body lasts, s: ranges of that time count as one (docs/decisions.md)."""
+
+
 def body_tracker(
     anchors: int,
     planar: bool = False,
+    as_one: int = 1,
     sigma_a: float = 0.44,
     sigma_z: float = 0.7,
     memory: float = 5.5,
     sigma_turn: float = 0.5,
     turn_memory: float = 1.0,
-    sigma_r: float = 0.2,
+    sigma_r: float = 0.09,
     positive_skew: float = 4.0,
     dof: float = 1.8,
     bias: float = 0.07,
@@ -112,30 +118,26 @@ def body_tracker(
     length: float = 5.0,
     sigma_shared: float = 0.1,
 ) -> Tracker:
-    """Position, velocity, heading and turning rate of an upright body from the ranges of its tags, one range per row.
+    """Position, heading, velocity and turning rate of an upright body from the ranges of its tags, one range per row.
 
-    Levels of motion and biases are those of `range_tracker`; `sigma_r` is larger, since the ranges of several tags to
-    an anchor share errors (docs/decisions.md). `sigma_turn`, `turn_memory` as in `TurningBody`.
-    Estimates are of the place from which the input `levers` leads to the tags.
+    Levels are those of `range_tracker`, whose `range_levels` serve a calibrated site, and of `TurningBody`. `as_one`:
+    how many ranges between a tag and an anchor count as one, since they come within `LASTS` s; the noise of each is
+    larger by the square root. Estimates are of the place from which the input `levers` leads to the tags.
     """
     require(is_count(anchors), "body_tracker", anchors, "the number of anchors, as body_tracker(len(rig.anchors))")
     biases = anchors if anchors <= MAX_BIASES else 0
-    start = {
-        "sigma_position": 1.0, "sigma_velocity": 1.0, "sigma_bias": sigma_bias, "sigma_shared": sigma_shared,
-        "sigma_heading": 1.0, "sigma_rate": 0.5,
-    }  # fmt: skip
-    units = {"sigma_velocity": "m/s", "sigma_heading": "rad", "sigma_rate": "rad/s"}
+    units = {
+        "sigma_position": (1.0, "m"),
+        "sigma_velocity": (1.0, "m/s"),
+        "sigma_bias": (sigma_bias, "m"),
+        "sigma_shared": (sigma_shared, "m"),
+        "sigma_heading": (1.0, "rad"),
+        "sigma_rate": (0.5, "rad/s"),
+    }
     return Tracker(
         TurningBody(sigma_turn, turn_memory, biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length),
-        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
-        BodyStart(
-            **{name: Scale(value, units.get(name, "m")) for name, value in start.items()}, planar=planar, biases=biases
-        ),
+        {RANGES: RangeSensor(1, anchors, sigma_r * math.sqrt(as_one), positive_skew, dof, bias)},
+        BodyStart(**{name: Scale(*value) for name, value in units.items()}, planar=planar, biases=biases),
         YawMixtureFilter(),
         TrackScorePolicy(REACH, "m"),
     )
-
-
-def body_levels(calibration: Calibration | None) -> dict[str, float]:
-    """The noise levels of `body_tracker`, by name, at a site with this calibration; none where it has no anchors."""
-    return {name: value for name, value in range_levels(calibration).items() if name != "sigma_r"}

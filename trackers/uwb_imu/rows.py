@@ -34,7 +34,7 @@ from trackwright.trackers.recordings.trajectories import (
     known_heights,
     trajectories_of,
 )
-from trackwright.trackers.uwb_imu.body import body_levels, body_tracker
+from trackwright.trackers.uwb_imu.body import LASTS, body_tracker
 from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences
 from trackwright.trackers.uwb_imu.differences import TDOA, difference_levels, difference_tracker
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
@@ -78,7 +78,7 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
 
     A tag without ranges is a place on the body, such as a tool's tip.
     """
-    rows = _ranges_of_bodies(folder, {tag: folder.rig.on_body_of(tag) for tag in _tags_on_bodies(folder)})
+    rows = _ranges_by_body(folder)
     readings, number = range_rows(folder, rows)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
@@ -89,6 +89,11 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
 def _tags_on_bodies(folder: RecordingFolder) -> list[str]:
     """The tags that are on a body with others, by their ids."""
     return [tag for tag in sorted(folder.rig.tags) if len(folder.rig.on_body_of(tag)) > 1]
+
+
+def _ranges_by_body(folder: RecordingFolder) -> TableRows:
+    """As `_ranges_of_bodies`, of all tags on bodies."""
+    return _ranges_of_bodies(folder, {tag: folder.rig.on_body_of(tag) for tag in _tags_on_bodies(folder)})
 
 
 def _ranges_of_bodies(folder: RecordingFolder, bodies: Mapping[str, Sequence[str]]) -> TableRows:
@@ -248,11 +253,14 @@ def lacks_ranges_or_imu(folder: RecordingFolder) -> str | None:
     return None if count >= MIN_ANCHORS else f"ranges to at least {MIN_ANCHORS} anchors, found {count}"
 
 
-def lacks_ranges(folder: RecordingFolder) -> str | None:
-    """What a folder lacks for a tracker of ranges, in words: enough anchors, not collinear, and ranges in metres."""
+def lacks_ranges(folder: RecordingFolder, rows: TagRows | None = None) -> str | None:
+    """What a folder lacks for a tracker of ranges, in words: enough anchors, not collinear, and ranges in metres.
+
+    `rows`: the ranges of each trajectory, by default of each tag.
+    """
     if "ranges" not in folder.tables:
         return "a ranges table with at least 3 anchors, found no such table"
-    rows, ids = folder.rows("ranges"), sorted(folder.rig.anchors)
+    rows, ids = folder.rows("ranges") if rows is None else rows, sorted(folder.rig.anchors)
     ranges = rows.floats(["range_m"])[:, 0]
     positive = ranges > 0
     heard = np.zeros((len(rows.tags), len(ids)), bool)
@@ -278,16 +286,15 @@ def lacks_ranges(folder: RecordingFolder) -> str | None:
 
 def _lacks_bodies(folder: RecordingFolder) -> str | None:
     """What a folder lacks for the tracker of bodies, in words."""
-    lacking = lacks_ranges(folder)
-    if lacking is not None:
-        return lacking
+    if "ranges" not in folder.tables:
+        return lacks_ranges(folder)
     single = sorted(set(folder.rows("ranges").tags) - set(_tags_on_bodies(folder)))
     if single:
         return (
             "offset_m in rig.toml for at least two tags on the body of each, found no other tag on that of "
             f"{', '.join(single)}"
         )
-    return None
+    return lacks_ranges(folder, _ranges_by_body(folder))
 
 
 def _lacks_known_height(folder: RecordingFolder) -> str | None:
@@ -318,8 +325,19 @@ def _ranges(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 
 
 def _body(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    levels = body_levels(trajectory.folder.calibration)
-    return replace(body_tracker(_bias_slots(trajectory), planar, **levels), lasting_errors=not levels)
+    levels = range_levels(trajectory.folder.calibration)
+    tracker = body_tracker(_bias_slots(trajectory), planar, _as_one(trajectory), **levels)
+    return replace(tracker, lasting_errors=not levels)
+
+
+def _as_one(trajectory: Trajectory) -> int:
+    """How many ranges between a tag and an anchor count as one in a recording of bodies."""
+    rows = trajectory.folder.rows("ranges")
+    pairs = rows.of_each(np.arange(len(rows.tags))) * _anchors(trajectory)
+    pairs += rows.codes("anchor", sorted(trajectory.folder.rig.anchors))
+    order = np.lexsort((rows.times, pairs))
+    elapsed = np.diff(rows.times[order])[np.diff(pairs[order]) == 0]
+    return max(1, round(LASTS / max(float(np.median(elapsed)), 1e-3))) if len(elapsed) else 1
 
 
 def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
@@ -368,7 +386,11 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         trajectories=body_trajectories,
         build=_body,
         lacks=_lacks_bodies,
-        geometry=lambda trajectory: (_bias_slots(trajectory), *body_levels(trajectory.folder.calibration).values()),
+        geometry=lambda trajectory: (
+            _bias_slots(trajectory),
+            _as_one(trajectory),
+            *range_levels(trajectory.folder.calibration).values(),
+        ),
         automatic=lambda folder: False,
     ),
     "tdoa": partial(

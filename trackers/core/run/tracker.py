@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from typing import Any, NamedTuple, Self
 
 import equinox as eqx
@@ -198,7 +199,8 @@ class Tracker(AbstractTracker):
 
     `sensors`: by the names of their readings in a recording. `latency_of`: the sensor at whose time of measurement
     estimates are valid, an `AbstractDelayedSensor`; by default they are valid at the time of their row.
-    `position_alone`: estimates have the covariance of the position alone where the state begins with it.
+    `position_alone`: estimates have the covariance of the position alone where the state begins with it, with
+    that of an attitude where it comes next.
     `lasting_errors`: whether errors of readings outlast the model, as constant ones of sensors without a calibration,
     so that earlier and later readings share them; `Smoothed` then reports a bound.
     """
@@ -256,7 +258,8 @@ class Tracker(AbstractTracker):
         if not self.position_alone:
             return mean, cov
         fields = [name.partition(".")[0] for name in component_names(mean)]
-        return mean, leading(cov, len(fields), fields.count("position")) if fields[0] == "position" else cov
+        pose = list(takewhile(lambda field: field in ("position", "attitude"), fields))
+        return mean, leading(cov, len(fields), len(pose)) if fields[0] == "position" else cov
 
     def with_age(self, output: Output) -> Output:
         """The output with its `age`."""
