@@ -36,7 +36,7 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, tag_factors
+from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, end_factors
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
 LEAST_SLOPE = 0.2
@@ -147,62 +147,75 @@ def _anchors(
     owners = {name: values.tag[np.isfinite(values.measured[:, 0])] for name, values in pairs.items()}
     tags, counts = np.unique(np.concatenate(list(owners.values())), return_counts=True)
     number = {name: np.searchsorted(tags, row_tags) for name, row_tags in owners.items()}
-    factors = {
-        name: tag_factors(values, places[name])[np.isfinite(values.measured[:, 0])] for name, values in pairs.items()
-    }
-    terms_of_tags, sigmas = np.zeros((2, len(tags), 3))
+    biases, sigmas = np.zeros(len(tags)), np.zeros(len(tags))
     for _ in range(TAG_ROUNDS if len(tags) > 1 else 1):
-        corrected = {
-            name: of_anchor._replace(y=of_anchor.y - (factors[name] * terms_of_tags[number[name]]).sum(axis=1))
-            for name, of_anchor in rows.items()
-        }
+        corrected = {name: of_anchor._replace(y=of_anchor.y - biases[number[name]]) for name, of_anchor in rows.items()}
         fitted = regressions(corrected, *RANGE_PRIOR)
         if len(tags) > 1:
-            terms_of_tags, sigmas = _tag_terms(rows, fitted, number, factors)
+            biases, sigmas = _tag_biases(rows, fitted, number, len(tags))
+    offsets, offset_sigmas = np.zeros((2, len(tags), 2))
+    if len(tags) > 1:
+        ends = {
+            name: end_factors(values, places[name])[np.isfinite(values.measured[:, 0])]
+            for name, values in pairs.items()
+        }
+        offsets, offset_sigmas = _tag_offsets(corrected, fitted, number, ends)
     calibrations = {}
     for name, regression in fitted.items():
         terms, covariance, _ = with_least_slope(regression, np.array([[0.0, 1.0]]), LEAST_SLOPE - 1.0)
         distances = rows[name].x[:, 1]
         span = np.array([distances.min(), distances.max()])
         calibrations[name] = AnchorCalibration(terms, covariance, span, len(distances))
-    of_tags = {
-        tag: TagCalibration(terms[0], sigma[0], count, tuple(terms[1:]), tuple(sigma[1:]))
-        for tag, terms, sigma, count in zip(
-            tags.tolist(), terms_of_tags.tolist(), sigmas.tolist(), counts.tolist(), strict=True
-        )
-    }
+    columns = (biases, sigmas, counts, offsets, offset_sigmas)
+    of_tags = zip(tags.tolist(), *(column.tolist() for column in columns), strict=True)
     spread = float(np.sqrt(np.mean([regression.scale**2 for regression in fitted.values()])))
-    return calibrations, of_tags, spread
+    return calibrations, {tag: TagCalibration(*fields) for tag, *fields in of_tags}, spread
 
 
-def _tag_terms(
+def _tag_biases(
+    rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Mapping[str, np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Biases of tags (count,), relative to their mean, and their standard deviations, from errors at all anchors."""
+    left = [
+        of_anchor._replace(x=np.ones((len(of_anchor.y), 1)), y=of_anchor.y - of_anchor.x @ fitted[name].terms)
+        for name, of_anchor in rows.items()
+    ]
+    joined = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
+    tag = np.concatenate([number[name] for name in rows])
+    of_tags = {str(k): Rows(*(column[tag == k] for column in joined)) for k in range(count)}
+    fits = regressions(of_tags, np.zeros(1), np.array([TAG_SIGMA])).values()
+    biases = np.array([fit.terms[0] for fit in fits])
+    return biases - biases.mean(), np.sqrt([fit.covariance[0, 0] for fit in fits])
+
+
+def _tag_offsets(
     rows: Mapping[str, Rows],
     fitted: Mapping[str, Regression],
     number: Mapping[str, np.ndarray],
-    factors: Mapping[str, np.ndarray],
+    ends: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Terms of tags (tags, 3) and their standard deviations, from the errors that the fits of all anchors leave.
+    """Where the ranges of tags end (tags, 2) and its standard deviations, zero where no heading is known.
 
-    Biases are relative to their mean.
+    From what anchors and biases leave, beside a bias of their own, so that trackers without a heading keep theirs.
     """
     left = []
     for code, (name, of_anchor) in enumerate(rows.items()):
         # Obstruction and multipath at a place are those of an anchor.
         clusters = {key: getattr(of_anchor, key) * len(rows) + code for key in ("piece", "place")}
-        error = of_anchor.y - of_anchor.x @ fitted[name].terms
-        left.append(of_anchor._replace(x=factors[name], y=error, **clusters))
+        x, error = (
+            np.column_stack([np.ones(len(of_anchor.y)), ends[name]]),
+            of_anchor.y - of_anchor.x @ fitted[name].terms,
+        )
+        left.append(of_anchor._replace(x=x, y=error, **clusters))
     joined = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
-    with_heading = bool(joined.x[:, 1:].any())
-    count, prior = (3 if with_heading else 1), np.array([TAG_SIGMA, OFFSET_SIGMA, OFFSET_SIGMA])
-    joined = joined._replace(x=joined.x[:, :count])
     tag = np.concatenate([number[name] for name in rows])
-    of_tags = {str(k): Rows(*(column[tag == k] for column in joined)) for k in range(tag.max() + 1)}
-    fits = regressions(of_tags, np.zeros(count), prior[:count]).values()
-    terms, sigmas = np.zeros((2, len(of_tags), 3))
-    terms[:, :count] = [fit.terms for fit in fits]
-    sigmas[:, :count] = [np.sqrt(np.diag(fit.covariance)) for fit in fits]
-    terms[:, 0] -= terms[:, 0].mean()
-    return terms, sigmas
+    offsets, sigmas = np.zeros((2, tag.max() + 1, 2))
+    for k in range(len(offsets)):
+        of_tag = Rows(*(column[tag == k] for column in joined))
+        if of_tag.x[:, 1:].any():
+            fit = regressions({"": of_tag}, np.zeros(3), np.array([TAG_SIGMA, OFFSET_SIGMA, OFFSET_SIGMA]))[""]
+            offsets[k], sigmas[k] = fit.terms[1:], np.sqrt(np.diag(fit.covariance)[1:])
+    return offsets, sigmas
 
 
 def _differences(pairs: Mapping[str, Pairs], places: Mapping[str, Point]) -> DifferenceCalibration:

@@ -110,15 +110,12 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
             )
 
 
-def tag_factors(pairs: Pairs, anchor: Point) -> np.ndarray:
-    """What ranges grow by (N, 3) per metre of a tag's bias, and of the offset of their end ahead and to the left.
-
-    Zero of the offset where the heading of the body is not known.
-    """
+def end_factors(pairs: Pairs, anchor: Point) -> np.ndarray:
+    """What ranges grow by (N, 2) per metre by which they end ahead of a tag and to the left; 0 of unknown headings."""
     away = pairs.positions - anchor
     x, y = away[:, :2].T / np.maximum(np.linalg.norm(away, axis=1), 1e-6)
     cosine, sine = np.cos(pairs.heading), np.sin(pairs.heading)
-    return np.nan_to_num(np.stack([np.ones(len(x)), cosine * x + sine * y, cosine * y - sine * x], axis=1))
+    return np.nan_to_num(np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1))
 
 
 def _pieces(rows: TagRows, positions: np.ndarray, known: np.ndarray) -> np.ndarray:

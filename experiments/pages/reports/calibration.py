@@ -30,14 +30,13 @@ from trackwright.trackers.recordings.calibration import (
     RANGE_TERMS,
     UNCALIBRATED,
     Calibration,
-    TagCalibration,
     angle_terms,
     range_terms,
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import calibrate
-from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance, tag_factors
+from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
 from trackwright.tuning.lasting_errors import LastingErrors, Series, lasting_errors, series_of
 
 WIDTH = 150
@@ -105,12 +104,8 @@ class Source(NamedTuple):
             expected = expected - calibration.of_differences([*names, self.name], both, np.zeros(len(number)))[0]
         elif calibration is not None and self.name in calibration.anchors:
             tags, number = np.unique(self.pairs.tag, return_inverse=True)
-            anchor, none = calibration.anchors[self.name], TagCalibration(0.0, 0.0)
-            assert anchor.position is not None  # as `calibrate` has it
-            found = [calibration.tags.get(tag, none) for tag in tags]
-            of_tags = np.array([(tag.bias, *tag.offset) for tag in found])[number]
-            factors = tag_factors(self.pairs, anchor.position)
-            expected = expected + range_terms(expected) @ anchor.coefficients + (factors * of_tags).sum(axis=1)
+            biases = np.array([calibration.tags[tag].bias if tag in calibration.tags else 0.0 for tag in tags])
+            expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
         return self.pairs.measured[:, k] - expected
 
     def series(self, errors: np.ndarray) -> Iterator[Series]:
