@@ -435,7 +435,7 @@ MOTIONS = {
         BiasedState(Vector(0.1, 0.1), Vector(0.2, 0.2), Vector(0.01, -0.02)),
     ),
     "turning body": MotionCase(
-        TurningBody(0.5, 1.0, 2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0),
+        TurningBody(DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0), 0.5, 1.0),
         BodyState(Vector(0.1, 0.1), Heading(0.4), Vector(0.2, 0.2), 0.3, Vector(0.01, -0.02), Vector()),
     ),
     "damped velocity": MotionCase(

@@ -155,10 +155,8 @@ def _anchors(
             biases, sigmas = _tag_biases(rows, fitted, number, len(tags))
     offsets, offset_sigmas = np.zeros((2, len(tags), 2))
     if len(tags) > 1:
-        ends = {
-            name: end_factors(values, places[name])[np.isfinite(values.measured[:, 0])]
-            for name, values in pairs.items()
-        }
+        seen = {name: np.isfinite(values.measured[:, 0]) for name, values in pairs.items()}
+        ends = {name: end_factors(values, places[name])[seen[name]] for name, values in pairs.items()}
         offsets, offset_sigmas = _tag_offsets(corrected, fitted, number, ends)
     calibrations = {}
     for name, regression in fitted.items():
@@ -202,11 +200,8 @@ def _tag_offsets(
     for code, (name, of_anchor) in enumerate(rows.items()):
         # Obstruction and multipath at a place are those of an anchor.
         clusters = {key: getattr(of_anchor, key) * len(rows) + code for key in ("piece", "place")}
-        x, error = (
-            np.column_stack([np.ones(len(of_anchor.y)), ends[name]]),
-            of_anchor.y - of_anchor.x @ fitted[name].terms,
-        )
-        left.append(of_anchor._replace(x=x, y=error, **clusters))
+        x = np.column_stack([np.ones(len(of_anchor.y)), ends[name]])
+        left.append(of_anchor._replace(x=x, y=of_anchor.y - of_anchor.x @ fitted[name].terms, **clusters))
     joined = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
     tag = np.concatenate([number[name] for name in rows])
     offsets, sigmas = np.zeros((2, tag.max() + 1, 2))

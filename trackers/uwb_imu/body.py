@@ -12,7 +12,7 @@ from trackwright.trackers.core.errors import is_count, require
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
-from trackwright.trackers.core.model.motion import Noise
+from trackwright.trackers.core.model.motion import AbstractMotion, Noise
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import Heading
 from trackwright.trackers.core.model.tunable import Scale
@@ -36,28 +36,31 @@ class BodyState(NamedTuple):
     shared: Vector
 
 
-class TurningBody(DriftingBiases):
-    """`DriftingBiases` of an upright body whose turning rate is a first-order Gauss–Markov process.
+class TurningBody(AbstractMotion):
+    """Motion of an upright body: that of its place and biases, and a turning rate, first-order Gauss–Markov as well.
 
     `sigma_turn`: white angular acceleration, rad/s² per √Hz; `turn_memory`: time constant of the turning rate, s.
     """
 
+    place: DriftingBiases
     sigma_turn: Noise
     turn_memory: Noise
 
-    def __init__(self, sigma_turn: float, turn_memory: float, *args: Any):
-        """`args`: those of `DriftingBiases`."""
-        super().__init__(*args)
+    def __init__(self, place: DriftingBiases, sigma_turn: float, turn_memory: float):
+        self.place = place
         self.sigma_turn = Scale(sigma_turn, "rad/s^2/sqrt(Hz)", "process noise")
         self.turn_memory = Scale(turn_memory, "s")
 
     @property
     def noise_dimension(self) -> int:
-        return super().noise_dimension + 2
+        return self.place.noise_dimension + 2
 
-    def step(self, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
+    def at(self, belief: Gaussian) -> TurningBody:
+        return eqx.tree_at(lambda motion: motion.place, self, self.place.at(belief))
+
+    def step(self, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> BodyState:
         *carried, a, b = w.parts
-        carried_on = super().step(state, inputs, dt, Vector(*carried))
+        carried_on = self.place.step(state, inputs, dt, Vector(*carried))
         decay, gain, rate_noise, shared, separate = damped_velocity(dt, self.turn_memory.value)
         sigma = self.sigma_turn.value
         heading = state.attitude.angle + state.rate * gain + sigma * (a * shared + b * separate)
@@ -135,7 +138,9 @@ def body_tracker(
         "sigma_rate": (0.5, "rad/s"),
     }
     return Tracker(
-        TurningBody(sigma_turn, turn_memory, biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length),
+        TurningBody(
+            DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length), sigma_turn, turn_memory
+        ),
         {RANGES: RangeSensor(1, anchors, sigma_r * math.sqrt(as_one), positive_skew, dof, bias)},
         BodyStart(**{name: Scale(*value) for name, value in units.items()}, planar=planar, biases=biases),
         YawMixtureFilter(),

@@ -54,7 +54,7 @@ def test_position_and_heading_are_found_whatever_the_first_heading_with_covarian
         folder = _folder(seed, first)
         named = tw.build("body", folder).with_values(
             {"sensors.ranges.sigma_r": SIGMA, "sensors.ranges.positive_skew": 1.0, "sensors.ranges.dof": 50.0}
-            | {"sensors.ranges.bias": np.zeros(8), "motion.sigma_bias": 1e-3, "start.sigma_bias": 1e-3}
+            | {"sensors.ranges.bias": np.zeros(8), "motion.place.sigma_bias": 1e-3, "start.sigma_bias": 1e-3}
             | {"start.sigma_shared": 1e-3}
         )
         tracks = named.run(folder).to_polars().filter(pl.col("t_s") > 10.0)
