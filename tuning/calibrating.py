@@ -153,19 +153,17 @@ def _anchors(
         fitted = regressions(corrected, *RANGE_PRIOR)
         if len(tags) > 1:
             biases, sigmas = _tag_biases(rows, fitted, number, len(tags))
-    offsets, offset_sigmas = np.zeros((2, len(tags), 2))
-    if len(tags) > 1:
-        seen = {name: np.isfinite(values.measured[:, 0]) for name, values in pairs.items()}
-        ends = {name: end_factors(values, places[name])[seen[name]] for name, values in pairs.items()}
-        offsets, offset_sigmas = _tag_offsets(corrected, fitted, number, ends)
+    seen = {name: np.isfinite(values.measured[:, 0]) for name, values in pairs.items()}
+    ends = {name: end_factors(values, places[name])[seen[name]] for name, values in pairs.items()}
+    offsets, offset_sigmas = _tag_offsets(corrected, fitted, number, ends)
     calibrations = {}
     for name, regression in fitted.items():
         terms, covariance, _ = with_least_slope(regression, np.array([[0.0, 1.0]]), LEAST_SLOPE - 1.0)
         distances = rows[name].x[:, 1]
         span = np.array([distances.min(), distances.max()])
         calibrations[name] = AnchorCalibration(terms, covariance, span, len(distances))
-    columns = (biases, sigmas, counts, offsets, offset_sigmas)
-    of_tags = zip(tags.tolist(), *(column.tolist() for column in columns), strict=True)
+    places_of_tags = (map(tuple, column.tolist()) for column in (offsets, offset_sigmas))
+    of_tags = zip(tags.tolist(), biases.tolist(), sigmas.tolist(), counts.tolist(), *places_of_tags, strict=True)
     spread = float(np.sqrt(np.mean([regression.scale**2 for regression in fitted.values()])))
     return calibrations, {tag: TagCalibration(*fields) for tag, *fields in of_tags}, spread
 
@@ -194,22 +192,26 @@ def _tag_offsets(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the ranges of tags end (tags, 2) and its standard deviations, zero where no heading is known.
 
-    From what anchors and biases leave, beside a bias of their own, so that trackers without a heading keep theirs.
+    Fitted in turn with terms of the anchors that serve here alone: trackers without a heading keep `fitted`.
     """
-    left = []
-    for code, (name, of_anchor) in enumerate(rows.items()):
-        # Obstruction and multipath at a place are those of an anchor.
-        clusters = {key: getattr(of_anchor, key) * len(rows) + code for key in ("piece", "place")}
-        x = np.column_stack([np.ones(len(of_anchor.y)), ends[name]])
-        left.append(of_anchor._replace(x=x, y=of_anchor.y - of_anchor.x @ fitted[name].terms, **clusters))
-    joined = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
     tag = np.concatenate([number[name] for name in rows])
     offsets, sigmas = np.zeros((2, tag.max() + 1, 2))
-    for k in range(len(offsets)):
-        of_tag = Rows(*(column[tag == k] for column in joined))
-        if of_tag.x[:, 1:].any():
-            fit = regressions({"": of_tag}, np.zeros(3), np.array([TAG_SIGMA, OFFSET_SIGMA, OFFSET_SIGMA]))[""]
+    if not any(factors.any() for factors in ends.values()):
+        return offsets, sigmas
+    for _ in range(TAG_ROUNDS):
+        left = []
+        for code, (name, of_anchor) in enumerate(rows.items()):
+            # Obstruction and multipath at a place are those of an anchor.
+            clusters = {key: getattr(of_anchor, key) * len(rows) + code for key in ("piece", "place")}
+            x = np.column_stack([np.ones(len(of_anchor.y)), ends[name]])
+            left.append(of_anchor._replace(x=x, y=of_anchor.y - of_anchor.x @ fitted[name].terms, **clusters))
+        joined = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
+        for k in range(len(offsets)):
+            of_tag = {"": Rows(*(column[tag == k] for column in joined))}
+            fit = regressions(of_tag, np.zeros(3), np.array([TAG_SIGMA, OFFSET_SIGMA, OFFSET_SIGMA]))[""]
             offsets[k], sigmas[k] = fit.terms[1:], np.sqrt(np.diag(fit.covariance)[1:])
+        shifts = {name: (ends[name] * offsets[number[name]]).sum(axis=1) for name in rows}
+        fitted = regressions({name: r._replace(y=r.y - shifts[name]) for name, r in rows.items()}, *RANGE_PRIOR)
     return offsets, sigmas
 
 
