@@ -243,7 +243,7 @@ ANOMALOUS: dict[str, Builder] = {
     "phases from 0 to 2 pi": _anomalous(
         "phases", lambda table: table.with_columns(pl.col("^phase_.*$") % (2 * np.pi)), "not wrapped"
     ),
-    "unknown column": _anomalous("ranges", lambda table: table.with_columns(rssi_dbm=pl.lit(-70.0)), "'rssi_dbm'"),
+    "unknown column": _anomalous("ranges", lambda table: table.with_columns(remark=pl.lit("good")), "'remark'"),
     "unknown file": then(lambda folder: [(folder / "notes.csv").write_text("a,b\n1,2\n"), "not one of the tables"][1]),
     "unknown key in the rig": with_rig('about = "Made for tests."', 'operator = "me"', "'operator'"),
     "quaternions not of unit length": _anomalous(

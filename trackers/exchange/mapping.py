@@ -273,9 +273,11 @@ def _part(
             raise UnusableInput(f"{mapping.table}: [{sensor}] in the columns; expected [{','.join(ids[1:])}]")
         expressions |= {name: Expression(repr(one), constant=one) for name, one in zip(ids[1:], each, strict=True)}
     known = ("t_s", *ids, *wanted.values, *wanted.optional)
-    unknown = [name for name in expressions if name not in known]
+    # Signal quality may have any name that is not like one of the others.
+    quality = [name for name in expressions if name in wanted.quality and not _near(name, known, 0.75)]
+    unknown = [name for name in expressions if name not in (*known, *quality)]
     if unknown:
-        near = difflib.get_close_matches(unknown[0], known, 1, 0.5)
+        near = _near(unknown[0], known, 0.5)
         raise UnusableInput(
             f"{mapping.table}: has no column {unknown[0]}; expected {near[0] if near else listed(known, 12)}; rename it"
         )
@@ -291,10 +293,14 @@ def _part(
     return pl.DataFrame(
         [
             (_identifiers if name in ids else _values)(file, name, expressions[name]).alias(name)
-            for name in known
+            for name in (*known, *quality)
             if name in expressions
         ]
     )
+
+
+def _near(name: str, known: Sequence[str], least: float) -> list[str]:
+    return difflib.get_close_matches(name, known, 1, least)
 
 
 def _missing(file: TableFile, table: str, name: str) -> str:

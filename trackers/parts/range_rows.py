@@ -17,6 +17,9 @@ from trackwright.trackers.recordings.trajectories import Trajectories, known_hei
 COLLINEAR = 1e-2
 """Ratio of the horizontal singular values of the anchor positions below which the anchors count as collinear."""
 
+CARRIER = "tag of the body"
+"""The column with the tag of each range where those of several tags are rows of one trajectory."""
+
 
 def range_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's ranges, one row per table row, with the inputs of `range_inputs`, and `room`."""
@@ -42,8 +45,8 @@ def range_rows(folder: RecordingFolder, rows: TagRows) -> tuple[Readings, np.nda
     variances = rows.variances(["range_std_m"])
     if folder.calibration is not None:
         # The ranges of several tags on one body are rows of one trajectory.
-        tags = sorted(folder.tables["ranges"]["tag"].cast(pl.String).unique()) if "carrier" in rows else rows.tags
-        tag = rows.codes("carrier", tags) if "carrier" in rows else rows.of_each(np.arange(len(tags)))
+        tags = sorted(folder.tables["ranges"]["tag"].cast(pl.String).unique()) if CARRIER in rows else rows.tags
+        tag = rows.codes(CARRIER, tags) if CARRIER in rows else rows.of_each(np.arange(len(tags)))
         distances, added = folder.calibration.of_ranges(anchors, number, tags, tag, values[:, 0])
         values, variances = np.where(seen, distances[:, None], 0.0), variances + added[:, None]
         seen &= values > 0.0

@@ -212,7 +212,7 @@ def read_recording(path: str | Path) -> RecordingFolder:
         notices += table_notices
         if columns:
             which = f"column{'s' if len(columns) > 1 else ''} {listed(map(repr, columns))}"
-            ignored.append(f"{which} of {file.name} (not part of the format)")
+            ignored.append(f"{which} of {file.name} (not part of the format, or not numbers)")
     if ignored:
         notices.append(f"ignored: {'; '.join(ignored)}")
     _check_common_tag(path, tables)

@@ -81,11 +81,12 @@ def unit_of(column: str) -> str:
 
 
 class Layout(NamedTuple):
-    """The columns of a table: ids, values, and optional ones."""
+    """The columns of a table: ids, values, optional ones, and those of signal quality, which have any other name."""
 
     ids: tuple[str, ...]
     values: tuple[str, ...]
     optional: tuple[str, ...]
+    quality: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -167,13 +168,18 @@ class Kind:
         return tuple(column.name.replace("{n}", "1") for column in self.columns)
 
     def layout(self, columns: Sequence[str]) -> Layout:
-        """Its required and optional columns in a table with `columns`, on which the number of numbered ones depends."""
+        """Its columns in a table with `columns`, on which the number of numbered ones depends.
+
+        Quality is that of signals, so that kinds without anchors and stations have none.
+        """
         names = tuple(column.name for column in self.columns)
         stds = tuple(std_column(name.replace("_{n}", "")) for name in names) if self.numbered else ()
         if self.numbered:
             names = tuple(name for name in columns if self.number_of(name) is not None)
         stds = tuple(map(std_column, names)) + stds
-        return Layout(("tag", *self.sensors), names, stds + (QUATERNION if self.attitude else ()))
+        ids, optional = ("tag", *self.sensors), stds + (QUATERNION if self.attitude else ())
+        quality = (name for name in columns if name and name not in ("t_s", *ids, *names, *optional))
+        return Layout(ids, names, optional, tuple(quality) if self.sensors else ())
 
     def number_of(self, column: str) -> int | None:
         """The number of a numbered column, None for any other."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,8 @@ _LATEST = 1e20  # beyond nanoseconds since 1970
 def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str], list[str]]:
     """The table in `path`, sorted by time, null where a value is missing, notices of changes, and ignored columns.
 
-    Ids are String, all other columns Float64. Raises UnusableInput with file, row and column.
+    Ids are String, all other columns Float64. Columns of signal quality are kept where all cells are numbers. Raises
+    UnusableInput with file, row and column.
     """
     file, kind = read_table_file(path), table_kinds()[name]
     expected, ignored = _columns(file, kind)
@@ -39,7 +41,9 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str]
             f"{file.location(first_row(times.is_null()), 't_s')}: no time, expected seconds; remove the row"
         )
     numbers = [_numbers(file, c, _LARGEST) for c in (*expected.values, *expected.optional) if c in file.frame.columns]
-    frame = pl.DataFrame([times, *ids, *numbers])
+    quality = [column for column in map(partial(_quality, file), expected.quality) if column is not None]
+    ignored = [name for name in ignored if name not in {column.name for column in quality}]
+    frame = pl.DataFrame([times, *ids, *numbers, *quality])
     _check_stds(file, frame, expected)
     _check_quaternions(file, frame)
     _check_sensors(file, frame, kind, rig)
@@ -52,7 +56,7 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str]
             frame = frame.with_columns(pl.when(pl.col(column) != 0).then(column).alias(column))
     unordered = int((frame["t_s"].diff() < 0).sum())
     if unordered:
-        _refuse_restart(file, frame, expected.ids)
+        _refuse_restart(file, frame.drop(column.name for column in quality), expected.ids)
         notices.append(f"{name}: rows earlier than the previous row: {unordered} of {frame.height}; sorted")
         frame = frame.sort("t_s", maintain_order=True)
     return frame, notices, ignored
@@ -83,7 +87,7 @@ def _columns(file: TableFile, kind: Kind) -> tuple[Layout, list[str]]:
     absent = [c for c in expected.optional if c not in present]
     for column in unknown:
         near = difflib.get_close_matches(column.lower(), absent, 1, 0.75)
-        if near or re.search(r"std|sigma|phase", column, re.IGNORECASE):
+        if near or re.search(r"std|sigma|phase" if kind.numbered else r"std|sigma", column, re.IGNORECASE):
             meant = near or [c for c in expected.optional if c not in QUATERNION]
             words = " or ".join(meant[:3]) or "no such column"
             raise UnusableInput(f"{file.path}: unknown column {column[:40]!r}, expected {words}; rename or remove it")
@@ -138,6 +142,14 @@ def _numbers(file: TableFile, column: str, largest: float) -> pl.Series:
             "leave the cell empty if it is missing"
         )
     return numbers
+
+
+def _quality(file: TableFile, column: str) -> pl.Series | None:
+    """A column of signal quality as Float64; None where a cell is no number, so that it says something else."""
+    try:
+        return _numbers(file, column, _LARGEST)
+    except UnusableInput:
+        return None
 
 
 def _check_stds(file: TableFile, frame: pl.DataFrame, expected: Layout) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 
 import polars as pl
@@ -59,18 +60,20 @@ def _in_seconds(frame: pl.DataFrame) -> pl.DataFrame:
 def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
     """A table with one row for each tag, anchor or station, and interval of so many s; other tables unchanged.
 
-    Values are means, of angles circular ones, of those present, at the mean of the times. The errors of an interval
-    count as one: a reported standard deviation is the root mean square.
+    Values are means, of angles circular ones, of those present, at the mean of the times, and so is signal quality. The
+    errors of an interval count as one: a reported standard deviation is the root mean square.
     """
     kind = table_kinds()[name]
     if not kind.averaged:
         return table
     columns = kind.layout(table.columns)
     means = [_mean(column).alias(column) for column in columns.values]
+    means += [pl.col(column).mean() for column in columns.quality]
     stds = [s for s in map(std_column, columns.values) if s in table.columns]
     squares = [pl.col(std).pow(2).mean().sqrt().alias(std) for std in stds]
     rows = table.filter(pl.any_horizontal(pl.col(columns.values).is_not_null()))
-    groups = rows.with_columns(interval=(pl.col("t_s") / interval).floor()).group_by("interval", *columns.ids)
+    # No column has an empty name.
+    groups = rows.group_by((pl.col("t_s") / interval).floor().alias(""), *columns.ids)
     averages = groups.agg(pl.col("t_s").mean(), *means, *squares).sort("t_s", *columns.ids)
     return averages.select(_ordered(table, columns))
 
@@ -85,4 +88,4 @@ def _mean(column: str) -> pl.Expr:
 
 def _ordered(table: pl.DataFrame, columns: Layout) -> list[str]:
     """The columns of the format, in the order of the table."""
-    return [c for c in table.columns if c in ("t_s", *columns.ids, *columns.values, *columns.optional)]
+    return [c for c in table.columns if c in ("t_s", *itertools.chain(*columns))]

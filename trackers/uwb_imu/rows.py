@@ -14,6 +14,7 @@ import polars as pl
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.parts.range_rows import (
+    CARRIER,
     anchor_positions,
     lacks_a_plane,
     range_inputs,
@@ -101,7 +102,7 @@ def _ranges_of_bodies(folder: RecordingFolder, bodies: Mapping[str, Sequence[str
     table = folder.tables["ranges"].with_columns(pl.col("tag").cast(pl.String))
     return TableRows(
         pl.concat(
-            table.filter(pl.col("tag").is_in(body)).with_columns(carrier="tag", tag=pl.lit(tag))
+            table.filter(pl.col("tag").is_in(body)).with_columns(pl.col("tag").alias(CARRIER), tag=pl.lit(tag))
             for tag, body in sorted(bodies.items())
         )
     )
@@ -114,7 +115,7 @@ def _levers(folder: RecordingFolder, rows: TagRows) -> np.ndarray:
     if folder.calibration is not None:
         ends[:, :2] += [folder.calibration.offset_of(carrier) for carrier in carriers]
     places = np.stack([_offset(folder, tag) for tag in rows.tags])
-    return np.asarray(ends[rows.codes("carrier", carriers)] - rows.of_each(places))
+    return np.asarray(ends[rows.codes(CARRIER, carriers)] - rows.of_each(places))
 
 
 def _with_imu(

@@ -61,10 +61,10 @@ def test_an_expression_is_the_arithmetic_it_says(target, text, value, expected):
 
 def test_a_column_for_each_anchor_becomes_a_row_for_each(tmp_path):
     path = tmp_path / "wide.csv"
-    path.write_text("time,d1,d2,note\n0.1,1000,2000,x\n0.2,,2100,y\n")
-    mapping = TableMapping("ranges", columns_of(["t_s=time", "range_m[A1]=d1 in mm", "range_m[A2]=d2 in mm"]), tag="T")
-    table, notices = mapped_table(read_table_file(path), mapping)
-    assert table.rows() == [(0.1, "T", "A1", 1.0), (0.1, "T", "A2", 2.0), (0.2, "T", "A2", 2.1)]
+    path.write_text("time,d1,d2,power,note\n0.1,1000,2000,-70,x\n0.2,,2100,-71,y\n")
+    columns = columns_of(["t_s=time", "range_m[A1]=d1 in mm", "range_m[A2]=d2 in mm", "rss_dbm=power"])
+    table, notices = mapped_table(read_table_file(path), TableMapping("ranges", columns, tag="T"))
+    assert table.rows() == [(0.1, "T", "A1", 1.0, -70.0), (0.1, "T", "A2", 2.0, -70.0), (0.2, "T", "A2", 2.1, -71.0)]
     assert notices == ["1 row without a value left out", "columns not used: note"]
 
 

@@ -14,7 +14,9 @@ import pytest
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import RIG, good_tables, write_good
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.parts.range_rows import range_rows
 from trackwright.trackers.recordings import input_file
+from trackwright.trackers.recordings.calibration import Calibration
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, write_recording
 
 KINDS = ("parquet", "csv.gz", "csv")
@@ -241,10 +243,32 @@ def test_ranges_of_zero_are_missing(tmp_path: Path):
 def test_unknown_columns_and_tables_of_a_recording_are_one_notice(tmp_path: Path):
     write_good(tmp_path / "a")
     for name in ("ranges", "bearings"):
-        good_tables()[name].with_columns(rss_dbm=-70.0).write_csv(tmp_path / "a" / f"{name}.csv")
+        good_tables()[name].with_columns(remark=pl.lit("good")).write_csv(tmp_path / "a" / f"{name}.csv")
     (tmp_path / "a" / "odometry.csv").write_text("t_s,tag,speed_mps\n0,T1,1\n")
     (notice,) = read_recording(tmp_path / "a").notices
-    assert all(word in notice for word in ("ignored: odometry.csv", "'rss_dbm' of bearings.csv", "of ranges.csv"))
+    assert all(word in notice for word in ("ignored: odometry.csv", "'remark' of bearings.csv", "of ranges.csv"))
+
+
+def test_columns_of_signal_quality_are_kept_and_averaged_and_none_becomes_a_standard_deviation(tmp_path: Path):
+    write_good(tmp_path / "a")
+    # Also under names of columns that programs add for themselves.
+    names = ("rss_dbm", "row", "stream", "interval", "carrier")
+    numbers = pl.int_range(pl.len()).cast(float)
+    ranges = good_tables()["ranges"].with_columns(numbers.alias(name) for name in names)
+    ranges = ranges.with_columns(pl.when(pl.col("row") > 0).then("rss_dbm").alias("rss_dbm"))
+    ranges.reverse().write_csv(tmp_path / "a" / "ranges.csv")
+    recording = read_recording(tmp_path / "a")
+    kept = recording.tables["ranges"].sort("row")
+    assert kept.equals(ranges)
+    readings, _ = range_rows(recording.calibrated(Calibration()), recording.rows("ranges"))
+    assert set(readings.reported.ravel()) == set(kept["range_std_m"] ** 2)
+    averages, first = recording.averaged(0.5).tables["ranges"], kept.row(0, named=True)
+    together = kept.filter(pl.col("t_s") < 0.5, *(pl.col(of) == first[of] for of in ("tag", "anchor")))
+    assert averages["interval"][0] == pytest.approx(together["interval"].mean())
+    assert averages["rss_dbm"][0] == pytest.approx(together["rss_dbm"].mean())
+    ranges.rename({"stream": "skew_std"}).write_csv(tmp_path / "a" / "ranges.csv")
+    with pytest.raises(UnusableInput, match="unknown column 'skew_std', expected range_std_m"):
+        read_recording(tmp_path / "a")
 
 
 def test_measurements_that_have_no_table_are_named(tmp_path: Path):

@@ -21,6 +21,7 @@ from trackwright.trackers.recordings.checks.coverage import (
 from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry, check_heights
 from trackwright.trackers.recordings.checks.imu import check_imu
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
+from trackwright.trackers.recordings.checks.quality import check_quality
 from trackwright.trackers.recordings.checks.readings import (
     about_local_line,
     check_correlation,
@@ -64,7 +65,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         results += _check_errors(recording, name)
         view = compared(recording, name)
         if view is not None:
-            results += check_residuals(view)
+            results += [*check_residuals(view), *check_quality(recording, name)]
         # Wrong units are a mistake that is named already.
         results += [] if wrong_units else _mistakes(recording, name, view)
     return sorted(results, key=lambda result: LEVELS.index(result.level))

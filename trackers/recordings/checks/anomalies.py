@@ -29,7 +29,9 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
     kinds = table_kinds()
     layouts = {name: kinds[name].layout(table.columns) for name, table in tables.items()}
     present = {
-        name: table.filter(pl.any_horizontal(pl.col(layouts[name].values).is_not_null())).with_row_index("row")
+        name: table.select("t_s", *layouts[name].ids, *layouts[name].values)
+        .filter(pl.any_horizontal(pl.col(layouts[name].values).is_not_null()))
+        .with_row_index("row")
         for name, table in tables.items()
     }
     tags = {name: table["tag"].unique(maintain_order=True) for name, table in present.items()}

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
 import pytest
+from scipy.stats import spearmanr
 
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.checks.all_checks import check
@@ -55,6 +57,30 @@ def test_what_one_anchor_does_wrong_is_found_and_the_others_are_clean():
         assert one.spread == pytest.approx(SIGMA, rel=0.2)
         assert math.isnan(one.delay)
         assert one.outliers < 0.01
+
+
+def test_each_column_of_quality_has_a_line_that_says_how_errors_go_with_it():
+    walk = _walk()
+    ranges, truth = walk.tables["ranges"], walk.tables["truth"]
+    rng = np.random.default_rng(5)
+    power, flat = rng.normal(-80.0, 5.0, len(ranges)), np.where(np.arange(len(ranges)) < 5, 1.0, np.nan)
+    places = np.stack([np.interp(ranges["t_s"], truth["t_s"], truth[f"{axis}_m"]) for axis in "xyz"], axis=1)
+    away = np.linalg.norm(places - np.stack([ANCHORS[anchor] for anchor in ranges["anchor"]]), axis=1)
+    errors = 0.1 * rng.normal(size=len(ranges)) * np.exp(-0.05 * (power + 80.0)) + 0.004 * (power + 80.0)
+    table = ranges.with_columns(range_m=away + errors, rss_dbm=power, few=flat)
+    lines = [
+        r.message for r in check(replace(walk, tables={"ranges": table, "truth": truth})) if "quarter" in r.message
+    ]
+    medians = table.select(pl.lit(pl.Series(errors)).median().over("anchor")).to_series().to_numpy()
+    e, (low, high) = errors - medians, np.quantile(power, [0.25, 0.75])
+    size, signed = (spearmanr(power, x).statistic for x in (np.abs(e), e))
+    quarters = [np.quantile(np.abs(e[part]), 0.6827) for part in (power <= low, power >= high)]
+    assert size < -0.15 < 0.1 < signed
+    assert lines == [
+        f"rss_dbm and errors against truth less the median of each anchor: range_m rank correlation {size:+.2f} (size), "
+        f"{signed:+.2f} (with sign), 68th percentile of the size {quarters[0]:.2g} m in the lowest quarter, "
+        f"{quarters[1]:.2g} m in the highest"
+    ]
 
 
 def test_the_check_prints_a_line_for_each_anchor_and_calls_none_of_it_a_mistake():
