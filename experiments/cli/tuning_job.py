@@ -214,13 +214,13 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the spreads of the file, which set the tracker's noise levels as `track` has them."""
+    """The recording with the file's spreads and quality of ranges, from which `track` has the noise levels."""
     if part.calibration is None:
         return part
     differences = replace(part.calibration.differences, spread=whole.differences.spread)
-    return replace(
-        part, calibration=replace(part.calibration, range_spread=whole.range_spread, differences=differences)
-    )
+    spread, quality = whole.range_spread, whole.range_quality
+    own = replace(part.calibration, range_spread=spread, range_quality=quality, differences=differences)
+    return replace(part, calibration=own)
 
 
 def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], file: Path) -> list[RecordingFolder]:

@@ -46,7 +46,8 @@ class RangeSensor(AbstractSensor):
 
     Residuals follow a two-piece Student's t with `dof` degrees of freedom, of scale `sigma_r` m below zero and
     `positive_skew`·`sigma_r` above: ranges are too long more often than too short. Reported variances, m², one per
-    slot, add to that of `sigma_r`.
+    slot, add to that of `sigma_r`. With a `quality_slope` the reported columns go on with a quality z per slot, and
+    `sigma_r` is that at z = 0: log σ = log `sigma_r` + `quality_slope` · z.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
@@ -55,15 +56,29 @@ class RangeSensor(AbstractSensor):
     positive_skew: Noise
     dof: Noise
     bias: Noise
+    quality_slope: Noise | None
     slots: int = eqx.field(static=True)
 
-    def __init__(self, slots: int, anchors: int, sigma_r: float, positive_skew: float, dof: float, bias: float = 0.0):
-        """`slots`: ranges per row; `anchors`: number of biases; `bias`: their initial value, m."""
+    def __init__(
+        self,
+        slots: int,
+        anchors: int,
+        sigma_r: float,
+        positive_skew: float,
+        dof: float,
+        bias: float = 0.0,
+        quality_slope: float | None = None,
+    ):
+        """`slots`: ranges per row; `anchors`: number of biases; `bias`: their initial value, m.
+
+        `quality_slope`: None where ranges have no quality.
+        """
         self.slots = slots
         self.sigma_r = Scale(sigma_r, "m", "measurement noise")
         self.positive_skew = Scale(positive_skew)
         self.dof = Scale(dof)
         self.bias = Real(np.full(anchors, bias), "m", typical=0.1)
+        self.quality_slope = None if quality_slope is None else Real(quality_slope, typical=0.3)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -95,8 +110,9 @@ class RangeSensor(AbstractSensor):
 
     @property
     def reported(self) -> tuple[Channel, ...]:
-        """The variance of the range of each slot, m²."""
-        return tuple(Channel(f"variance_{k + 1}", "m^2") for k in range(self.slots))
+        """The variance of the range of each slot, m², and with a slope the quality of each."""
+        kinds = {"variance": "m^2"} if self.quality_slope is None else {"variance": "m^2", "quality": ""}
+        return tuple(Channel(f"{kind}_{k + 1}", unit) for kind, unit in kinds.items() for k in range(self.slots))
 
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         position = position_in_space(view.position, inputs)
@@ -119,11 +135,14 @@ class RangeSensor(AbstractSensor):
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Each slot's difference over the scale of its sign; the two halves of the density agree at its peak."""
         positive_skew, dof = self.positive_skew.value, self.dof.value
-        variances = reading.reported if len(reading.reported) else [0.0] * self.slots
+        reported = reading.reported if len(reading.reported) else [0.0] * len(self.reported)
+        variances, own = reported[: self.slots], [self.sigma_r.value] * self.slots
+        if self.quality_slope is not None:
+            own = [s * jnp.exp(self.quality_slope.value * z) for s, z in zip(own, reported[self.slots :], strict=True)]
         whitened, log_scales = [], []
-        for z, p, seen, variance in zip(reading.values, predicted, reading.seen, variances, strict=True):
+        for z, p, seen, variance, s in zip(reading.values, predicted, reading.seen, variances, own, strict=True):
             # Long ranges are rounded in single precision.
-            sigma = jnp.sqrt(self.sigma_r.value**2 + variance + rounding_variance(z))
+            sigma = jnp.sqrt(s**2 + variance + rounding_variance(z))
             whitened.append(jnp.where(seen, (z - p) / jnp.where(z > p, sigma * positive_skew, sigma), 0.0))
             peak = student_t_log_peak(dof) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + positive_skew))
             log_scales.append(jnp.where(seen, peak, 0.0))

@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -45,6 +45,9 @@ MOVED_M, MOVED_RAD = 0.1, 0.05
 DETERMINED = 0.7
 """Largest standard deviation of a term that counts as determined, as a share of that before any recording."""
 
+LARGEST_QUALITY = 3.0
+"""Standard deviations from its mean beyond which a quality says no more about noise."""
+
 LARGEST_ANGLES = np.array([np.pi, np.pi / 2])
 """The largest azimuth and elevation, rad."""
 
@@ -54,7 +57,7 @@ FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
 
 _TOP = ("format", "recordings", "stations", "anchors", "tags")
-_SPREAD = "range_spread_m"
+_SPREAD, _QUALITY = "range_spread_m", "range_quality"
 _ANGLE_TERMS = ("offset_rad", "gain", "cubic_per_rad2", "cross_per_rad")
 _ANGLE = (*_ANGLE_TERMS, "lowest_rad", "highest_rad", "covariance")
 _STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
@@ -155,6 +158,25 @@ class TagCalibration:
         return any(self.offset_sigmas)
 
 
+class RangeQuality(NamedTuple):
+    """The column of signal quality that the noise of ranges follows: log σ changes by `slope` · z.
+
+    z is the quality about its mean `centre` in units of its standard deviation `spread`, both of the recordings of the
+    fit. `standard_error`: of the slope. `gain`: by how much ranges left out of the fit are more probable, mean in nats.
+    """
+
+    column: str
+    centre: float
+    spread: float
+    slope: float
+    standard_error: float
+    gain: float
+
+    def standardised(self, values: np.ndarray) -> np.ndarray:
+        """z, at most `LARGEST_QUALITY` in size; zero where a quality is missing."""
+        return np.nan_to_num(np.clip((values - self.centre) / self.spread, -LARGEST_QUALITY, LARGEST_QUALITY))
+
+
 @dataclass(frozen=True)
 class DifferenceCalibration:
     """The biases of times of arrival at anchors, as lengths, of which range differences have the difference.
@@ -201,7 +223,8 @@ class Calibration:
     """Systematic errors of stations, anchors and tags by their ids; `recordings`: the names of those of the fit.
 
     `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
-    the anchors; None without anchors. `differences`: the biases of anchors in range differences.
+    the anchors; None without anchors. `differences`: the biases of anchors in range differences. `range_quality`: what
+    the noise of ranges follows; None for nothing.
     """
 
     stations: Mapping[str, StationCalibration] = field(default_factory=dict)
@@ -210,10 +233,16 @@ class Calibration:
     recordings: tuple[str, ...] = ()
     range_spread: float | None = None
     differences: DifferenceCalibration = NO_DIFFERENCES
+    range_quality: RangeQuality | None = None
 
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""
         stations, anchors = rig.stations, rig.anchors
+        still = {
+            name: anchor
+            for name, anchor in self.anchors.items()
+            if name in anchors and (anchor.position is None or not has_moved(anchor.position, anchors[name]))
+        }
         return replace(
             self,
             stations={
@@ -221,11 +250,7 @@ class Calibration:
                 for name, station in self.stations.items()
                 if name in stations and (station.mounted is None or not has_turned(station.mounted, stations[name]))
             },
-            anchors={
-                name: anchor
-                for name, anchor in self.anchors.items()
-                if name in anchors and (anchor.position is None or not has_moved(anchor.position, anchors[name]))
-            },
+            anchors=still,
             differences=self.differences.of(
                 [
                     name
@@ -233,6 +258,7 @@ class Calibration:
                     if name in anchors and not has_moved(place, anchors[name])
                 ]
             ),
+            range_quality=self.range_quality if still else None,
         )
 
     def offset_of(self, tag: str) -> tuple[float, float]:
@@ -351,6 +377,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
         "format": FORMAT,
         "recordings": list(calibration.recordings),
         **({} if calibration.range_spread is None else {_SPREAD: calibration.range_spread}),
+        **({} if calibration.range_quality is None else {_QUALITY: calibration.range_quality._asdict()}),
         "stations": stations,
         "anchors": anchors,
         "tags": {
@@ -396,8 +423,8 @@ class _Reader(TomlReader):
     def calibration(self) -> Calibration:
         self.of_format(FORMAT)
         content = self.content
-        spread, differences = ((key,) if key in content else () for key in (_SPREAD, "tdoa"))
-        self.exactly(content, (*_TOP, *spread, *differences), "the top level")
+        spread, quality, differences = ((key,) if key in content else () for key in (_SPREAD, _QUALITY, "tdoa"))
+        self.exactly(content, (*_TOP, *spread, *quality, *differences), "the top level")
         names = content["recordings"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             self.wrong("recordings", names, "a list of names")
@@ -413,6 +440,7 @@ class _Reader(TomlReader):
             tuple(names),
             float(content[_SPREAD]) if spread else None,
             self.differences(self.table("tdoa", content["tdoa"])) if differences else NO_DIFFERENCES,
+            self.quality(self.table(_QUALITY, content[_QUALITY])) if quality else None,
         )
 
     def station(self, where: str, content: Any) -> StationCalibration:
@@ -446,6 +474,16 @@ class _Reader(TomlReader):
             self.wrong(f"{where}.standard_error_m", sigma, "a number of zero or more")
         offsets = [tuple(self.array(f"{where}.{key}", content[key], (2,)).tolist()) for key in placed]
         return TagCalibration(bias, sigma, self.rows(where, content["rows"]), *offsets)
+
+    def quality(self, content: dict[str, Any]) -> RangeQuality:
+        self.exactly(content, RangeQuality._fields, f"[{_QUALITY}]")
+        column = content["column"]
+        if not isinstance(column, str) or not column:
+            self.wrong(f"{_QUALITY}.column", column, "the name of a column of ranges")
+        numbers = [self.number(f"{_QUALITY}.{name}", content[name]) for name in RangeQuality._fields[1:]]
+        if numbers[1] <= 0.0:
+            self.wrong(f"{_QUALITY}.spread", content["spread"], "a number above zero")
+        return RangeQuality(column, *numbers)
 
     def differences(self, content: dict[str, Any]) -> DifferenceCalibration:
         self.exactly(content, _DIFFERENCES, "[tdoa]")

@@ -377,7 +377,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     ),
     "uwb": partial(
         TrackerSpec,
-        trajectories=range_trajectories,
+        trajectories=partial(range_trajectories, quality=True),
         build=_ranges,
         lacks=lacks_ranges,
         geometry=lambda trajectory: (_bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),

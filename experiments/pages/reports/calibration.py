@@ -30,6 +30,7 @@ from trackwright.trackers.recordings.calibration import (
     RANGE_TERMS,
     UNCALIBRATED,
     Calibration,
+    RangeQuality,
     angle_terms,
     range_terms,
 )
@@ -137,7 +138,8 @@ class Report(NamedTuple):
     """The tables of a calibration, by station and angle, by anchor of ranges and of differences, and by tag if several.
 
     `lasting`: by station and angle and by anchor, how large the errors left out are and how long they last.
-    `undetermined`: each source with the terms that are not determined.
+    `undetermined`: each source with the terms that are not determined. `noise`: what the noise of ranges follows, in a
+    sentence.
     """
 
     stations: list[list[str]]
@@ -147,6 +149,7 @@ class Report(NamedTuple):
     lasting: list[list[str]]
     undetermined: list[tuple[str, str]]
     sources: list[Source]
+    noise: str
 
     def tables(self) -> list[tuple[str, Sequence[str], int, list[list[str]]]]:
         """Title, head, number of columns of text and rows of each table; no column `left out` of dashes alone."""
@@ -164,7 +167,8 @@ class Report(NamedTuple):
         shown = [table for table in self.tables() if table[3]]
         cells = [*chain.from_iterable(head for _, head, _, _ in shown)]
         cells += chain.from_iterable(row for *_, rows in shown for row in rows)
-        return " ".join(text for mark, text in NOTES.items() if any(mark in cell for cell in cells))
+        notes = [text for mark, text in NOTES.items() if any(mark in cell for cell in cells)]
+        return " ".join([*notes, self.noise] if self.noise else notes)
 
 
 def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
@@ -202,7 +206,20 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         for name, tag in calibration.tags.items()
     ]
     lasting = [[*key, *_lasting(numbers, *_shown(key[1]))] for key, numbers in lasting_errors(series).items()]
-    return Report(*tables, tags if len(tags) > 1 else [], lasting, undetermined, sources)
+    tags = tags if len(tags) > 1 else []
+    return Report(*tables, tags, lasting, undetermined, sources, _noise(calibration.range_quality))
+
+
+def _noise(quality: RangeQuality | None) -> str:
+    """What the noise of ranges follows; empty for nothing."""
+    if quality is None:
+        return ""
+    factor, low, high = np.exp(quality.slope + quality.standard_error * np.array([0.0, -1.96, 1.96]))
+    return (
+        f"The noise of ranges follows {quality.column}: their standard deviation is {factor:.2f} times as large (95 % "
+        f"interval {low:.2f} to {high:.2f}) with each {quality.spread:.3g} by which it is above {quality.centre:.3g}; "
+        f"ranges left out are more probable by {quality.gain:.3f} nats each than with the same noise for all."
+    )
 
 
 def _offset(value: float, sigma: float) -> str:

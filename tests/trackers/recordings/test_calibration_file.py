@@ -11,6 +11,7 @@ from trackwright.trackers.recordings.calibration import (
     AnchorCalibration,
     Calibration,
     DifferenceCalibration,
+    RangeQuality,
     StationCalibration,
     TagCalibration,
     read_calibration,
@@ -52,6 +53,7 @@ CALIBRATION = Calibration(
         (70, 71),
         0.0625,
     ),
+    RangeQuality("fp power, dBm", -81.5, 4.25, -0.28, 0.04, 0.036),
 )
 
 
@@ -65,6 +67,7 @@ def test_a_calibration_is_read_back_to_the_bit(path):
     assert found.recordings == CALIBRATION.recordings
     assert found.tags == CALIBRATION.tags
     assert found.range_spread == CALIBRATION.range_spread
+    assert found.range_quality == CALIBRATION.range_quality
     one, other = found.differences, CALIBRATION.differences
     assert (one.anchors, one.rows, one.spread) == (other.anchors, other.rows, other.spread)
     for name in ("biases", "covariance", "positions"):
@@ -91,7 +94,7 @@ def test_a_calibration_is_read_back_to_the_bit(path):
     [
         ("format = 1", "format = 2", "format = 2, expected `format = 1`"),
         ("format = 1\n", "", "no `format`"),
-        ("gain = ", "gains = ", "[stations.S 1.azimuth] has unknown key 'gains'"),
+        ("cross_per_rad = ", "cross = ", "[stations.S 1.azimuth] has unknown key 'cross'"),
         ("rows = 812\n", "", "[stations.S 1] has no rows"),
         ("rows = 812", "rows = -1", "rows = -1, expected a count"),
         ("rows = 93", "rows = 93\nheight = 1.0", "[anchors.A] has unknown key 'height'"),
@@ -104,6 +107,10 @@ def test_a_calibration_is_read_back_to_the_bit(path):
         ("position_m = [\n    0.0", "place_m = [\n    0.0", "[stations.S 1] has unknown key 'place_m'"),
         ("standard_error_m = 0.01", "standard_error_m = -0.01", "standard_error_m = -0.01, expected a number of zero"),
         ("lowest_m = 0.4", "lowest_m = 9.0", "lowest_m = 9 is above highest_m = 7"),
+        ("\nspread = 4.25", "\nspread = 0", "range_quality.spread = 0, expected a number above zero"),
+        ("slope = -0.28", 'slope = "no"', "range_quality.slope = 'no', expected a finite number"),
+        ('column = "fp power, dBm"', "column = 3", "range_quality.column = 3, expected the name of a column of ranges"),
+        ("gain = 0.036\n", "", "[range_quality] has no gain"),
         ("spread_m = 0.0625", "spread_m = 0", "tdoa.spread_m = 0, expected a number above zero"),
         ("    70,\n", "", "tdoa.rows = [71], expected a list of 2 counts"),
         ("    70,\n", "    -7,\n", "tdoa.rows = -7, expected a count"),
