@@ -27,7 +27,6 @@ from trackwright.trackers.recordings.calibration import (
     AnchorCalibration,
     Calibration,
     DifferenceCalibration,
-    RangeQuality,
     StationCalibration,
     TagCalibration,
     angle_terms,
@@ -37,6 +36,7 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.range_quality import RangeQuality
 from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, end_factors, quality_columns
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 from trackwright.tuning.range_quality import confirmed, errors_about

@@ -14,16 +14,17 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import t as student_t
 
-from trackwright.trackers.recordings.calibration import Calibration, RangeQuality
+from trackwright.trackers.recordings.calibration import Calibration
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.range_quality import RangeQuality
 from trackwright.tuning.calibration_pairs import calibration_pairs
 from trackwright.tuning.clustered_regression import DOF, SMALLEST
 
 SIGNIFICANT = 2.0
 """Least size of a slope, in its standard errors."""
 
-_STEPS, _CONVERGED = 50, 1e-9
+_STEPS, _CONVERGED = 50, 1e-6
 
 
 class Errors(NamedTuple):
@@ -53,16 +54,16 @@ def confirmed(whole: Errors, folds: Sequence[tuple[Errors, Errors]]) -> RangeQua
     `folds`: the errors of recordings about their own calibration, and those of the ones left out about the same. All of
     these must be more probable, and the slope, of the `whole`, at least two standard errors from zero.
     """
-    found = []
+    found, without = [], np.array([_left_out_density(*fold, None) for fold in folds])
     for column, values in whole.quality.items():
         known = values[np.isfinite(values)]
         if len(known) == 0 or np.ptp(known) == 0.0:
             continue
         quality = RangeQuality(column, float(known.mean()), float(known.std()), 0.0, 0.0, 0.0)
-        gains = [_gain(*fold, quality) for fold in folds]
+        gains = np.array([_left_out_density(*fold, quality) for fold in folds]) - without
         scales = fitted_scales(whole, quality)
-        if min(gains) > 0.0 and abs(scales.slope) > SIGNIFICANT * scales.standard_error:
-            gain = float(np.mean(gains))
+        if gains.min() > 0.0 and abs(scales.slope) > SIGNIFICANT * scales.standard_error:
+            gain = float(gains.mean())
             found.append(quality._replace(slope=scales.slope, standard_error=scales.standard_error, gain=gain))
     return max(found, key=lambda quality: quality.gain, default=None)
 
@@ -121,9 +122,6 @@ def _standardised(errors: Errors, quality: RangeQuality | None) -> np.ndarray:
     return np.zeros(len(errors.error)) if quality is None else quality.standardised(errors.quality[quality.column])
 
 
-def _gain(fitted: Errors, left_out: Errors, quality: RangeQuality) -> float:
-    """By how much the ranges left out are more probable with the slope, mean in nats."""
-    if not len(left_out.error):
-        return 0.0
-    with_slope, without = (log_density(left_out, fitted_scales(fitted, of), of).mean() for of in (quality, None))
-    return float(with_slope - without)
+def _left_out_density(fitted: Errors, left_out: Errors, quality: RangeQuality | None) -> float:
+    """The mean log density of the errors left out by the scales of others; zero where there are none."""
+    return float(log_density(left_out, fitted_scales(fitted, quality), quality).mean()) if len(left_out.error) else 0.0

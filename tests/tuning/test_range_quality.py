@@ -11,7 +11,7 @@ from scipy.stats import t as student_t
 from tests.tuning.calibration_worlds import ANCHORS, world
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.model.tunable import tunables
-from trackwright.trackers.recordings.calibration import RangeQuality
+from trackwright.trackers.recordings.range_quality import RangeQuality
 from trackwright.tuning.calibrating import calibrate
 from trackwright.tuning.clustered_regression import DOF
 from trackwright.tuning.range_quality import Errors, confirmed, fitted_scales, log_density
@@ -94,7 +94,8 @@ def test_a_calibrated_tracker_has_the_slope_and_reads_the_quality_of_each_range(
     one, other = _recordings(2)
     calibration = calibrate(one)
     (batch,) = build("uwb", other.calibrated(calibration)).batches(other.calibrated(calibration))
-    assert tunables(batch.tracker)["sensors.ranges.quality_slope"].value == calibration.range_quality.slope
+    slope = tunables(batch.tracker)["sensors.ranges.quality_slope"].value
+    assert slope == pytest.approx(calibration.range_quality.slope, rel=1e-6)
     quality = batch.trajectories[0].recording.readings["ranges"].reported[:, 1]
     power = other.tables["ranges"]["rss_dbm"].to_numpy()
     there = np.abs(power - calibration.range_quality.centre) < 3.0 * calibration.range_quality.spread

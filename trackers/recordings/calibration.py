@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -22,6 +22,7 @@ from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Point, Rig, Station
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.input_file import TomlReader
+from trackwright.trackers.recordings.range_quality import RangeQuality
 
 ANGLES = ("azimuth", "elevation")
 ANGLE_TERMS = ("offset", "gain", "cubic", "cross")
@@ -44,9 +45,6 @@ MOVED_M, MOVED_RAD = 0.1, 0.05
 
 DETERMINED = 0.7
 """Largest standard deviation of a term that counts as determined, as a share of that before any recording."""
-
-LARGEST_QUALITY = 3.0
-"""Standard deviations from its mean beyond which a quality says no more about noise."""
 
 LARGEST_ANGLES = np.array([np.pi, np.pi / 2])
 """The largest azimuth and elevation, rad."""
@@ -156,25 +154,6 @@ class TagCalibration:
     def placed(self) -> bool:
         """Whether the recordings of the fit have the heading of its body."""
         return any(self.offset_sigmas)
-
-
-class RangeQuality(NamedTuple):
-    """The column of signal quality that the noise of ranges follows: log σ changes by `slope` · z.
-
-    z is the quality about its mean `centre` in units of its standard deviation `spread`, both of the recordings of the
-    fit. `standard_error`: of the slope. `gain`: by how much ranges left out of the fit are more probable, mean in nats.
-    """
-
-    column: str
-    centre: float
-    spread: float
-    slope: float
-    standard_error: float
-    gain: float
-
-    def standardised(self, values: np.ndarray) -> np.ndarray:
-        """z, at most `LARGEST_QUALITY` in size; zero where a quality is missing."""
-        return np.nan_to_num(np.clip((values - self.centre) / self.spread, -LARGEST_QUALITY, LARGEST_QUALITY))
 
 
 @dataclass(frozen=True)
@@ -477,13 +456,7 @@ class _Reader(TomlReader):
 
     def quality(self, content: dict[str, Any]) -> RangeQuality:
         self.exactly(content, RangeQuality._fields, f"[{_QUALITY}]")
-        column = content["column"]
-        if not isinstance(column, str) or not column:
-            self.wrong(f"{_QUALITY}.column", column, "the name of a column of ranges")
-        numbers = [self.number(f"{_QUALITY}.{name}", content[name]) for name in RangeQuality._fields[1:]]
-        if numbers[1] <= 0.0:
-            self.wrong(f"{_QUALITY}.spread", content["spread"], "a number above zero")
-        return RangeQuality(column, *numbers)
+        return RangeQuality.read(self, _QUALITY, content)
 
     def differences(self, content: dict[str, Any]) -> DifferenceCalibration:
         self.exactly(content, _DIFFERENCES, "[tdoa]")

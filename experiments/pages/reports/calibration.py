@@ -30,12 +30,12 @@ from trackwright.trackers.recordings.calibration import (
     RANGE_TERMS,
     UNCALIBRATED,
     Calibration,
-    RangeQuality,
     angle_terms,
     range_terms,
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.range_quality import RangeQuality
 from trackwright.tuning.calibrating import calibrate
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
 from trackwright.tuning.lasting_errors import LastingErrors, Series, lasting_errors, series_of

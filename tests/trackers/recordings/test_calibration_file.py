@@ -11,12 +11,12 @@ from trackwright.trackers.recordings.calibration import (
     AnchorCalibration,
     Calibration,
     DifferenceCalibration,
-    RangeQuality,
     StationCalibration,
     TagCalibration,
     read_calibration,
     write_calibration,
 )
+from trackwright.trackers.recordings.range_quality import RangeQuality
 
 _RNG = np.random.default_rng(0)
 
