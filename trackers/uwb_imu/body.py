@@ -120,6 +120,7 @@ def body_tracker(
     time_constant: float = 65.0,
     length: float = 5.0,
     sigma_shared: float = 0.1,
+    quality_slope: float | None = None,
 ) -> Tracker:
     """Position, heading, velocity and turning rate of an upright body from the ranges of its tags, one range per row.
 
@@ -141,7 +142,7 @@ def body_tracker(
         TurningBody(
             DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length), sigma_turn, turn_memory
         ),
-        {RANGES: RangeSensor(1, anchors, sigma_r * math.sqrt(as_one), positive_skew, dof, bias)},
+        {RANGES: RangeSensor(1, anchors, sigma_r * math.sqrt(as_one), positive_skew, dof, bias, quality_slope)},
         BodyStart(**{name: Scale(*value) for name, value in units.items()}, planar=planar, biases=biases),
         YawMixtureFilter(),
         TrackScorePolicy(REACH, "m"),

@@ -80,7 +80,7 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
     A tag without ranges is a place on the body, such as a tool's tip.
     """
     rows = _ranges_by_body(folder)
-    readings, number = range_rows(folder, rows)
+    readings, number = range_rows(folder, rows, quality=True)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
     inputs |= {"levers": _levers(folder, rows)} | room_of_anchors(folder, len(number))
