@@ -15,7 +15,7 @@ import trackwright as tw
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("trackers", "sim", "tuning", "experiments")
-SYSTEMS = ("baselines", "aoa", "line", "uwb_imu", "mhk")
+SYSTEMS = ("baselines", "aoa", "line", "uwb_imu", "mhk", "fusion")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 LONGEST = 500
@@ -53,6 +53,7 @@ MAY_IMPORT = {
     "recordings": {*ENGINE, "recordings"},
     "parts": BASE,
     **{system: {*BASE, system} for system in SYSTEMS},
+    "fusion": {*BASE, *SYSTEMS},
     "evaluation": {*BASE, *SYSTEMS, "evaluation"},
     "exchange": {*ENGINE, "recordings", "evaluation", "exchange"},
     "trackers": LIBRARY,

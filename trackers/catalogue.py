@@ -52,6 +52,14 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
                 "azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
             ),
         },
+        # No recording with two kinds of readings that are independent.
+        "several kinds of readings": {
+            "fusion": Entry(
+                "fusion",
+                "two or more of ranges, tdoa, bearings and fixes",
+                "position from ranges, range differences, bearings and fixes in one EKF, with the biases of each kind",
+            ),
+        },
         "bearings": {
             "bearings": Entry(
                 "aoa", "bearings", "position from azimuths and elevations of any number of stations, EKF"

@@ -129,7 +129,7 @@ def track_folders(
             notice(f"tracker: {name}, that of {options.noise}; choose another with --tracker")
         else:
             spec = spec_of(name)
-            unread = {t for folder in chosen for t in folder.tables if t not in (spec.table, "imu", "truth")}
+            unread = {t for folder in chosen for t in folder.tables if t not in spec.reads | {"imu", "truth"}}
             without = f"; without {listed(sorted(unread))}" if unread else ""
             notice(f"tracker: {name} ({spec.about}{without}); choose another with --tracker")
     with suppress(OSError):
@@ -287,7 +287,7 @@ def _without_truth(association: Association, truths: Mapping[str, pl.DataFrame],
 
 def late_readings(named: NamedTracker, folders: Sequence[RecordingFolder]) -> list[str]:
     """A line for each recording whose readings come later against truth than the tracker assumes."""
-    read = [name for name in ("ranges", "fixes", "bearings") if name in named.spec.table.replace(",", " ").split()]
+    read = [name for name in ("ranges", "fixes", "bearings") if name in named.spec.reads]
     lines = []
     for folder in folders:
         for table in (name for name in read if name in folder.tables):

@@ -31,7 +31,7 @@ from trackwright.trackers.core.model.tunable import Real, Scale
 from trackwright.trackers.core.run.track_loss import TrackScorePolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
-from trackwright.trackers.parts.ranges import entry_at
+from trackwright.trackers.parts.ranges import bias_in
 
 BEARINGS = "bearings"
 
@@ -141,7 +141,9 @@ class BearingSensor(AbstractSensor):
         angles = tuple(a / jnp.sqrt(jnp.maximum(1.0 + c * a * a, 0.1)) for a, c in pairs)
         if CALIBRATION.name in inputs:
             angles = measured_angles(true, inputs[CALIBRATION.name])
-        biases = [entry_at(view.bias, 2 * inputs["station"] + k) if hasattr(view, "bias") else 0.0 for k in range(2)]
+        # A view without biases needs no number of a station.
+        first = 2 * inputs[STATION.name] if hasattr(view, "bias") else 0.0
+        biases = [bias_in(view, BEARINGS, first + k) for k in range(2)]
         return [a + offset + bias for a, offset, bias in zip(angles, self.offsets.value, biases, strict=True)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:

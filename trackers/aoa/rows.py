@@ -257,7 +257,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_bearings,
         lacks=stations_of("bearings", 1),
         geometry=lambda trajectory: (_stations(trajectory), _calibrated(trajectory)),
-        every_row=True,
+        every_row=(BEARINGS,),
     ),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

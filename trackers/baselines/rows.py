@@ -155,12 +155,12 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "moving-average": partial(
         _of_fixes,
         build=_window(median=False),
-        every_row=True,
+        every_row=(FIXES,),
     ),
     "median": partial(
         _of_fixes,
         build=_window(median=True),
-        every_row=True,
+        every_row=(FIXES,),
     ),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -34,7 +34,7 @@ _mhk = partial(
     trajectories=spatial_trajectories,
     lacks=lacks_fixes,
     planar=lambda trajectory, free_height: False,
-    every_row=True,
+    every_row=(FIXES,),
 )
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -80,28 +81,14 @@ class DriftingBiases(AbstractMotion):
         The speed is |v|·(1 − tr P/|v|²)₊ (James and Stein 1961). If the decay were linearised at low speed, where the
         direction of the velocity is noise, it would act as a measurement of velocity.
         """
-        state, cov = belief
-        first = component_names(state).index("velocity.0")
-        square = total(v * v for v in state.velocity)
-        spread = total(variance(cov, first + k) for k in range(len(state.velocity)))
-        moves = square > spread
-        speed = jnp.where(moves, (square - spread) / jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
-        return eqx.tree_at(lambda motion: motion.speed, self, speed, is_leaf=lambda x: x is None)
+        return eqx.tree_at(lambda motion: motion.speed, self, shrunk_speed(belief), is_leaf=lambda x: x is None)
 
     def step(self, state: BiasedState, inputs: Inputs, dt: Scalar, w: Vector) -> BiasedState:
-        n = len(state.position)
-        sigmas = [self.sigma_a.value, self.sigma_a.value, self.sigma_z.value][:n]
-        decay, gain, velocity_noise, shared, separate = damped_velocity(dt, self.memory.value)
-        axes = list(zip(state.position, state.velocity, sigmas, w.parts[:3], w.parts[3:6], strict=False))
-        position = Vector(*(x + v * gain + s * (a * shared + b * separate) for x, v, s, a, b in axes))
-        velocity = Vector(*(v * decay + s * a * velocity_noise for _, v, s, a, _ in axes))
+        position, velocity = damped(self, state, dt, w)
         if not self.biases:
             return BiasedState(position, velocity, state.bias, state.shared)
-        speed = safe_sqrt(total(v * v for v in state.velocity)) if self.speed is None else self.speed
-        lapse = dt * (1.0 / self.time_constant.value + speed / self.length.value)
-        bias_decay, bias_noise = jnp.exp(-lapse), safe_sqrt(-jnp.expm1(-2.0 * lapse))
-        draws = (x * (in_turn(self.sigma_bias.value, k) * bias_noise) for k, x in enumerate(w.parts[6:]))
-        return BiasedState(position, velocity, state.bias * bias_decay + Vector(*draws), state.shared)
+        speed = norm_of(state.velocity) if self.speed is None else self.speed
+        return BiasedState(position, velocity, drifted(self, state.bias, dt, speed, w.parts[6:]), state.shared)
 
 
 class BiasedStart(AbstractNearbyStart):
@@ -127,6 +114,40 @@ class BiasedStart(AbstractNearbyStart):
         in_place, moving = self.sigma_position.value**2, self.sigma_velocity.value**2
         biases = [in_turn(self.sigma_bias.value, k) ** 2 for k in range(self.biases)]
         return Gaussian(state, diagonal([in_place] * n + [moving] * n + biases + shared, zero))
+
+
+def shrunk_speed(belief: Gaussian) -> Scalar:
+    """The speed of a belief about position, velocity and more, shrunk by its uncertainty: see `DriftingBiases.at`."""
+    state, cov = belief
+    first = component_names(state).index("velocity.0")
+    square = total(v * v for v in state.velocity)
+    spread = total(variance(cov, first + k) for k in range(len(state.velocity)))
+    moves = square > spread
+    return jnp.where(moves, (square - spread) / jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
+
+
+def damped(levels: Any, state: Any, dt: Scalar, w: Vector) -> tuple[Vector, Vector]:
+    """Position and velocity `dt` s later, given the first six draws; `levels`: as those of `DriftingBiases`."""
+    n = len(state.position)
+    sigmas = [levels.sigma_a.value, levels.sigma_a.value, levels.sigma_z.value][:n]
+    decay, gain, velocity_noise, shared, separate = damped_velocity(dt, levels.memory.value)
+    axes = list(zip(state.position, state.velocity, sigmas, w.parts[:3], w.parts[3:6], strict=False))
+    position = Vector(*(x + v * gain + s * (a * shared + b * separate) for x, v, s, a, b in axes))
+    velocity = Vector(*(v * decay + s * a * velocity_noise for _, v, s, a, _ in axes))
+    return position, velocity
+
+
+def drifted(levels: Any, bias: Vector, dt: Scalar, speed: Scalar, w: Sequence[Scalar]) -> Vector:
+    """Biases `dt` s later, given a draw for each; `levels`: as those of `DriftingBiases`."""
+    lapse = dt * (1.0 / levels.time_constant.value + speed / levels.length.value)
+    bias_decay, bias_noise = jnp.exp(-lapse), safe_sqrt(-jnp.expm1(-2.0 * lapse))
+    draws = (x * (in_turn(levels.sigma_bias.value, k) * bias_noise) for k, x in enumerate(w))
+    return bias * bias_decay + Vector(*draws)
+
+
+def norm_of(velocity: Vector) -> Scalar:
+    """The speed, with derivative zero at rest."""
+    return safe_sqrt(total(v * v for v in velocity))
 
 
 def in_turn(values: Any, number: int) -> Any:

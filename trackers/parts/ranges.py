@@ -124,9 +124,7 @@ class RangeSensor(AbstractSensor):
                 tag = position + in_world_axes(view.attitude, lever)
             anchor = Vector.of(inputs["anchors"][3 * slot + k] for k in range(3))
             number = inputs["anchor"][slot]
-            bias = entry_at(self.bias.value, number)
-            if hasattr(view, "bias"):
-                bias = bias + entry_at(view.bias, number)
+            bias = entry_at(self.bias.value, number) + bias_in(view, RANGES, number)
             for shared in getattr(view, "shared", ()):
                 bias = bias + shared
             ranges.append((tag - anchor).norm() + bias)
@@ -158,6 +156,14 @@ def in_world_axes(attitude: Any, vector: Vector) -> Vector:
         return Vector(cosine * x - sine * y, sine * x + cosine * y, z)
     rotated: Vector = attitude.apply(vector)
     return rotated
+
+
+def bias_in(view: Any, kind: str, number: Scalar) -> Scalar:
+    """The bias of this number in `view.bias`, where that has several kinds' biases in the kind's; 0 without any."""
+    biases = getattr(view, "bias", None)
+    if isinstance(biases, dict):
+        biases = biases.get(kind)
+    return 0.0 if biases is None else entry_at(biases, number)
 
 
 def entry_at(values: Any, number: Scalar) -> Scalar:

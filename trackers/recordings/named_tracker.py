@@ -5,7 +5,6 @@ Recordings in map coordinates are tracked about an origin nearby: single precisi
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -179,7 +178,7 @@ class NamedTracker:
 
 def _batches(spec: TrackerSpec, folders: Sequence[RecordingFolder], name: str, free_height: bool) -> list[TrackerBatch]:
     """The batches of recordings as trackers read them: about an origin nearby, each reading once."""
-    names = [] if spec.every_row else re.findall(r"\w+", spec.table)
+    names = spec.reads.difference(spec.every_row)
     prepared = [counted_once(near_origin(folder), names) for folder in folders]
     groups = spec.batches([folder for folder, _ in prepared], name, free_height)
     notices = tuple(line for _, lines in prepared for line in lines)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +46,8 @@ class TrackerSpec:
     asked once for all tags of a folder that share station and known height, where the rows are `Trajectories`.
     `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
     `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so
-    that leaving the path is an event. `every_row`: it reads rows that repeat a value, too, since
-    it averages them, counts rows, or estimates each time by itself.
+    that leaving the path is an event. `every_row`: the tables of which it reads rows that repeat a
+    value, too, since it averages them, counts rows, or estimates each time by itself.
     """
 
     about: str
@@ -59,7 +60,12 @@ class TrackerSpec:
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False
     on_path: bool = False
-    every_row: bool = False
+    every_row: Collection[str] = ()
+
+    @property
+    def reads(self) -> frozenset[str]:
+        """The words of `table`, among them the tables that it reads."""
+        return frozenset(re.findall(r"\w+", self.table))
 
     def missing(self, folder: RecordingFolder) -> str | None:
         """What the folder lacks for this tracker, in words, or None where it fits."""

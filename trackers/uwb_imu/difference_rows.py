@@ -118,9 +118,7 @@ def recent_hyperbolic_positions(
     anchors: Float[np.ndarray, "A 3"],
     heights: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "M 4"]:
-    """The position from the latest differences, m, and 1 where determined, at the rows where a start is sought.
-
-    These are the first rows of every `SPACING_S`, and from `SOON_S` on of every `LATER_S`; the others are zero.
+    """The position from the latest differences, m, and 1 where determined, at `start_rows`; the others are zero.
 
     `starts` (n + 1,): the first row of each of n tags, then M. `number`: of the anchors of each difference in
     `anchors`. `heights` m: of the tags, NaN where unknown. The second of `WINDOWS_S` is used where the differences of
@@ -133,10 +131,7 @@ def recent_hyperbolic_positions(
         return result
     # Of each row, the differences up to its last.
     until, since = np.searchsorted(row, np.arange(len(times)), "right"), np.searchsorted(row, starts[tag])
-    elapsed = times - times[starts[tag]]
-    later = SOON_S / SPACING_S + (elapsed - SOON_S) / LATER_S
-    period = np.floor(np.where(elapsed < SOON_S, elapsed / SPACING_S, later))
-    begins = np.append(True, (np.diff(period) != 0) | (np.diff(tag) != 0))
+    begins = start_rows(starts, times)
     for window in WINDOWS_S:
         for known in (True, False):
             wanted = np.flatnonzero(begins & (result[:, 3] == 0) & (np.isfinite(heights[tag]) == known))
@@ -152,6 +147,15 @@ def recent_hyperbolic_positions(
                 place, determined = hyperbolic_positions(given, heights[tag[part]])
                 result[part] = np.where(determined[:, None], np.column_stack([place, np.ones(len(part))]), 0.0)
     return result
+
+
+def start_rows(starts: Int[np.ndarray, " ends"], times: Float[np.ndarray, " M"]) -> Bool[np.ndarray, " M"]:
+    """The rows where a start is sought: the first of every `SPACING_S`, and from `SOON_S` on of every `LATER_S`."""
+    tag = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    elapsed = times - times[starts[tag]]
+    later = SOON_S / SPACING_S + (elapsed - SOON_S) / LATER_S
+    period = np.floor(np.where(elapsed < SOON_S, elapsed / SPACING_S, later))
+    return np.append(True, (np.diff(period) != 0) | (np.diff(tag) != 0))
 
 
 def lacks_differences(folder: RecordingFolder) -> str | None:

@@ -31,7 +31,7 @@ from trackwright.trackers.core.run.track_loss import TrackScorePolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackwright.trackers.parts.fixes import correlated
-from trackwright.trackers.parts.ranges import entry_at
+from trackwright.trackers.parts.ranges import bias_in
 from trackwright.trackers.recordings.calibration import Calibration
 from trackwright.trackers.uwb_imu.fusion import LASTING, MAX_BIASES, REACH
 
@@ -89,8 +89,7 @@ class RangeDifferenceSensor(AbstractSensor):
             distances = []
             for end in (2 * slot, 2 * slot + 1):
                 anchor = Vector.of(inputs["pairs"][3 * end + k] for k in range(3))
-                bias = entry_at(view.bias, inputs["pair"][end]) if hasattr(view, "bias") else 0.0
-                distances.append((position - anchor).norm() + bias)
+                distances.append((position - anchor).norm() + bias_in(view, TDOA, inputs["pair"][end]))
             result.append(distances[0] - distances[1])
         return result
 

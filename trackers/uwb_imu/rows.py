@@ -360,7 +360,7 @@ _trilateration = partial(
     trajectories=triple_trajectories,
     lacks=_lacks_known_height,
     planar=lambda trajectory, free_height: True,
-    every_row=True,
+    every_row=(RANGES,),
 )
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
@@ -411,7 +411,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=lambda trajectory, planar: multilateration_tracker(planar),
         lacks=lacks_ranges,
         geometry=_anchors,
-        every_row=True,
+        every_row=(RANGES,),
     ),
     "trilateration": partial(
         _trilateration,

@@ -1,0 +1,1 @@
+"""The tracker `fusion`: ranges, range differences, bearings and fixes in one state."""
