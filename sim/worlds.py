@@ -1,4 +1,4 @@
-"""Worlds by name, with sensible defaults: `station`, `line`, `ranges`, `tdoa`, `tool` and `agv`, each a function.
+"""Worlds by name, with sensible defaults, each a function: `WORLDS` has them all.
 
 Each takes `n`, the number of trajectories, and `seed`, and gives a `SimulatedWorld` of as many tags. Trajectories have
 the ids 0 … n − 1, or those of `ids`, which replaces `n`. A trajectory depends on the seed and its id alone: the same
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trackwright.trackers.recordings.folder import RecordingFolder
     from trackwright.trackers.recordings.trajectories import Trajectory
 
-__all__ = ["WORLDS", "SimulatedWorld", "agv", "line", "ranges", "station", "tdoa", "tool"]
+__all__ = ["WORLDS", "SimulatedWorld", "agv", "fusion", "line", "ranges", "station", "tdoa", "tool"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -292,6 +292,52 @@ def tdoa(
     return SimulatedWorld(f"simulated-tdoa-{seed}", world)
 
 
+@checked
+def fusion(
+    n: Trajectories = 20,
+    seed: Seed = 0,
+    *,
+    stations: Annotated[int, Range(1, 4)] = 2,
+    rows: Rows = 200,
+    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 10.0,
+    sigma_r: Annotated[float, Range(0.0, 10.0)] = 0.05,
+    bias: Annotated[float, Range(0.0, 10.0)] = 0.05,
+    hidden: Annotated[float, Range(0.0, 0.9)] = 0.1,
+    sigma_angle: Annotated[float, Range(0.0, 3.0)] = 0.05,
+    bias_angle: Annotated[float, Range(0.0, 3.0)] = 0.1,
+    lost: Annotated[float, Range(0.0, 0.99)] = 0.1,
+    ids: Ids = None,
+) -> SimulatedWorld:
+    """Simulate hand-held UWB tags in a room with four anchors: ranges, and angles at some of them, with truth.
+
+    Args:
+        stations: anchors that measure angles.
+        rows: times of measurement.
+        rate_hz: times per second.
+        sigma_r: white noise of a range, m.
+        bias: standard deviation of the anchors' constant biases, m.
+        hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
+        sigma_angle: white noise of azimuth and elevation, rad.
+        bias_angle: standard deviation of errors of azimuth and elevation that last for 5 s, rad.
+        lost: share of the ranges and of the angles that are missing.
+    """
+    from trackwright.sim import corruptions
+    from trackwright.sim.fusion import simulate_fusion, with_stations
+    from trackwright.sim.ranging import WALK_VOLUME, chamber, simulate_ranges
+
+    rig = with_stations(chamber(), WALK_VOLUME.mean(axis=0), stations)
+    errors = _errors_of_anchors(bias, 0.0, hidden, sigma_r, lost)
+    ranged = simulate_ranges(rig, n=_ids(n, ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=errors)
+    of_angles: dict[str, Corruption] = {}
+    if bias_angle > 0:
+        of_angles["drift"] = corruptions.gauss_markov(bias_angle, 5.0)
+    if sigma_angle > 0:
+        of_angles["white"] = corruptions.white_noise(sigma_angle)
+    if lost > 0:
+        of_angles["lost"] = corruptions.drop_outs(lost)
+    return SimulatedWorld(f"simulated-fusion-{seed}", simulate_fusion(ranged, seed, of_angles))
+
+
 def _errors_of_anchors(bias: float, drift: float, hidden: float, sigma: float, lost: float) -> dict[str, Corruption]:
     """The errors of distances to anchors, m, and the shares of hidden and lost ones, as of `ranges` and `tdoa`."""
     from trackwright.sim import corruptions
@@ -399,7 +445,7 @@ def _folder(
 
 
 WORLDS: Mapping[str, Callable[..., RecordingFolder]] = MappingProxyType(
-    {world.__name__: partial(_folder, world) for world in (station, line, ranges, tdoa, tool, agv)}
+    {world.__name__: partial(_folder, world) for world in (station, line, ranges, tdoa, fusion, tool, agv)}
 )
 """`make(ids, seed, **numbers)`, a recording folder, by the name of the world in a study."""
 

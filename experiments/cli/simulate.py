@@ -67,6 +67,6 @@ def _refusal(error: ParameterError) -> str:
     return f"--{error.name.replace('_', '-')} {' '.join(map(str, words))}: expected {error.expected}"
 
 
-simulate = new_app("simulate", "Simulate a recording with truth: station, line, ranges, tdoa, tool, agv.")
-for _world in (worlds.station, worlds.line, worlds.ranges, worlds.tdoa, worlds.tool, worlds.agv):
+simulate = new_app("simulate", "Simulate a recording with truth: station, line, ranges, tdoa, fusion, tool, agv.")
+for _world in (worlds.station, worlds.line, worlds.ranges, worlds.tdoa, worlds.fusion, worlds.tool, worlds.agv):
     simulate.command(command(_world), name=_world.__name__, sort_key=len(simulate._commands))

@@ -25,6 +25,7 @@ from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_heights, trajectories_of
 from trackwright.trackers.uwb_imu.differences import TDOA
 from trackwright.trackers.uwb_imu.rows import TRACKERS as OF_ANCHORS
+from trackwright.trackers.uwb_imu.rows import tracker_of_differences, tracker_of_ranges
 
 
 def _placed_fixes(folder: RecordingFolder, free_height: bool) -> Trajectories:
@@ -40,9 +41,12 @@ def _placed_fixes(folder: RecordingFolder, free_height: bool) -> Trajectories:
     )
 
 
+BIASES = 4
+"""The numbers of biases of ranges and of differences are multiples of this; with eight four anchors take half again."""
+
 KINDS: Mapping[str, TrackerSpec] = {
-    RANGES: OF_ANCHORS["uwb"](about="", table=RANGES),
-    TDOA: OF_ANCHORS["tdoa"](about="", table=TDOA),
+    RANGES: OF_ANCHORS["uwb"](about="", table=RANGES, build=partial(tracker_of_ranges, together=BIASES)),
+    TDOA: OF_ANCHORS["tdoa"](about="", table=TDOA, build=partial(tracker_of_differences, together=BIASES)),
     BEARINGS: OF_ANGLES["bearings"](about="", table=BEARINGS),
     FIXES: TrackerSpec(
         "", FIXES, _placed_fixes, lambda trajectory, planar: fix_tracker(planar=planar), lacks=lacks_fixes

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.recording import Readings
-from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.parts.range_rows import (
     CARRIER,
     anchor_positions,
@@ -311,23 +311,24 @@ def _anchors(trajectory: Trajectory) -> int:
     return len(trajectory.folder.rig.anchors)
 
 
-def _bias_slots(trajectory: Trajectory) -> int:
-    """The number of range biases of a tracker: a multiple of eight, so that installations share a program."""
-    return -(-_anchors(trajectory) // 8) * 8
+def bias_slots(trajectory: Trajectory, together: int = 8) -> int:
+    """The number of biases of anchors in a state: a multiple of `together`, so that installations share a program."""
+    return -(-_anchors(trajectory) // together) * together
 
 
 def _is_calibrated(trajectory: Trajectory) -> bool:
     return bool(range_levels(trajectory.folder.calibration))
 
 
-def _ranges(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+def tracker_of_ranges(trajectory: Trajectory, planar: bool, together: int = 8) -> Tracker:
+    """The tracker of a trajectory's ranges, with `bias_slots`."""
     levels = range_levels(trajectory.folder.calibration)
-    return replace(range_tracker(_bias_slots(trajectory), planar, **levels), lasting_errors=not levels)
+    return replace(range_tracker(bias_slots(trajectory, together), planar, **levels), lasting_errors=not levels)
 
 
 def _body(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     levels = range_levels(trajectory.folder.calibration)
-    tracker = body_tracker(_bias_slots(trajectory), planar, _as_one(trajectory), **levels)
+    tracker = body_tracker(bias_slots(trajectory), planar, _as_one(trajectory), **levels)
     return replace(tracker, lasting_errors=not levels)
 
 
@@ -349,9 +350,10 @@ def _slots(trajectory: Trajectory) -> int:
     return int(trajectory.recording.readings[TDOA].values.shape[1])
 
 
-def _differences(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+def tracker_of_differences(trajectory: Trajectory, planar: bool, together: int = 8) -> Tracker:
+    """The tracker of a trajectory's range differences, with `bias_slots`."""
     levels = difference_levels(trajectory.folder.calibration)
-    tracker = difference_tracker(_bias_slots(trajectory), _slots(trajectory), planar, **levels)
+    tracker = difference_tracker(bias_slots(trajectory, together), _slots(trajectory), planar, **levels)
     return replace(tracker, lasting_errors=not levels)
 
 
@@ -378,9 +380,9 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "uwb": partial(
         TrackerSpec,
         trajectories=partial(range_trajectories, quality=True),
-        build=_ranges,
+        build=tracker_of_ranges,
         lacks=lacks_ranges,
-        geometry=lambda trajectory: (_bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
+        geometry=lambda trajectory: (bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
     ),
     "body": partial(
         TrackerSpec,
@@ -388,7 +390,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_body,
         lacks=_lacks_bodies,
         geometry=lambda trajectory: (
-            _bias_slots(trajectory),
+            bias_slots(trajectory),
             _as_one(trajectory),
             *range_levels(trajectory.folder.calibration).values(),
         ),
@@ -397,10 +399,10 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "tdoa": partial(
         TrackerSpec,
         trajectories=difference_trajectories,
-        build=_differences,
+        build=tracker_of_differences,
         lacks=lacks_differences,
         geometry=lambda trajectory: (
-            _bias_slots(trajectory),
+            bias_slots(trajectory),
             _slots(trajectory),
             *difference_levels(trajectory.folder.calibration).values(),
         ),

@@ -6,7 +6,8 @@ over trajectories. The exception is a belief with an axis of particles or cells:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -21,7 +22,7 @@ from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
 from trackwright.trackers.core.model import covariance
-from trackwright.trackers.core.model.algebra import Scalar, mark_dependent, select
+from trackwright.trackers.core.model.algebra import Scalar, mark_dependent, select, total
 from trackwright.trackers.core.model.covariance import (
     AnyCovariance,
     Gaussian,
@@ -75,7 +76,7 @@ class RecursiveTracker(Protocol):
     @property
     def track_loss(self) -> AbstractTrackLoss: ...
     def predict(self, belief: Any, row: Row) -> Any: ...
-    def update(self, belief: Any, row: Row) -> tuple[Any, Innovation]: ...
+    def update(self, belief: Any, row: Row, names: Collection[str] | None = None) -> tuple[Any, Innovation]: ...
     def advance(self, carry: Carry, row: Row, belief: Any, innovation: Innovation) -> tuple[Carry, StepInfo]: ...
     def moments(self, belief: Any) -> tuple[Any, AnyCovariance]: ...
 
@@ -247,7 +248,7 @@ def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[
     """Prediction and update of all trajectories of a chunk, and the status of their tracks.
 
     With few trajectories the prediction is skipped on rows at the time of the previous row (ranges of one epoch), and
-    the update on rows without readings (IMU samples between two ranges).
+    the update on rows without readings (IMU samples between two ranges); of one trajectory sensor by sensor.
     """
     axes = carry_axes(tracker)
     predict = jax.vmap(tracker.predict, in_axes=(axes.belief, -1), out_axes=axes.belief)
@@ -263,10 +264,10 @@ def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[
         return after if len(condition) == 1 else chosen(condition, after, before)
 
     moves = row.dt > 0
-    seen = jnp.any(jnp.concatenate([reading.seen for reading in row.readings.values()]), axis=0)
 
-    def measured(belief: Any) -> tuple[Any, Innovation]:
-        after, innovation = update(belief, row)
+    def measured(names: Collection[str], seen: Bool[Array, " B"], belief: Any) -> tuple[Any, Innovation]:
+        of_sensors = jax.vmap(partial(tracker.update, names=names), (axes.belief, -1), (axes.belief, -1))
+        after, innovation = of_sensors(belief, row)
         statistics = (jnp.where(seen, x, 0.0).astype(row.dt.dtype) for x in innovation)
         return where(seen, after, belief), Innovation(*statistics)
 
@@ -274,7 +275,12 @@ def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[
         return belief, Innovation(*[jnp.zeros_like(row.dt)] * 4)
 
     belief = jax.lax.cond(jnp.any(moves), lambda b: where(moves, predict(b, row), b), lambda b: b, carry.belief)
-    belief, innovation = jax.lax.cond(jnp.any(seen), measured, unmeasured, belief)
+    innovations = []
+    for names in [[name] for name in tracker.sensors] if len(moves) == 1 else [list(tracker.sensors)]:
+        seen = jnp.any(jnp.concatenate([row.readings[name].seen for name in names]), axis=0)
+        belief, innovation = jax.lax.cond(jnp.any(seen), partial(measured, names, seen), unmeasured, belief)
+        innovations.append(innovation)
+    innovation = Innovation(*(total(x) for x in zip(*innovations, strict=True)))
     return advance(carry, row, belief, innovation)
 
 

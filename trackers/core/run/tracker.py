@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import takewhile
 from typing import Any, NamedTuple, Self
 
@@ -270,10 +270,14 @@ class Tracker(AbstractTracker):
         """The belief of one trajectory at the time of a row."""
         return self.filter.predict(belief, self.motion, row.inputs, row.dt)
 
-    def update(self, belief: Any, row: Row) -> tuple[Any, Innovation]:
-        """The belief of one trajectory after the readings of a row, and their `Innovation`."""
+    def update(self, belief: Any, row: Row, names: Collection[str] | None = None) -> tuple[Any, Innovation]:
+        """The belief of one trajectory after the readings of a row, and their `Innovation`.
+
+        `names`: of the sensors, by default all.
+        """
         innovations = []
-        for name, sensor in self.sensors.items():
+        for name in self.sensors if names is None else names:
+            sensor = self.sensors[name]
             belief, innovation = self.filter.update(belief, self.motion, sensor, row.readings[name], row.inputs)
             innovations.append(innovation)
         return belief, Innovation(*(total(x) for x in zip(*innovations, strict=True)))
