@@ -27,9 +27,10 @@ class Entry(NamedTuple):
     about: str
 
     def may_fit(self, folder: RecordingFolder) -> bool:
-        """Whether the folder has a table of those that it reads, and a known path if it needs one."""
-        has_table = not folder.tables.keys().isdisjoint(re.findall(r"\w+", self.table))
-        return has_table and ("[path]" not in self.table or folder.rig.path_knots is not None)
+        """Whether the folder has a table of those that it reads, or two, and a known path if it needs one."""
+        tables = folder.tables.keys() & re.findall(r"\w+", self.table)
+        enough = len(tables) >= (2 if self.table.startswith("two") else 1)
+        return enough and ("[path]" not in self.table or folder.rig.path_knots is not None)
 
 
 PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(

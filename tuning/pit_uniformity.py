@@ -60,11 +60,12 @@ class PITUniformity(AbstractObjective):
         return self.kind == "nis" or self.quantity == "position"
 
     def for_tracker(self, tracker: AbstractTracker) -> PITUniformity:
-        """With the degrees of freedom of the tracker's noise; raises ValueError where its sensors differ in them.
+        """With the degrees of freedom of the noise behind a NIS; raises ValueError for one of unknown distribution.
 
         A fit that tunes them keeps those of its start here.
         """
-        return PITUniformity(self.kind, self.quantity, self.dimensions, student_t_dof_of(tracker), True)
+        nu = student_t_dof_of(tracker) if self.kind == "nis" else None
+        return PITUniformity(self.kind, self.quantity, self.dimensions, nu, True)
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         if self.kind == "nees":

@@ -20,6 +20,7 @@ SHORT = {
     "line": {"rate_hz": 1.0},
     "ranges": {"rows": 15, "lost": 0.2},
     "tdoa": {"rows": 15, "lost": 0.2},
+    "fusion": {"rows": 15, "lost": 0.2},
     "tool": {"rows": 20, "gap": (0.1, 0.2)},
     "agv": {"rows": 30, "latency": 0.2},
 }
@@ -75,7 +76,7 @@ def test_a_study_makes_the_same_folder(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "tracker"), [("station", "direct"), ("line", "fix-kf"), ("ranges", None), ("tdoa", None)]
+    ("name", "tracker"), [("station", "direct"), ("line", "fix-kf"), ("ranges", None), ("tdoa", None), ("fusion", None)]
 )
 def test_the_recordings_run_in_the_tracker_that_reads_them(name, tracker):
     world = _short(name, n=2)

@@ -16,12 +16,14 @@ CASES = [
     *(("station", name) for name in ("direct", "beam")),
     *(("line", name) for name in ("fix-kf", "line-grid", "mhk")),
     ("tdoa", "tdoa"),
+    ("fusion", "fusion"),
     *(("tool", name) for name in ("uwb-imu", "uwb", "multilateration")),
 ]
 NUMBERS = {
     "station": {"rows": 12, "drop_outs": 0.3},
     "line": {"rate_hz": 0.5},
     "tdoa": {"rows": 12},
+    "fusion": {"rows": 12},
     "tool": {"rows": 40},
 }
 
