@@ -54,12 +54,9 @@ class SimulatedFusion:
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: a row per range and per pair of angles, and truth in space."""
-        measured, true = self.ranges, {AXES: self.ranges.positions}
-        tables = {
-            "ranges": measured.rows(),
-            "bearings": self.rows(),
-            "truth": ArrayRows.regular(measured.times, self.ids, true),
-        }
+        measured = self.ranges
+        truth = ArrayRows.regular(measured.times, self.ids, {AXES: measured.positions})
+        tables = {"ranges": measured.rows(), "bearings": self.rows(), "truth": truth}
         return folder_of(name, tables, self.ids, anchors=measured.rig.anchors, stations=measured.rig.stations)
 
 

@@ -273,9 +273,7 @@ def _ready_cases() -> Iterator[Case]:
     yield from both("uwb-imu")
     yield from both("body", source=_of_bodies)
     yield from both("tdoa", source=_of_differences)
-    # As of `bearings`; a latency of fixes that is not known is in no estimate at the time of its row.
-    of_angles = ("motion.drifts.bearings.length", "sensors.bearings.reported_std_scale", "*.latency_std")
-    yield from both("fusion", idle=of_angles)
+    yield from both("fusion", idle=("sensors.bearings.reported_std_scale",))
     yield from both("multilateration", smoothable=False)
     yield ready("trilateration", smoothable=False, idle=("sigma_r",), quick=True)
     yield ready("trilateration-compensated", smoothable=False)

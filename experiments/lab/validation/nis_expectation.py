@@ -88,7 +88,7 @@ def estimates(name: str, seed: int) -> tuple[tw.AbstractTracker, tw.Estimates]:
         return tracker, tracker.run(recordings)
     assert isinstance(tracker, tw.Tracker)
     tracker = dataclasses.replace(tracker, track_loss=NEVER_LOST)
-    drawn, priors = own_world(tracker, recordings, seed, narrower)
+    drawn, priors, _ = own_world(tracker, recordings, seed, narrower)
     return tracker, tracker.run(drawn, initial=priors)
 
 

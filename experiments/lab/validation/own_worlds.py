@@ -31,11 +31,11 @@ NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 
 def own_world(
     tracker: Tracker, recordings: Sequence[Recording], seed: int, narrower: float = 1.0
-) -> tuple[list[Recording], list[Gaussian]]:
-    """The recordings with readings drawn from the tracker's model, and the beliefs from which their states are drawn.
+) -> tuple[list[Recording], list[Gaussian], Any]:
+    """The recordings with readings drawn from the tracker's model, the beliefs from which states are drawn, and these.
 
-    Times, inputs and masks stay. The beliefs are those of the tracker's start, with standard deviations `narrower`
-    times as small.
+    Times, inputs and masks stay; states have the leaves (T, …, n). The beliefs are those of the tracker's start, with
+    standard deviations `narrower` times as small.
     """
     rng, batch = np.random.default_rng(seed), stack(recordings)
     prior = _priors(tracker, batch)
@@ -44,12 +44,14 @@ def own_world(
     state, values = modes.turned(_drawn(prior, rng)), {name: list[np.ndarray]() for name in tracker.sensors}
     steps = modes.each(tracker.motion, _step)
     views = {name: modes.each(sensor, _measurement(tracker)) for name, sensor in tracker.sensors.items()}
+    states = []
     for k, dt in enumerate(batch.dt):
         inputs = {name: x[k] for name, x in batch.inputs.items()}
         if k:
             modes.switch(dt)
             w = jnp.asarray(rng.normal(size=(tracker.motion.noise_dimension, batch.size)))
             state = modes.chosen([step(state, inputs, dt, w) for step in steps])
+        states.append(state)
         for name, sensor in tracker.sensors.items():
             predicted = np.asarray(modes.chosen([view(state, inputs) for view in views[name]]))
             values[name].append(_read(sensor, predicted, rng))
@@ -58,7 +60,8 @@ def own_world(
         _with_readings(recording, {n: x[: len(recording), :, k] for n, x in drawn.items()})
         for k, recording in enumerate(recordings)
     ]
-    return redrawn, [jax.tree_util.tree_map(lambda x, k=k: x[..., k], prior) for k in range(batch.size)]
+    priors = [jax.tree_util.tree_map(lambda x, k=k: x[..., k], prior) for k in range(batch.size)]
+    return redrawn, priors, jax.tree_util.tree_map(lambda *rows: np.stack(rows), *states)
 
 
 class _Modes:

@@ -93,7 +93,7 @@ class System:
         inputs = {key: np.tile(value, (self.rows, 1)) for key, value in self.inputs.items()}
         times = self.dt * np.arange(self.rows)
         geometry = [tw.Recording(times, {sensor: readings}, inputs, name=f"trajectory {k}") for k in range(count * n)]
-        drawn, _ = own_world(self.tracker, geometry, seed)
+        drawn = own_world(self.tracker, geometry, seed)[0]
         return [drawn[k * n : (k + 1) * n] for k in range(count)]
 
 
