@@ -137,7 +137,7 @@ def test_a_tracker_of_a_user_s_file_travels_with_the_file(vehicles, tmp_path, mo
     np.testing.assert_array_equal(there.terms(vector), here.terms(vector))
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_every_tracker_can_travel(name):
-    tracker = CASES[name].tracker()
-    assert pickle.loads(pickle.dumps(tracker)) is not tracker
+def test_every_tracker_can_travel():
+    for case in CASES.values():
+        tracker = case.tracker()
+        assert type(pickle.loads(pickle.dumps(tracker))) is type(tracker)
