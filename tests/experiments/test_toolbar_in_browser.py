@@ -77,7 +77,7 @@ def _plan(folder):
 
 @pytest.mark.parametrize(
     "page_of",
-    [_track, _comparison, *(pytest.param(one, marks=pytest.mark.slow) for one in (_tune, _study, _calibration))],
+    [_track, *(pytest.param(one, marks=pytest.mark.slow) for one in (_comparison, _tune, _study, _calibration))],
     ids=["track", "comparison", "tune", "study", "calibration"],
 )
 def test_no_chart_of_any_page_can_be_uploaded_and_a_phone_has_no_toolbar(page_of, tmp_path):

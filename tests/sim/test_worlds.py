@@ -76,7 +76,14 @@ def test_a_study_makes_the_same_folder(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "tracker"), [("station", "direct"), ("line", "fix-kf"), ("ranges", None), ("tdoa", None), ("fusion", None)]
+    ("name", "tracker"),
+    [
+        ("line", "fix-kf"),
+        ("ranges", None),
+        pytest.param("station", "direct", marks=pytest.mark.slow),
+        pytest.param("tdoa", None, marks=pytest.mark.slow),
+        pytest.param("fusion", None, marks=pytest.mark.slow),
+    ],
 )
 def test_the_recordings_run_in_the_tracker_that_reads_them(name, tracker):
     world = _short(name, n=2)

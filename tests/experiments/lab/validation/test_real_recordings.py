@@ -60,6 +60,7 @@ def root(tmp_path_factory):
     return there
 
 
+@pytest.mark.slow
 def test_a_recording_is_calibrated_on_the_others_of_its_installation_alone(root, monkeypatch):
     monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(root))
     monkeypatch.setattr(sites, "SEEN_BY_DEFAULTS", {"uwb": ("hall-2",)})

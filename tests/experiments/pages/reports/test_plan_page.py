@@ -84,6 +84,7 @@ def _corners():
     return np.array([[0.0, 0], [8, 0], [8, 5], [0, 5]])
 
 
+@pytest.mark.slow
 def test_the_page_opens_with_the_proposal_and_the_printed_figures_and_has_axes_in_metres(browser, tmp_path, capsys):
     rig = replace(ROOM, anchors={"P1": np.array([8.0, 5, 2.6]), **ROOM.anchors})
     (tmp_path / "rig.toml").write_text(rig_text(rig), "utf-8")

@@ -176,7 +176,7 @@ def test_a_zoom_in_time_limits_playback_ellipses_and_tails(browser, tmp_path):
     assert errors == []
 
 
-@pytest.mark.parametrize("in_plane", [True, False])
+@pytest.mark.parametrize("in_plane", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_directions_are_drawn_around_the_station(browser, tmp_path, in_plane):
     tracks, estimate, true = small_bearings(in_plane)
     run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "beam")

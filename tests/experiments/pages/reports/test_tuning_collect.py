@@ -136,6 +136,7 @@ def test_of_directions_errors_are_in_degrees_and_metrics_in_radians():
     assert np.sqrt(np.nanmean(pooled**2)) == pytest.approx(np.degrees(rmse.training[1]), rel=0.01)
 
 
+@pytest.mark.slow
 def test_errors_are_one_for_each_time_as_track_has_them_and_begin_at_zero():
     # Four ranges at each time, of which the first rows have much larger errors; the clock counts from 1970.
     whole = tw.simulate.ranges(n=1, seed=3, rows=40).folder()

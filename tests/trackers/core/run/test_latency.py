@@ -176,6 +176,7 @@ def test_a_latency_that_is_given_is_known():
         _set(tracker, latency_std=-0.1)
 
 
+@pytest.mark.slow
 def test_a_fit_of_the_latency_ends_with_one_that_is_known():
     recording, tracker = _recording(), _set(fix_tracker(), latency_std=0.1)
     options = FitOptions(steps=2)
