@@ -8,7 +8,7 @@ from tests.faults.cases import CASES
 from tests.faults.judged import faults_of
 from tests.faults.recordings import broken_recording
 
-COUNTS = {"check": 40, "toml": 8, "stores": 5, "import": 20}
+COUNTS = {"check": 20, "toml": 5, "stores": 3, "import": 10}
 
 
 def _failed(kind, seed, count, parent):

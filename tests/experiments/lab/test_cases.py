@@ -39,16 +39,16 @@ ELSEWHERE = ("bench.gpu", "validation.real_recordings", "validation.bag_tour")
 
 
 def _lab(folder, *words):
-    """A finished `python -m trackwright.experiments.lab.FOLDER …`."""
+    """A finished process of `python -m trackwright.experiments.lab.FOLDER …`."""
     command = [sys.executable, "-m", f"trackwright.experiments.lab.{folder}", *map(str, words)]
     return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False, env=os.environ)
 
 
 @pytest.mark.parametrize(("folder", "own"), [("bench", BENCH), ("validation", VALIDATION)])
-def test_without_a_name_all_cases_are_listed_with_a_sentence(folder, own):
-    done = _lab(folder)
-    assert done.returncode == 0
-    lines = done.stdout.splitlines()
+def test_without_a_name_all_cases_are_listed_with_a_sentence(folder, own, capsys, monkeypatch):
+    monkeypatch.setattr(cases.sys, "argv", [folder])
+    cases.run_case(folder, own)
+    lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0].replace("-", "_") for line in lines] == [case.rpartition(":")[2] for case in own]
     assert all(len(line.split()) > 3 for line in lines)
 
@@ -63,11 +63,11 @@ def test_a_case_explains_its_options_among_them_those_that_all_have(case, capsys
     assert not words & {"--began", "--host"}
 
 
-def test_an_unknown_name_is_refused_with_the_known_ones():
-    done = _lab("bench", "fast")
-    assert done.returncode == 2
-    assert "no case fast" in done.stderr
-    assert "growth" in done.stderr
+def test_an_unknown_name_is_refused_with_the_known_ones(capsys, monkeypatch):
+    monkeypatch.setattr(cases.sys, "argv", ["bench", "fast"])
+    with pytest.raises(SystemExit, match="2"):
+        cases.run_case("bench", BENCH)
+    assert "bench: no case fast; expected beam, " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -53,11 +53,11 @@ def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, 
     assert _sha(run_study(SMALL, tmp_path / "merged")) == whole[1]
 
 
-@pytest.mark.parametrize("kept", [0, 1, 0.5, 0.99])
+@pytest.mark.parametrize("kept", [0, 0.99])
 def test_a_truncated_chunk_is_computed_again_to_the_same_bits(whole, finished, kept):
     folder, (path, *others) = finished
     before, made = path.read_bytes(), {one: one.stat().st_mtime_ns for one in others}
-    path.write_bytes(before[: int(kept * len(before)) if kept != 1 else 1])
+    path.write_bytes(before[: int(kept * len(before))])
     assert _sha(run_study(SMALL, folder)) == whole[1]
     assert len(path.read_bytes()) > 0.9 * len(before)
     assert {one: one.stat().st_mtime_ns for one in others} == made

@@ -123,8 +123,9 @@ def test_the_grids_probabilities_add_to_one():
     motion, build, mean, sigma = STARTS["halting"]
     tracker = _tracker("halting", GRID)
     belief = GRID.init(_normal(build(list(jnp.asarray(mean))), sigma), None)
+    predict = jax.jit(lambda belief, dt: tracker.filter.predict(belief, motion, {}, dt))
     for dt in (0.0, 0.013, 0.5, 30.0):
-        belief = tracker.filter.predict(belief, motion, {}, jnp.asarray(dt))
+        belief = predict(belief, dt)
         assert float(belief.travelling.sum() + belief.resting.sum()) == pytest.approx(1.0, abs=1e-12)
         assert float(belief.travelling.min()) >= 0
 

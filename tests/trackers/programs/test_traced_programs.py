@@ -20,7 +20,7 @@ from trackwright.trackers.programs.traced_programs import PREFIX, USERS_FILE, Tr
 from trackwright.trackers.recordings.tracks import batches
 
 WORLDS = {"phases": worlds.station, "ranges": worlds.ranges, "imu": worlds.tool, "fixes": worlds.agv}
-SLOW = ("direct", "cascade", "das", "uwb-imu", "imm", "mhk", "floor-pf", "line-pf", "line-grid")
+SLOW = ("uwb", "direct", "cascade", "das", "uwb-imu", "imm", "mhk", "floor-pf", "line-pf", "line-grid")
 
 
 def _case(name):
@@ -77,7 +77,7 @@ def _bits(tree):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in ("fix-kf", "uwb", *SLOW)]
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in ("fix-kf", *SLOW)]
 )
 def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, store, compiled):
     model, part = _case(name)
