@@ -17,6 +17,9 @@ from trackwright.experiments.pages.charts import style
 from trackwright.experiments.text import terminal
 from trackwright.trackers.programs import traced_programs
 
+PLAIN = ("--no-figures", "--no-report")
+"""Options of a command whose pictures and pages a test does not look at."""
+
 
 class CommandResult(NamedTuple):
     """What a command left: its exit code, standard output and standard error."""
@@ -56,3 +59,8 @@ def assert_refused(result: CommandResult, *words: str) -> None:
     assert result.out == ""
     for word in words:
         assert word in result.err
+
+
+def assert_refused_last(result: CommandResult, *words: str) -> None:
+    """As `assert_refused`, after notices and lines of progress."""
+    assert_refused(result._replace(err=result.err.splitlines()[-1] + "\n"), *words)

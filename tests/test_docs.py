@@ -14,7 +14,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.trackers.core import user_file
 from trackwright.trackers.recordings.kinds import KINDS
 
@@ -167,7 +167,7 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
     assert done.code == 0, done.err
     assert "path" in Path("out/report.html").read_text("utf-8")
     _as_in_a_new_process()
-    done = trackwright("track", "hall", *OWN, "--out", "kept", "--keep-going", "--no-figures", "--no-report")
+    done = trackwright("track", "hall", *OWN, "--out", "kept", "--keep-going", *PLAIN)
     assert done.code == 0, done.err
     tracks = [pl.read_parquet(f"{out}/tracks.parquet").select("t_s", "tag", "x_m", "y_m") for out in ("out", "kept")]
     assert tracks[0].equals(tracks[1])

@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from tests.bags import write_bag
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import assert_refused_last, trackwright
 
 PAGE = Path(__file__).parents[1] / "docs" / "import.md"
 LINE = "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51 111C[5.00,0.00,2.25]=3.18 est[2.57,1.98,1.68,100]"
@@ -97,7 +97,7 @@ def test_what_a_format_of_ones_own_returns_is_refused_in_a_line(tmp_path, monkey
     (tmp_path / "my.log").write_text("@12.5;A1=271\n")
     (tmp_path / "bad.py").write_text(f"import polars as pl\n\n\ndef own(path):\n    return {returned}\n")
     said = trackwright("import", "my.log", "--format", "bad.py:own", "--tag", "T1", "--out", "new")
-    assert_refused(said._replace(err=said.err.splitlines()[-1] + "\n"), "bad.py:own", *words)
+    assert_refused_last(said, "bad.py:own", *words)
     assert not (tmp_path / "new").exists()
 
 
@@ -116,7 +116,7 @@ def test_a_format_that_is_none_and_options_that_it_does_not_take_are_refused(tmp
     (tmp_path / "my.log").write_text("@12.5;A1=271\n")
     (tmp_path / "bad.py").write_text("def own(path):\n    return {}\n")
     said = trackwright("import", "my.log", *arguments, "--out", "new")
-    assert_refused(said._replace(err=said.err.splitlines()[-1] + "\n"), *words)
+    assert_refused_last(said, *words)
 
 
 def test_the_python_code_of_the_page_runs(tmp_path, monkeypatch):

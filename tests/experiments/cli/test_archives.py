@@ -14,7 +14,7 @@ import polars as pl
 import pytest
 
 from tests.experiments.cli.small_archive import recording, write_archive
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.experiments.cli import archive as command
 from trackwright.experiments.cli import archive_part as part
 from trackwright.experiments.cli.archive_part import RecordingStore
@@ -30,7 +30,6 @@ COUNT = 30
 BROKEN, FAILING = (3, 11, 12), 20
 """Numbers of the recordings that cannot be read, and of the one that fails while it is tracked."""
 
-ALONE = ("--no-figures", "--no-report")
 TABLES = ("tracks.parquet", "events.parquet", "evaluation.json", "results.csv", "recordings.txt")
 
 
@@ -66,7 +65,7 @@ def begun():
 def whole(archive, begun, tmp_path_factory):
     """A run that nothing interrupts, and its output folder."""
     out = tmp_path_factory.mktemp("whole") / "out"
-    return trackwright("track", archive, *ALONE, "--out", out), out
+    return trackwright("track", archive, *PLAIN, "--out", out), out
 
 
 def _bytes(out):
@@ -128,10 +127,10 @@ def test_the_same_command_continues_after_an_end_at_any_moment(archive, whole, b
 
     with monkeypatch.context() as patch:
         patch.setattr(RecordingStore, "keep", ends)
-        assert trackwright("track", archive, *ALONE, "--out", tmp_path).code == 130
+        assert trackwright("track", archive, *PLAIN, "--out", tmp_path).code == 130
     assert not (tmp_path / "results.csv").exists()
     del begun[:]
-    done = trackwright("track", archive, *ALONE, "--out", tmp_path)
+    done = trackwright("track", archive, *PLAIN, "--out", tmp_path)
     assert done.code == 1
     assert not {path.name for path in written} & set(begun)
     assert len(begun) == COUNT - len(BROKEN) - 10
@@ -156,7 +155,7 @@ def test_what_changed_is_tracked_again_and_nothing_else(tmp_path, begun):
 
     def tracked_again(*options):
         del begun[:]
-        assert trackwright("track", tmp_path / "archive", *ALONE, *options, "--out", out).code == 0
+        assert trackwright("track", tmp_path / "archive", *PLAIN, *options, "--out", out).code == 0
         return sorted(begun)
 
     names = [path.name for path in paths]
@@ -177,7 +176,7 @@ def test_what_changed_is_tracked_again_and_nothing_else(tmp_path, begun):
 
 def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch):
     paths, out = write_archive(tmp_path / "archive", 4), tmp_path / "out"
-    assert trackwright("track", tmp_path / "archive", *ALONE, "--out", out).code == 0
+    assert trackwright("track", tmp_path / "archive", *PLAIN, "--out", out).code == 0
     tracked = json.loads((out / "evaluation.json").read_text())
     done = trackwright("evaluate", out, "--json", "--fail-if", "rmse_m > 10")
     assert done.code == 0, done.err
@@ -246,7 +245,7 @@ def test_page_and_figures_are_of_the_worst_the_median_and_the_best(tmp_path, mon
 def test_a_name_stands_for_one_recording(tmp_path):
     for k, name in enumerate(("same", "other", "same")):
         write_recording(recording(name, k), tmp_path / "archive" / f"r{k}")
-    done = trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "out")
+    done = trackwright("track", tmp_path / "archive", *PLAIN, "--out", tmp_path / "out")
     assert done.code == 1
     assert "r2: is named 'same', as is " in done.err
     assert _results(tmp_path / "out")["recording"].to_list() == ["same", "other", None]
@@ -257,7 +256,7 @@ def test_names_of_any_characters_cost_their_own_line(tmp_path):
     odd = paths[1].with_name(b"\xff\n\x1b[2J".decode("utf-8", "surrogateescape"))
     paths[1].rename(odd)
     (paths[2] / b"\xff.csv".decode("utf-8", "surrogateescape")).write_text("a,b\n1,2\n")
-    done = trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "out")
+    done = trackwright("track", tmp_path / "archive", *PLAIN, "--out", tmp_path / "out")
     assert done.code == 1
     assert done.err.count("control character or bytes that are no UTF-8 in its name") == 1
     assert "not tracked: 1 of 3 recordings\n" in done.err
@@ -269,19 +268,19 @@ def test_names_of_any_characters_cost_their_own_line(tmp_path):
 def test_a_second_command_on_the_same_output_is_refused(tmp_path):
     write_archive(tmp_path / "archive", 2)
     out = tmp_path / "out"
-    assert trackwright("track", tmp_path / "archive", *ALONE, "--out", out).code == 0
+    assert trackwright("track", tmp_path / "archive", *PLAIN, "--out", out).code == 0
     with held(out):
-        assert_refused(trackwright("track", tmp_path / "archive", *ALONE, "--out", out), "another command writes to it")
+        assert_refused(trackwright("track", tmp_path / "archive", *PLAIN, "--out", out), "another command writes to it")
         assert_refused(trackwright("evaluate", out), "another command writes to it")
 
 
 def test_settings_that_fit_no_recording_name_each(tmp_path):
     paths = write_archive(tmp_path / "archive", 2)
-    done = trackwright("track", tmp_path / "archive", *ALONE, "--set", "nothing=1", "--out", tmp_path / "out")
+    done = trackwright("track", tmp_path / "archive", *PLAIN, "--set", "nothing=1", "--out", tmp_path / "out")
     assert done.code == 2
     assert [str(path) in line for path, line in zip(paths[::-1], done.err.splitlines(), strict=True)] == [True, True]
     assert_refused(
-        trackwright("track", tmp_path / "out", *ALONE, "--out", tmp_path / "o"), "neither rig.toml nor a table"
+        trackwright("track", tmp_path / "out", *PLAIN, "--out", tmp_path / "o"), "neither rig.toml nor a table"
     )
 
 
@@ -307,10 +306,10 @@ def _elsewhere(cluster):
 
 def test_a_cluster_computes_the_same_bits_and_a_recording_that_ends_workers_costs_its_own_line(tmp_path, monkeypatch):
     write_archive(tmp_path / "archive", 4)
-    assert trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "here").code == 0
+    assert trackwright("track", tmp_path / "archive", *PLAIN, "--out", tmp_path / "here").code == 0
     monkeypatch.setattr(command, "cluster_executor", _elsewhere)
     on = ("--cluster", "tcp://elsewhere:8786")
-    done = trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "there", *on)
+    done = trackwright("track", tmp_path / "archive", *PLAIN, "--out", tmp_path / "there", *on)
     assert done.code == 1
     assert "walk-01: its workers ended" in done.err
     here, there = (pl.read_parquet(tmp_path / name / "tracks.parquet") for name in ("here", "there"))

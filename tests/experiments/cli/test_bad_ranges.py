@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import cycle
+
 import numpy as np
 import polars as pl
 import pytest
 
 from tests.faulty import then, with_table
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.experiments.cli.console import errors_of
-from trackwright.experiments.pages.charts import figures
 from trackwright.trackers.recordings.folder import read_recording
 
 TRACKERS = ("uwb", "multilateration")
@@ -53,8 +54,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("tracker", TRACKERS)
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize(("name", "tracker"), [*zip(REFUSED, cycle(TRACKERS))])
 def test_unusable_ranges_are_refused_in_one_line(tmp_path, name, tracker):
     build, word = REFUSED[name]
     build(tmp_path / "recording")
@@ -66,9 +66,8 @@ def test_unusable_ranges_are_refused_in_one_line(tmp_path, name, tracker):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_where_no_tracker_fits_the_nearest_and_what_it_lacks_are_named(tmp_path, name):
-    build, word = REFUSED[name]
+def test_where_no_tracker_fits_the_nearest_and_what_it_lacks_are_named(tmp_path):
+    build, word = REFUSED["two anchors"]
     folder = tmp_path / "recording"
     build(folder)
     for table in folder.glob("*.*"):
@@ -81,13 +80,12 @@ def test_where_no_tracker_fits_the_nearest_and_what_it_lacks_are_named(tmp_path,
     assert_refused(last, f"{folder}: no tracker fits; the nearest, 'uwb', needs ", word)
 
 
-def test_errors_of_the_check_stop_the_command_before_anything_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "plot_tracks", lambda *arguments: [])
+def test_errors_of_the_check_stop_the_command_before_anything_is_written(tmp_path):
     folder = tmp_path / "recording"
     _ranges(lambda t: t.with_columns(range_m=pl.col("range_m") / 0.3048))(folder)
     assert_refused(trackwright("track", folder, "--out", tmp_path / "out"), "ranges are feet", "--force")
     assert not (tmp_path / "out").exists()
-    said = trackwright("track", folder, "--force", "--tracker", "uwb", "--out", tmp_path / "out")
+    said = trackwright("track", folder, "--force", "--tracker", "uwb", *PLAIN, "--out", tmp_path / "out")
     assert said.code == 0
     assert "notice" in said.err
     assert "feet" in said.err
@@ -120,12 +118,10 @@ def tracked(tmp_path_factory):
     rig = folder / "recording" / "rig.toml"
     rig.write_text(rig.read_text().replace("[path]", "[tags.T9]\nheight_m = 1.0\n\n[path]"))
     found = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(figures, "plot_tracks", lambda *arguments: [])
-        for tracker in TRACKERS:
-            said = trackwright("track", folder / "recording", "--tracker", tracker, "--out", folder / tracker)
-            assert said.code == 0, said
-            found[tracker] = said.err, pl.read_parquet(folder / tracker / "tracks.parquet")
+    for tracker in TRACKERS:
+        said = trackwright("track", folder / "recording", "--tracker", tracker, *PLAIN, "--out", folder / tracker)
+        assert said.code == 0, said
+        found[tracker] = said.err, pl.read_parquet(folder / tracker / "tracks.parquet")
     truth = pl.read_csv(folder / "recording" / "truth.csv")
     return found, truth
 
@@ -152,11 +148,10 @@ def test_negative_ranges_and_kilometres_move_no_track(tracked, tracker):
     assert errors.max() < 2.0
 
 
-def test_a_tag_observed_by_too_few_anchors_waits_while_the_other_is_tracked(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "plot_tracks", lambda *arguments: [])
+def test_a_tag_observed_by_too_few_anchors_waits_while_the_other_is_tracked(tmp_path):
     few = (pl.col("tag") == "T1") | pl.col("anchor").is_in(["A1", "A2", "A3"])
     _ranges(lambda t: t.filter(few))(tmp_path / "recording")
-    said = trackwright("track", tmp_path / "recording", "--tracker", "uwb", "--out", tmp_path / "out")
+    said = trackwright("track", tmp_path / "recording", "--tracker", "uwb", *PLAIN, "--out", tmp_path / "out")
     assert said.code == 0
     assert "1 ok" in said.out + said.err
     assert "too little data" in said.out + said.err

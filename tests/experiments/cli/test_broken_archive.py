@@ -7,10 +7,10 @@ import pytest
 
 from tests.experiments.cli.small_archive import write_archive
 from tests.faults.recordings import broken_recording
-from tests.in_process import trackwright
+from tests.in_process import PLAIN, trackwright
 
 GOOD, SEED = 4, 7
-ALONE = ("--tracker", "fix-kf", "--no-figures", "--no-report", "--out")
+ALONE = ("--tracker", "fix-kf", *PLAIN, "--out")
 
 
 @pytest.mark.parametrize("broken", [3, pytest.param(150, marks=pytest.mark.slow)])

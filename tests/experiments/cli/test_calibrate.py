@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, trackwright
 from tests.tuning.calibration_worlds import LENGTH, RIG, TIME, differences, world
 from trackwright.experiments.cli.tuning_job import cross_calibrated
 from trackwright.experiments.pages.reports.calibration import report_on
@@ -62,6 +62,7 @@ def test_the_table_and_the_page_show_each_term_with_its_standard_error(walks):
     )
 
 
+@pytest.mark.slow
 def test_the_page_says_that_its_figures_are_of_the_first_of_many_anchors(tmp_path):
     rng = np.random.default_rng(2)
     times = 0.2 * np.arange(150)
@@ -124,7 +125,7 @@ def test_a_calibrated_track_is_nearer_to_the_truth(walks, tmp_path, table):
     there, _, _ = walks
     errors = []
     for name, more in (("plain", ()), ("calibrated", ("--calibration", there / "site" / "calibration.toml"))):
-        said = trackwright("track", there / "2", "--tracker", table, "--out", tmp_path / name, *more)
+        said = trackwright("track", there / "2", "--tracker", table, *PLAIN, "--out", tmp_path / name, *more)
         assert said.code == 0, said.err
         assert "uncalibrated" not in said.err
         assert trackwright("evaluate", tmp_path / name, "--json").code == 0
@@ -149,7 +150,7 @@ def test_stations_that_the_calibration_lacks_are_named_in_one_notice(walks, tmp_
 def test_a_recording_of_the_calibration_is_named_in_a_notice(walks, tmp_path):
     there, _, _ = walks
     path = there / "site" / "calibration.toml"
-    said = trackwright("track", there / "1", "--tracker", "bearings", "--calibration", path, "--out", tmp_path)
+    said = trackwright("track", there / "1", "--tracker", "bearings", "--calibration", path, *PLAIN, "--out", tmp_path)
     assert f"notice: {there / '1'}: is one of the recordings of {path}; errors of others are larger" in said.err
 
 
@@ -159,7 +160,7 @@ def test_a_tracker_that_reads_neither_bearings_nor_ranges_is_named_in_a_notice(w
     fixes = folder.tables["truth"]
     write_recording(replace(folder, tables={**folder.tables, "fixes": fixes}), tmp_path / "fixes")
     said = trackwright("track", tmp_path / "fixes", "--tracker", "median", "--calibration",
-                       there / "site" / "calibration.toml", "--out", tmp_path / "out")  # fmt: skip
+                       there / "site" / "calibration.toml", *PLAIN, "--out", tmp_path / "out")  # fmt: skip
     assert said.code == 0, said.err
     assert "notice: tracker 'median' reads fixes; a calibration changes ranges, tdoa, bearings alone" in said.err
 
@@ -191,7 +192,6 @@ def test_a_file_that_is_no_calibration_is_refused(walks, tmp_path, command):
 
 
 FIT = ("--tracker", "uwb", "--tune", "sensors.ranges.sigma_r", "--steps", 1, "--starts", 1, "--force")
-PLAIN = ("--no-report", "--no-figures")
 
 
 def test_a_recording_of_the_calibration_is_fitted_with_one_of_others_and_the_file_names_it(walks, tmp_path):
@@ -252,7 +252,7 @@ def test_range_differences_are_calibrated_tracked_and_fitted_with_the_file(tmp_p
     assert cell in said.out
     assert cell in (tmp_path / "site.html").read_text("utf-8")
     assert "4 anchors in range differences" in (tmp_path / "site.html").read_text("utf-8")
-    said = trackwright("track", paths[2], "--calibration", file, "--out", tmp_path / "tracks")
+    said = trackwright("track", paths[2], "--calibration", file, *PLAIN, "--out", tmp_path / "tracks")
     assert said.code == 0, said.err
     assert "uncalibrated" not in said.err
     parts = cross_calibrated([read_recording(path) for path in paths[:2]], file)

@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, assert_refused_last, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackwright.experiments.cli import evaluating
 from trackwright.trackers.exchange import estimates as exchange_estimates
@@ -126,12 +126,7 @@ def test_covariances_turn_with_the_track(beginnings, truth, tmp_path):
 )
 def test_what_cannot_be_scored_is_refused(beginnings, there, monkeypatch, arguments, words):
     monkeypatch.chdir(beginnings)
-    _refused_last(trackwright("evaluate", there / "own.tum", *arguments), *words)
-
-
-def _refused_last(said, *words):
-    """As `assert_refused`, after the notices on the files."""
-    assert_refused(said._replace(err=said.err.splitlines()[-1] + "\n"), *words)
+    assert_refused_last(trackwright("evaluate", there / "own.tum", *arguments), *words)
 
 
 @pytest.fixture
@@ -156,7 +151,7 @@ def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
     shifted = trackwright("evaluate", run, "--truth", there / "true.tum", "--time-offset", "-1777896800.3")
     assert "time offset -1777896800.3 s" in " ".join(shifted.out.split())
     apart = trackwright("evaluate", run, "--truth", there / "true.tum")
-    _refused_last(apart, "UTC, truth from 0 to", "a --time-offset: with -1777896800.3 both begin together")
+    assert_refused_last(apart, "UTC, truth from 0 to", "a --time-offset: with -1777896800.3 both begin together")
     write_tracks(moved.with_columns(pl.col("t_s") - 1777896800.0), run / "tracks.parquet")
     plain = trackwright("evaluate", run, "--truth", there / "true.tum")
     assert plain.code == 0, plain.err
@@ -164,7 +159,7 @@ def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
     both = pl.concat([pl.read_parquet(run / "tracks.parquet").with_columns(tag=pl.lit(tag)) for tag in ("T7", "T8")])
     write_tracks(both, run / "tracks.parquet")
     several = trackwright("evaluate", run, "--truth", there / "true.tum")
-    _refused_last(several, "no track has a truth", "T7", "give the --truth of the same recording and tag")
+    assert_refused_last(several, "no track has a truth", "T7", "give the --truth of the same recording and tag")
     assert trackwright("evaluate", run, "--truth", there / "true.tum", "--tag", "T8").code == 0
 
 
@@ -182,13 +177,14 @@ def test_an_unknown_metric_is_refused_before_any_work(run, there, options, monke
     (run / "recordings.txt").write_text(f"{there}\n")
     monkeypatch.setattr(evaluating, "read_with_notices", lambda paths: [])
     said = trackwright("evaluate", run, *truth, *options, "--fail-if", "p95>1 or rpe>2")
-    _refused_last(said, "no metric 'p95' (did you mean p95_m?)")
+    assert_refused_last(said, "no metric 'p95' (did you mean p95_m?)")
 
 
 def test_what_track_writes_opens_in_evo_with_the_same_errors(recordings, tmp_path):
     evo_modules()
     folder = recordings / "labyrinth"
-    said = trackwright("track", folder, "--tracker", "multilateration", "--out", tmp_path / "run")
+    options = ("--tracker", "multilateration", *PLAIN, "--out", tmp_path / "run")
+    said = trackwright("track", folder, *options)
     assert said.code == 0, said.err
     own, true = tmp_path / "own.tum", tmp_path / "true.tum"
     assert trackwright("export", tmp_path / "run", "--format", "tum", "--out", own).code == 0

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.sim.agv import ANCHOR_HEIGHT, simulate_agv
 from trackwright.sim.corruptions import correlated_noise, delayed
 from trackwright.trackers.baselines.rows import lacks_coplanar_anchors, mirror_trajectories
@@ -106,7 +106,8 @@ def test_a_tag_that_is_never_seen_is_a_track_that_waits(world, tmp_path):
         **{f"{a}_m": pl.when(pl.col("tag") == "1").then(nothing).otherwise(f"{a}_m") for a in "xyz"}
     )
     write_recording(_with(world, fixes=table), tmp_path / "silent")
-    said = trackwright("track", tmp_path / "silent", "--tracker", "median", "--out", tmp_path / "out")
+    options = ("--tracker", "median", *PLAIN, "--out", tmp_path / "out")
+    said = trackwright("track", tmp_path / "silent", *options)
     assert said.code == 0, said.err
     tracks = read_tracks(tmp_path / "out")
     assert set(tracks.filter(tag="1")["status"]) == {"waiting"}

@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Vector
@@ -48,7 +48,7 @@ def there(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tracked(there):
-    said = trackwright("track", there / "corner", "--out", there / "picked")
+    said = trackwright("track", there / "corner", *PLAIN, "--out", there / "picked")
     assert said.code == 0, said.err
     assert said.err.startswith("tracker: floor-pf (")
     return pl.read_parquet(there / "picked" / "tracks.parquet")
@@ -79,7 +79,7 @@ def _outside(walls, place):
 
 
 def test_the_walls_take_a_quarter_of_the_error_across_the_corridor(there, tracked):
-    assert trackwright("track", there / "corner", "--tracker", "fix-kf", "--out", there / "free").code == 0
+    assert trackwright("track", there / "corner", "--tracker", "fix-kf", *PLAIN, "--out", there / "free").code == 0
     errors = []
     for table in (tracked, pl.read_parquet(there / "free" / "tracks.parquet")):
         both = table.join(_folder().tables["truth"], on="t_s", suffix="_true").filter(pl.col("x_m_true") < 10.0)

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import assert_refused_last, trackwright
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, trajectory_of_table, write_trajectory
 from trackwright.trackers.exchange.truth_frame import Placement, found_placement
 from trackwright.trackers.recordings.folder import read_recording, write_recording
@@ -43,12 +43,7 @@ def test_a_csv_log_and_a_trajectory_become_one_recording(there):
     assert recording.tables["ranges"]["t_s"][3] == pytest.approx(0.1)
     assert recording.tables["ranges"]["range_m"].is_between(2.0, 5.0).all()
     assert "qw" not in recording.tables["truth"].columns
-    _refused_last(trackwright("import", "log.csv", *CSV, "--out", "hall"), "has the table ranges already")
-
-
-def _refused_last(said, *words):
-    """As `assert_refused`, after the notices that name the format."""
-    assert_refused(said._replace(err=said.err.splitlines()[-1] + "\n"), *words)
+    assert_refused_last(trackwright("import", "log.csv", *CSV, "--out", "hall"), "has the table ranges already")
 
 
 def test_other_separators_and_mappings_from_a_file(there):
@@ -81,7 +76,7 @@ def test_a_log_in_milliseconds_takes_a_unit_and_no_other_column(there):
     assert said.code == 0, said.err
     assert pl.read_parquet("kit/fixes.parquet")["t_s"].to_list() == [1.5, 2.5]
     for arguments, words in ((("--table", "ranges"), "leave --table"), (("--columns", "x_m=time"), "has one column")):
-        _refused_last(trackwright("import", "tag.log", "--tag", "C5", *arguments, "--out", "new"), words)
+        assert_refused_last(trackwright("import", "tag.log", "--tag", "C5", *arguments, "--out", "new"), words)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +99,7 @@ def test_a_log_in_milliseconds_takes_a_unit_and_no_other_column(there):
     ],
 )
 def test_what_is_not_understood_is_refused_and_nothing_is_written(there, source, arguments, words):
-    _refused_last(trackwright("import", source, *arguments, "--out", "new"), *words)
+    assert_refused_last(trackwright("import", source, *arguments, "--out", "new"), *words)
     assert not (there / "new").exists()
     assert not list(there.glob(".*"))
 
@@ -114,7 +109,7 @@ def test_a_bad_value_is_named_by_the_line_of_its_source(there):
     lines[7] = lines[7].replace(",", ",x", 2)
     (there / "log.csv").write_text("\n".join(lines) + "\n")
     said = trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "new")
-    _refused_last(said, "log.csv: row 7 (line 8), column distance", "expected a number")
+    assert_refused_last(said, "log.csv: row 7 (line 8), column distance", "expected a number")
 
 
 def test_one_origin_moves_all_tables_of_an_import(there):
@@ -127,8 +122,8 @@ def test_one_origin_moves_all_tables_of_an_import(there):
     assert "t_s = 0 is 2026-05-04 12:13:20.36 UTC of log.csv" in said.err
     given = said.err.partition("the same --origin ")[2].split()[0]
     truth = ("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", "hall", "--origin")
-    _refused_last(trackwright(*truth, "start"), "hall has tables already", "--origin SECONDS")
-    _refused_last(trackwright(*truth, "noon"), "--origin noon: expected start, seconds, or a date such as")
+    assert_refused_last(trackwright(*truth, "start"), "hall has tables already", "--origin SECONDS")
+    assert_refused_last(trackwright(*truth, "noon"), "--origin noon: expected start, seconds, or a date such as")
     assert trackwright(*truth, given).code == 0
     tables = read_recording(there / "hall").tables
     assert tables["ranges"]["t_s"].to_list()[:2] == pytest.approx([0.0, 0.1], abs=1e-6)
@@ -165,7 +160,9 @@ def test_rows_in_any_order_are_sorted_at_import_and_noticed_there_alone(there):
 def test_a_clock_that_went_back_is_refused_at_import_before_rows_are_sorted(there):
     rows = [f"{100 * k},A1,{2000 + 7 * j}" for j, k in enumerate((*range(60), *range(20, 50)))]
     (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
-    _refused_last(trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "new"), "the clock went back")
+    assert_refused_last(
+        trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "new"), "the clock went back"
+    )
 
 
 def test_decimal_commas_are_read_and_named_where_they_are_not_asked_for(there):
@@ -174,24 +171,26 @@ def test_decimal_commas_are_read_and_named_where_they_are_not_asked_for(there):
     columns = ("--table", "ranges", "--columns", "t_s=Zeit", "range_m[A1]=d1", "range_m[A2]=d2", "--tag", "T")
     to = ("--rig", "rig.toml", "--out", "new")
     refused = trackwright("import", "wide.csv", *columns, *to)
-    _refused_last(refused, "row 1 (line 2), column Zeit: '0,0'; expected a number", "--decimal ,")
+    assert_refused_last(refused, "row 1 (line 2), column Zeit: '0,0'; expected a number", "--decimal ,")
     said = trackwright("import", "wide.csv", *columns, "--decimal", ",", *to)
     assert "separated by ';'" in said.err
     table = pl.read_parquet("new/ranges.parquet").sort("anchor", "t_s")
     assert table["range_m"].to_list() == [2.0, 2.5, 3.0, 3.5, 4.0, *[3.25] * 5]
     (there / "wide.csv").write_text("Zeit;d1;d2\n0,0;1.234;3,1\n")
     # With decimal commas a point groups thousands: 1.234 is not 1,234.
-    _refused_last(trackwright("import", "wide.csv", *columns, "--decimal", ",", "--out", "other"), "'1.234'")
+    assert_refused_last(trackwright("import", "wide.csv", *columns, "--decimal", ",", "--out", "other"), "'1.234'")
 
 
 def test_a_date_without_its_unit_and_a_cut_line_of_a_log_are_named(there):
     (there / "log.csv").write_text("stamp,id,distance\n2026-05-04T14:13:20.26,A1,2710\n")
     columns = [word.replace("stamp*0.001", "stamp") for word in CSV]
-    _refused_last(trackwright("import", "log.csv", *columns, "--out", "new"), "looks like a date", "'t_s=stamp in iso'")
+    assert_refused_last(
+        trackwright("import", "log.csv", *columns, "--out", "new"), "looks like a date", "'t_s=stamp in iso'"
+    )
     line = "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51"
     (there / "tag.log").write_text(f"0.1 {line}\n0.2 {line}\n0.3 {line[:40]}\n")
     cut = trackwright("import", "tag.log", "--tag", "C5", "--out", "new")
-    _refused_last(cut, "line 3", "a line of les, such as '1151[", "it is the last line, and looks cut off")
+    assert_refused_last(cut, "line 3", "a line of les, such as '1151[", "it is the last line, and looks cut off")
 
 
 @pytest.fixture
@@ -248,7 +247,9 @@ def test_what_check_prints_of_a_turned_truth_is_an_option_of_import(foreign):
 def test_the_truth_of_another_walk_fits_no_readings(foreign):
     truth = tw.simulate.ranges(n=1, rows=300, seed=9).folder().tables["truth"]
     write_trajectory(trajectory_of_table(truth, "other"), "mocap.tum")
-    _refused_last(trackwright(*TRUTH, "--align-truth"), "no turn about z, shift and difference of clocks up to 10 s")
+    assert_refused_last(
+        trackwright(*TRUTH, "--align-truth"), "no turn about z, shift and difference of clocks up to 10 s"
+    )
     assert not Path("hall/truth.parquet").exists()
 
 
@@ -273,5 +274,5 @@ def test_fixes_without_a_height_place_a_truth_over_the_floor():
     ],
 )
 def test_a_truth_that_cannot_be_brought_over_is_refused(foreign, arguments, words):
-    _refused_last(trackwright(*TRUTH, *arguments), *words)
+    assert_refused_last(trackwright(*TRUTH, *arguments), *words)
     assert not Path("hall/truth.parquet").exists()

@@ -7,11 +7,9 @@ import tomllib
 
 import pytest
 
-from tests.in_process import trackwright
+from tests.in_process import PLAIN, trackwright
 from trackwright.sim import worlds
 from trackwright.trackers.recordings.folder import write_recording
-
-PLAIN = ("--no-figures", "--no-report")
 
 
 @pytest.fixture(scope="module")

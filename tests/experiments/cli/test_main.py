@@ -128,12 +128,11 @@ def _started(words, **environment):
     return subprocess.run(line, env={**os.environ, **environment}, capture_output=True, timeout=120, check=False)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
-def test_a_code_page_without_our_characters_gets_plain_ones(beginnings, encoding):
-    done = _started(("evaluate", beginnings / "tracked"), PYTHONIOENCODING=encoding)
+def test_a_code_page_without_our_characters_gets_plain_ones(beginnings):
+    done = _started(("evaluate", beginnings / "tracked"), PYTHONIOENCODING="cp1252")
     assert done.returncode == 0, done.stderr
     assert done.stderr == b""
-    assert "---" in done.stdout.decode(encoding)
+    assert "---" in done.stdout.decode("cp1252")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")

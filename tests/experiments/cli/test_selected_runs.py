@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.sim import worlds
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.folder import read_recording, write_recording
@@ -31,7 +31,7 @@ def _tracks(folder):
 
 def test_a_part_of_a_recording_is_tracked(room, tmp_path):
     part = ("--tag", "1", "--from", 1, "--to", 4)
-    done = trackwright("track", room, "--no-figures", "--no-report", "--tracker", "uwb", *part, "--out", tmp_path)
+    done = trackwright("track", room, *PLAIN, "--tracker", "uwb", *part, "--out", tmp_path)
     assert done.code == 0, done
     tracks = _tracks(tmp_path)
     assert set(tracks["tag"]) == {"1"}
@@ -68,51 +68,45 @@ def test_tables_that_the_chosen_tracker_does_not_read_are_named(room, tmp_path):
     folder = read_recording(room)
     fixes = folder.tables["truth"].select("t_s", "tag", "x_m", "y_m", "z_m")
     write_recording(replace(folder, tables={**folder.tables, "fixes": fixes}), tmp_path / "both")
-    said = trackwright("track", tmp_path / "both", "--no-figures", "--no-report", "--out", tmp_path / "out")
+    said = trackwright("track", tmp_path / "both", *PLAIN, "--out", tmp_path / "out")
     assert "EKF with a drifting bias per anchor; without fixes); choose another with --tracker" in said.err
 
 
 def test_a_value_set_is_that_of_a_noise_file_and_goes_before_it(room, tmp_path):
     (tmp_path / "noise.toml").write_text('tracker = "uwb"\n[tunables."sensors.ranges.sigma_r"]\nvalue = 0.3\n')
-    by_file = trackwright(
-        "track", room, "--no-figures", "--no-report", "--noise", tmp_path / "noise.toml", "--out", tmp_path / "file"
-    )
+    by_file = trackwright("track", room, *PLAIN, "--noise", tmp_path / "noise.toml", "--out", tmp_path / "file")
     assert f"tracker: uwb, that of {tmp_path / 'noise.toml'}; choose another with --tracker" in by_file.err
     options = ("--tracker", "uwb", "--set", "sensors.*.sigma_r=0.3")
-    assert trackwright("track", room, "--no-figures", "--no-report", *options, "--out", tmp_path / "set").code == 0
+    assert trackwright("track", room, *PLAIN, *options, "--out", tmp_path / "set").code == 0
     assert _tracks(tmp_path / "file").equals(_tracks(tmp_path / "set"))
     both = ("--noise", tmp_path / "noise.toml", "--set", "sensors.ranges.sigma_r=0.1")
-    assert trackwright("track", room, "--no-figures", "--no-report", *both, "--out", tmp_path / "both").code == 0
+    assert trackwright("track", room, *PLAIN, *both, "--out", tmp_path / "both").code == 0
     assert not _tracks(tmp_path / "both").equals(_tracks(tmp_path / "set"))
 
 
 def test_the_tracker_of_a_noise_file_is_taken_where_the_tables_would_give_another(room, tmp_path):
     (tmp_path / "noise.toml").write_text('tracker = "multilateration"\n[tunables."sigma_r"]\nvalue = 0.3\n')
-    done = trackwright(
-        "track", room, "--no-figures", "--no-report", "--noise", tmp_path / "noise.toml", "--out", tmp_path / "out"
-    )
+    done = trackwright("track", room, *PLAIN, "--noise", tmp_path / "noise.toml", "--out", tmp_path / "out")
     assert done.code == 0, done
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["config"]["tracker"] == "multilateration"
 
 
 def test_a_value_that_no_tunable_takes_is_refused(room, tmp_path):
     for text, expected in (("sigma_q=1", "--set: this tracker has no 'sigma_q'"), ("*.sigma_r=-1", "is positive")):
-        said = trackwright(
-            "track", room, "--no-figures", "--no-report", "--tracker", "uwb", "--set", text, "--out", tmp_path / "out"
-        )
+        said = trackwright("track", room, *PLAIN, "--tracker", "uwb", "--set", text, "--out", tmp_path / "out")
         assert_refused(said, expected)
 
 
 def test_quiet_prints_results_alone(room, tmp_path):
-    loud = trackwright("track", room, "--no-figures", "--no-report", "--out", tmp_path / "loud")
-    quiet = trackwright("track", room, "--no-figures", "--no-report", "--quiet", "--out", tmp_path / "quiet")
+    loud = trackwright("track", room, *PLAIN, "--out", tmp_path / "loud")
+    quiet = trackwright("track", room, *PLAIN, "--quiet", "--out", tmp_path / "quiet")
     assert loud.err
     assert quiet.err == ""
     assert quiet.out == loud.out.replace(str(tmp_path / "loud"), str(tmp_path / "quiet"))
 
 
 def test_estimates_of_a_part_are_evaluated(room, tmp_path):
-    assert trackwright("track", room, "--no-figures", "--no-report", "--tracker", "uwb", "--out", tmp_path).code == 0
+    assert trackwright("track", room, *PLAIN, "--tracker", "uwb", "--out", tmp_path).code == 0
     whole, part = (
         json.loads(trackwright("evaluate", tmp_path, "--json", *words).out)
         for words in ((), ("--tag", "0", "--from", "2"))

@@ -9,9 +9,7 @@ import polars as pl
 import pytest
 
 from tests.faulty import write_good
-from tests.in_process import assert_refused, trackwright
-
-PLAIN = ("--no-figures", "--no-report")
+from tests.in_process import PLAIN, assert_refused, trackwright
 
 
 @pytest.fixture(scope="module")

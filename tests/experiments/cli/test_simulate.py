@@ -54,16 +54,21 @@ def test_a_tag_depends_on_the_seed_and_its_own_number_alone(worlds, tmp_path):
 @pytest.mark.parametrize(
     ("command", "option", "value"),
     [
-        ("line", "--speed", 0),
-        ("ranges", "--lost", 1),
+        ("station", "--seed", 2**70),
+        ("station", "--sigma-p", -1.0),
+        ("station", "--gauss-markov", "inf"),
+        ("station", "--drop-outs", "nan"),
+        ("station", "--outliers", 1.0),
+        ("station", "--lost-station", 4),
+        ("line", "--speed", 0.0),
         ("tool", "--rows", 1),
         ("agv", "--n", 0),
         ("agv", "--speed", 1.5),
     ],
 )
 def test_a_value_out_of_range_is_refused_with_its_option(tmp_path, command, option, value):
-    refused = trackwright("simulate", command, option, value, "--out", tmp_path / "out")
-    assert_refused(refused, f"{option} {value}", "expected a", "number from")
+    refused = trackwright("simulate", command, f"{option}={value}", "--out", tmp_path / "out")
+    assert_refused(refused, f"{option} {value}: ", "expected ")
     assert not (tmp_path / "out").exists()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.evaluation.events import events_of, off_the_path
 from trackwright.trackers.recordings.folder import read_recording
@@ -24,7 +24,7 @@ def runs(tmp_path_factory, beginnings):
     @cache
     def run(name):
         line = ("track", beginnings / "good", "--tracker", "fix-kf", *OPTIONS[name])
-        said = trackwright(*line, "--out", folder / name)
+        said = trackwright(*line, *PLAIN, "--out", folder / name)
         assert said.code == 0, said
         return pl.read_parquet(folder / name / "tracks.parquet")
 

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from tests.faulty import write_good
-from tests.in_process import trackwright
+from tests.in_process import PLAIN, trackwright
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.tables_by_tag import averaged
 
@@ -99,7 +99,8 @@ def test_track_averages_and_its_manifest_has_the_interval(tmp_path):
     for average in (None, 0.5):
         out = tmp_path / f"out-{average}"
         options = [] if average is None else ["--average", str(average)]
-        done = trackwright("track", tmp_path / "good", "--tracker", "fix-kf", "--out", out, *options)
+        plain = ("--tracker", "fix-kf", *PLAIN, "--out", out)
+        done = trackwright("track", tmp_path / "good", *plain, *options)
         assert done.code == 0
         assert json.loads((out / "manifest.json").read_text())["config"]["average"] == average
         counts[average] = len(pl.read_parquet(out / "tracks.parquet"))

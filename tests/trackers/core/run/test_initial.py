@@ -1,4 +1,4 @@
-"""Runs that begin with a belief or continue an earlier run, random numbers by seed and id, and the pure function."""
+"""Runs that begin with a belief or continue an earlier run, and random numbers by seed and id."""
 
 import dataclasses
 
@@ -12,7 +12,6 @@ from tests.known_start import NEVER_LOST, flat
 from tests.oracles import kalman, van_loan
 from trackwright.trackers.core.model.keys import trajectory_key_data
 from trackwright.trackers.core.model.tunable import Constant
-from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.parts.fixes import FIXES
 
 SIGMA_A, SIGMA = 0.7, 0.2
@@ -67,26 +66,6 @@ def test_each_recording_has_its_own_belief_or_all_have_one():
         np.testing.assert_allclose(flat(together[k].mean), flat(alone.mean), rtol=1e-12)
     np.testing.assert_allclose(flat(one[1].mean), flat(together[1].mean), rtol=1e-12)
     assert not np.allclose(flat(one[0].mean)[:3], flat(together[0].mean)[:3])
-
-
-def test_rows_that_come_in_turn_give_the_estimates_of_the_whole_to_the_bit():
-    recordings = [_recording(9, k) for k in range(2)]
-    tracker, whole = _tracker(), _tracker().run(recordings)
-    state, rows = None, []
-    for k in range(9):
-        part = [
-            tw.fix_recording(r.times[k : k + 1], r.readings[FIXES].values[k : k + 1], height=1.0) for r in recordings
-        ]
-        estimates = tracker.run(part, initial=state)
-        rows.append(estimates)
-        state = estimates.final
-    for leaf, parts in zip(
-        jax.tree_util.tree_leaves((whole.mean, whole.nis, whole.status)),
-        zip(*[jax.tree_util.tree_leaves((r.mean, r.nis, r.status)) for r in rows], strict=True),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(np.concatenate(parts, axis=1), leaf)
-    np.testing.assert_array_equal(state.times, [r.times[-1] for r in recordings])
 
 
 def test_one_trajectory_of_several_continues_alone():
@@ -150,25 +129,6 @@ def test_keys_differ_by_seed_and_by_id_up_to_64_bits():
     for wrong in (-1, 2**64, 0.5):
         with pytest.raises(ValueError, match="expected a whole number"):
             trajectory_key_data(0, [wrong])
-
-
-@pytest.mark.slow
-def test_the_pure_function_is_the_run_and_jax_goes_through_it():
-    tracker, recordings = _tracker(), [_recording(15, k) for k in range(4)]
-    batch = tw.stack(recordings)
-    model = as_dtype(tracker, batch.dt.dtype)
-    output, estimates = jax.jit(tw.filter_batch)(model, batch), tracker.run(batch)
-    np.testing.assert_allclose(np.stack(output.mean.position).T, np.stack(estimates.mean.position, axis=-1))
-
-    def last_x(sigma):
-        noisy = dataclasses.replace(model, motion=tw.ConstantVelocity(Constant(sigma), 2))
-        return tw.filter_batch(noisy, batch).mean.position[0][-1]
-
-    sigmas = jnp.array([0.3, 0.7])
-    each = jax.vmap(last_x)(sigmas)
-    np.testing.assert_allclose(each[1], output.mean.position[0][-1], rtol=1e-9)
-    slope = jax.grad(lambda s: last_x(s).sum())(0.7)
-    assert slope == pytest.approx(float(last_x(0.7 + 1e-5).sum() - last_x(0.7 - 1e-5).sum()) / 2e-5, rel=1e-5)
 
 
 def test_a_run_inside_a_transformation_names_the_pure_function():

@@ -11,7 +11,7 @@ import pytest
 from scipy.special import logsumexp
 
 import trackwright as tw
-from tests.in_process import trackwright
+from tests.in_process import PLAIN, trackwright
 from trackwright.sim import worlds
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.data.estimates import Status
@@ -77,7 +77,7 @@ def _about(mean, x, covs, weights):
     return np.einsum("kt,ktij->tij", weights, covs + apart[..., :, None] * apart[..., None, :])
 
 
-@pytest.mark.parametrize("smoothed", [False, True])
+@pytest.mark.parametrize("smoothed", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_levels_of_errors_keep_the_estimates_and_report_their_mean_square_error_by_bayes_rule(smoothed):
     recording = _ranges(np.random.default_rng(5), 0.1, rows=80)[0]
     plain = range_tracker(len(ANCHORS), planar=True)
@@ -129,11 +129,15 @@ def test_smoothed_weights_are_those_of_the_hidden_markov_model_by_summing_over_e
     np.testing.assert_allclose(smoothed[:, :, 0].T, sums / sums.sum(axis=1, keepdims=True), rtol=1e-9)
 
 
-def test_a_member_without_a_track_has_no_share(members, recording):
-    together = NoiseLevels(fix_tracker(planar=True)).run(recording)
-    assert (together.status == Status.OK).all()
+@pytest.fixture(scope="module")
+def outputs(recording):
+    """What two equal members find."""
     batch = stack([recording])
-    outputs = jax.jit(jax.vmap(lambda f: filter_batch(fix_tracker(planar=True), batch)))(jnp.arange(2.0))
+    return jax.jit(jax.vmap(lambda f: filter_batch(fix_tracker(planar=True), batch)))(jnp.arange(2.0))
+
+
+def test_a_member_without_a_track_has_no_share(outputs):
+    assert (outputs.status == Status.OK).all()
     lost = outputs.status.at[1].set(Status.LOST)
     broken = outputs._replace(status=lost, mean=jax.tree_util.tree_map(lambda x: x.at[1].set(np.nan), outputs.mean))
     weights = jnp.full((2, ROWS, 1), 0.5)
@@ -150,9 +154,7 @@ def test_a_member_without_a_track_has_no_share(members, recording):
         np.testing.assert_allclose(a, b[0], rtol=1e-12)
 
 
-def test_a_first_member_without_a_share_keeps_its_means(recording):
-    batch = stack([recording])
-    outputs = jax.jit(jax.vmap(lambda f: filter_batch(fix_tracker(planar=True), batch)))(jnp.arange(2.0))
+def test_a_first_member_without_a_share_keeps_its_means(outputs):
     moved = outputs._replace(mean=jax.tree_util.tree_map(lambda x: x.at[1].add(3.0), outputs.mean))
     weights = jnp.stack([jnp.zeros((ROWS, 1)), jnp.ones((ROWS, 1))])
     mixed = mixture_of(moved, weights, about_first=True)
@@ -162,16 +164,14 @@ def test_a_first_member_without_a_share_keeps_its_means(recording):
 
 def test_a_continued_run_has_the_numbers_of_the_whole(recording):
     faster = (Level(0.5), Level(0.5, readings=0.5))
-    for tracker in (
-        NoiseLevels(fix_tracker(planar=True)),
-        NoiseLevels(NoiseLevels(fix_tracker(planar=True)), faster, about_first=True),
-    ):
-        whole = tracker.run(recording)
-        first, second = _recording(slice(7)), _recording(slice(7, None))
-        rest = tracker.run(second, initial=tracker.run(first).final)
-        np.testing.assert_allclose(rest.log_likelihood, whole.log_likelihood[7:], rtol=1e-12)
-        np.testing.assert_allclose(rest.mean.position[0], whole.mean.position[0][7:], rtol=1e-12)
-        np.testing.assert_allclose(rest.covariance, whole.covariance[7:], rtol=1e-9, atol=1e-14)
+    tracker = NoiseLevels(NoiseLevels(fix_tracker(planar=True)), faster, about_first=True)
+    whole = tracker.run(recording)
+    # Equal halves are one program.
+    first, second = _recording(slice(6)), _recording(slice(6, None))
+    rest = tracker.run(second, initial=tracker.run(first).final)
+    np.testing.assert_allclose(rest.log_likelihood, whole.log_likelihood[6:], rtol=1e-12)
+    np.testing.assert_allclose(rest.mean.position[0], whole.mean.position[0][6:], rtol=1e-12)
+    np.testing.assert_allclose(rest.covariance, whole.covariance[6:], rtol=1e-9, atol=1e-14)
 
 
 @pytest.mark.parametrize("sigma_bias", [0.025, 0.085, 0.17, 0.25])
@@ -230,7 +230,7 @@ def test_the_command_tracks_as_python_does(tmp_path):
     folder = worlds.agv(n=1, seed=2, rows=40).folder()
     path = tmp_path / "hall"
     write_recording(folder, path)
-    options = ("--tracker", "fix-kf", "--motion", "auto", "--no-figures", "--no-report", "--out", tmp_path / "run")
+    options = ("--tracker", "fix-kf", "--motion", "auto", *PLAIN, "--out", tmp_path / "run")
     done = trackwright("track", path, *options)
     assert done.code == 0, done
     written = pl.read_parquet(tmp_path / "run" / "tracks.parquet")
@@ -243,7 +243,7 @@ def test_the_command_tracks_as_python_does(tmp_path):
 def test_the_command_reports_covariances_at_levels_of_errors_for_the_same_estimates(tmp_path):
     path = tmp_path / "hall"
     write_recording(worlds.ranges(n=1, seed=2, rows=40).folder(), path)
-    options = ("--tracker", "uwb", "--errors", "auto", "--no-figures", "--no-report", "--out", tmp_path / "run")
+    options = ("--tracker", "uwb", "--errors", "auto", *PLAIN, "--out", tmp_path / "run")
     done = trackwright("track", path, *options)
     assert done.code == 0, done
     written, read = pl.read_parquet(tmp_path / "run" / "tracks.parquet"), tw.read(path)

@@ -1,4 +1,4 @@
-"""A trajectory has the same numbers alone, in chunks, and with two readings in a row; to the bit: `test_identities.py`."""
+"""A trajectory has the same numbers in chunks and with two readings in a row; alone: `test_identities.py`."""
 
 import dataclasses
 
@@ -65,18 +65,11 @@ def _as_tree(e):
     return e.mean, e.cov_upper, e.log_likelihood, e.nis, e.nis_dof, e.wrapped, e.status
 
 
-def test_a_trajectory_of_a_batch_is_the_one_run_alone():
-    recordings = _recordings()
-    alone, together = _flat().run(recordings[0]), _flat().run(stack(recordings))[0]
-    for a, b in zip(*map(jax.tree_util.tree_leaves, (_as_tree(alone), _as_tree(together))), strict=True):
-        # Another shape is another program, which may round otherwise: 1e-12 is a few thousand roundings.
-        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
-
-
 def test_chunks_side_by_side_give_what_one_chunk_gives():
     batch = stack(_recordings())
     in_pairs, together = _flat().run(batch, chunk=2), _flat().run(batch)
     for a, b in zip(*map(jax.tree_util.tree_leaves, (_as_tree(in_pairs), _as_tree(together))), strict=True):
+        # Another shape is another program, which may round otherwise: 1e-12 is a few thousand roundings.
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 

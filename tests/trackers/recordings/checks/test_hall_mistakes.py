@@ -174,8 +174,7 @@ def test_contradictions_that_no_change_explains_are_a_warning():
     assert "no change of units, signs or ids explains it" in found.message
 
 
-@pytest.mark.parametrize("height", [1.1, None])
-@pytest.mark.parametrize("name", ANCHORS)
+@pytest.mark.parametrize(("name", "height"), [("A1", 1.1), ("A2", None), ("A4", None), ("A5", 1.1)])
 def test_an_anchor_that_stands_elsewhere_is_named_without_truth(name, height):
     # Across the line of sight a shift hardly changes a range.
     away = np.array(ANCHORS[name]) - np.array([6.0, 4.0, 2.7])

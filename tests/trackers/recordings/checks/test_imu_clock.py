@@ -36,7 +36,7 @@ def _messages(recording: RecordingFolder) -> list[str]:
     return [one.message for one in check_imu_clock(recording)]
 
 
-@pytest.mark.parametrize("late", [0.0, 0.1, 0.3, -0.5, 1.0, -2.0])
+@pytest.mark.parametrize("late", [0.1, 0.3, -0.5, -2.0])
 def test_the_delay_of_an_imu_is_found_by_the_ranges(late):
     found = [one for one in check(_later(late)) if WORDS in one.message]
     assert len(found) == (abs(late) > 0.2)
