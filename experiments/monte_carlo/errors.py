@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackwright.trackers.core.data.estimates import Status
-from trackwright.trackers.core.data.metrics import nees_of_leading
+from trackwright.trackers.core.data.metrics import nees_of_leading, upper_entries
 from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
 from trackwright.trackers.evaluation.scores import BINS, bins, error_sums, nees_sums
 from trackwright.trackers.evaluation.scoring import COMPONENTS
@@ -146,7 +146,8 @@ def _nees(error: np.ndarray, covariance: np.ndarray, counts: Masked) -> dict[str
     """The sums of the NEES of two axes, and of three."""
     sums: dict[str, np.ndarray] = {}
     rows = error.reshape(-1, error.shape[-1]), covariance.reshape(-1, *covariance.shape[2:])
-    of_leading = nees_of_leading(*(rows if counts.all else (x[counts.valid.ravel()] for x in rows)))
+    errors, covs = rows if counts.all else (x[counts.valid.ravel()] for x in rows)
+    of_leading = nees_of_leading(errors, upper_entries(covs))
     for axes, name in enumerate(("nees", "nees_3d")[: len(of_leading) - 1], start=2):
         if counts.all:
             values = of_leading[axes - 1].reshape(counts.valid.shape)

@@ -69,7 +69,8 @@ def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) ->
     """
     rows, usable, starts = _sorted(tracks)
     paths = {name: TruePaths.of_table(frame, name) for name, frame in truths.items()}
-    truth, status = _without_truth(usable)
+    truth = np.full((len(rows), 3), np.nan)
+    status = np.where(usable, TruthStatus.NO_TRUTH, TruthStatus.NO_ESTIMATE).astype(np.uint8)
     headings = np.full(len(rows), np.nan) if HEADING in rows.columns else None
     times = float_column(rows, "t_s")
     recordings, tags = (rows[name].gather(starts[:-1]).to_list() for name in ("recording", "tag"))
@@ -89,10 +90,10 @@ def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) ->
 def associate_paths(tracks: pl.DataFrame, paths: TruePaths) -> Association:
     """As `associate_truth`, of recordings of one tag each, after which the true paths are named."""
     rows, usable, starts = _sorted(tracks)
-    truth, status = _without_truth(usable)
-    part = np.flatnonzero(usable)
-    names, times = rows["recording"].gather(starts[:-1]).to_list(), float_column(rows, "t_s")
-    truth[part], status[part] = paths.at(names, np.searchsorted(part, starts), times[part])
+    truth, status = paths.at(rows["recording"].gather(starts[:-1]).to_list(), starts, float_column(rows, "t_s"))
+    if not usable.all():
+        truth = np.where(usable[:, None], truth, np.nan)
+        status = np.where(usable, status, np.uint8(TruthStatus.NO_ESTIMATE))
     return Association(rows, truth, status, starts)
 
 
@@ -125,12 +126,6 @@ def _in_order(rows: pl.DataFrame, keys: list[str]) -> tuple[pl.DataFrame, np.nda
     if (np.diff(order) != 1).any():
         rows = rows[np.arange(len(rows)) + np.repeat(starts[:-1][order] - moved[:-1], lengths[order])]
     return rows, moved
-
-
-def _without_truth(usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Truth (n, 3) and its status (n,) of rows before any is found."""
-    status = np.where(usable, TruthStatus.NO_TRUTH, TruthStatus.NO_ESTIMATE).astype(np.uint8)
-    return np.full((len(usable), 3), np.nan), status
 
 
 def true_bearings(association: Association, stations: Mapping[str, Mapping[str, Station]]) -> np.ndarray:

@@ -247,21 +247,27 @@ def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
 
 def _true_paths(recordings: Sequence[Recording]) -> TruePaths:
     """The true paths of recordings in arrays, each of one trajectory, which its name identifies."""
-    numbered = zip(numbered_names([recording.name for recording in recordings]), recordings, strict=True)
-    true = [(name, r.times, *r.truth["position"]) for name, r in numbered if "position" in r.truth]
-    names, all_times, values, all_known = zip(*true, strict=True)
-    times, known, lengths = np.concatenate(all_times), np.concatenate(all_known), [len(x) for x in values]
-    dimensions, positions = np.array([x.shape[1] for x in values]), np.full((len(times), 3), np.nan)
-    for d in set(dimensions.tolist()):
-        positions[np.repeat(dimensions == d, lengths), :d] = np.concatenate([x for x in values if x.shape[1] == d])
+    numbered, true = numbered_names([r.name for r in recordings]), [r for r in recordings if "position" in r.truth]
+    names = [name for name, r in zip(numbered, recordings, strict=True) if "position" in r.truth]
+    values, known = zip(*(r.truth["position"] for r in true), strict=True)
+    times, known, lengths = np.concatenate([r.times for r in true]), np.concatenate(known), [len(r) for r in true]
+    dimensions = np.array([x.shape[1] for x in values])
+    if (dimensions == 3).all():
+        positions = np.concatenate(values)
+    else:
+        positions = np.full((len(times), 3), np.nan)
+        for d in set(dimensions.tolist()):
+            positions[np.repeat(dimensions == d, lengths), :d] = np.concatenate([x for x in values if x.shape[1] == d])
     starts = np.append(0, np.cumsum(lengths))
     # Of known rows of one time the first counts, as in a table.
     kept = np.flatnonzero(known)
     first = np.searchsorted(kept, starts[:-1])
     later = np.diff(times[kept], prepend=-np.inf) > 0
     later[first[first < len(kept)]] = True
-    kept = kept[later]
-    return TruePaths(names, np.searchsorted(kept, starts), times[kept], positions[kept])
+    if len(kept) < len(times) or not later.all():
+        kept = kept[later]
+        starts, times, positions = np.searchsorted(kept, starts), times[kept], positions[kept]
+    return TruePaths(names, starts, times, positions)
 
 
 def _true_positions(recording: Recording) -> pl.DataFrame:

@@ -222,7 +222,7 @@ class Groups:
 
     def sum(self, values: np.ndarray) -> np.ndarray:
         """The sums (g,) of values (n,)."""
-        return self._reduced(np.add, values * 1, 0)
+        return self._reduced(np.add, values.view(np.int8) if values.dtype == bool else values, 0)
 
     def max(self, values: np.ndarray) -> np.ndarray:
         """The largest (g,) of values (n,), NaN of none."""

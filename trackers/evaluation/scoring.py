@@ -113,11 +113,18 @@ def last_of_intervals(times: np.ndarray, scored: np.ndarray, every: float | None
 def covariances(rows: pl.DataFrame) -> np.ndarray:
     """Reported position covariances (n, 3, 3), m²; covariances missing in the table are zero."""
     covs = np.empty((3, 3, len(rows)))
-    for i, a in enumerate("xyz"):
-        covs[i, i] = float_column(rows, f"std_{a}_m") ** 2
-        for j, b in enumerate("xyz"[:i]):
-            covs[i, j] = covs[j, i] = np.nan_to_num(float_column(rows, f"cov_{b}{a}_m2"))
+    for (i, j), entry in _upper_entries(rows).items():
+        covs[i, j] = covs[j, i] = entry
     return np.moveaxis(covs, -1, 0)
+
+
+def _upper_entries(rows: pl.DataFrame) -> dict[tuple[int, int], np.ndarray]:
+    """The entries (n,) of `covariances` by row and column, those of the upper triangle."""
+    entries = {(i, i): float_column(rows, f"std_{a}_m") ** 2 for i, a in enumerate("xyz")}
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        cov = float_column(rows, f"cov_{'xyz'[i]}{'xyz'[j]}_m2")
+        entries[i, j] = cov if np.isfinite(cov).all() else np.nan_to_num(cov)
+    return entries
 
 
 def _positions(association: Association, kept: np.ndarray) -> Scored:
@@ -125,7 +132,7 @@ def _positions(association: Association, kept: np.ndarray) -> Scored:
     if len(kept) < len(rows):
         rows, truth = rows[kept], truth[kept]
     errors = np.stack([float_column(rows, f"{axis}_m") - true for axis, true in zip("xyz", truth.T, strict=True)]).T
-    _, nees, nees_3d = metrics.nees_of_leading(errors, covariances(rows))
+    _, nees, nees_3d = metrics.nees_of_leading(errors, _upper_entries(rows))
     sizes = position_sizes(errors)
     if association.headings is not None:
         turned = float_column(rows, HEADING) - association.headings[kept]

@@ -113,7 +113,7 @@ class TruePaths:
         if len(self.times) and (number >= 0).all() and np.array_equal(lengths, np.diff(self.starts)[number]):
             rows = np.arange(len(times)) + np.repeat(self.starts[number] - starts[:-1], lengths)
             if np.array_equal(self.times[rows], times):
-                return self.positions[rows], np.full(len(times), TruthStatus.SCORED, np.uint8)
+                return self.positions.take(rows, axis=0), np.full(len(times), TruthStatus.SCORED, np.uint8)
         path = np.repeat(number, lengths)
         status = np.full(len(times), TruthStatus.NO_TRUTH, np.uint8)
         position = np.full((len(times), 3), np.nan)

@@ -166,7 +166,31 @@ def test_a_part_of_an_association_is_the_association_of_that_recording(noisy):
 def test_the_order_of_rows_changes_nothing(noisy):
     tracks, truths = noisy
     shuffled = {name: truth.sample(fraction=1, shuffle=True, seed=1) for name, truth in truths.items()}
-    assert evaluate_table(tracks.sample(fraction=1, shuffle=True, seed=2), shuffled) == evaluate_table(tracks, truths)
+    parts = [tracks[100:], tracks[:100]]  # the first track is cut in two
+    for same in (
+        tracks.sample(fraction=1, shuffle=True, seed=2),
+        pl.concat(parts),
+        pl.concat(tracks.partition_by("recording", "tag")[::-1]),
+    ):
+        assert evaluate_table(same, shuffled) == evaluate_table(tracks, truths)
+
+
+def test_percentiles_are_those_of_numpy(noisy):
+    tracks, truths = noisy
+    evaluation = evaluate_table(tracks, truths)
+    truth = pl.concat([truths[name].with_columns(recording=pl.lit(name)) for name in truths])
+    error = (
+        pl.concat_list(pl.col(f"{a}_m") - pl.col(f"{a}_m_true") for a in "xy").list.eval(pl.element() ** 2).list.sum()
+    )
+    rows = tracks.join(truth, on=["recording", "tag", "t_s"], suffix="_true").with_columns(error=error.sqrt())
+    for metrics, part in [
+        (evaluation.overall, rows),
+        *((m, rows.filter(recording=m["recording"])) for m in evaluation.recordings),
+        *((m, rows.filter(recording=m["recording"], tag=m["tag"])) for m in evaluation.tracks),
+    ]:
+        found = [metrics[f"{name}_m"] for name in ("median", "p90", "p95", "p99")]
+        # Both interpolate between two doubles and may round differently.
+        assert found == pytest.approx(np.percentile(part["error"], (50, 90, 95, 99)), rel=1e-12)
 
 
 def test_correlated_covariances_enter_the_nees():

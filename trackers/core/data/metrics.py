@@ -9,6 +9,7 @@ NumPy in double precision, on estimates and truth that are already associated.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from trackwright.trackers.core.data.chi_square import chi_square_quantile
 
 Errors = Float[np.ndarray, "N d"]
 Covariances = Float[np.ndarray, "N d d"]
+Entries = Mapping[tuple[int, int], Float[np.ndarray, " N"]]
 
 
 class Consistency(NamedTuple):
@@ -32,18 +34,23 @@ class Consistency(NamedTuple):
 
 def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
     """NEES eᵀP⁻¹e of each row; NaN where P is not positive definite."""
-    return nees_of_leading(errors, covs)[-1]
+    return nees_of_leading(errors, upper_entries(covs))[-1]
 
 
-def nees_of_leading(errors: Errors, covs: Covariances) -> list[Float[np.ndarray, " N"]]:
+def upper_entries(covs: Covariances) -> Entries:
+    """The entries (N,) of covariances by row and column, those of the upper triangle."""
+    d = covs.shape[-1]
+    return {(i, j): covs[:, i, j] for i in range(d) for j in range(i, d)}
+
+
+def nees_of_leading(errors: Errors, upper: Entries) -> list[Float[np.ndarray, " N"]]:
     """NEES of the first axis, of the first two, … and of all d; NaN where their part of P is not positive definite.
 
-    Elimination over the d columns, for all rows at once: a singular P affects its row alone.
+    `upper`: the `upper_entries` of P. Elimination over the d columns, for all rows at once: a singular P affects its
+    row alone.
     """
-    # Each entry is a vector over the rows of the errors.
     remainder = [np.asarray(x, float) for x in errors.T]
-    upper = {(i, j): np.asarray(covs[:, i, j], float) for i in range(len(remainder)) for j in range(i, len(remainder))}
-    P = {(i, j): upper[min(i, j), max(i, j)] for i in range(len(remainder)) for j in range(len(remainder))}
+    P = {at: np.asarray(x, float) for (i, j), x in upper.items() for at in ((i, j), (j, i))}
     values: list[np.ndarray] = []
     # Covariances of a damaged file may overflow; the NEES of their rows is infinite or NaN.
     with np.errstate(over="ignore", invalid="ignore"):
