@@ -78,8 +78,8 @@ from trackwright.trackers.from_arrays import range_recording as range_recording
 from trackwright.trackers.line.tracker import line_grid_tracker as line_grid_tracker
 from trackwright.trackers.line.tracker import line_tracker as line_tracker
 from trackwright.trackers.mhk.tracker import mhk_tracker as mhk_tracker
-from trackwright.trackers.parts.fix_rows import fix_trajectories as fix_trajectories
 from trackwright.trackers.parts.fixes import FixSensor as FixSensor
+from trackwright.trackers.parts.fixes import fix_trajectories as fix_trajectories
 from trackwright.trackers.parts.range_rows import range_trajectories as range_trajectories
 from trackwright.trackers.parts.ranges import RangeSensor as RangeSensor
 from trackwright.trackers.programs.program_cache import cache_programs as cache_programs

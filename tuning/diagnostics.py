@@ -10,14 +10,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Num
 
-from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Recording
+from trackwright.trackers.core.model.algebra import Scalar
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.tuning.pit_uniformity import student_t_dof_of, student_t_nis_beta
 
 MIN_AUTOCORRELATION = 0.1
 """Correlation of consecutive rows from which on errors count as correlated in time."""
@@ -40,6 +43,27 @@ class Innovations:
     dof: Num[np.ndarray, " n"]
     trajectory: Int[np.ndarray, " n"]
     student_t_dof: float | None = None
+
+
+def student_t_dof_of(tracker: AbstractTracker) -> Scalar | None:
+    """The degrees of freedom of the noise behind the tracker's NIS; None for normal noise, or without NIS.
+
+    Raises ValueError for several sensors with Student's t among them: their sum has no known distribution.
+    """
+    by_sensor = [_student_t_dof(sensor) for sensor in tracker.nis_sensors]
+    dofs = [dof for dof in by_sensor if dof is not None]
+    if dofs and len(by_sensor) > 1:
+        sensors = f"{len(by_sensor)} sensors, {len(dofs)} of them with Student's t"
+        raise ValueError(f"the NIS of {sensors}, has no known distribution; expected one sensor, or normal noise")
+    return dofs[0] if dofs else None
+
+
+def _student_t_dof(sensor: AbstractSensor) -> Scalar | None:
+    """The degrees of freedom that the sensor's residuals have, from one of zeros."""
+    zeros, ones = ([jnp.asarray(x, float)] * len(sensor.channels) for x in (0.0, 1.0))
+    reading = Reading(zeros, [x > 0 for x in ones], [jnp.asarray(0.0)] * len(sensor.reported))
+    # In a compiled program the residual itself, which nobody asks for, is not computed.
+    return jax.jit(lambda: sensor.residual(reading, zeros).dof)()
 
 
 def innovations_of(tracker: AbstractTracker, runs: Sequence[Estimates]) -> Innovations | None:
@@ -93,6 +117,12 @@ def nis_band(
     exact = [[chi_square_quantile(p, float(f)) / f for f in grid] for p in (0.025, 0.975)]
     low, high = (np.interp(effective, grid, values) if len(grid) else effective for values in exact)
     return low, high
+
+
+def student_t_nis_beta(nis_dof: Any, nu: float) -> tuple[Any, Any, Any]:
+    """The parameters a, b and the scale m(ν + 1) of a row's NIS as a beta variable: see `tuning.pit_uniformity`."""
+    a = 0.5 * (nis_dof * (nu + 3) - 2) / (nu + 1)
+    return a, nu * a, nis_dof * (nu + 1)
 
 
 def nis_quantile(probability: float, dof: float, student_t_dof: float | None = None) -> float:

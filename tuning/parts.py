@@ -19,7 +19,6 @@ from trackwright.trackers.core.run.chunks import called, outputs, placed, run_ch
 from trackwright.trackers.core.run.latency import scored_truth
 from trackwright.trackers.core.run.scan import Output, Score
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.tracks import for_positions
 from trackwright.tuning.batches import lengths_of
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, Vector, with_parameters
@@ -61,7 +60,7 @@ class Point(eqx.Module):
 
     def estimating(self, tracker: AbstractTracker) -> AbstractTracker:
         """The tracker with no more in its estimates than the objective needs, where they are those of positions."""
-        return for_positions(tracker) if self.objective.of_position else tracker
+        return tracker.for_positions() if self.objective.of_position else tracker
 
     def map_vectors(self, function: Callable[[Float[Array, " p"]], Any]) -> Any:
         """`function` of every vector, results stacked along a new first axis."""

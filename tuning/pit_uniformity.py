@@ -17,15 +17,14 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import erf, gammaln
 
 from trackwright.trackers.core.model.algebra import Scalar, total
-from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.tuning.diagnostics import student_t_dof_of
 from trackwright.tuning.objectives import AbstractObjective, Truth, normalised_error
 
 ORDERS = 4
@@ -85,27 +84,6 @@ class PITUniformity(AbstractObjective):
         return total((sums[k] / sums[ORDERS]) ** 2 for k in range(ORDERS))
 
 
-def student_t_dof_of(tracker: AbstractTracker) -> Scalar | None:
-    """The degrees of freedom of the noise behind the tracker's NIS; None for normal noise, or without NIS.
-
-    Raises ValueError for several sensors with Student's t among them: their sum has no known distribution.
-    """
-    by_sensor = [_student_t_dof(sensor) for sensor in tracker.nis_sensors]
-    dofs = [dof for dof in by_sensor if dof is not None]
-    if dofs and len(by_sensor) > 1:
-        sensors = f"{len(by_sensor)} sensors, {len(dofs)} of them with Student's t"
-        raise ValueError(f"the NIS of {sensors}, has no known distribution; expected one sensor, or normal noise")
-    return dofs[0] if dofs else None
-
-
-def _student_t_dof(sensor: AbstractSensor) -> Scalar | None:
-    """The degrees of freedom that the sensor's residuals have, from one of zeros."""
-    zeros, ones = ([jnp.asarray(x, float)] * len(sensor.channels) for x in (0.0, 1.0))
-    reading = Reading(zeros, [x > 0 for x in ones], [jnp.asarray(0.0)] * len(sensor.reported))
-    # In a compiled program the residual itself, which nobody asks for, is not computed.
-    return jax.jit(lambda: sensor.residual(reading, zeros).dof)()
-
-
 def legendre(u: Scalar) -> list[Scalar]:
     """The first four Legendre polynomials of u in (0, 1), each with mean square 1 over it."""
     x = 2.0 * u - 1.0
@@ -159,9 +137,3 @@ def student_t_nis_cdf(q: Scalar, nis_dof: Scalar, nu: Scalar) -> Scalar:
         for w, s in ((w, 0.5 * (1.0 + node) * angle) for node, w in zip(NODES.tolist(), WEIGHTS.tolist(), strict=True))
     )
     return 2.0 * angle * integral * jnp.exp(gammaln(a_plus_b) - gammaln(a) - gammaln(b))
-
-
-def student_t_nis_beta(nis_dof: Any, nu: float) -> tuple[Any, Any, Any]:
-    """The parameters a, b and the scale m(ν + 1) of the beta distribution of a row's NIS; see the module's head."""
-    a = 0.5 * (nis_dof * (nu + 3) - 2) / (nu + 1)
-    return a, nu * a, nis_dof * (nu + 1)

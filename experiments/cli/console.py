@@ -6,15 +6,17 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trackwright.experiments.cli.options import ReadingOptions, require_output
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.atomic import json_text
-from trackwright.trackers.recordings.calibration import Calibration, identity
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, refuse_repeated
 from trackwright.trackers.recordings.kinds import KINDS
+
+if TYPE_CHECKING:
+    from trackwright.trackers.recordings.calibration import Calibration
 
 
 @contextmanager
@@ -104,6 +106,8 @@ def ready(
 
 def notice_other_calibration(noise: Path | None, fitted: Mapping[str, str] | None, given: Path | None) -> None:
     """A notice where the file `noise` was fitted with a calibration, `fitted`, and another or none is `given`."""
+    from trackwright.trackers.recordings.calibration import identity
+
     if fitted is None or (given is not None and identity(given)["fingerprint"] == fitted["fingerprint"]):
         return
     now = "none is given" if given is None else f"{given} is another"

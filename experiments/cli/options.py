@@ -109,9 +109,11 @@ class ReadingOptions(PartOptions):
 
     def read_calibration(self) -> Calibration | None:
         """The calibration, None without; raises UnusableInput as `trackers.recordings.calibration`."""
+        if self.calibration is None:
+            return None
         from trackwright.trackers.recordings.calibration import read_calibration
 
-        return None if self.calibration is None else read_calibration(self.calibration)
+        return read_calibration(self.calibration)
 
 
 @OPTIONS

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackwright.trackers.core.data.consistency import nees_of_leading, upper_entries
 from trackwright.trackers.core.data.estimates import Status
-from trackwright.trackers.core.data.metrics import nees_of_leading, upper_entries
 from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
 from trackwright.trackers.evaluation.scores import BINS, bins, error_sums, nees_sums
 from trackwright.trackers.evaluation.scoring import COMPONENTS

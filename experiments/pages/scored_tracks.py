@@ -27,7 +27,7 @@ from trackwright.trackers.recordings.kinds import KINDS, first_time
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import Tracks
 from trackwright.trackers.recordings.tracks_table import is_bearing
-from trackwright.tuning.pit_uniformity import student_t_dof_of
+from trackwright.tuning.diagnostics import student_t_dof_of
 
 AnyEstimates = Tracks | Estimates
 AnyRecording = RecordingFolder | Recording

@@ -1,10 +1,15 @@
-"""Values with intervals, printed numbers beside them, and conclusions that a study supports or contradicts."""
+"""Values with intervals, printed numbers beside them, and conclusions that a study supports or contradicts; as text."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
+
+from trackwright.experiments.text.wording import NO_UNIT, Unit, rounded
+from trackwright.trackers.core.wording import counted
 
 
 class Value(NamedTuple):
@@ -84,3 +89,54 @@ class Conclusion:
 
 
 Claim = ExpectedResult | Conclusion
+
+
+def with_interval(value: Value, unit: Unit = NO_UNIT) -> str:
+    """A metric with its interval; alone where the interval is unknown or empty after rounding."""
+    scaled = value.times(unit.factor)
+    spread = scaled.high - scaled.low
+    low, high = rounded(scaled.low, spread), rounded(scaled.high, spread)
+    if not math.isfinite(spread) or low == high:
+        return rounded(scaled.value, math.nan)
+    return f"{rounded(scaled.value, spread)} ({low} … {high})"
+
+
+def fixed_interval(value: Value, form: str, unit: str = "") -> str:
+    """A value and its interval by a number format such as `+.1f`, the unit after the value."""
+    return f"{value.value:{form}}{unit} ({value.low:{form}} … {value.high:{form}})"
+
+
+def listed(values: Mapping[str, float | Value], form: str) -> str:
+    """Names with their values, which are formatted by a text such as `{:.1f} cm`."""
+    plain = {name: v.value if isinstance(v, Value) else v for name, v in values.items()}
+    return ", ".join(f"{name} {form.format(v)}" for name, v in plain.items())
+
+
+def headline(numbers: Iterable[tuple[str, bool | None]], conclusions: Iterable[tuple[str, bool]]) -> str:
+    """How many numbers and conclusions are predicted, fitted and derived, and how many of them are reached or hold.
+
+    `numbers`: origin, and whether the number is reached, None where it is not judged. `conclusions`: origin, and
+    whether they hold.
+    """
+    judged, stated = [n for n in numbers if n[1] is not None or n[0] == Origin.DERIVED], list(conclusions)
+    sentences = []
+    for origin in reversed(Origin):
+        ours = [bool(reached) for o, reached in judged if o == origin]
+        held = [holds for o, holds in stated if o == origin]
+        parts = [counted(len(ours), "number")] if ours else []
+        parts += [counted(len(held), "conclusion")] if held else []
+        if origin is Origin.DERIVED:
+            sentences += [f"Derived, not counted: {', '.join(parts)}."] if parts else []
+            continue
+        if ours:
+            parts[0] = f"{sum(ours)} of {parts[0]} within tolerance"
+        if held:
+            parts[-1] = f"{sum(held)} of {parts[-1]} {'holds' if sum(held) == 1 else 'hold'}"
+        if parts or origin is Origin.PREDICTED:
+            sentences.append(f"{origin.capitalize()}: {'; '.join(parts) or 'nothing'}.")
+    return " ".join(sentences)
+
+
+def ratio_text(ratio: float, compares_rest: bool) -> str:
+    """The ratio of our number to the printed one; marked where it is that of what two shares leave over."""
+    return f"{ratio:.2f} (rest)" if compares_rest else f"{ratio:.2f}"

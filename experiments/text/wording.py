@@ -1,4 +1,4 @@
-"""Numbers, units, intervals, names and lists as text, for tables, pages and plots."""
+"""Numbers, units and names as text, for tables, pages and plots."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.text.expectations import Origin, Value
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.metrics import KIND_WORDS, METRICS
 
@@ -123,27 +122,6 @@ def rounded(value: float, spread: float) -> str:
     return f"{value:.{digits}f}"
 
 
-def with_interval(value: Value, unit: Unit = NO_UNIT) -> str:
-    """A metric with its interval; alone where the interval is unknown or empty after rounding."""
-    scaled = value.times(unit.factor)
-    spread = scaled.high - scaled.low
-    low, high = rounded(scaled.low, spread), rounded(scaled.high, spread)
-    if not math.isfinite(spread) or low == high:
-        return rounded(scaled.value, math.nan)
-    return f"{rounded(scaled.value, spread)} ({low} … {high})"
-
-
-def fixed_interval(value: Value, form: str, unit: str = "") -> str:
-    """A value and its interval by a number format such as `+.1f`, the unit after the value."""
-    return f"{value.value:{form}}{unit} ({value.low:{form}} … {value.high:{form}})"
-
-
-def listed(values: Mapping[str, float | Value], form: str) -> str:
-    """Names with their values, which are formatted by a text such as `{:.1f} cm`."""
-    plain = {name: v.value if isinstance(v, Value) else v for name, v in values.items()}
-    return ", ".join(f"{name} {form.format(v)}" for name, v in plain.items())
-
-
 def percent_change(before: float, after: float) -> str:
     """The relative change in per cent with its sign; empty where it is undefined."""
     if not (math.isfinite(before) and math.isfinite(after) and before > 0):
@@ -173,33 +151,3 @@ def yes_no(value: bool | None) -> str:
 def uncapitalised(text: str) -> str:
     """The text for the middle of a sentence; an abbreviation at its beginning stays in capitals."""
     return text if text[:2].isupper() else text[0].lower() + text[1:]
-
-
-def headline(numbers: Iterable[tuple[str, bool | None]], conclusions: Iterable[tuple[str, bool]]) -> str:
-    """How many numbers and conclusions are predicted, fitted and derived, and how many of them are reached or hold.
-
-    `numbers`: origin, and whether the number is reached, None where it is not judged. `conclusions`: origin, and
-    whether they hold.
-    """
-    judged, stated = [n for n in numbers if n[1] is not None or n[0] == Origin.DERIVED], list(conclusions)
-    sentences = []
-    for origin in reversed(Origin):
-        ours = [bool(reached) for o, reached in judged if o == origin]
-        held = [holds for o, holds in stated if o == origin]
-        parts = [counted(len(ours), "number")] if ours else []
-        parts += [counted(len(held), "conclusion")] if held else []
-        if origin is Origin.DERIVED:
-            sentences += [f"Derived, not counted: {', '.join(parts)}."] if parts else []
-            continue
-        if ours:
-            parts[0] = f"{sum(ours)} of {parts[0]} within tolerance"
-        if held:
-            parts[-1] = f"{sum(held)} of {parts[-1]} {'holds' if sum(held) == 1 else 'hold'}"
-        if parts or origin is Origin.PREDICTED:
-            sentences.append(f"{origin.capitalize()}: {'; '.join(parts) or 'nothing'}.")
-    return " ".join(sentences)
-
-
-def ratio_text(ratio: float, compares_rest: bool) -> str:
-    """The ratio of our number to the printed one; marked where it is that of what two shares leave over."""
-    return f"{ratio:.2f} (rest)" if compares_rest else f"{ratio:.2f}"

@@ -128,7 +128,7 @@ def test_calls_are_recorded_by_test_file(tmp_path):
     )
     calls = Calls.read(tmp_path)
     assert list(calls.by_file) == [file]
-    assert {name for name, _ in calls.by_file[file]} >= {"trackers/core/data/chi_square.py"}
+    assert {name for name, _ in calls.by_file[file]} >= {"trackers/core/data/consistency.py"}
     assert calls.seconds[file] > 0
 
 

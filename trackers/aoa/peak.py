@@ -21,8 +21,8 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 
 from trackwright.trackers.core.model.algebra import product
+from trackwright.trackers.core.model.covariance import side_by_side
 from trackwright.trackers.core.model.inputs import AnyArray
-from trackwright.trackers.core.model.side_by_side import side_by_side
 
 REACH = 2
 """Grid steps from the centre of a block to its edge."""

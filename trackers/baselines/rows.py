@@ -13,8 +13,7 @@ from trackwright.trackers.baselines.fixes import fix_tracker, floor_tracker, sin
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.parts.fix_rows import fix_trajectories, lacks_fixes
-from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.fixes import FIXES, fix_trajectories, lacks_fixes
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory

@@ -1,5 +1,5 @@
-from trackwright.trackers.core.data.metrics import consistency as consistency
-from trackwright.trackers.core.data.metrics import nees as nees
+from trackwright.trackers.core.data.consistency import consistency as consistency
+from trackwright.trackers.core.data.consistency import nees as nees
 from trackwright.trackers.core.run.crlb import posterior_bound as posterior_bound
 from trackwright.trackers.evaluation.events import events_of as events_of
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.evaluation import metrics as table
 from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.evaluation.scores import Groups, Scores, Values, error_sums

@@ -8,8 +8,6 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.recording import Readings, Recording
-from trackwright.trackers.parts.fixes import FIXES
-from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackwright.trackers.recordings.tracks import from_origins
@@ -113,11 +111,14 @@ def _free_positions(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Times (T,), s, and positions (T, 2), m, estimated without the path; NaN where there is none."""
     from trackwright.trackers.baselines.fixes import fix_tracker
     from trackwright.trackers.line.rows import raw_positions
+    from trackwright.trackers.parts.fixes import FIXES
+    from trackwright.trackers.parts.ranges import RANGES
 
     whole = trajectory.recording
     if RANGES in whole.readings:
         times, positions = raw_positions(trajectory)
-        return times, np.where(_observed_anchors(whole)[:, None] >= REDUNDANT, positions, np.nan)
+        observed = _observed_anchors(whole, whole.readings[RANGES].seen[:, 0])
+        return times, np.where(observed[:, None] >= REDUNDANT, positions, np.nan)
     fixes = whole.readings[FIXES]
     missing = np.zeros((len(whole), 1))
     reported = np.zeros((len(whole), 3)) if fixes.reported is None else np.hstack([fixes.reported, missing])
@@ -127,10 +128,9 @@ def _free_positions(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     return whole.times, np.where(free.usable[:, None], positions, np.nan)
 
 
-def _observed_anchors(recording: Recording) -> np.ndarray:
-    """Number of different anchors with a range in the last `WINDOW_S` seconds, at each row (T,)."""
-    times, seen = recording.times, recording.readings[RANGES].seen[:, 0]
-    number = recording.inputs["anchor"][:, 0]
+def _observed_anchors(recording: Recording, seen: np.ndarray) -> np.ndarray:
+    """Number of different anchors with a range in the last `WINDOW_S` seconds, at each row (T,); `seen`: with one."""
+    times, number = recording.times, recording.inputs["anchor"][:, 0]
     observed = np.zeros(len(times), int)
     for anchor in np.unique(number):
         rows = np.flatnonzero(seen & (number == anchor))

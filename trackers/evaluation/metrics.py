@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.evaluation.rank_correlation import LAGS_S, correlation, inflation
 from trackwright.trackers.evaluation.scores import LEVELS, Scores
 

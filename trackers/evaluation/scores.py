@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.data.consistency import chi_square_quantile
 
 SMALLEST, BIN_WIDTH, BINS = 1e-6, 0.02, 1201
 """Bins from 1e-6 to 2.6e4 (m, rad or NEES), of relative width BIN_WIDTH; other values fall in the end bins."""

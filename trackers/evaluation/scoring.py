@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data import metrics
+from trackwright.trackers.core.data.consistency import nees, nees_of_leading
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.evaluation.association import Association, true_bearings
 from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
@@ -68,9 +68,9 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
     for component, errors in zip(COMPONENTS[scored.errors.shape[1]], scored.errors.T, strict=True):
         groups, known = rows.where(~np.isnan(scored.sizes.get(component, errors)), errors)
         sums[f"bias {component}"] = groups.sum(known)
-    for name, nees, dof in (("nees", scored.nees, 2), ("nees_3d", scored.nees_3d, 3)):
-        if nees is not None:
-            groups, known = rows.where(np.isfinite(nees), nees)
+    for name, each, dof in (("nees", scored.nees, 2), ("nees_3d", scored.nees_3d, 3)):
+        if each is not None:
+            groups, known = rows.where(np.isfinite(each), each)
             sums |= nees_sums(name, known, dof, groups)
             values[name] = Values(known, groups.starts)
     sums |= _innovations(association, all_rows) | _lost(association, all_rows)
@@ -132,12 +132,12 @@ def _positions(association: Association, kept: np.ndarray) -> Scored:
     if len(kept) < len(rows):
         rows, truth = rows[kept], truth[kept]
     errors = np.stack([float_column(rows, f"{axis}_m") - true for axis, true in zip("xyz", truth.T, strict=True)]).T
-    _, nees, nees_3d = metrics.nees_of_leading(errors, _upper_entries(rows))
+    _, flat, spatial = nees_of_leading(errors, _upper_entries(rows))
     sizes = position_sizes(errors)
     if association.headings is not None:
         turned = float_column(rows, HEADING) - association.headings[kept]
         sizes["heading_rad"] = np.abs(np.pi - (np.pi - turned) % (2 * np.pi))
-    return Scored(kept, errors, sizes, nees, nees_3d)
+    return Scored(kept, errors, sizes, flat, spatial)
 
 
 def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str, Mapping[str, Station]]) -> Scored:
@@ -149,8 +149,7 @@ def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str,
     plane = in_plane(estimate[:, 0])
     sizes |= {kind: np.where(plane, np.nan, sizes[kind]) for kind in COMPONENTS[2]}
     sigmas = np.stack([float_column(rows, "std_azimuth_rad"), float_column(rows, "std_elevation_rad")], axis=1)
-    nees = metrics.nees(errors, sigmas[:, :, None] ** 2 * np.eye(2))
-    return Scored(kept, errors, sizes, nees, None)
+    return Scored(kept, errors, sizes, nees(errors, sigmas[:, :, None] ** 2 * np.eye(2)), None)
 
 
 def in_plane(azimuth: np.ndarray) -> np.ndarray:

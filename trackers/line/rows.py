@@ -18,7 +18,7 @@ from trackwright.trackers.line.motion import HaltingMotion, LineMotion
 from trackwright.trackers.line.path import path_of
 from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import KnotTimes, knot_times
-from trackwright.trackers.parts.fix_rows import AXES_M, AXES_STD_M
+from trackwright.trackers.parts.fixes import AXES_M, AXES_STD_M
 from trackwright.trackers.parts.range_rows import range_trajectories
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.recordings.folder import RecordingFolder

@@ -9,8 +9,7 @@ import numpy as np
 
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.mhk.tracker import mhk_tracker
-from trackwright.trackers.parts.fix_rows import fix_trajectories, lacks_fixes
-from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.fixes import FIXES, fix_trajectories, lacks_fixes
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 from trackwright.trackers.recordings.trajectories import Trajectories

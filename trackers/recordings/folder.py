@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import IO, Any, Literal, cast, get_args
+from typing import IO, TYPE_CHECKING, Any, Literal, cast, get_args
 
 import polars as pl
 
@@ -22,7 +22,6 @@ from trackwright.trackers.core.data.seconds import moment, seconds
 from trackwright.trackers.core.errors import UnusableInput, has_control, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.atomic import beside
-from trackwright.trackers.recordings.calibration import Calibration
 from trackwright.trackers.recordings.checks.anomalies import anomalies
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.kinds import KINDS, table_kinds
@@ -31,6 +30,9 @@ from trackwright.trackers.recordings.table_file import SUFFIXES
 from trackwright.trackers.recordings.tables import read_table
 from trackwright.trackers.recordings.tables_by_tag import Tables, averaged
 from trackwright.trackers.recordings.truth import TruePaths
+
+if TYPE_CHECKING:
+    from trackwright.trackers.recordings.calibration import Calibration
 
 Kind = Literal["parquet", "csv.gz", "csv"]
 
@@ -111,13 +113,12 @@ class RecordingFolder:
 
     def uncalibrated(self) -> list[str]:
         """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""
-        known = Calibration() if self.calibration is None else self.calibration
         return [
             f"{kind.noun} {name}" + (f" of {table}" if kind.difference else "")
             for table, kind in KINDS.items()
             if kind.calibrated is not None and table in self.tables
             for name in sorted({*chain(*(self.tables[table][of].cast(pl.String).unique() for of in kind.sensors))})
-            if name not in getattr(known, kind.calibrated)
+            if self.calibration is None or name not in getattr(self.calibration, kind.calibrated)
         ]
 
     def __repr__(self) -> str:

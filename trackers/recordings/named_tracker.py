@@ -15,8 +15,6 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
-from trackwright.trackers.core.run.noise_levels import ERRORS, MOTION, NoiseLevels, scaled_levels
-from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.kinds import table_kinds
@@ -137,8 +135,7 @@ class NamedTracker:
         """
         if lag is not None and not 0 < lag < 1e6:
             raise UnusableInput(f"lag {lag}: expected seconds above zero; leave it out to use the whole recording")
-        self._smoother(self.tracker, lag)
-        return replace(self, smoothed=True, lag=lag)
+        return replace(self, smoothed=True, lag=lag)._checked()
 
     def with_motion_levels(self) -> NamedTracker:
         """This tracker at several levels of horizontal motion, weighted by their likelihoods: see `NoiseLevels`.
@@ -146,29 +143,37 @@ class NamedTracker:
         For motion unlike that of the defaults, as of a slow trolley. Raises UnusableInput for a tracker without a noise
         level of horizontal motion.
         """
-        scaled_levels(self.tracker, MOTION)
-        return replace(self, motion_levels=True)
+        return replace(self, motion_levels=True)._checked()
 
     def with_error_levels(self) -> NamedTracker:
         """This tracker with covariances that follow the size of the recording's own errors: see `NoiseLevels`.
 
         Estimates stay those of the given levels. Raises UnusableInput for a tracker without biases that drift.
         """
-        scaled_levels(self.tracker, ERRORS)
-        return replace(self, error_levels=True)
+        return replace(self, error_levels=True)._checked()
 
-    def _finished(self, tracker: AbstractTracker) -> AbstractTracker:
-        whole = self._smoother(tracker, self.lag) if self.smoothed else tracker
-        whole = NoiseLevels(whole) if self.motion_levels else whole  # type: ignore[arg-type]
-        return NoiseLevels(whole, ERRORS, about_first=True) if self.error_levels else whole  # type: ignore[arg-type]
+    def _checked(self) -> NamedTracker:
+        self._finished(self.tracker)
+        return self
 
-    def _smoother(self, tracker: AbstractTracker, lag: float | None) -> AbstractTracker:
-        try:
-            return Smoothed(tracker, lag)  # type: ignore[arg-type]
-        except TypeError as error:
-            raise UnusableInput(
-                f"tracker '{self.name}' cannot be smoothed: {error}; run it without smoothing"
-            ) from error
+    def _finished(self, tracker: Any) -> AbstractTracker:
+        """A tracker of the catalogue, smoothed and at several levels of noise where this one is."""
+        if self.smoothed:
+            from trackwright.trackers.core.run.smoother import Smoothed
+
+            try:
+                tracker = Smoothed(tracker, self.lag)
+            except TypeError as error:
+                raise UnusableInput(
+                    f"tracker '{self.name}' cannot be smoothed: {error}; run it without smoothing"
+                ) from error
+        if self.motion_levels or self.error_levels:
+            from trackwright.trackers.core.run.noise_levels import ERRORS, NoiseLevels
+
+            tracker = NoiseLevels(tracker) if self.motion_levels else tracker
+            tracker = NoiseLevels(tracker, ERRORS, about_first=True) if self.error_levels else tracker
+        finished: AbstractTracker = tracker
+        return finished
 
     def __repr__(self) -> str:
         smoothed = f", smoothed over {self.lag:g} s" if self.lag else ", smoothed" if self.smoothed else ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,6 @@ from trackwright.trackers.core.data.frames import frame_html, to_pandas
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.state import Heading
 from trackwright.trackers.core.run.chunks import CHUNK
-from trackwright.trackers.core.run.noise_levels import NoiseLevels
-from trackwright.trackers.core.run.smoother import Smoothed
-from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.recordings.columns import stable_order
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks_table import HEADING
@@ -94,7 +91,8 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
     keys: list[tuple[list[tuple[str, str]], np.ndarray]] = []
     summaries: dict[str, int] = {}
     for group in groups:
-        tracker = for_positions(group.tracker)
+        # Covariances of large states have hundreds of entries.
+        tracker = group.tracker.for_positions()
         for trajectories, batch in batches(group.trajectories, seed, truth=False):
             estimates = tracker.run(batch)
             rows = trajectories.columns.padded(trajectories.columns.times, estimates.status.shape[1])
@@ -110,13 +108,6 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
     place = {key: k for k, key in enumerate(sorted({key for names, _ in keys for key in names}))}
     of_rows = np.concatenate([np.array([place[key] for key in names])[number] for names, number in keys])
     return Tracks(table[_order(of_rows, table["t_s"].to_numpy())], summaries, list(groups))
-
-
-def for_positions(tracker: AbstractTracker) -> AbstractTracker:
-    """The tracker whose estimates have the covariances of positions alone: those of large states are hundreds."""
-    if isinstance(tracker, NoiseLevels | Smoothed):
-        return replace(tracker, tracker=for_positions(tracker.tracker))  # type: ignore[arg-type]
-    return replace(tracker, position_alone=True) if isinstance(tracker, Tracker) else tracker
 
 
 def _order(track: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackwright.trackers.core.data.metrics import nees
+from trackwright.trackers.core.data.consistency import nees
 from trackwright.trackers.core.errors import UnusableInput
 
 LEVEL = 0.95

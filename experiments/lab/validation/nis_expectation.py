@@ -23,8 +23,7 @@ from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, own_wo
 from trackwright.sim import SimulatedWorld, work_station, worlds
 from trackwright.trackers.baselines.fixes import floor_tracker
 from trackwright.trackers.parts.walls import Walls
-from trackwright.tuning.diagnostics import nis_band
-from trackwright.tuning.pit_uniformity import student_t_dof_of
+from trackwright.tuning.diagnostics import nis_band, student_t_dof_of
 
 TAGS, WORLDS, SETTLED, WINDOW = 24, 5, 5.0, 50
 FAR = 200.0 * np.array([[-1, -1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, 1, -1, -1]])

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from trackwright.experiments.pages.charts.style import BLACK, GREY, LINES, literal
-from trackwright.trackers.core.data.chi_square import chi_square_probability
+from trackwright.trackers.core.data.consistency import chi_square_probability
 from trackwright.trackers.evaluation.statements import COVERAGE
 
 POINTS = 201

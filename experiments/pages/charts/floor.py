@@ -13,7 +13,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator
 
 from trackwright.experiments.pages.charts.style import GREY, VERMILION, literal
-from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.model.rig import Rig
 
 TRUTH = "#9aa5b0"

@@ -15,9 +15,9 @@ from rich.console import RenderableType
 
 from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
 from trackwright.experiments.text.evaluation_text import COLUMNS, SCALES, title_of
-from trackwright.experiments.text.expectations import Value
+from trackwright.experiments.text.expectations import Value, with_interval
 from trackwright.experiments.text.tables import compact_table, rendered, terminal_width
-from trackwright.experiments.text.wording import (
+from trackwright.experiments.text.wording import (  # fmt: skip
     MISSING,
     Unit,
     fixed,
@@ -25,9 +25,8 @@ from trackwright.experiments.text.wording import (
     length_unit,
     shown_metric,
     units_of,
-    with_interval,
     yes_no,
-)  # fmt: skip
+)
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.evaluation.comparison import METRICS, Difference, holm, paired_differences
 from trackwright.trackers.evaluation.metrics import Metric

@@ -17,8 +17,8 @@ from trackwright.experiments.pages.charts.study import SHOWN_CONDITIONS, distrib
 from trackwright.experiments.pages.charts.style import Chart
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.pages.reports.study_text import headline_of
-from trackwright.experiments.text.expectations import Conclusion, ExpectedResult
-from trackwright.experiments.text.wording import Unit, heading, ratio_text, units_of, with_interval, yes_no
+from trackwright.experiments.text.expectations import Conclusion, ExpectedResult, ratio_text, with_interval
+from trackwright.experiments.text.wording import Unit, heading, units_of, yes_no
 
 REPORT = "report.html"
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}

@@ -11,9 +11,16 @@ from rich.table import Table
 
 from trackwright.experiments.monte_carlo.declaration import Study
 from trackwright.experiments.monte_carlo.results import NAMES, Results
-from trackwright.experiments.text.expectations import Conclusion, ExpectedResult, Value
+from trackwright.experiments.text.expectations import (
+    Conclusion,
+    ExpectedResult,
+    Value,
+    headline,
+    ratio_text,
+    with_interval,
+)
 from trackwright.experiments.text.tables import aligned, rendered, ruled_table, terminal_width
-from trackwright.experiments.text.wording import Unit, heading, headline, ratio_text, units_of, with_interval, yes_no
+from trackwright.experiments.text.wording import Unit, heading, units_of, yes_no
 from trackwright.trackers.recordings.atomic import json_text
 
 WIDTH = 160

@@ -14,7 +14,7 @@ from trackwright.experiments.text.wording import number, uncapitalised
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.tracks import batches, for_positions
+from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
 from trackwright.tuning.diagnostics import Innovations, absolute_errors, implied_spread, innovations_of
@@ -219,7 +219,7 @@ def _runs(tracker: AbstractTracker, trajectories: Sequence[Trajectory]) -> list[
     """The tracker's estimates of each trajectory, without padding."""
     runs = []
     # With the compiled program of the recordings compared.
-    tracker = for_positions(tracker)
+    tracker = tracker.for_positions()
     for group, batch in batches(trajectories):
         estimates = tracker.run(batch)
         runs += [(trajectory, estimates[k][: len(trajectory.recording)]) for k, trajectory in enumerate(group)]

@@ -13,8 +13,7 @@ from trackwright.trackers.baselines.rows import lacks_coplanar_anchors, mirror_t
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.mhk.rows import spatial_trajectories
 from trackwright.trackers.mhk.tracker import STILL
-from trackwright.trackers.parts.fix_rows import fix_trajectories, lacks_fixes
-from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.fixes import FIXES, fix_trajectories, lacks_fixes
 from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
 from trackwright.trackers.recordings.tracks_table import read_tracks
 

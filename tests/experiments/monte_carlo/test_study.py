@@ -15,7 +15,7 @@ from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.experiments.pages.reports.study_text import to_json, to_text
-from trackwright.trackers.core.data.chi_square import chi_square_quantile
+from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.metrics import METRICS, position_sizes

@@ -4,7 +4,7 @@ import pytest
 
 from trackwright.experiments.monte_carlo import DERIVED, FITTED, PREDICTED, ExpectedResult, Value
 from trackwright.experiments.pages.reports.study import Picture, _expected, _picture
-from trackwright.experiments.text.wording import headline
+from trackwright.experiments.text.expectations import headline
 
 
 def _result(printed, ours, origin=PREDICTED, **more):

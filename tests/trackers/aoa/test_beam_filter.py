@@ -14,7 +14,7 @@ from tests.oracles import beam_jacobian, beam_transition, cramer_rao, paper_beam
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.beam import Beam, BeamMotion
 from trackwright.trackers.aoa.phases import PlanePhases
-from trackwright.trackers.core.data.metrics import consistency, nees
+from trackwright.trackers.core.data.consistency import consistency, nees
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.tunable import Scale

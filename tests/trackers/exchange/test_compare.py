@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.trackers.exchange.against_evo import evo_errors
-from trackwright.trackers.core.data.metrics import nees
+from trackwright.trackers.core.data.consistency import nees
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.exchange.pose_errors import compare_trajectories

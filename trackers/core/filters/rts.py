@@ -26,12 +26,12 @@ from trackwright.trackers.core.model.covariance import (
     AnyCovariance,
     Gaussian,
     OneArray,
+    side_by_side,
     size_of,
     transposed_product,
     with_covariances,
 )
 from trackwright.trackers.core.model.elapsed import Elapsed
-from trackwright.trackers.core.model.side_by_side import side_by_side
 from trackwright.trackers.core.model.state import State, local, retract
 
 Matrices = Float[Array, "n n B"]

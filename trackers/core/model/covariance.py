@@ -51,6 +51,20 @@ def compiler_options(trajectories: int) -> dict[str, str | bool] | None:
     return {"xla_cpu_experimental_ynn_fusion_type": ""} if few(trajectories) else None
 
 
+MOST = 4096
+"""Most trajectories of a turn on a GPU: enough to occupy it, few enough for its memory."""
+
+
+def side_by_side(on_cpu: int, size: int) -> int:
+    """Of `size` trajectories `on_cpu`, which suit the processor's cache; on other devices up to `MOST`.
+
+    There a turn takes as long for a few trajectories as for thousands, since its kernels are started one by one.
+    """
+    device = jax.config.jax_default_device  # type: ignore[attr-defined]
+    platform = jax.default_backend() if device is None else getattr(device, "platform", device)
+    return min(on_cpu if platform == "cpu" else MOST, size)
+
+
 class OneArray:
     """A tree of arrays (…, B) packed into one array, so that a loop over rows stores one array, not a hundred."""
 

@@ -9,7 +9,8 @@ readings within `lasting` seconds count as one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -77,6 +78,9 @@ class NoiseLevels(AbstractEpochwiseTracker):
 
     def check_layout(self, layout: Layout) -> None:
         self.tracker.check_layout(layout)
+
+    def for_positions(self) -> Self:
+        return replace(self, tracker=self.tracker.for_positions())
 
     @property
     def nis_sensors(self) -> tuple[AbstractSensor, ...]:

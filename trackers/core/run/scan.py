@@ -31,12 +31,12 @@ from trackwright.trackers.core.model.covariance import (
     by_entry,
     entries,
     matrix,
+    side_by_side,
     with_covariances,
 )
 from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
-from trackwright.trackers.core.model.side_by_side import side_by_side
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
 

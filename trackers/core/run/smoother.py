@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -43,6 +44,9 @@ class Smoothed(AbstractEpochwiseTracker):
 
     def check_layout(self, layout: Layout) -> None:
         self.tracker.check_layout(layout)
+
+    def for_positions(self) -> Self:
+        return replace(self, tracker=self.tracker.for_positions())
 
     @property
     def nis_sensors(self) -> tuple[AbstractSensor, ...]:

@@ -110,6 +110,10 @@ class AbstractTracker(eqx.Module):
         """
         return with_values(self, values, source)
 
+    def for_positions(self) -> Self:
+        """This tracker with estimates that have the covariances of positions alone, where it computes others."""
+        return self
+
     @property
     def nis_sensors(self) -> tuple[AbstractSensor, ...]:
         """The sensors whose innovations make up the NIS of the estimates; none for a tracker without NIS."""
@@ -216,6 +220,9 @@ class Tracker(AbstractTracker):
 
     def check_layout(self, layout: Layout) -> None:
         check_parts(layout, self)
+
+    def for_positions(self) -> Self:
+        return dataclasses.replace(self, position_alone=True)
 
     @property
     def nis_sensors(self) -> tuple[AbstractSensor, ...]:

@@ -19,7 +19,6 @@ from trackwright.trackers.recordings.checks.coverage import (
     check_truth,
 )
 from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry, check_heights
-from trackwright.trackers.recordings.checks.imu import check_imu
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
 from trackwright.trackers.recordings.checks.quality import check_quality
 from trackwright.trackers.recordings.checks.readings import (
@@ -56,7 +55,8 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         results += check_truth(tables["truth"], measured)
     results += check_geometry(rig, tables)
     wrong_units = any(result.level == "error" for result in results)
-    if not wrong_units:
+    if "imu" in tables and not wrong_units:
+        from trackwright.trackers.recordings.checks.imu import check_imu
         from trackwright.trackers.recordings.checks.imu_clock import check_imu_clock
 
         # With wrong axes, an IMU fits the ranges at no delay, or at a wrong one.
@@ -85,7 +85,10 @@ def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[
         results += [result for result in check_overlap(tables["truth"], measured) if result.level == "error"]
     if any(result.level == "error" for result in results):
         return results
-    results += check_imu(tables, against_truth)
+    if "imu" in tables:
+        from trackwright.trackers.recordings.checks.imu import check_imu
+
+        results += check_imu(tables, against_truth)
     for name in measured if against_truth else ():
         results += _mistakes(recording, name, compared(recording, name))
     return results

@@ -77,8 +77,8 @@ RATE_S = 0.1
 
 def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) -> list[CheckResult]:
     """Signs, axes, mounting and clock of the IMU of the first tags; an attitude of the sensor's own excuses it."""
-    table = tables.get("imu")
-    if table is None or set(QUATERNION) <= set(table.columns):
+    table = tables["imu"]
+    if set(QUATERNION) <= set(table.columns):
         return []
     results = []
     for tag in table["tag"].unique(maintain_order=True).head(MOST_TAGS):

@@ -8,16 +8,18 @@ errors are large alone.
 from __future__ import annotations
 
 from itertools import chain
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import significant
-from trackwright.trackers.recordings.checks.changes import Change, changes
 from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared
-from trackwright.trackers.recordings.checks.fitted_changes import fitted_changes
 from trackwright.trackers.recordings.checks.readings import known_median
+
+if TYPE_CHECKING:
+    from trackwright.trackers.recordings.checks.changes import Change
 
 PENALTY = 0.06
 """Log ratio of errors by which a fitted number must pay."""
@@ -45,6 +47,9 @@ def _likely_mistake(view: Compared, before: np.ndarray, large: np.ndarray) -> st
 
     `before` (G, m): their sizes; `large` (G,): the groups that need an explanation.
     """
+    from trackwright.trackers.recordings.checks.changes import changes
+    from trackwright.trackers.recordings.checks.fitted_changes import fitted_changes
+
     best = None
     for change in chain(changes(view), fitted_changes(view, large)):
         sizes = change.handicap * view.changed(**change.fields).sizes()
@@ -66,6 +71,8 @@ def _upside_down(view: Compared) -> str | None:
     gains = np.log(before / after)
     if not (known_median(before) > large).any() or np.mean(gains[np.isfinite(gains)]) < ALL_GAIN:
         return None
+    from trackwright.trackers.recordings.checks.changes import Change
+
     change = Change(
         "the sign of z of the truth flipped", "z of the truth points down; flip it", {"positions": positions}
     )

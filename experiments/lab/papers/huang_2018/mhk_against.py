@@ -16,7 +16,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import built
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.huang_2018.workshop import MEASURES, OF_WORLD, workshop
-from trackwright.experiments.text.wording import fixed_interval
+from trackwright.experiments.text.expectations import fixed_interval
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.mhk.tracker import mhk_tracker
 

@@ -18,7 +18,7 @@ import numpy as np
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import RAW, Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
-from trackwright.experiments.text.wording import listed
+from trackwright.experiments.text.expectations import listed
 from trackwright.sim.agv import Route, simulate_agv
 from trackwright.sim.corruptions import correlated_noise, gauss_markov, outliers
 from trackwright.trackers.mhk.tracker import STILL

@@ -17,7 +17,7 @@ import numpy as np
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
-from trackwright.experiments.text.wording import listed
+from trackwright.experiments.text.expectations import listed
 from trackwright.sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
 from trackwright.trackers.recordings.folder import RecordingFolder
 

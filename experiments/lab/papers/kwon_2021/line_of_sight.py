@@ -18,7 +18,7 @@ import numpy as np
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
-from trackwright.experiments.text.wording import listed
+from trackwright.experiments.text.expectations import listed
 from trackwright.sim.corruptions import Corruption, gauss_markov
 from trackwright.sim.ranging import Protocol, chamber, obstruction, on_anchors, simulate_ranges
 from trackwright.trackers.recordings.folder import RecordingFolder

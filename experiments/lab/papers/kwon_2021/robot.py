@@ -21,7 +21,7 @@ from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.kwon_2021.chamber import anchors, deviations, under
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain
-from trackwright.experiments.text.wording import fixed_interval, listed
+from trackwright.experiments.text.expectations import fixed_interval, listed
 from trackwright.sim.imu import level, simulate_uwb_imu
 from trackwright.sim.keys import Keys, trajectory_keys
 from trackwright.sim.ranging import Protocol, antenna_biases, chamber

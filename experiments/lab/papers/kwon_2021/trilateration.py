@@ -14,7 +14,7 @@ import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES
-from trackwright.experiments.text.wording import fixed_interval
+from trackwright.experiments.text.expectations import fixed_interval
 from trackwright.sim.corruptions import Corruption
 from trackwright.sim.paths import hand_motion
 from trackwright.sim.ranging import WALK_VOLUME, antenna_biases, chamber, obstruction, simulate_ranges

@@ -22,7 +22,7 @@ from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
 from trackwright.experiments.pages.charts.style import LINES, plain
-from trackwright.experiments.text.wording import fixed_interval, listed
+from trackwright.experiments.text.expectations import fixed_interval, listed
 from trackwright.sim.corruptions import gauss_markov, white_noise
 from trackwright.sim.line import simulate_line
 from trackwright.trackers.core.data.recording import stack

@@ -22,7 +22,7 @@ from trackwright.experiments.lab.papers.line_thesis import _assembly_line as lin
 from trackwright.experiments.lab.papers.line_thesis._assembly_line import SIGMA, least
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.pages.charts.style import BLACK, BLUE, VERMILION, plain
-from trackwright.experiments.text.wording import fixed_interval
+from trackwright.experiments.text.expectations import fixed_interval
 from trackwright.trackers.core.model.polyline import Polyline
 
 SWEPT = (0.02, 0.04, 0.08, 0.16, 0.3)

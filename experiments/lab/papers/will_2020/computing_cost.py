@@ -19,7 +19,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import built
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.will_2020._work_stand import beam, radius, recorded, stand
-from trackwright.experiments.text.wording import listed
+from trackwright.experiments.text.expectations import listed
 from trackwright.trackers.aoa.beam import Beam, beam_tracker
 from trackwright.trackers.aoa.beamformer import Grid, delay_and_sum, strongest
 from trackwright.trackers.aoa.das import DelayAndSum

@@ -17,7 +17,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.will_2020._work_stand import cascade, direct, radius, recorded
 from trackwright.experiments.pages.charts.style import BLACK, LINES, plain
-from trackwright.experiments.text.wording import listed
+from trackwright.experiments.text.expectations import listed
 
 NONE = "all stations"
 LOST = {k: f"station {k} lost" for k in (1, 2, 3)}

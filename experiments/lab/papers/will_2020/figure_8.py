@@ -23,7 +23,7 @@ from trackwright.experiments.lab.papers.fitting import Fit, Fitted
 from trackwright.experiments.lab.papers.will_2020._work_stand import cascade, direct, radius, recorded
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
-from trackwright.experiments.text.wording import fixed_interval
+from trackwright.experiments.text.expectations import fixed_interval
 
 STAND, APART, PLANE = "stand", "stations 0.4 m off the middle", "stand, plane waves"
 COLOURS = {"cascade": BLUE, "direct": VERMILION}

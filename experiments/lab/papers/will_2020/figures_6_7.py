@@ -17,7 +17,7 @@ from trackwright.experiments.lab.papers.declared import Printed, plot
 from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, PRINTED_DEG, beam, radius, recorded
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.pages.charts.style import BLUE, GREY, ORANGE, plain
-from trackwright.experiments.text.wording import fixed_interval
+from trackwright.experiments.text.expectations import fixed_interval
 
 AXES = ("azimuth", "elevation")
 HELIX, OUTLYING = "helix", "helix with outlying phases"

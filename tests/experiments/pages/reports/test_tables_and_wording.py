@@ -3,9 +3,9 @@
 import numpy as np
 
 from trackwright.experiments.text.evaluation_text import _cell
-from trackwright.experiments.text.expectations import Value
+from trackwright.experiments.text.expectations import Value, with_interval
 from trackwright.experiments.text.tables import aligned, compact_table, markdown, rendered, ruled_table
-from trackwright.experiments.text.wording import duration, fixed, heading, rounded, unit_of, units_of, with_interval
+from trackwright.experiments.text.wording import duration, fixed, heading, rounded, unit_of, units_of
 from trackwright.trackers.core.wording import counted, significant
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import gammainc
 
-from trackwright.trackers.core.data.chi_square import chi_square_probability, chi_square_quantile
+from trackwright.trackers.core.data.consistency import chi_square_probability, chi_square_quantile
 
 
 def _even_cdf(x, dof):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 
-from trackwright.trackers.core.model.side_by_side import MOST, side_by_side
+from trackwright.trackers.core.model.covariance import MOST, side_by_side
 
 
 def test_few_on_processors_and_thousands_elsewhere(monkeypatch):

@@ -15,7 +15,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from trackwright.trackers.core.model.side_by_side import side_by_side
+from trackwright.trackers.core.model.covariance import side_by_side
 from trackwright.trackers.core.model.state import State
 
 Tree = TypeVar("Tree")

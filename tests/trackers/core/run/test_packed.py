@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.programs.packed import PackedResult, packed
+from trackwright.trackers.core.run.chunks import PackedResult, packed
 
 
 class _Pair(NamedTuple):

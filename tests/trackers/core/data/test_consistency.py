@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from trackwright.trackers.core.data import metrics
+from trackwright.trackers.core.data.consistency import consistency, nees
 
 
 @pytest.fixture
@@ -33,24 +33,24 @@ def test_nees_is_the_quadratic_form_solved_row_by_row(rng, d):
     covs, errors = _covariances(rng, 30, d), rng.normal(size=(30, d))
     expected = [e @ np.linalg.solve(P, e) for e, P in zip(errors, covs, strict=True)]
     # Both are direct solvers in double precision on matrices with condition numbers up to some thousands.
-    np.testing.assert_allclose(metrics.nees(errors, covs), expected, rtol=1e-9)
+    np.testing.assert_allclose(nees(errors, covs), expected, rtol=1e-9)
 
 
 def test_nees_is_nan_where_the_covariance_is_singular_and_right_elsewhere(rng):
     covs, errors = _covariances(rng, 4, 3), rng.normal(size=(4, 3))
-    alone = metrics.nees(errors, covs)
+    alone = nees(errors, covs)
     covs[1, 2, :] = covs[1, :, 2] = 0.0
     covs[2] = np.diag([1.0, -1.0, 1.0])
-    values = metrics.nees(errors, covs)
+    values = nees(errors, covs)
     assert np.isnan(values[[1, 2]]).all()
     assert (values[[0, 3]] == alone[[0, 3]]).all()
 
 
 def test_nees_of_a_damaged_covariance_is_no_number_or_infinite_and_the_others_are_right(rng):
     covs, errors = _covariances(rng, 4, 2), np.ones((4, 2))
-    right = metrics.nees(errors, covs)
+    right = nees(errors, covs)
     covs[0] = [[1e-300, 1e200], [1e200, 1.0]]
-    values = metrics.nees(errors, covs)
+    values = nees(errors, covs)
     assert not np.isfinite(values[0])
     np.testing.assert_array_equal(values[1:], right[1:])
 
@@ -58,7 +58,7 @@ def test_nees_of_a_damaged_covariance_is_no_number_or_infinite_and_the_others_ar
 def test_nees_changes_neither_errors_nor_covariances(rng):
     covs, errors = _covariances(rng, 5, 2), rng.normal(size=(5, 2))
     before = covs.copy(), errors.copy()
-    metrics.nees(errors, covs)
+    nees(errors, covs)
     assert (covs == before[0]).all()
     assert (errors == before[1]).all()
 
@@ -68,7 +68,7 @@ def test_mean_nees_of_true_covariances_lies_inside_its_bounds_as_often_as_promis
     covs = _covariances(rng, runs, d)
     inside = []
     for _ in range(studies):
-        interval = metrics.consistency(metrics.nees(_draws(rng, covs), covs), d)
+        interval = consistency(nees(_draws(rng, covs), covs), d)
         inside.append(interval.low <= interval.mean <= interval.high)
     # Four standard errors of a share of 0.95 in 2,000 studies.
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / studies))
@@ -76,22 +76,22 @@ def test_mean_nees_of_true_covariances_lies_inside_its_bounds_as_often_as_promis
 
 def test_bounds_of_values_with_different_dof_are_those_of_their_sum(rng):
     dof = np.array([2.0, 8.0, 5.0, 5.0])
-    interval = metrics.consistency(np.array([2.0, 8.0, 5.0, 5.0]), dof)
+    interval = consistency(np.array([2.0, 8.0, 5.0, 5.0]), dof)
     assert (interval.mean, interval.expected, interval.n) == (5.0, 5.0, 4)
     assert _even_chi_square_cdf(4 * interval.low, 20) == pytest.approx(0.025, abs=1e-9)
     assert _even_chi_square_cdf(4 * interval.high, 20) == pytest.approx(0.975, abs=1e-9)
 
 
 def test_consistency_leaves_out_rows_without_a_value():
-    interval = metrics.consistency(np.array([3.0, math.nan, 5.0]), np.array([4.0, 100.0, 4.0]))
+    interval = consistency(np.array([3.0, math.nan, 5.0]), np.array([4.0, 100.0, 4.0]))
     assert (interval.mean, interval.expected, interval.n) == (4.0, 4.0, 2)
 
 
 def test_a_covariance_too_small_by_half_is_outside_the_bounds(rng):
     covs = _covariances(rng, 200, 2)
-    interval = metrics.consistency(metrics.nees(_draws(rng, covs), covs / 2), 2)
+    interval = consistency(nees(_draws(rng, covs), covs / 2), 2)
     assert interval.mean > interval.high
 
 
 def test_no_values_have_no_mean():
-    assert math.isnan(metrics.consistency(np.empty(0), 3).mean)
+    assert math.isnan(consistency(np.empty(0), 3).mean)
