@@ -46,8 +46,8 @@ class RangeSensor(AbstractSensor):
 
     Residuals follow a two-piece Student's t with `dof` degrees of freedom, of scale `sigma_r` m below zero and
     `positive_skew`·`sigma_r` above: ranges are too long more often than too short. Reported variances, m², one per
-    slot, add to that of `sigma_r`. `quality_slope`: by how much log σ of a range changes with its quality z, where ranges
-    have one; z are further reported columns, one per slot, and `sigma_r` is that at z = 0.
+    slot, add to that of `sigma_r`. `quality_slope`: by how much log σ of a range changes with its quality z, where
+    ranges have one; z are further reported columns, one per slot, and `sigma_r` is that at z = 0.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
