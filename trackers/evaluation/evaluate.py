@@ -267,7 +267,9 @@ def _true_paths(recordings: Sequence[Recording]) -> TruePaths:
     if len(kept) < len(times) or not later.all():
         kept = kept[later]
         starts, times, positions = np.searchsorted(kept, starts), times[kept], positions[kept]
-    return TruePaths(names, starts, times, positions)
+        # A truth that is known in no row is no path.
+        names = [name for name, some in zip(names, np.diff(starts) > 0, strict=True) if some]
+    return TruePaths(names, np.unique(starts), times, positions)
 
 
 def _true_positions(recording: Recording) -> pl.DataFrame:

@@ -526,6 +526,22 @@ def test_an_evaluation_is_printed_as_a_table_with_what_it_means():
     assert len(repr(found)) < 120
 
 
+def test_recordings_in_arrays_whose_truth_is_known_in_some_rows_or_none_or_has_no_height():
+    own = [_still(float(k), name=f"{k}") for k in range(4)]
+    estimates = tw.fix_tracker().run(own)
+
+    def known(recording, rows, d=3):
+        return replace(recording, truth={"position": (recording.truth["position"][0][:, :d], rows)})
+
+    rows = np.arange(20) % 7 < 5
+    given = [known(own[0], ~rows), known(own[1], 0 * rows > 0), known(own[2], rows, 2), known(own[3], 0 * rows > 0)]
+    found = associate(estimates, given)
+    expected = associate_truth(estimates.to_polars().with_columns(tag=pl.lit("")), _truths(given))
+    assert {TruthStatus(x) for x in found.truth_status[[25, 65]]} == {TruthStatus.NO_TRUTH}
+    np.testing.assert_array_equal(found.truth, expected.truth)
+    np.testing.assert_array_equal(found.truth_status, expected.truth_status)
+
+
 @pytest.mark.parametrize(("world", "tracker"), [("agv", "fix-kf"), ("ranges", "multilateration")])
 def test_recordings_in_arrays_have_the_truth_that_their_tables_would_have(world, tracker):
     # Ranges to several anchors share a time, of which the first row counts.
