@@ -103,10 +103,11 @@ def _residuals(
     block = (columns.times - columns.of_each(columns.times[columns.starts[:-1]])) // BLOCK_S
     for name, sensor in sensors.items():
         reading, predicted = columns.readings[name], sensor.measure(SimpleNamespace(position=position), inputs)
+        numbers = next((inputs[x.name] for x in sensor.inputs if x.name in inputs.keys() & {"station", "anchor"}), None)
         for k, channel in enumerate(sensor.channels):
             source: Int[np.ndarray, " N"] = np.zeros(len(block), int)
-            if "station" in inputs or "anchor" in inputs:
-                source = np.ravel(inputs["station"] if "station" in inputs else inputs["anchor"][k]).astype(int)
+            if numbers is not None:
+                source = (numbers[k] if numbers.ndim > 1 else numbers).astype(int)
             residual = reading.values[:, k] - np.asarray(predicted[k])
             residual = np.asarray(wrap(residual)) if channel.wraps else residual
             values = np.stack([residual, source, block, columns.of_each(before)], axis=1)

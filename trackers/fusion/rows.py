@@ -79,21 +79,17 @@ def fused_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
         size = len(part.columns.times)
         here = np.full(count, -1)
         here[row[first : first + size]] = np.arange(size)
-        first, has = first + size, here >= 0
-        last = _latest(here, starts)
-        own = part.columns.readings[name]
-        readings[name] = Readings(
-            *(np.where(has[:, None], x[last], 0) for x in (own.values, own.seen, own.reported) if x is not None)
-        )
+        first, has = first + size, (here >= 0)[:, None]
+        last, own = _latest(here, starts), part.columns.readings[name]
+        assert own.reported is not None
+        readings[name] = Readings(own.values[last] * has, own.seen[last] & has, own.reported[last] * has)
         given = dict(part.columns.inputs)
-        nearby = np.where((nearby[:, 3:] == 0) & has[:, None], given.pop(NEARBY.name)[last], nearby)
+        nearby = np.where((nearby[:, 3:] == 0) & has, given.pop(NEARBY.name)[last], nearby)
         inputs |= {key: x[last] for key, x in given.items()}
-    rig, heights = folder.rig, known_heights(folder, tags)
+    rig = folder.rig
+    heights = np.full(len(tags), np.nan) if free_height else known_heights(folder, tags)
     sites = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
-    if sites:
-        inputs[ROOM.name] = room_rows(np.stack(sites), rig.outline, count)
-    if free_height:
-        heights = np.full(len(tags), np.nan)
+    inputs[ROOM.name] = room_rows(np.stack(sites), rig.outline, count)
     inputs[NEARBY.name] = joint_positions(folder, list(parts), tags, starts, times, heights, nearby)
     return trajectories_of(folder, tags, starts, times, readings, inputs)
 
@@ -101,7 +97,8 @@ def fused_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
 def _keys(part: Trajectories, tags: list[str]) -> np.ndarray:
     """Of each row (3, N): its number among those of its tag and time, its time, and the number of its tag."""
     columns = part.columns
-    tag = columns.of_each(np.array([tags.index(name) for name in part.tags]))
+    numbers = {tag: number for number, tag in enumerate(tags)}
+    tag = columns.of_each(np.array([numbers[name] for name in part.tags]))
     begins = np.append(True, (np.diff(columns.times) != 0) | (np.diff(tag) != 0))
     at = np.arange(len(tag))
     return np.stack([at - np.maximum.accumulate(np.where(begins, at, 0)), columns.times, tag])

@@ -28,19 +28,22 @@ from trackwright.tuning.fitting import FitOptions, fit
 
 WALKS = tuple(f"ble51-walk-u{k}-r1" for k in (1, 2, 3))
 
+RANGES_SEEN = (
+    "starloc-fast-s1",
+    "starloc-2d-s5",
+    "rcv-drone-3",
+    "iasl-drone-1",
+    "lias-planar-fast",
+    "labyrinth",
+    "ngbui-line-1-1",
+    "ngbui-line-2-1",
+)
+
 SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "bearings": WALKS,
-        "uwb": (
-            "starloc-fast-s1",
-            "starloc-2d-s5",
-            "rcv-drone-3",
-            "iasl-drone-1",
-            "lias-planar-fast",
-            "labyrinth",
-            "ngbui-line-1-1",
-            "ngbui-line-2-1",
-        ),
+        "uwb": RANGES_SEEN,
+        "fusion": (*RANGES_SEEN, *WALKS),
         "uwb-imu": ("starloc-fast-s1", "iasl-drone-1"),
         "fix-mirror": ("tiers-1tag-01",),
     }

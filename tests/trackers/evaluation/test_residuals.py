@@ -18,12 +18,15 @@ def clear():
 
 @pytest.fixture(scope="module")
 def obstructed(clear):
+    return _obstructed(clear)
+
+
+def _obstructed(folder):
     """The same ranges, those to one anchor too long by 3 m for half a minute."""
-    ranges = clear.tables["ranges"]
-    anchor = next(iter(clear.rig.anchors))
+    anchor = next(iter(folder.rig.anchors))
     behind = (pl.col("anchor") == anchor) & pl.col("t_s").is_between(20.0, 50.0)
-    ranges = ranges.with_columns(range_m=pl.col("range_m") + pl.when(behind).then(3.0).otherwise(0.0))
-    return dataclasses.replace(clear, tables={**clear.tables, "ranges": ranges})
+    ranges = folder.tables["ranges"].with_columns(range_m=pl.col("range_m") + pl.when(behind).then(3.0).otherwise(0.0))
+    return dataclasses.replace(folder, tables={**folder.tables, "ranges": ranges})
 
 
 def _by_hand(tracks, folder):
@@ -76,3 +79,10 @@ def test_lasting_residuals_are_named_before_a_small_nis_without_truth():
     assert sentence.startswith("Residuals of some stations or anchors last: their 5 s means are 1.6 times")
     (sentence,) = covariance_statements(metrics, [metrics | {"recording": "a", "residual_ratio_5s": 1.39}])
     assert sentence.startswith("The readings scatter less than the tracker's model expects (NIS/dof 0.4, 1 expected")
+
+
+def test_ranges_are_told_apart_by_their_anchors_beside_bearings():
+    folder = _obstructed(tw.simulate.fusion(n=3, rows=600, seed=4, hidden=0.0, bias_angle=0.0).folder())
+    tracks = tw.build("fusion", folder).run(folder)
+    # Those of the angles do not last.
+    assert residual_ratios(tracks)[folder.name] == pytest.approx(_by_hand(tracks, folder), rel=0.02)

@@ -88,7 +88,7 @@ def test_the_page_has_the_order_of_the_catalogue():
         if line.startswith("Order: "):
             heading = next(h for h in reversed(lines[:k]) if h.startswith("### "))
             found[heading.removeprefix("### ").lower()] = tuple(line.split("`")[1::2])
-    assert len(found) == 5
+    assert len(found) == 6
     assert found == {kind: tuple(names) for kind, names in PREFERENCE.items() if kind in found}
 
 
