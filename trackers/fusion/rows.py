@@ -16,8 +16,7 @@ from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.fusion.joint_positions import joint_positions
 from trackwright.trackers.fusion.tracker import fused_tracker
-from trackwright.trackers.parts.fix_rows import fix_trajectories, lacks_fixes
-from trackwright.trackers.parts.fixes import FIXES
+from trackwright.trackers.parts.fixes import FIXES, fix_trajectories, lacks_fixes
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.start_nearby import NEARBY
 from trackwright.trackers.recordings.folder import RecordingFolder
