@@ -203,16 +203,6 @@ def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, tracker, pict
     assert not [p.name for p in folder.iterdir() if p.name.startswith(".")]
 
 
-@pytest.mark.slow
-def test_direct_is_better_than_the_cascade_and_both_are_at_the_centimetre(runs, there):
-    assert runs["direct"].code == runs["cascade"].code == 0
-    direct, cascade = (_overall(there / name) for name in ("direct", "cascade"))
-    # 0.2 rad of phase noise at about a metre: single rows give 2 cm, a track of 4 s half of it
-    assert direct["rmse_m"] < cascade["rmse_m"] < 0.03
-    assert direct["rmse_3d_m"] < cascade["rmse_3d_m"] < 0.04
-    assert direct["lost_s"] == cascade["lost_s"] == 0
-
-
 def test_the_beam_tracker_is_better_than_delay_and_sum(runs, there):
     assert runs["beam"].code == runs["das"].code == 0
     beam, das = (_overall(there / name)["rmse_direction_rad"] for name in ("beam", "das"))
