@@ -177,6 +177,31 @@ batching.defvectorized(_once_p)
 mlir.register_lowering(_once_p, mlir.lower_fun(_divided, multiple_results=False))
 
 
+def stored(x: jax.Array) -> jax.Array:
+    """The same array, bit-identical, written to memory before anything uses it.
+
+    XLA's CPU compiler fuses the products of small matrices into whatever uses them, where they are computed entry by
+    entry, often twice. It fuses nothing with a condition.
+    """
+    result: jax.Array = _stored_p.bind(x)
+    return result
+
+
+def _by_condition(x: jax.Array) -> jax.Array:
+    """The array, by a condition that never holds, which XLA does not know."""
+    return jax.lax.cond(x[(0,) * x.ndim] < -jnp.inf, lambda x: -x, lambda x: x, x)
+
+
+_stored_p = Primitive("stored")
+_stored_p.def_impl(lambda x: x)
+_stored_p.def_abstract_eval(lambda x: x)
+ad.deflinear2(_stored_p, lambda cotangent, _: [stored(cotangent)])
+batching.defvectorized(_stored_p)
+# Elsewhere a condition costs more than it saves.
+mlir.register_lowering(_stored_p, lambda _, x: [x])
+mlir.register_lowering(_stored_p, mlir.lower_fun(_by_condition, multiple_results=False), platform="cpu")
+
+
 def mark_dependent(tree: Tree, numbers: Any) -> Tree:
     """Identity that makes the initial carry of a scan formally depend on `numbers`, for jax to type it in one trace.
 

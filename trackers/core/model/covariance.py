@@ -26,6 +26,7 @@ from trackwright.trackers.core.model.algebra import (
     compute_once,
     dense,
     full,
+    stored,
     total,
     triangle,
 )
@@ -156,63 +157,29 @@ def matched(
 
 def propagated(cov: jax.Array, jacobian: Jacobian) -> jax.Array:
     """F P Fᵀ + G Gᵀ of a covariance as a matrix, with the Jacobian (F G); of tuples: `algebra.congruence`."""
-    F = ChangedRows(jacobian)
-    return F.congruence(cov, F.times(cov)) + noise_covariance(jacobian)
-
-
-class ChangedRows:
-    """F of a Jacobian (F G) as its rows `at` that differ from the unit matrix: `block`ᵀ over the columns `needed`."""
-
-    def __init__(self, jacobian: Jacobian):
-        n = len(jacobian.structure)
-        F = jacobian.structure[:, :n]
-        self.at = _span((np.eye(n) != F).any(axis=1))
-        self.needed = _span((F[self.at] != ZERO).any(axis=0))
-        self.block = jacobian.transposed(self.at, self.needed)
-
-    def times(self, P: jax.Array) -> jax.Array:
-        """F P."""
-        changed = transposed_product(self.block, P[self.needed])
-        return jnp.concatenate([P[: self.at.start], changed, P[self.at.stop :]])
-
-    def congruence(self, P: jax.Array, FP: jax.Array) -> jax.Array:
-        """F P Fᵀ, symmetric to the bit, given F P."""
-        rows = FP[self.at]
-        square = product_of(rows[:, self.needed], self.block)
-        # Both triangles are computed, and rounding must not make them differ.
-        square = 0.5 * (square + square.T)
-        rows = jnp.concatenate([rows[:, : self.at.start], square, rows[:, self.at.stop :]], axis=1)
-        P = jnp.concatenate([P[:, : self.at.start], rows.T, P[:, self.at.stop :]], axis=1)
-        return jnp.concatenate([P[: self.at.start], rows, P[self.at.stop :]])
-
-
-def noise_covariance(jacobian: Jacobian) -> jax.Array:
-    """G Gᵀ of a Jacobian (F G): a block for rows with common noise, and variances for the others."""
     n, inputs = jacobian.structure.shape
-    present = (jacobian.structure[:, n:] != ZERO).astype(int)
-    shared = present @ present.T
-    coupled = _span(shared.sum(axis=1) > np.diag(shared))
-    noisy = _span(present[coupled].any(axis=0))
-    block = jacobian.transposed(coupled, slice(n + noisy.start, n + noisy.stop))
+    present = jacobian.structure != ZERO
+    shared = present[:, n:].astype(int) @ present[:, n:].T
+    # The rows of F that differ from the unit matrix, and those with common noise.
+    at = _span((jacobian.structure[:, :n] != np.eye(n)).any(axis=1) | (shared.sum(axis=1) > np.diag(shared)))
     alone = np.ones(n)
-    alone[coupled] = 0.0
-    kind = jacobian.sums.dtype
-    variances = jacobian.squares(slice(n), slice(n, inputs))
-    apart = jnp.diag(jnp.asarray(alone, kind) * variances)
-    if coupled.start == coupled.stop:
-        return apart
-    return jnp.pad(transposed_product(block, block), (coupled.start, n - coupled.stop)) + apart
-
-
-def product_of(A: jax.Array, B: jax.Array) -> jax.Array:
-    """AB by sums, without a library call, contiguous in the columns of B."""
-    return jnp.sum(A[:, :, None] * B[None], axis=1)
+    alone[at] = 0.0
+    apart = jnp.diag(jnp.asarray(alone, cov.dtype) * jacobian.squares(slice(n), slice(n, inputs)))
+    if at.start == at.stop:
+        return cov + apart
+    needed, noisy = (_span(present[at, part].any(axis=0)) for part in (slice(n), slice(n, inputs)))
+    F = stored(jacobian.transposed(at, needed))
+    G = stored(jacobian.transposed(at, slice(n + noisy.start, n + noisy.stop)))
+    FP = stored(transposed_product(F, cov[needed]))
+    half = stored(0.5 * (transposed_product(FP[:, needed].T, F) + transposed_product(G, G)))
+    # Both triangles are computed, and rounding must not make them differ.
+    rows = stored(jnp.concatenate([FP[:, : at.start], half + half.T, FP[:, at.stop :]], axis=1))
+    others = jnp.concatenate([cov[:, : at.start], rows.T, cov[:, at.stop :]], axis=1)
+    return jnp.concatenate([others[: at.start], rows, others[at.stop :]]) + apart
 
 
 def transposed_product(A: jax.Array, B: jax.Array) -> jax.Array:
     """AᵀB by sums, contiguous in the columns of B; a sum of outer products for many trajectories, last in each."""
-    if A.ndim == 2:
-        return jnp.sum(A[:, :, None] * B[:, None], axis=0)
     # XLA calls a library for reductions, and a loop with calls does not become one kernel.
     result: jax.Array = total(a[:, None] * b[None] for a, b in zip(A, B, strict=True))
     return result
@@ -247,7 +214,7 @@ def dot(h: SparseRow | jax.Array, x: Any) -> Scalar:
 def product(cov: AnyCovariance, h: SparseRow | jax.Array, n: int) -> Any:
     """P h, a `Vector` or an array (n,)."""
     if not isinstance(cov, tuple):
-        return jnp.sum(cov * jnp.asarray(h)[:, None], axis=0)
+        return total(row * x for row, x in zip(cov, jnp.asarray(h), strict=True))
     P, entries = full(cov, n), dict(h)
     return Vector.of(compute_once([total(P[i][j] * v for j, v in entries.items()) for i in range(n)]))
 
