@@ -229,6 +229,8 @@ def test_the_degrees_of_freedom_are_those_of_the_residuals_whatever_the_field_is
     both = Tracker(whole.motion, {"gauge": heavy, "other": gauge}, whole.start, track_loss=whole.track_loss)
     with pytest.raises(ValueError, match="2 sensors, 1 of them with Student's t"):
         student_t_dof_of(both)
+    # The NEES has its distribution all the same.
+    assert PITUniformity("nees").for_tracker(both).student_t_dof is None
 
 
 def test_the_shape_of_the_nis_needs_the_tracker():
