@@ -35,6 +35,7 @@ WORLDS: dict[str, tuple[str, ...]] = {
     "line": ("fix-kf", "imm", "moving-average", "line-grid", "line-pf", "mhk"),
     "ranges": ("uwb", "multilateration"),
     "tdoa": ("tdoa",),
+    "fusion": ("fusion", "uwb"),
     "tool": ("uwb-imu", "uwb", "multilateration"),
     "agv": ("fix-kf", "fix-singer", "imm", "fix-mirror", "median", "mhk"),
 }
