@@ -61,8 +61,7 @@ _ANGLE = (*_ANGLE_TERMS, "lowest_rad", "highest_rad", "covariance")
 _STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
 _RANGE_TERMS = ("bias_m", "slope")
 _ANCHOR = ("rows", *_RANGE_TERMS, "lowest_m", "highest_m", "covariance")
-_TAG = ("rows", "bias_m", "standard_error_m")
-_OFFSET = ("offset_m", "offset_standard_error_m")
+_TAG, _OFFSET = ("rows", "bias_m", "standard_error_m"), ("offset_m", "offset_standard_error_m")
 _DIFFERENCES = ("anchors", "rows", "bias_m", "covariance", "position_m", "spread_m")
 
 
@@ -150,11 +149,6 @@ class TagCalibration:
     offset: tuple[float, float] = (0.0, 0.0)
     offset_sigmas: tuple[float, float] = (0.0, 0.0)
 
-    @property
-    def placed(self) -> bool:
-        """Whether the recordings of the fit have the heading of its body."""
-        return any(self.offset_sigmas)
-
 
 @dataclass(frozen=True)
 class DifferenceCalibration:
@@ -239,10 +233,6 @@ class Calibration:
             ),
             range_quality=self.range_quality if still else None,
         )
-
-    def offset_of(self, tag: str) -> tuple[float, float]:
-        """The calibrated offset of a tag, m, on its body; zero without one."""
-        return self.tags[tag].offset if tag in self.tags else (0.0, 0.0)
 
     def of_bearings(
         self, stations: Sequence[str], number: np.ndarray, measured: np.ndarray
@@ -361,7 +351,11 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
         "anchors": anchors,
         "tags": {
             name: dict(zip(_TAG, (tag.rows, tag.bias, tag.sigma), strict=True))
-            | (dict(zip(_OFFSET, map(list, (tag.offset, tag.offset_sigmas)), strict=True)) if tag.placed else {})
+            | (
+                dict(zip(_OFFSET, map(list, (tag.offset, tag.offset_sigmas)), strict=True))
+                if any(tag.offset_sigmas)
+                else {}
+            )
             for name, tag in calibration.tags.items()
         },
     }
@@ -432,9 +426,8 @@ class _Reader(TomlReader):
             parts.append(self.terms(f"{where}.{angle}", table, _ANGLE_TERMS, ("lowest_rad", "highest_rad")))
         terms, spans, covariances = (np.stack(x) for x in zip(*parts, strict=True))
         at = [self.array(f"{where}.{key}", content[key], (size,)) for key, size in zip(mounted, (3, 4), strict=False)]
-        return StationCalibration(
-            terms, covariances, spans, self.rows(where, content["rows"]), Station(at[0], at[1]) if at else None
-        )
+        mounting = Station(at[0], at[1]) if at else None
+        return StationCalibration(terms, covariances, spans, self.rows(where, content["rows"]), mounting)
 
     def anchor(self, where: str, content: Any) -> AnchorCalibration:
         placed = ("position_m",) if "position_m" in self.table(where, content) else ()

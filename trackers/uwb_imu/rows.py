@@ -112,8 +112,8 @@ def _levers(folder: RecordingFolder, rows: TagRows) -> np.ndarray:
     """The lever arms (N, 3), m, from each row's tag to where the ranges of its carrier end, which a calibration has."""
     carriers = _tags_on_bodies(folder)
     ends = np.stack([_offset(folder, carrier) for carrier in carriers])
-    if folder.calibration is not None:
-        ends[:, :2] += [folder.calibration.offset_of(carrier) for carrier in carriers]
+    known = {} if folder.calibration is None else folder.calibration.tags
+    ends[:, :2] += [known[carrier].offset if carrier in known else (0.0, 0.0) for carrier in carriers]
     places = np.stack([_offset(folder, tag) for tag in rows.tags])
     return np.asarray(ends[rows.codes(CARRIER, carriers)] - rows.of_each(places))
 

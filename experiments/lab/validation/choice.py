@@ -31,8 +31,8 @@ SIMPLEST_FIRST = (
     # One row or a window at a time, without a filter.
     "das", "trilateration", "trilateration-compensated", "multilateration", "moving-average", "median",
     # One Kalman filter, by the size of its state; several models; chains; an IMU; grids; particles.
-    "fix-kf", "fix-singer", "beam", "direct", "cascade", "bearings", "uwb", "tdoa", "fusion", "imm", "fix-mirror",
-    "mhk", "mhk-stamped", "uwb-imu", "line-grid", "line-pf", "floor-pf",
+    "fix-kf", "fix-singer", "beam", "direct", "cascade", "bearings", "uwb", "tdoa", "fusion", "body", "imm",
+    "fix-mirror", "mhk", "mhk-stamped", "uwb-imu", "line-grid", "line-pf", "floor-pf",
 )
 # fmt: on
 """Every tracker of the catalogue, the simplest first: of two with equal errors the earlier one is preferred."""
