@@ -83,15 +83,15 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
         # ngbui-line-3, which it makes worse, outweigh the other four.
         "ranges": {
             "uwb": Entry("uwb_imu", "ranges", "position from ranges, EKF with a drifting bias per anchor"),
-            "uwb-imu": Entry(
-                "uwb_imu",
-                "ranges and imu",
-                "position, velocity and attitude from ranges and an IMU, error-state EKF",
-            ),
             "body": Entry(
                 "uwb_imu",
                 "ranges",
                 "position and heading of a body from the ranges of its tags, EKF",
+            ),
+            "uwb-imu": Entry(
+                "uwb_imu",
+                "ranges and imu",
+                "position, velocity and attitude from ranges and an IMU, error-state EKF",
             ),
             "multilateration": Entry(
                 "uwb_imu", "ranges", "position from the latest ranges, robust least squares without a filter"

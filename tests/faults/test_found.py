@@ -133,8 +133,8 @@ def test_points_beyond_all_coordinates_are_refused(tmp_path):
 
 def test_hundreds_of_unknown_columns_are_one_notice(tmp_path):
     write_good(tmp_path / "good")
-    table = good_tables()["ranges"].with_columns(pl.lit(0.1).alias(f"more_{k}") for k in range(300))
+    table = good_tables()["ranges"].with_columns(pl.lit("x").alias(f"more_{k}") for k in range(300))
     table.write_csv(tmp_path / "good" / "ranges.csv")
     lines = [line for line in trackwright("check", tmp_path / "good").out.splitlines() if "more_0" in line]
     assert len(lines) == 1
-    assert "and 295 more of ranges.csv (not part of the format)" in lines[0]
+    assert "and 295 more of ranges.csv (not part of the format, or not numbers)" in lines[0]

@@ -87,8 +87,9 @@ class FusedMotion(AbstractMotion):
 class FusedStart(AbstractNearbyStart):
     """A start at the position in the input `nearby` (4,), at rest, with zero biases.
 
-    `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` by kind of readings, and `sigma_shared`, of ranges: standard
-    deviations. `biases`: the number of each kind's, in the order of their names.
+    `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` of each kind of readings (`ranges` m, `tdoa` m, `bearings`
+    rad), and `sigma_shared`, m, of ranges: standard deviations. `biases`: the number of each kind's, in the order of
+    their names.
     """
 
     sigma_position: Noise

@@ -43,6 +43,7 @@ SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "bearings": WALKS,
         "uwb": RANGES_SEEN,
+        "body": RANGES_SEEN,
         "fusion": (*RANGES_SEEN, *WALKS),
         "uwb-imu": ("starloc-fast-s1", "iasl-drone-1"),
         "fix-mirror": ("tiers-1tag-01",),

@@ -185,7 +185,7 @@ def test_unwrapped_phases_are_tracked_with_a_notice(tmp_path):
 def test_an_unknown_tracker_is_refused_with_the_known_ones(tmp_path, beginnings):
     for command in ("track", "tune"):
         said = trackwright(command, beginnings / "good", "--tracker", "kalman", "--out", tmp_path / "out")
-        assert_refused(said, "tracker kalman: unknown", "direct, cascade, beam, das, bearings")
+        assert_refused(said, "tracker kalman: unknown", "direct, cascade, beam, das")
 
 
 def test_a_tracker_without_its_table_is_refused(tmp_path, simulated):

@@ -69,9 +69,9 @@ def test_the_tables_mark_what_was_fitted_and_what_was_not_estimated():
     figures = _figures([[0.3, 0.1, 0.2]], fitted={(0, "uwb")}, share={(0, "multilateration"): 0.76}.items())
     array = Figure("array", "beam", np.radians(5.0), None, 1.0, False)
     phases, _, ranges, others = tables([*figures, array])
-    order = "Order: `multilateration`, `uwb`, `uwb-imu`, `trilateration`, `trilateration-compensated`."
-    assert ranges.note == order
-    cells = ("30.0 cm, 95 % (76 % of the rows)", "10.0 cm, 95 %*", "20.0 cm, 95 %", "", "")
+    first = "Order: `multilateration`, `uwb`, `uwb-imu`, `trilateration`, `trilateration-compensated`, "
+    assert ranges.note == first + "`body`."
+    cells = ("30.0 cm, 95 % (76 % of the rows)", "10.0 cm, 95 %*", "20.0 cm, 95 %", "", "", "")
     assert tuple(ranges.rows[0].values()) == ("r0", *cells)
     assert others.rows[0] == {
         "beside": "`uwb`",
