@@ -95,8 +95,9 @@ def ready(
     recording = used.part.of(recording)
     if used.average is not None:
         recording = recording.averaged(used.average)
-    lines = [f"{path}: {text}" for text in recording.notices]
     recording = recording.calibrated(calibration)
+    # What is not calibrated is listed below.
+    lines = [f"{path}: {text}" for text in recording.notices if not text.startswith("not calibrated")]
     if calibration is not None and recording.name in calibration.recordings:
         lines.append(f"{path}: is one of the recordings of {used.calibration}; errors of others are larger")
     if calibration is not None and (lacking := recording.uncalibrated()):

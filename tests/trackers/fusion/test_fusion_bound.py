@@ -18,7 +18,9 @@ TAGS, SETTLED = 32, 80
 """Tags, and rows until the start is forgotten."""
 
 
-@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize(
+    "noise", [pytest.param(0.5, marks=pytest.mark.slow), 1.0, pytest.param(2.0, marks=pytest.mark.slow)]
+)
 def test_errors_reach_the_bound_and_ellipses_hold(noise):
     """Normal noise, and a start near the truth, about which readings are linear."""
     batch = TRACKERS["fusion"].batches([worlds.fusion(TAGS, 5, rows=60, lost=0.0, hidden=0.0).folder()], "fusion")[0]
