@@ -83,7 +83,7 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
     readings, number = range_rows(folder, rows, quality=True)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
-    inputs |= {"levers": _levers(folder, rows)} | room_of_anchors(folder, len(number))
+    inputs |= {"levers": _levers(folder, rows, upright=True)} | room_of_anchors(folder, len(number))
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
 
 
@@ -108,12 +108,16 @@ def _ranges_of_bodies(folder: RecordingFolder, bodies: Mapping[str, Sequence[str
     )
 
 
-def _levers(folder: RecordingFolder, rows: TagRows) -> np.ndarray:
-    """The lever arms (N, 3), m, from each row's tag to where the ranges of its carrier end, which a calibration has."""
+def _levers(folder: RecordingFolder, rows: TagRows, upright: bool = False) -> np.ndarray:
+    """The lever arms (N, 3), m, from each row's tag to its carrier.
+
+    Of a body that is `upright`, to where the ranges of the carrier end, which a calibration has ahead and to the left.
+    """
     carriers = _tags_on_bodies(folder)
     ends = np.stack([_offset(folder, carrier) for carrier in carriers])
-    known = {} if folder.calibration is None else folder.calibration.tags
-    ends[:, :2] += [known[carrier].offset if carrier in known else (0.0, 0.0) for carrier in carriers]
+    if upright and folder.calibration is not None:
+        known = folder.calibration.tags
+        ends[:, :2] += [known[carrier].offset if carrier in known else (0.0, 0.0) for carrier in carriers]
     places = np.stack([_offset(folder, tag) for tag in rows.tags])
     return np.asarray(ends[rows.codes(CARRIER, carriers)] - rows.of_each(places))
 
