@@ -116,6 +116,8 @@ class Rig:
 
         None of a tag on no body.
         """
+        if tag not in self.tags or self.tags[tag].offset is None:
+            return ()
         with_offset = tuple(name for name, known in self.tags.items() if known.offset is not None)
         bodies = tuple(self.bodies.values()) or (with_offset,)
         return next((body for body in bodies if tag in body), ())
