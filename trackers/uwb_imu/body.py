@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackwright.trackers.core.errors import is_count, require
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
@@ -16,12 +15,10 @@ from trackwright.trackers.core.model.motion import AbstractMotion, Noise
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import Heading
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.track_loss import TrackScorePolicy
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.drifting_biases import DriftingBiases, damped_velocity
-from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases, damped_velocity
 from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
-from trackwright.trackers.uwb_imu.fusion import MAX_BIASES, REACH
+from trackwright.trackers.uwb_imu.fusion import range_tracker
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 
@@ -107,43 +104,36 @@ def body_tracker(
     anchors: int,
     planar: bool = False,
     as_one: int = 1,
-    sigma_a: float = 0.44,
-    sigma_z: float = 0.7,
-    memory: float = 5.5,
     sigma_turn: float = 0.5,
     turn_memory: float = 1.0,
     sigma_r: float = 0.09,
-    positive_skew: float = 4.0,
-    dof: float = 1.8,
-    bias: float = 0.07,
-    sigma_bias: float = 0.085,
-    time_constant: float = 65.0,
-    length: float = 5.0,
-    sigma_shared: float = 0.1,
-    quality_slope: float | None = None,
+    **levels: float,
 ) -> Tracker:
     """Position, heading, velocity and turning rate of an upright body from the ranges of its tags, one range per row.
 
-    Levels are those of `range_tracker`, whose `range_levels` serve a calibrated site, and of `TurningBody`. `as_one`:
-    how many ranges between a tag and an anchor count as one, since they come within `LASTS` s; the noise of each is
-    larger by the square root. Estimates are of the place from which the input `levers` leads to the tags.
+    `sigma_r` and `levels`: those of `range_tracker`, whose `range_levels` serve a calibrated site; `sigma_turn` and
+    `turn_memory`: those of `TurningBody`. `as_one`: how many ranges between a tag and an anchor count as one, since
+    they come within `LASTS` s; the noise of each is larger by the square root. Estimates are of the place from which
+    the input `levers` leads to the tags.
     """
-    require(is_count(anchors), "body_tracker", anchors, "the number of anchors, as body_tracker(len(rig.anchors))")
-    biases = anchors if anchors <= MAX_BIASES else 0
-    units = {
-        "sigma_position": (1.0, "m"),
-        "sigma_velocity": (1.0, "m/s"),
-        "sigma_bias": (sigma_bias, "m"),
-        "sigma_shared": (sigma_shared, "m"),
-        "sigma_heading": (1.0, "rad"),
-        "sigma_rate": (0.5, "rad/s"),
-    }
+    tag = range_tracker(anchors, planar, sigma_r=sigma_r * math.sqrt(as_one), **levels)
+    start = tag.start
+    assert isinstance(tag.motion, DriftingBiases)
+    assert isinstance(start, BiasedStart)
+    assert start.sigma_shared is not None
     return Tracker(
-        TurningBody(
-            DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length), sigma_turn, turn_memory
+        TurningBody(tag.motion, sigma_turn, turn_memory),
+        tag.sensors,
+        BodyStart(
+            start.sigma_position,
+            start.sigma_velocity,
+            start.sigma_bias,
+            start.sigma_shared,
+            Scale(1.0, "rad"),
+            Scale(0.5, "rad/s"),
+            planar,
+            start.biases,
         ),
-        {RANGES: RangeSensor(1, anchors, sigma_r * math.sqrt(as_one), positive_skew, dof, bias, quality_slope)},
-        BodyStart(**{name: Scale(*value) for name, value in units.items()}, planar=planar, biases=biases),
         YawMixtureFilter(),
-        TrackScorePolicy(REACH, "m"),
+        tag.track_loss,
     )
