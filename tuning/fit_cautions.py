@@ -19,7 +19,7 @@ from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.recordings.reading_grids import REPEATED, ReadingGrid
 from trackwright.tuning.parameters import Parameter, component_kinds, component_names, grid_of
-from trackwright.tuning.parts import BESIDE, Point, plain_rows
+from trackwright.tuning.parts import BESIDE, Computation, Point, plain_rows
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined, refit
 
@@ -196,7 +196,8 @@ def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tup
     """
     # Of few trajectories by the program that the starts were compared with.
     function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_nis_of_rows, _sums)
-    by_chunk = [chunk_sums for (chunk_sums,) in problem.parts.run(function, [np.atleast_2d(vector)], reduced)]
+    computation = Computation(function, [np.atleast_2d(vector)], reduced)
+    by_chunk = [chunk_sums for (chunk_sums,) in problem.parts.compute(computation)]
     sums = WindowSums(*(np.sum(np.stack(parts), axis=0) for parts in zip(*by_chunk, strict=True)))
     if sums.rows < MIN_WINDOWS:
         return int(sums.rows), 1.0

@@ -148,13 +148,12 @@ class FitOptions:
     """How a fit is done.
 
     `frozen`: patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: None
-    for `LBFGS` for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters and
-    minibatches. `steps`: the most of each start. `starts`: the tracker's own values, then the best of the `guesses` and
-    of a coarse grid. `held_out`: recordings that select the best point and end the fit, as `fit` takes them.
-    `dimensions`: 3 to judge an estimated height too; None for 3 with `state-nll`, where truth and estimates have
-    heights, and 2 else. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight.
-    `minibatch`: trajectories per step, drawn from `seed`; None for all. `priors`: for likelihoods only. `chunk`:
-    trajectories in one compiled call.
+    for `LBFGS` for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters. `steps`:
+    the most of each start. `starts`: the tracker's own values, then the best of the `guesses` and of a coarse grid.
+    `held_out`: recordings that select the best point and end the fit, as `fit` takes them. `dimensions`: 3 to judge an
+    estimated height too; None for 3 with `state-nll`, where truth and estimates have heights, and 2 else. `weigh`:
+    whether each recording (in arrays: trajectory) or each row has the same weight. `priors`: for likelihoods only.
+    `chunk`: trajectories in one compiled call.
     """
 
     frozen: Sequence[str] = ()
@@ -165,10 +164,8 @@ class FitOptions:
     held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = ()
     dimensions: int | None = None
     weigh: Weigh = "recordings"
-    minibatch: int | None = None
     priors: Sequence[Prior] = ()
     guesses: Sequence[AbstractTracker] = ()
-    seed: int = 0
     chunk: int = CHUNK
 
 
@@ -213,7 +210,7 @@ def fit(
     Raises ValueError for patterns that match nothing or can't be tied, for empty bounds and for priors without a
     likelihood; FloatingPointError where the objective is not finite at the first start.
     """
-    frozen, bounds, priors, minibatch = options.frozen, options.bounds, options.priors, options.minibatch
+    frozen, bounds, priors, chunk = options.frozen, options.bounds, options.priors, options.chunk
     objective = "nll" if objective is None and priors else objective
     data = fit_arrays(tracker, recordings, objective, options.held_out, options.dimensions, options.weigh)
     model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
@@ -222,24 +219,22 @@ def fit(
     model = known(model, [name for parameter in parameters for name in parameter.names])
     if priors and not objective.is_likelihood:
         raise ValueError("priors need the likelihood nll as objective; give bounds with another one")
-    chunk = options.chunk if minibatch is None else min(options.chunk, minibatch)
     problem = Problem(model, batches, objective, parameters, chunk, priors, data.weights, on.keep)
     scoring = None
     if apart:
-        scoring = Problem(model, apart, objective, parameters, options.chunk, (), data.held_out_weights, on.keep)
+        scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights, on.keep)
     readings = of_raw_readings(reading_grids(model, Pieces(batches)), data.folders)
     low, high = limits(parameters, bounds)
     low = np.maximum(low, floors(readings, parameters, bounds))
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
-    smooth = objective.has_density and minibatch is None and not problem.stochastic
+    smooth = objective.has_density and not problem.stochastic
     optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
-    per_step = None if minibatch is None else max(1, minibatch // len(problem.parts.rows[0]))
-    driver = MultiStart(problem, optimiser, options.steps, low, high, scoring, minibatch=per_step, seed=options.seed)
+    driver = MultiStart(problem, optimiser, options.steps, low, high, scoring)
     starts, tried = options.starts, 0
     if starts > 1 and problem.few and not problem.stochastic:
         # A value of few trajectories costs little more than the derivative by one number.
         problem.moving = with_effect(problem, np.clip(flatten(parameters), low, high))
-        tried = (len(low) + 1) * problem.n_trajectories()
+        tried = (len(low) + 1) * problem.n_trajectories
     if on.resume is not None:
         state = from_arrays(optimiser, on.resume)
     else:
@@ -286,22 +281,18 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
             vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + evaluations(problem)
             uncertainty = uncertainty_at(problem, best, bound, kept.at_start)
     value = float(problem.finite_values(vector, last.terms)[0])
-    # A minibatch's value is over a part of the trajectories.
-    start_value = state.past_values[0, 0]
-    if driver.minibatch is not None:
-        start_value, vectors = problem.finite_values(start, problem.evaluate(start).terms)[0], vectors + 1
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     if not np.array_equal(vector, state.best_vectors[winner]):
         traces[winner].append(Step(value, float(np.linalg.norm(last.gradients)), by_label(parameters, vector)))
     return FitResult(
         tracker=with_parameters(tracker, parameters, vector),
         value=value,
-        start_value=float(start_value),
+        start_value=float(state.past_values[0, 0]),
         start_vector=start,
         problem=problem,
         vector=vector,
         evaluation=last,
-        filter_runs=int(state.filter_runs) + vectors * problem.n_trajectories(),
+        filter_runs=int(state.filter_runs) + vectors * problem.n_trajectories,
         uncertainty=uncertainty,
         before=with_parameters(tracker, parameters, start),
         limits=(driver.low, driver.high),

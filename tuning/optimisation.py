@@ -81,7 +81,7 @@ class MultiStart:
 
     `low`, `high` (p,): bounds of the unconstrained vector. `held_out`: its objective scores the points; a start without
     a better score in `max_stale` steps ends, as one does without `held_out` after `PATIENCE` where the objective stays
-    the same from step to step. `minibatch`: chunks per step, drawn from `seed` and the step's number.
+    the same from step to step.
     """
 
     problem: Problem
@@ -91,13 +91,11 @@ class MultiStart:
     high: Float[np.ndarray, " p"]
     held_out: Problem | None = None
     max_stale: int = 8
-    minibatch: int | None = None
-    seed: int = 0
 
     def init(self, vectors: Float[np.ndarray, "*S p"]) -> FitState:
         """The state at the starts (S, p); starts with a non-finite objective are inactive."""
         vectors = np.clip(np.atleast_2d(vectors), self.low, self.high)
-        evaluation = self._evaluate(vectors, 0)
+        evaluation = self.problem.evaluate(vectors)
         finite = evaluation.finite
         scores = np.where(finite, self._scores(vectors, evaluation.terms), np.inf)
         state = FitState(
@@ -117,14 +115,14 @@ class MultiStart:
             past_vectors=np.zeros((0, *vectors.shape)),
             filter_runs=np.array(evaluation.filter_runs + self._score_runs(vectors)),
         )
-        return self._with_trace(state, self._subset(0))
+        return self._with_trace(state)
 
     def step(self, state: FitState) -> FitState:
         """The state after one more step; a start that has converged, or whose step fails at any length, ends there."""
-        number, runs, subset = int(state.number) + 1, 0, self._subset(int(state.number) + 1)
-        if self._noisy:
-            # Another minibatch, or other random numbers: the objective at the present points has changed.
-            again = self._evaluate(state.vectors, number)
+        number, runs = int(state.number) + 1, 0
+        if self.problem.stochastic:
+            # With other random numbers the objective at the present points has changed.
+            again = self.problem.evaluate(state.vectors, realisation=number)
             runs += again.filter_runs
             state = state._replace(values=again.values, gradients=again.gradients, terms=again.terms, used=again.used)
         steps, optimiser_state = self.optimiser.propose(state.optimiser_state, state.vectors, state.gradients)
@@ -143,12 +141,12 @@ class MultiStart:
                 break
             index = np.flatnonzero(worth)
             trial = trial[index]
-            evaluated = self._evaluate(trial, number)
+            evaluated = self.problem.evaluate(trial, realisation=number)
             runs += evaluated.filter_runs
             # Which trajectories count differs from point to point; values are compared over the same ones.
             common = state.used[index] & evaluated.used
-            gains = self.problem.values_over(common, state.vectors[index], state.terms[index], subset)
-            gains -= self.problem.values_over(common, trial, evaluated.terms, subset)
+            gains = self.problem.values_over(common, state.vectors[index], state.terms[index])
+            gains -= self.problem.values_over(common, trial, evaluated.terms)
             accepted = evaluated.finite & np.isfinite(gains)
             if self.optimiser.monotone:
                 accepted &= gains >= 0
@@ -187,14 +185,13 @@ class MultiStart:
                 stale=stale,
                 active=moved & ~ended,
                 filter_runs=state.filter_runs + runs + self._score_runs(vectors),
-            ),
-            subset,
+            )
         )
 
     def scores(self, vectors: Float[np.ndarray, "S p"]) -> tuple[Float[np.ndarray, " S"], int]:
         """The scores (S,) of vectors (S, p) by which starts are chosen, without derivatives, and the filter runs."""
         problem = self.problem if self.held_out is None else self.held_out
-        return problem.values(vectors), len(vectors) * problem.n_trajectories()
+        return problem.values(vectors), len(vectors) * problem.n_trajectories
 
     def done(self, state: FitState) -> bool:
         """Whether no start continues."""
@@ -204,27 +201,17 @@ class MultiStart:
         """Whether each number (p,) is at a bound, with the objective falling beyond it."""
         return ((vector <= self.low) & (gradient > 0)) | ((vector >= self.high) & (gradient < 0))
 
-    def _evaluate(self, vectors: Float[np.ndarray, "S p"], number: int) -> Evaluation:
-        return self.problem.evaluate(vectors, subset=self._subset(number), realisation=number)
-
-    def _subset(self, number: int) -> list[int] | None:
-        """The chunks of a step's minibatch; None for all."""
-        if self.minibatch is None:
-            return None
-        draw = np.random.default_rng((self.seed, number))
-        return sorted(draw.permutation(len(self.problem.parts.rows))[: self.minibatch].tolist())
-
     def _scores(self, vectors: Float[np.ndarray, "S p"], terms: Float[np.ndarray, "S k n"]) -> Float[np.ndarray, " S"]:
         """The scores (S,) that select the best point: `Problem.values` of the held-out or of all trajectories."""
         if self.held_out is not None:
             return self.held_out.values(vectors)
-        return self.problem.values(vectors) if self._noisy else self.problem.finite_values(vectors, terms)
+        return self.problem.values(vectors) if self.problem.stochastic else self.problem.finite_values(vectors, terms)
 
     def _score_runs(self, vectors: Float[np.ndarray, "S p"]) -> int:
         """The trajectories that scores at these vectors filter."""
         if self.held_out is not None:
-            return len(vectors) * self.held_out.n_trajectories()
-        return len(vectors) * self.problem.n_trajectories() if self._noisy else 0
+            return len(vectors) * self.held_out.n_trajectories
+        return len(vectors) * self.problem.n_trajectories if self.problem.stochastic else 0
 
     def _duplicates(
         self,
@@ -234,7 +221,7 @@ class MultiStart:
         best_scores: Float[np.ndarray, " S"],
     ) -> Bool[np.ndarray, " S"]:
         """The starts (S,) that have come near the best point of a better one; numbers without effect are left out."""
-        if self._noisy:
+        if self.problem.stochastic:
             return np.zeros(len(vectors), bool)
         scale = np.any(gradients != 0, axis=0)
         distances = np.linalg.norm((vectors[:, None] - best_vectors[None]) * scale, axis=2)
@@ -249,9 +236,9 @@ class MultiStart:
         nats = [self.problem.objective.nats_per_unit(s) for s in weighted_sum(terms, used)]
         return np.array([min_gain(v, n) for v, n in zip(values, nats, strict=True)])
 
-    def _with_trace(self, state: FitState, subset: Sequence[int] | None) -> FitState:
+    def _with_trace(self, state: FitState) -> FitState:
         """The state with its present point appended to the trace, by its value over all finite trajectories."""
-        values = self.problem.finite_values(state.vectors, state.terms, subset)
+        values = self.problem.finite_values(state.vectors, state.terms)
         norms = np.linalg.norm(state.gradients, axis=1)
         return state._replace(
             past_values=np.concatenate([state.past_values, values[None]]),
@@ -264,12 +251,7 @@ class MultiStart:
         """Steps without a gain after which a start ends."""
         if self.held_out is not None:
             return self.max_stale
-        return np.inf if self._noisy or self.optimiser.monotone else PATIENCE
-
-    @property
-    def _noisy(self) -> bool:
-        """Whether the objective changes from step to step."""
-        return self.minibatch is not None or self.problem.stochastic
+        return np.inf if self.problem.stochastic or self.optimiser.monotone else PATIENCE
 
 
 def _shorter(slopes: Float[np.ndarray, " S"], gains: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:

@@ -161,21 +161,9 @@ class Parts(ABC):
 
     rows: list[Int[np.ndarray, " B"]]
 
-    def run(
-        self,
-        function: Function,
-        blocks: Blocks,
-        reduced: Reduced,
-        which: Sequence[int] | None = None,
-        realisation: int = 0,
-    ) -> list[list[Any]]:
-        """The `Computation` of each chunk in `which`, default all."""
-        computation = Computation(function, blocks, reduced, realisation)
-        return self.compute(computation, range(len(self.rows)) if which is None else which)
-
     @abstractmethod
-    def compute(self, computation: Computation, which: Sequence[int]) -> list[list[Any]]:
-        """The results of these chunks, in their order."""
+    def compute(self, computation: Computation) -> list[list[Any]]:
+        """The results of all chunks, in their order."""
 
 
 Keep = Callable[[Point, Iterable[Batch]], Parts]
@@ -189,9 +177,9 @@ class LocalParts(Parts):
         self.point, self.chunks = point, list(placed(pieces))
         self.rows = [lengths_of(chunk) for chunk in self.chunks]
 
-    def compute(self, computation: Computation, which: Sequence[int]) -> list[list[Any]]:
+    def compute(self, computation: Computation) -> list[list[Any]]:
         """As `Parts`."""
-        return on_chunks(self.point, [self.chunks[k] for k in which], computation)
+        return on_chunks(self.point, self.chunks, computation)
 
 
 def on_chunks(point: Point, chunks: Sequence[Batch], computation: Computation) -> list[list[Any]]:

@@ -20,7 +20,16 @@ from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.tuning.batches import AnyBatch, Pieces, by_chunks, padded_size
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, flatten
-from trackwright.tuning.parts import BESIDE, Keep, LocalParts, Point, WithDerivatives, plain_rows, plain_sums
+from trackwright.tuning.parts import (
+    BESIDE,
+    Computation,
+    Keep,
+    LocalParts,
+    Point,
+    WithDerivatives,
+    plain_rows,
+    plain_sums,
+)
 from trackwright.tuning.priors import Penalty, Prior, penalty
 
 Vectors = Float[np.ndarray, "*S p"]
@@ -118,40 +127,37 @@ class Problem:
         self,
         vectors: Vectors,
         weights: Num[np.ndarray, "*many n"] | None = None,
-        subset: Sequence[int] | None = None,
         realisation: int = 0,
     ) -> Evaluation:
         """The objective and its gradient at vectors (S, p), over the trajectories that are usable there.
 
-        `weights` (n,) or (S, n): multiplicity of each trajectory, besides its own weight. `subset`: indices of the
-        chunks, default all. `realisation`: number of the random draws, where the tracker uses any.
+        `weights` (n,) or (S, n): multiplicity of each trajectory, besides its own weight. `realisation`: number of the
+        random draws, where the tracker uses any.
         """
-        by_part = self._run(self.with_derivatives, vectors, subset, realisation)
+        by_part = self._run(self.with_derivatives, vectors, realisation)
         terms, term_gradients = (np.concatenate(xs, axis=-1) for xs in zip(*by_part, strict=True))
         used = np.isfinite(terms).all(axis=1) & np.stack([_usable(x) for x in term_gradients])
-        used &= self._valid(subset)
-        terms, term_gradients = self._weighted(terms, subset), self._weighted(term_gradients, subset)
+        used &= self.valid
+        terms, term_gradients = self.weights * terms, self.weights * term_gradients
         count = used if weights is None else used * np.atleast_2d(np.asarray(weights, float))
         sums = weighted_sum(terms, count)
         values, by_sum = (np.asarray(x, float) for x in value_and_gradient(self.objective, jnp.asarray(sums)))
         with np.errstate(invalid="ignore"):  # without a single scored row value and gradient are NaN
             gradients = np.einsum("sk,skp->sp", by_sum, weighted_sum(term_gradients, count))
-        prior = self.prior_penalty(vectors, sums, self._share(subset))
-        runs = self.n_trajectories(subset) * len(terms)
+        prior = self.prior_penalty(vectors, sums)
+        runs = self.n_trajectories * len(terms)
         return Evaluation(values + prior.values, gradients + prior.gradients, sums, terms, term_gradients, used, runs)
 
-    def values_over(
-        self, count: Shaped[np.ndarray, "many n"], vectors: Vectors, terms: Terms, subset: Sequence[int] | None = None
-    ) -> Values:
+    def values_over(self, count: Shaped[np.ndarray, "many n"], vectors: Vectors, terms: Terms) -> Values:
         """The objective (S,) at vectors (S, p) from its `terms` (S, k, n) there, over chosen trajectories.
 
-        `count` (S, n): multiplicity of each trajectory, 0 to leave it out. `subset`: the chunks of the terms.
+        `count` (S, n): multiplicity of each trajectory, 0 to leave it out.
         """
         sums = weighted_sum(terms, count)
-        return self.values_of(sums) + self.prior_penalty(vectors, sums, self._share(subset)).values
+        return self.values_of(sums) + self.prior_penalty(vectors, sums).values
 
     def n_excluded(self, evaluation: Evaluation) -> int:
-        """The number of trajectories left out of an evaluation over all chunks, at the vector with the fewest."""
+        """The number of trajectories left out of an evaluation, at the vector with the fewest."""
         return int(self.valid.sum() - evaluation.used.sum(axis=1).max())
 
     def values(self, vectors: Vectors, realisation: int = 0) -> Values:
@@ -161,33 +167,34 @@ class Problem:
         """
         return self.finite_values(vectors, self.terms(vectors, realisation))
 
-    def finite_values(self, vectors: Vectors, terms: Terms, subset: Sequence[int] | None = None) -> Values:
-        """`values` (S,) from the terms (S, k, n) of a subset of the chunks, default all, at vectors (S, p)."""
-        return self.values_over(np.isfinite(terms).all(axis=1), vectors, terms, subset)
+    def finite_values(self, vectors: Vectors, terms: Terms) -> Values:
+        """`values` (S,) from the terms (S, k, n) at vectors (S, p)."""
+        return self.values_over(np.isfinite(terms).all(axis=1), vectors, terms)
 
-    def n_trajectories(self, subset: Sequence[int] | None = None) -> int:
-        """The number of trajectories that one vector filters, in a subset of the chunks or in all."""
-        return int(self._valid(subset).sum())
+    @property
+    def n_trajectories(self) -> int:
+        """The number of trajectories that one vector filters."""
+        return int(self.valid.sum())
 
     def terms(self, vectors: Vectors, realisation: int = 0) -> Terms:
         """Each trajectory's part of the sums (S, k, n), without derivatives."""
         function = plain_rows if self.few else plain_sums
-        return self._weighted(np.concatenate([t for (t,) in self._run(function, vectors, None, realisation)], axis=-1))
+        return self.weights * np.concatenate([t for (t,) in self._run(function, vectors, realisation)], axis=-1)
 
     def values_of(self, sums: Float[np.ndarray, "S k"]) -> Float[np.ndarray, " S"]:
         """The objective (S,) of sums (S, k), without priors."""
         return np.asarray(value_and_gradient(self.objective, jnp.asarray(sums))[0], float)
 
-    def prior_penalty(self, vectors: Vectors, sums: Float[np.ndarray, "many k"], share: float = 1.0) -> Penalty:
+    def prior_penalty(self, vectors: Vectors, sums: Float[np.ndarray, "many k"]) -> Penalty:
         """The priors' part of the objective (S,) and its derivatives at vectors (S, p), in the objective's unit.
 
-        `sums` (S, k): those of the likelihood there. `share`: of the trajectories evaluated.
+        `sums` (S, k): those of the likelihood there.
         """
         vectors = np.atleast_2d(np.asarray(vectors, float))
         nats = penalty(self.priors, self.parameters, vectors)
         if not self.priors:
             return nats
-        scale = share / np.array([self.nats_per_unit(s) for s in sums])
+        scale = 1.0 / np.array([self.nats_per_unit(s) for s in sums])
         return Penalty(nats.values * scale, nats.gradients * scale[:, None])
 
     def nats_per_unit(self, sums: Float[np.ndarray, " k"]) -> float:
@@ -208,9 +215,7 @@ class Problem:
         """The function of a point and a chunk that `evaluate` runs."""
         return WithDerivatives(plain_rows if self.few else plain_sums, self.moving)
 
-    def _run(
-        self, function: Callable[..., Any], vectors: Vectors, subset: Sequence[int] | None, realisation: int
-    ) -> list[tuple[np.ndarray, ...]]:
+    def _run(self, function: Callable[..., Any], vectors: Vectors, realisation: int) -> list[tuple[np.ndarray, ...]]:
         """The arrays of `function` for every chunk at all vectors, float64 on the host."""
         vectors = np.atleast_2d(np.asarray(vectors, float))
         size, width = len(vectors), self.vectors_per_call
@@ -219,44 +224,24 @@ class Problem:
         # Of the repeated vectors of an only block nothing travels.
         reduced = partial(_summed_rows if self.few else _first_vectors, min(width, size))
         realisation = realisation if self.stochastic else 0
-        if self.few and subset is None:
-            by_part = self._run_once(function, blocks, reduced, realisation)
-        else:
-            by_part = self.parts.run(function, blocks, reduced, subset, realisation)
+        computation = Computation(function, blocks, reduced, realisation)
+        by_part = self._run_once(computation) if self.few else self.parts.compute(computation)
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
             for of_part in by_part
         ]
 
-    def _run_once(
-        self, function: Callable[..., Any], blocks: list[Vectors], reduced: Callable[..., Any], realisation: int
-    ) -> list[list[tuple[np.ndarray, ...]]]:
-        """As `Parts.run` of all chunks, without those vectors, a block each, that it had lately."""
-        keys = [(function, realisation, block.tobytes()) for block in blocks]
+    def _run_once(self, computation: Computation) -> list[list[tuple[np.ndarray, ...]]]:
+        """As `Parts.compute`, without those vectors, a block each, that it had lately."""
+        blocks = computation.blocks
+        keys = [(computation.function, computation.realisation, block.tobytes()) for block in blocks]
         new = {key: block for key, block in zip(keys, blocks, strict=True) if key not in self.lately}
         if new:
-            by_part = self.parts.run(function, list(new.values()), reduced, None, realisation)
+            by_part = self.parts.compute(computation._replace(blocks=list(new.values())))
             self.lately |= dict(zip(new, zip(*by_part, strict=True), strict=True))
         by_vector = [self.lately[key] for key in keys]
         self.lately = dict(list(self.lately.items())[-REMEMBERED:])
         return [list(of_part) for of_part in zip(*by_vector, strict=True)]
-
-    def _share(self, subset: Sequence[int] | None) -> float:
-        """Part of the trajectories in a subset of the chunks: the priors weigh in proportion."""
-        return self.n_trajectories(subset) / self.n_trajectories()
-
-    def _valid(self, subset: Sequence[int] | None) -> Bool[np.ndarray, " n"]:
-        return self._of_chunks(self.valid, subset)
-
-    def _weighted(self, terms: np.ndarray, subset: Sequence[int] | None = None) -> np.ndarray:
-        return terms * self._of_chunks(self.weights, subset)
-
-    def _of_chunks(self, values: np.ndarray, subset: Sequence[int] | None) -> np.ndarray:
-        """The part of values by trajectory that belongs to a subset of the chunks."""
-        if subset is None:
-            return values
-        starts = np.cumsum([0, *map(len, self.parts.rows)])
-        return np.concatenate([values[starts[k] : starts[k + 1]] for k in subset])
 
 
 def is_stochastic(tracker: AbstractTracker) -> bool:

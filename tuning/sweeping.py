@@ -119,7 +119,7 @@ def sweep(
         parameters,
         grids,
         values.reshape(repeats, *map(len, grids)),
-        points.shape[0] * repeats * problem.n_trajectories(),
+        points.shape[0] * repeats * problem.n_trajectories,
     )
 
 

@@ -33,7 +33,7 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Covariance
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, physical, physical_errors
-from trackwright.tuning.parts import WithDerivatives, plain_rows
+from trackwright.tuning.parts import Computation, WithDerivatives, plain_rows
 from trackwright.tuning.problem import Evaluation, Problem, value_and_gradient
 
 MIN_CURVATURE = 1e-5
@@ -197,7 +197,7 @@ def _scatter(problem: Problem, optimum: Optimum) -> tuple[Float[np.ndarray, "p p
         return np.full((p, p), np.nan), clusters
     rows = np.concatenate(problem.parts.rows)
     block = max(1, -(-int(rows.sum()) // BLOCKS))
-    by_trajectory = row_information(problem, optimum.vector[None], block).information[0]
+    by_trajectory = row_information(problem, optimum.vector, block)
     information = np.where(optimum.used, by_trajectory * problem.weights**2, 0.0).sum(axis=-1)
     return information / optimum.nats_per_unit**2, int(np.sum(-(-rows[optimum.used] // block)))
 
@@ -340,35 +340,22 @@ def _derivatives(
     return jax.grad(objective.value)(sums), jax.hessian(objective.value)(sums)
 
 
-class RowInformation(NamedTuple):
-    """Per vector and trajectory: log-likelihoods (S, n), scores (S, p, n) and information (S, p, p, n), in nats."""
-
-    log_likelihoods: Float[np.ndarray, "S n"]
-    scores: Float[np.ndarray, "S p n"]
-    information: Float[np.ndarray, "S p p n"]
-
-
-def row_information(problem: Problem, vectors: Float[np.ndarray, "S p"], block: int = 1) -> RowInformation:
-    """The summed scores of the rows and the sums of their squares at `vectors` (S, p).
+def row_information(problem: Problem, vector: Float[np.ndarray, " p"], block: int = 1) -> Float[np.ndarray, "p p n"]:
+    """The sums of the squares of the scores of each trajectory's rows at a vector (p,), nats.
 
     Scores of `block` consecutive rows are added before they are squared, which makes the information valid for errors
     correlated over that many rows. Padding trajectories contribute zeros. Memory grows with the rows.
     """
     function = WithDerivatives(plain_rows, problem.moving)
-    by_part = problem.parts.run(function, list(np.atleast_2d(vectors)[:, None]), partial(_information, block))
-    parts = [[np.stack(xs) for xs in zip(*each, strict=True)] for each in by_part]
-    return RowInformation(*(np.concatenate(xs, axis=-1) for xs in zip(*parts, strict=True)))
+    by_part = problem.parts.compute(Computation(function, [vector[None]], partial(_information, block)))
+    return np.concatenate([information for (information,) in by_part], axis=-1)
 
 
-def _information(
-    block: int, results: Any, chunk: Batch
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "p n"], Float[np.ndarray, "p p n"]]:
-    """Log-likelihood, scores and information of each trajectory of a chunk, from its rows with derivatives."""
-    log_likelihoods, scores = (np.asarray(x[0, -1]) for x in results)
-    starts = np.arange(0, len(log_likelihoods), block)
-    blocked = np.add.reduceat(scores.astype(float), starts, axis=1)
-    information = np.einsum("ibn,jbn->ijn", blocked, blocked)
-    return log_likelihoods.sum(axis=0, dtype=float), blocked.sum(axis=1), information
+def _information(block: int, results: Any, chunk: Batch) -> Float[np.ndarray, "p p n"]:
+    """The information of each trajectory of a chunk, from its rows with derivatives."""
+    scores = np.asarray(results[1][0, -1])
+    blocked = np.add.reduceat(scores.astype(float), np.arange(0, scores.shape[1], block), axis=1)
+    return np.einsum("ibn,jbn->ijn", blocked, blocked)
 
 
 class Refitted(NamedTuple):

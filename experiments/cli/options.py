@@ -260,9 +260,8 @@ class TuneOptions(TrackerOptions):
             which a height counts half a horizontal coordinate, where the truth has heights; else 2.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
-        optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for minibatches and particles.
+        optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for particles.
         steps: maximum number of steps per start.
-        minibatch: trajectories per step, drawn at random; default: all.
         intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood
             (makes nll the default objective), or bootstrap over trajectories.
         resume: continue from the checkpoint in --out, with bit-identical results.
@@ -290,7 +289,6 @@ class TuneOptions(TrackerOptions):
     starts: int = 4
     optimiser: Literal["auto", "lbfgs", "adam"] = "auto"
     steps: int = 60
-    minibatch: int | None = None
     intervals: Literal["curvature", "profile", "bootstrap"] = "curvature"
     resume: bool = False
     cluster: Address | None = None
@@ -303,7 +301,6 @@ class TuneOptions(TrackerOptions):
 
     def __post_init__(self) -> None:
         require_least(steps=(self.steps, 1), starts=(self.starts, 1), piece_rows=(self.piece_rows, 10))
-        require_least(minibatch=(self.minibatch, 1))
         super().__post_init__()
 
     @property

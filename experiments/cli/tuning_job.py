@@ -288,7 +288,6 @@ def _fitted(
                 optimiser=OPTIMISERS[options.optimiser](steps),
                 steps=steps,
                 starts=starts,
-                minibatch=options.minibatch,
                 priors=priors,
                 guesses=[first_guess(data.tracker, training, kept)] if starts > 1 and saved is None else [],
             ),

@@ -65,15 +65,15 @@ class HeldParts(Parts):
             key = f"load-{uuid.uuid4().hex}"
             self.held.append(workers.client.submit(computed, workers.expected, call, key=key, pure=False))
 
-    def compute(self, computation: Computation, which: Sequence[int]) -> list[list[Any]]:
+    def compute(self, computation: Computation) -> list[list[Any]]:
         """As `Parts`."""
         call = pickle.dumps((evaluated, (computation,), {}))
 
         def submit(k: int) -> Future[Any]:
             return self.executor.submit(computed, self.workers.expected, call, self.held[k])
 
-        results = dict(finished(submit, which, at_once=len(which)))
-        return [results[k] for k in which]
+        results = dict(finished(submit, range(len(self.held)), at_once=len(self.held)))
+        return [results[k] for k in range(len(self.held))]
 
 
 def _write(leaves: Sequence[np.ndarray], path: Path) -> None:

@@ -168,25 +168,17 @@ def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world
     assert all(np.isnan(error) for error in result.standard_errors.values())
 
 
-@pytest.mark.parametrize("options", [{}, {"minibatch": 4}, {"starts": 3}], ids=["whole", "minibatch", "starts"])
+@pytest.mark.parametrize("options", [{}, {"starts": 3}], ids=["one start", "several"])
 def test_the_filter_runs_of_a_result_are_those_that_were_made(line_world, monkeypatch, options):
     run, made = Problem._run, []
 
-    def counted(self, function, vectors, subset, realisation):
-        parts = self.parts.rows if subset is None else [self.parts.rows[k] for k in subset]
-        made.append(len(np.atleast_2d(vectors)) * sum(len(rows) for rows in parts))
-        return run(self, function, vectors, subset, realisation)
+    def counted(self, function, vectors, realisation):
+        made.append(len(np.atleast_2d(vectors)) * sum(map(len, self.parts.rows)))
+        return run(self, function, vectors, realisation)
 
     monkeypatch.setattr(Problem, "_run", counted)
     result = fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, FitOptions(steps=3, chunk=4, **options))
     assert result.filter_runs == sum(made)
-
-
-def test_a_minibatch_is_smaller_than_a_chunk_that_holds_all(line_world):
-    seen = []
-    fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, FitOptions(steps=2, minibatch=4), Place(report=seen.append))
-    # All 8 trajectories score every point; the gradient is of 4, at the start and at both ends of each step.
-    assert [int(state.filter_runs) for state in seen] == [4 + 8, 12 + 16, 28 + 16]
 
 
 def test_every_step_is_reported_and_nothing_else_is_touched(line_world):
@@ -356,17 +348,6 @@ def test_held_out_recordings_select_the_best_point():
     alone = fit(line_tracker(), quiet, NLL, LEVELS)
     # the best fit to the quiet ones is overconfident on the loud ones
     assert result.values["sensors.gauge.sigma"] > alone.values["sensors.gauge.sigma"]
-
-
-@pytest.mark.slow
-def test_minibatches_come_close_to_the_full_batch():
-    world = stack(walks([40] * 64, 3))
-    whole = fit(line_tracker(sigma=0.4), world, NLL, LEVELS)
-    part = fit(line_tracker(sigma=0.4), world, NLL, LEVELS, FitOptions(minibatch=16, steps=60, seed=1))
-    for name in LEVELS:
-        # a minibatch determines a level to about 5 %, and a falling rate averages the steps
-        assert part.values[name] == pytest.approx(float(whole.values[name]), rel=0.1)
-    assert part.filter_runs < 64 * 3 * 61
 
 
 def test_a_tight_prior_outweighs_the_measurements(line_world):

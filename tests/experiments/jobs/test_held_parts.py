@@ -24,7 +24,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.tuning.batches import Pieces
 from trackwright.tuning.data import fit_data
 from trackwright.tuning.parameters import flatten, select_parameters
-from trackwright.tuning.parts import LocalParts
+from trackwright.tuning.parts import Computation, LocalParts
 from trackwright.tuning.problem import Problem
 
 MINE = """
@@ -80,15 +80,16 @@ def test_chunks_whose_worker_is_killed_are_loaded_by_others(vehicles, tmp_path):
     pytest.importorskip("distributed")
     named, data = vehicles
     here = _problem(named, data, LocalParts)
-    blocks, pieces = [flatten(here.parameters)[None]], Pieces(data.batches(), 2)
+    pieces = Pieces(data.batches(), 2)
+    keys = Computation(_keys, [flatten(here.parameters)[None]], _as_found)
     with cluster_client("local:2") as (client, expected):
         parts = HeldParts(FitWorkers(client, expected, tmp_path), named, here.start, pieces)
-        before = parts.run(_keys, blocks, _as_found)
+        before = parts.compute(keys)
         pids = list(client.run(os.getpid).values())
         assert len(pids) == 2
         os.kill(pids[0], signal.SIGKILL)
-        after = parts.run(_keys, blocks, _as_found)
-    expected_keys = LocalParts(here.start, pieces).run(_keys, blocks, _as_found)
+        after = parts.compute(keys)
+    expected_keys = LocalParts(here.start, pieces).compute(keys)
     assert len(expected_keys) == 6
     np.testing.assert_array_equal(before, expected_keys)
     np.testing.assert_array_equal(after, expected_keys)
