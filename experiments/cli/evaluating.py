@@ -66,13 +66,7 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
         known += METRICS
     if options.fail_if is not None:
         conditions(options.fail_if, known)
-    if options.cluster is None:
-        evaluation = evaluate(tracks, folders, part.every)
-    else:
-        from trackwright.experiments.jobs.executors import cluster_executor
-
-        with cluster_executor(options.cluster) as executor:
-            evaluation = evaluate(tracks, folders, part.every, executor)
+    evaluation = evaluate(tracks, folders, part.every)
     if worksteps is not None:
         truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
         work = workstep_report(tracks, truths, worksteps, options.tolerance, part.every)

@@ -196,13 +196,14 @@ class TrackOptions(TrackerOptions):
             under smaller and larger biases, weighted by how well each predicts the readings, for a site without a
             calibration.
         seed: of the random numbers of particle filters.
-        cluster: track each recording by itself on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
+        cluster: track each recording by itself, as --keep-going does, on a Dask cluster, tcp://HOST:8786, or in
+            processes here, local:4.
         no_figures: draw no figures.
         no_report: write no report.html, the page with playback and linked charts.
         format: of the figures.
         force: track recordings in spite of the errors that `trackwright check` finds.
         keep_going: track each recording by itself, keep finished ones for the same command again, and leave out those
-            that fail, with exit code 1; always with a folder of folders, and with more than 60 recordings.
+            that fail, with exit code 1; always with a folder of folders, more than 60 recordings, or --cluster.
         json: print the error metrics as JSON, by tracker, instead of tables.
     """
 
@@ -430,7 +431,7 @@ class EvaluateOptions:
             unlocked at the right one.
         tolerance: distance to a fastening point, m, up to which the tool is at it; default: half the smallest distance
             between two points.
-        cluster: score each recording on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
+        cluster: score each recording of an archive on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
     """
 
     truth: tuple[Annotated[Path, Parameter(metavar="FOLDER|FILE")], ...] = ()

@@ -29,7 +29,7 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         notice_other_calibration(options.noise, options.tuned.calibration, options.used.calibration)
     with json_alone(options.json) as put, stages("track") as begin:
         begin("reading")
-        archive = archive_of(recordings, options.keep_going)
+        archive = archive_of(recordings, options.keep_going or options.cluster is not None)
         if archive is None:
             usable, refused = usable_recordings(recordings, options.force, options.used.calibration is not None)
             folders = prepared(usable, options.used)
@@ -83,11 +83,11 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
         return evaluate_archive(folder, options)
     if (folder / RECORDINGS).is_dir() and not (folder / TRACKS).exists():
         raise UnusableInput(f"{folder}: an archive that was not tracked to its end; run the same `track` again")
+    if options.cluster is not None:
+        raise UnusableInput(f"--cluster {options.cluster}: {folder} is no archive; leave --cluster out")
     if folder.is_file() or poses.given or not all(path.is_dir() for path in truth):
-        if worksteps is not None or options.cluster is not None:
-            raise UnusableInput(
-                "--worksteps and --cluster: apply to a folder of `track`, without trajectory options and files"
-            )
+        if worksteps is not None:
+            raise UnusableInput("--worksteps: applies to a folder of `track`, without trajectory options and files")
         known = truth if truth or folder.is_file() else sources(folder)
         return evaluate_poses(folder, known, options)
     return evaluate_folder(folder, options)

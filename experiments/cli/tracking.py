@@ -191,14 +191,7 @@ def _track(
     output_folder(out)
     give_back()
     advance = begin("tracking", sum(len(batch.trajectories) for batch in batches))
-    if options.cluster is None:
-        tracks = track(batches, advance, options.seed)
-    else:
-        from trackwright.experiments.jobs.executors import cluster_executor
-        from trackwright.experiments.jobs.portable import run_on
-
-        with cluster_executor(options.cluster) as executor:
-            tracks = run_on(executor, named, folders, advance, options.seed)
+    tracks = track(batches, advance, options.seed)
     give_back()
     begin("errors and events")
     table, summaries = tracks.table, tracks.summaries

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from trackwright.experiments.jobs.executors import computed
-from trackwright.experiments.jobs.portable import PortableTracker, spec_here
+from trackwright.experiments.jobs.portable import file_of, spec_here
 from trackwright.experiments.jobs.run import finished
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
@@ -46,7 +46,7 @@ class HeldParts(Parts):
     def __init__(self, workers: FitWorkers, named: NamedTracker, point: Point, pieces: Iterable[Batch]) -> None:
         self.workers, self.rows, self.held = workers, list[Any](), list[Any]()
         self.executor = workers.client.get_executor(pure=False)
-        portable = PortableTracker.of(named)
+        text = file_of(named.name)
         try:
             model = pickle.dumps(point)
         except (pickle.PicklingError, TypeError, AttributeError) as error:
@@ -59,7 +59,7 @@ class HeldParts(Parts):
             leaves, structure = jax.tree_util.tree_flatten(piece)
             numbers = jax.tree_util.tree_unflatten(structure, range(len(leaves)))
             atomic_write(path, functools.partial(_write, leaves))
-            call = pickle.dumps((loaded, (portable.name, portable.text, model, pickle.dumps(numbers), path), {}))
+            call = pickle.dumps((loaded, (named.name, text, model, pickle.dumps(numbers), path), {}))
             self.rows.append(lengths_of(piece))
             # A prefix of its own: Dask estimates the duration of a task by those with the same one.
             key = f"load-{uuid.uuid4().hex}"

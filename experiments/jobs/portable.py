@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import functools
 import tempfile
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import polars as pl
-
-from trackwright.experiments.jobs.run import finished
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
-from trackwright.trackers.recordings.tracks import Tracks
 
 Files = tuple[tuple[str, str], ...]
 """Users' files: the path of each, as it was given, and its text."""
@@ -67,18 +61,6 @@ class PortableTracker(NamedTuple):
     motion_levels: bool
     error_levels: bool
 
-    @classmethod
-    def of(cls, tracker: NamedTracker) -> PortableTracker:
-        """The name, file and numbers of a tracker of the catalogue or of a user's file."""
-        numbers = dict(tracker.values), tracker.source, tracker.smoothed, tracker.lag
-        levels = tracker.motion_levels, tracker.error_levels
-        return cls(tracker.name, file_of(tracker.name), tracker.free_height, *numbers, *levels)
-
-    def tracks(self, folder: RecordingFolder, seed: int) -> tuple[pl.DataFrame, dict[str, int]]:
-        """Of one recording: the table of estimates, and how many trajectories ended how."""
-        tracks = self.named(folder).run(folder, seed=seed)
-        return tracks.table, tracks.summaries
-
     def named(self, folder: RecordingFolder) -> NamedTracker:
         """The tracker for one recording; raises UnusableInput as `NamedTracker.of` and where values do not fit."""
         tracker = NamedTracker.of(self.name, spec_here(self.name, self.text), folder, self.free_height)
@@ -89,26 +71,3 @@ class PortableTracker(NamedTuple):
         if self.motion_levels:
             tracker = tracker.with_motion_levels()
         return tracker.with_error_levels() if self.error_levels else tracker
-
-
-def run_on(
-    executor: Executor,
-    tracker: NamedTracker,
-    folders: Sequence[RecordingFolder],
-    advance: Callable[[int], None] = lambda done: None,
-    seed: int = 0,
-) -> Tracks:
-    """The estimates of all recordings, each tracked by itself on the executor, to the bits of tracking it alone.
-
-    `advance` is called with the number of trajectories done. Raises UnusableInput as `NamedTracker.run`.
-    """
-    portable = PortableTracker.of(tracker)
-    by_name: dict[str, tuple[pl.DataFrame, dict[str, int]]] = {}
-    for folder, part in finished(lambda f: executor.submit(portable.tracks, f, seed), folders):
-        by_name[folder.name] = part
-        advance(sum(part[1].values()))
-    summaries: Counter[str] = Counter()
-    for folder in folders:
-        summaries.update(by_name[folder.name][1])
-    table = pl.concat([by_name[name][0] for name in sorted(by_name)], how="diagonal")
-    return Tracks(table, dict(summaries), tracker.batches(folders))

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -28,7 +27,6 @@ from trackwright.trackers.evaluation.metrics import MetricRows
 from trackwright.trackers.evaluation.scores import Scores
 from trackwright.trackers.evaluation.scoring import score, scores_of_tracks
 from trackwright.trackers.evaluation.statements import covariance_statements
-from trackwright.trackers.recordings.columns import require_columns
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.tracks_table import is_bearing, track_keys
 from trackwright.trackers.recordings.truth import TruePaths
@@ -40,8 +38,6 @@ if TYPE_CHECKING:
     from trackwright.trackers.recordings.tracks import Tracks
 
     OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
-
-T = TypeVar("T")
 
 Metrics = dict[str, Any]
 """Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
@@ -88,29 +84,16 @@ def evaluate(
     estimates: Tracks | Estimates | pl.DataFrame | Association,
     recordings: OneOrMore,
     every: float | None = None,
-    executor: Executor | None = None,
 ) -> Evaluation:
     """The error metrics of estimates against the truth of their recordings, interpolated at the times of the estimates.
 
     `estimates`: `Tracks`, a table with the columns of tracks.parquet, the `Estimates` of `Recording`s whose truth is a
     `position`, or the `Association` of any of these. `every`: s, score only the last estimate in each interval of that
-    length. `executor`: associates and scores each recording of a table there, to the same bits. Recordings in arrays of
-    one name are told apart by their place, which must be that of the run. Raises UnusableInput if no recording has a
-    truth, or no estimate lies inside that of its recording and tag, and for two folders of one name.
+    length. Recordings in arrays of one name are told apart by their place, which must be that of the run. Raises
+    UnusableInput if no recording has a truth, or no estimate lies inside that of its recording and tag, and for two
+    folders of one name.
     """
     stations = {f.name: f.rig.stations for f in _several(recordings) if isinstance(f, RecordingFolder)}
-    if executor is not None and isinstance(estimates, pl.DataFrame):
-        truths = _required_truths(recordings)
-        require_columns(estimates, ["recording"], "the tracks")
-        by_name = estimates.with_columns(pl.col("recording").cast(pl.String)).partition_by("recording", as_dict=True)
-        parts = [
-            executor.submit(_scored_recording, by_name[name,], _of(name, truths), _of(name, stations), every)
-            for name in sorted(str(name) for (name,) in by_name)
-        ]
-        tracks = TrackScores.joined([part.result() for part in parts])
-        if not tracks.scores["n"].any():
-            refuse_without_overlap(associate_truth(estimates, truths), truths)
-        return tracks.evaluation()
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
     if not association.scored.any():
         refuse_without_overlap(association, _truths(recordings))
@@ -143,13 +126,6 @@ class TrackScores(NamedTuple):
         keys = rows.select(track_keys(rows))[association.starts[:-1]]
         return cls(keys, is_bearing(rows), scores_of_tracks(association, score(association, stations, every)))
 
-    @classmethod
-    def joined(cls, parts: Sequence[TrackScores]) -> TrackScores:
-        """The tracks of all parts."""
-        return cls(
-            pl.concat([part.keys for part in parts]), parts[0].bearing, Scores.joined([part.scores for part in parts])
-        )
-
     def recordings(self, ratios: Mapping[str, float]) -> tuple[list[str], Scores]:
         """The names of the recordings and their scores; `ratios`: of their residuals, see `residual_ratios`."""
         names = self.keys["recording"].to_list()
@@ -166,21 +142,6 @@ class TrackScores(NamedTuple):
         (overall,) = MetricRows(recordings.grouped(np.array([0, len(names)])))
         tracks = MetricRows(self.scores, self.keys.to_dict(as_series=False))
         return Evaluation(self.bearing, overall, MetricRows(recordings, {"recording": names}), tracks)
-
-
-def _of(name: str, values: Mapping[str, T]) -> dict[str, T]:
-    """The entry of this name alone, if there is one."""
-    return {name: values[name]} if name in values else {}
-
-
-def _scored_recording(
-    rows: pl.DataFrame,
-    truths: Mapping[str, pl.DataFrame],
-    stations: Mapping[str, Mapping[str, Station]],
-    every: float | None,
-) -> TrackScores:
-    """The scores of the estimates of one recording."""
-    return TrackScores.of(associate_truth(rows, truths), stations, every)
 
 
 def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> Association:

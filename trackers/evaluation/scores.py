@@ -7,7 +7,7 @@ histograms with bins of 2 %, so that a million rows need no more memory than a t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -117,20 +117,6 @@ class Scores:
                 if name in other.values and (n := len(x.values) + len(other.values[name].values)) <= EXACT
             },
         )
-
-    @classmethod
-    def joined(cls, parts: Sequence[Scores]) -> Scores:
-        """The groups of all parts, which have their values, one after the other."""
-
-        def all_of(name: str) -> dict[str, np.ndarray]:
-            return {key: np.concatenate([getattr(p, name)[key] for p in parts]) for key in getattr(parts[0], name)}
-
-        values = {}
-        for name in parts[0].values:
-            each = [part.values[name] for part in parts]
-            counts = np.concatenate([np.diff(part.starts) for part in each])
-            values[name] = Values(np.concatenate([part.values for part in each]), np.append(0, np.cumsum(counts)))
-        return cls(all_of("sums"), all_of("largest"), {}, values)
 
     def grouped(self, starts: np.ndarray) -> Scores:
         """The scores of groups of the groups, which have their values; `starts` (h + 1,): their first, then g."""

@@ -306,10 +306,14 @@ def _elsewhere(cluster):
 
 def test_a_cluster_computes_the_same_bits_and_a_recording_that_ends_workers_costs_its_own_line(tmp_path, monkeypatch):
     write_archive(tmp_path / "archive", 4)
-    assert trackwright("track", tmp_path / "archive", *PLAIN, "--out", tmp_path / "here").code == 0
+    (tmp_path / "mine.py").write_text(
+        "from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
+    )
+    options = (*PLAIN, "--tracker", f"{tmp_path}/mine.py:MINE", "--lag", 2)
+    assert trackwright("track", tmp_path / "archive", *options, "--out", tmp_path / "here").code == 0
     monkeypatch.setattr(command, "cluster_executor", _elsewhere)
     on = ("--cluster", "tcp://elsewhere:8786")
-    done = trackwright("track", tmp_path / "archive", *PLAIN, "--out", tmp_path / "there", *on)
+    done = trackwright("track", tmp_path / "archive", *options, "--out", tmp_path / "there", *on)
     assert done.code == 1
     assert "walk-01: its workers ended" in done.err
     here, there = (pl.read_parquet(tmp_path / name / "tracks.parquet") for name in ("here", "there"))
