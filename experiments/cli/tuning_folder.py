@@ -58,9 +58,10 @@ def tune_folders(
     clock: float,
     begin: Begin,
 ) -> tuple[int, dict[str, Any]]:
-    """Fits to the first folders, those of `recordings`, and writes all files; the exit code and the tuned content.
+    """Fits to the first folders, those of `recordings`, writes all files and prints the table.
 
-    `started`, `clock`: when the command began. `begin`: of a stage.
+    Returns the exit code, and the content of tuned.toml. With the code `REFUSED` that file is not written, and the
+    content has the reason as `refused`. `started`, `clock`: when the command began. `begin`: of a stage.
     """
     count = len(recordings)
     if options.used.calibration is not None and not isinstance(folders, FoldersInTurn):
@@ -68,43 +69,24 @@ def tune_folders(
         count, folders = sum(map(len, parts[:count])), [part for of_folder in parts for part in of_folder]
     with fit_workers(options.cluster, options.out) as workers:
         fitted = fit_folders(folders, count, options, begin, workers)
-        return finish(fitted, recordings, started, clock, begin)
-
-
-def finish(
-    fitted: Fitted,
-    recordings: Sequence[Path],
-    started: datetime,
-    clock: float,
-    begin: Begin,
-) -> tuple[int, dict[str, Any]]:
-    """Writes the files and prints the table; returns the exit code, and the content of tuned.toml.
-
-    With the code `REFUSED` that file is not written, and the content has the reason as `refused`.
-
-    `started`, `clock`: when the command began.
-    """
-    left_out = {} if fitted.data.held_out else _left_out(fitted.result, begin)
-    begin("comparing before and after")
-    compared, plans = _compared(fitted, left_out, not fitted.options.no_report)
-    begin("report")
-    written = write_run(fitted, recordings, time.perf_counter() - clock, started, compared, plans)
-    for line in written.lines:
-        print(line)
-    if written.refused:
-        notice(written.refused)
-        return REFUSED, written.content | {"refused": written.refused}
-    if fitted.result.uncertainty is None:
+        result, held_out = fitted.result, bool(fitted.data.held_out)
+        names = {name for name in result.recordings if name}
+        if len(names) > 1 and not held_out:
+            begin(f"leaving out each of {len(names)} recordings")
+        left_out = {} if held_out else left_out_values(result)
+        begin("comparing before and after")
+        compared, plans = _compared(fitted, left_out, not options.no_report)
+        begin("report")
+        reasons = [] if options.force else refusals(result, compared, held_out)
+        refused = f"{options.out / 'tuned.toml'} is not written: {in_words(reasons)}" if reasons else ""
+        content = _write_run(fitted, recordings, time.perf_counter() - clock, started, compared, plans, refused)
+    if refused:
+        notice(refused)
+        return REFUSED, content | {"refused": refused}
+    if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
-        return INTERRUPTED, written.content
-    return 0, written.content
-
-
-def _left_out(result: FitResult, begin: Begin) -> dict[str, dict[str, np.ndarray]]:
-    count = len({name for name in result.recordings if name})
-    if count > 1:
-        begin(f"leaving out each of {count} recordings")
-    return left_out_values(result)
+        return INTERRUPTED, content
+    return 0, content
 
 
 def _compared(
@@ -134,25 +116,19 @@ def _compared(
     return compare((before, judged), fitted.shown, fitted.data.dimensions, about), plans
 
 
-class Written(NamedTuple):
-    """The lines to print, the content of tuned.toml, and why that file was not written, empty where it was."""
-
-    lines: list[str]
-    content: dict[str, Any]
-    refused: str
-
-
-def write_run(
+def _write_run(
     fitted: Fitted,
     recordings: Sequence[Path],
     seconds: float,
     started: datetime,
     compared: Compared,
     plans: TrackChanges | None,
-) -> Written:
-    """Writes all files to the folder, tuned.toml only without `refusals` or with the option `force`.
+    refused: str,
+) -> dict[str, Any]:
+    """Writes all files to the folder, prints what they show, and returns the content of tuned.toml.
 
-    `seconds`: that the command took. `plans`: the tracks before and after.
+    `seconds`: that the command took. `plans`: the tracks before and after. `refused`: why tuned.toml is not written;
+    empty where it is.
     """
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
     objective, unit = str(options.objective), "rad" if data.training[0].station else "m"
@@ -162,18 +138,16 @@ def write_run(
     calibration, average = options.used.calibration, options.used.average
     calibration_id = None if calibration is None else identity(calibration)
     content = tuned_content(fitted.named.name, objective, result, intervals, calibration_id)
-    reasons = [] if options.force else refusals(result, compared, bool(data.held_out))
-    refused = f"{out / 'tuned.toml'} is not written: {in_words(reasons)}" if reasons else ""
     if refused:
         (out / "tuned.toml").unlink(missing_ok=True)
     else:
         write_tuned(out / "tuned.toml", content)
     figures = None if options.no_figures else options.format
     _write_trace(out, result, objective, unit, figures)
-    issues = _issues(result, bool(data.held_out))
-    cautions = [] if result.uncertainty is None else result.cautions
-    notices = [f"notice: {text}" for text in (*(issue.text for issue in issues), *cautions)]
-    lines = [*table(result, objective, intervals), *notices, compared.text().rstrip("\n")]
+    issues, cautions = list[IdentifiabilityIssue](), list[str]()
+    if result.uncertainty is not None:
+        gradients, cautions = result.evaluation.term_gradients, result.cautions
+        issues = identifiability_issues(result.uncertainty, gradients, bool(data.held_out))
     command = shlex.join(["trackwright", *sys.argv[1:]])
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
     use += "" if calibration is None else f" --calibration {calibration}"
@@ -196,9 +170,13 @@ def write_run(
         write_tuning_report(out / "report.html", replace(known, training=recording_names(data.training)))
     extra = {"recordings": [str(p) for p in recordings], "filter_runs": result.filter_runs}
     write_manifest(out, sys.argv, options.config("resume"), started, extra=extra)
+    print(table(result, objective, intervals))
+    for text in (*(issue.text for issue in issues), *cautions):
+        print(f"notice: {text}")
+    print(compared.text(), end="")
     files = ", ".join(written)
-    last = f"wrote {out}: {files}" if refused else f"wrote {out / 'tuned.toml'}, {files}; use it: {use}"
-    return Written([*lines, last], content, refused)
+    print(f"wrote {out}: {files}" if refused else f"wrote {out / 'tuned.toml'}, {files}; use it: {use}")
+    return content
 
 
 def _notes(data: FitData, result: FitResult, reported: FitData) -> Iterator[str]:
@@ -209,12 +187,6 @@ def _notes(data: FitData, result: FitResult, reported: FitData) -> Iterator[str]
         yield "The fit was interrupted: the values are the best so far; --resume continues it."
     if result.n_excluded:
         yield f"{result.n_excluded} of {len(data.training)} segments were excluded."
-
-
-def _issues(result: FitResult, held_out: bool) -> list[IdentifiabilityIssue]:
-    if result.uncertainty is None:
-        return []
-    return identifiability_issues(result.uncertainty, result.evaluation.term_gradients, held_out)
 
 
 def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure: str | None) -> None:
@@ -239,8 +211,8 @@ def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure
     tuning_trace(out / f"tuning.{figure}", np.array(columns[objective]), drawn, units, names.get(objective, objective))
 
 
-def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) -> list[str]:
-    """The lines of a table of the tuned parameters, and of the objective before and after."""
+def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
+    """A table of the tuned parameters, and a line on the objective before and after."""
     first = result.starts[0][0].values
     rows: list[tuple[str, ...]] = [("tunable", "before", "after", "95 % interval", "unit")]
     for parameter in result.parameters:
@@ -252,7 +224,7 @@ def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) 
             label = name if np.ndim(result.values[name]) == 0 else f"{name}.{k}"
             interval = f"{a:.4g} to {b:.4g}" if np.isfinite([a, b]).all() else "-"
             rows.append((label, f"{before:.4g}", f"{after:.4g}", interval, parameter.example.unit))
-    return [*aligned(rows).splitlines(), f"{objective}: {result.start_value:.5g} -> {result.value:.5g}"]
+    return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"
 
 
 class Refusal(NamedTuple):

@@ -275,7 +275,18 @@ def _fitted(
     tuned = {name for p in select_parameters(data.tracker, tune, freeze) for name in p.names}
     kept = [name for name in tunables(data.tracker) if name not in tuned]
     begin("searching for starts" if starts > 1 else "first evaluation")
-    steps_done = _Steps(options.out, fingerprint, steps, begin)
+    advance: Advance | None = None
+
+    def keep_step(state: FitState) -> None:
+        """Saves the state and advances the bar of the steps, which begins after the first evaluation."""
+        nonlocal advance
+        checkpoint.save(options.out, checkpoint.to_arrays(state), fingerprint)
+        best, number = int(state.best_scores.argmin()), int(state.number)
+        first = advance is None
+        advance = advance or begin("step", steps)
+        now = f"objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g}"
+        advance(number if first else 1, now)
+
     try:
         result = fit(
             data.tracker,
@@ -291,7 +302,7 @@ def _fitted(
                 priors=priors,
                 guesses=[first_guess(data.tracker, training, kept)] if starts > 1 and saved is None else [],
             ),
-            Place(keep=keep, resume=saved, report=steps_done.report, stage=begin),
+            Place(keep=keep, resume=saved, report=keep_step, stage=begin),
         )
     except FloatingPointError as error:
         raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
@@ -306,22 +317,3 @@ def _fitted(
             "gradients over 1000 x the median"
         )
     return result
-
-
-class _Steps:
-    """The bar of the steps, which begins after the first evaluation, and the checkpoint after every step."""
-
-    def __init__(self, out: Path, fingerprint: str, steps: int, begin: Begin) -> None:
-        self.out, self.fingerprint, self.steps, self.begin = out, fingerprint, steps, begin
-        self.advance: Advance | None = None
-
-    def report(self, state: FitState) -> None:
-        """Saves the state and advances the bar."""
-        checkpoint.save(self.out, checkpoint.to_arrays(state), self.fingerprint)
-        best, number = int(state.best_scores.argmin()), int(state.number)
-        now = f"objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g}"
-        if self.advance is None:
-            self.advance = self.begin("step", self.steps)
-            self.advance(number, now)
-        else:
-            self.advance(1, now)
