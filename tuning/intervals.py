@@ -120,14 +120,13 @@ def bootstrap(
 
 
 def percentile_intervals(
-    parameters: list[Parameter], vectors: Float[np.ndarray, "S p"], level: float = 0.95
+    parameters: list[Parameter], vectors: Float[np.ndarray, "S p"]
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Lowest and highest physical value of the central `level` of replicates (S, p), by label."""
+    """Lowest and highest physical value of the central 95 % of replicates (S, p), by label."""
     physical_values = [physical(parameters, v) for v in vectors]
-    tails = 50 * (1 - level), 50 * (1 + level)
     intervals = {}
     for k, p in enumerate(parameters):
-        low, high = np.percentile(np.stack([np.asarray(v[k], float) for v in physical_values]), tails, axis=0)
+        low, high = np.percentile(np.stack([np.asarray(v[k], float) for v in physical_values]), (2.5, 97.5), axis=0)
         intervals[p.label] = (low, high)
     return intervals
 

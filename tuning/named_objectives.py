@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.tuning.objectives import (
     AbstractObjective,
@@ -80,7 +79,6 @@ def all_metrics(
     batches: Batch | Sequence[Batch],
     quantity: str = "position",
     dimensions: int = 2,
-    chunk: int = CHUNK,
     weights: Sequence[Float[np.ndarray, " B"]] | None = None,
 ) -> dict[str, float]:
     """All objectives of a tracker over batches by name, in one pass; `weights`: of the trajectories of each batch.
@@ -91,10 +89,10 @@ def all_metrics(
     batches = [batches] if isinstance(batches, Batch) else list(batches)
     objectives = _available(tracker, batches, quantity, dimensions)
     try:
-        metrics = _evaluated(tracker, batches, objectives, chunk, weights)
+        metrics = _evaluated(tracker, batches, objectives, weights)
     except MissingQuantityError:
         without_truth = {name: objective for name, objective in objectives.items() if not objective.needs_truth}
-        metrics = _evaluated(tracker, batches, without_truth, chunk, weights)
+        metrics = _evaluated(tracker, batches, without_truth, weights)
     return dict.fromkeys([*OBJECTIVES, "rmse-3d"], math.nan) | metrics
 
 
@@ -102,11 +100,10 @@ def _evaluated(
     tracker: AbstractTracker,
     batches: Sequence[Batch],
     objectives: Mapping[str, AbstractObjective],
-    chunk: int,
     weights: Sequence[Float[np.ndarray, " B"]] | None,
 ) -> dict[str, float]:
     together = Weighted(tuple(objectives.values()), (1.0,) * len(objectives)).for_tracker(tracker)
-    (sums,) = Problem(tracker, batches, together, [], chunk, weights=weights).terms(np.zeros((1, 0)))
+    (sums,) = Problem(tracker, batches, together, [], weights=weights).terms(np.zeros((1, 0)))
     metrics = {}
     for name, objective, terms in zip(objectives, together.parts, together.split(sums), strict=True):
         total = terms[:, np.isfinite(terms).all(axis=0)].sum(axis=-1)

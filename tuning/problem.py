@@ -160,12 +160,12 @@ class Problem:
         """The number of trajectories left out of an evaluation, at the vector with the fewest."""
         return int(self.valid.sum() - evaluation.used.sum(axis=1).max())
 
-    def values(self, vectors: Vectors, realisation: int = 0) -> Values:
+    def values(self, vectors: Vectors) -> Values:
         """The objective (S,) at vectors (S, p) over all trajectories that are finite there, at a third of the cost.
 
         `evaluate` leaves out more, those without usable derivatives; elsewhere the two are one function.
         """
-        return self.finite_values(vectors, self.terms(vectors, realisation))
+        return self.finite_values(vectors, self.terms(vectors))
 
     def finite_values(self, vectors: Vectors, terms: Terms) -> Values:
         """`values` (S,) from the terms (S, k, n) at vectors (S, p)."""

@@ -18,7 +18,6 @@ from jaxtyping import Float
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Covariance
-from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.objectives import AbstractObjective
@@ -97,7 +96,6 @@ def sweep(
     objective: AbstractObjective,
     over: Mapping[str, np.ndarray],
     repeats: int = 1,
-    chunk: int = CHUNK,
     report: Callable[[int], None] = lambda points: None,
     weights: Sequence[Float[np.ndarray, " B"]] | None = None,
 ) -> Sweep:
@@ -111,7 +109,7 @@ def sweep(
     parameters = swept_parameters(tracker, list(over))
     grids = [np.asarray(values, float) for values in over.values()]
     rows = [batches] if isinstance(batches, Batch) else batches
-    problem = Problem(tracker, rows, objective, parameters, chunk, weights=weights)
+    problem = Problem(tracker, rows, objective, parameters, weights=weights)
     points = grid_vectors(parameters, grids)
     repeats = repeats if problem.stochastic else 1
     values = np.stack([comparable_values(problem, points, repeat, report) for repeat in range(repeats)])

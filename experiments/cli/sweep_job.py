@@ -48,7 +48,7 @@ def sweep_folders(
         points = grid_vectors(parameters, list(grids.values()))
     except ValueError as error:
         raise UnusableInput(f"--over {' --over '.join(options.over)}: {_with_hint(str(error))}") from error
-    traces = [] if options.path is None else _traces(options.path, [p.label for p in parameters])
+    traces = [] if options.path is None else [_trace(options.path, [p.label for p in parameters])]
     output_folder(out)
     runs = options.repeats if is_stochastic(model) else 1
     advance = begin("grid point", len(points) * runs)
@@ -89,8 +89,8 @@ def _write(path: Path, swept: Sweep, objective: str) -> None:
     atomic_write(path, pl.DataFrame(columns).fill_nan(None).write_csv)
 
 
-def _traces(path: Path, labels: list[str]) -> list[np.ndarray]:
-    """The optimiser traces of a fit in the swept parameters, one per start, the best first; raises UnusableInput."""
+def _trace(path: Path, labels: list[str]) -> np.ndarray:
+    """The optimiser trace of a fit in the swept parameters; raises UnusableInput."""
     file = path / "trace.csv" if path.is_dir() else path
     try:
         table = pl.read_csv(file)
@@ -104,8 +104,7 @@ def _traces(path: Path, labels: list[str]) -> list[np.ndarray]:
             f"--path {file}: has no column {', '.join(lacking)}; its columns: {', '.join(table.columns)}; sweep "
             "the tuned parameters by the same names"
         )
-    parts = table.partition_by("start", maintain_order=True) if "start" in table.columns else [table]
-    return [part.select(pl.col(labels).cast(pl.Float64)).to_numpy() for part in parts]
+    return table.select(pl.col(labels).cast(pl.Float64)).to_numpy()
 
 
 def _summary(swept: Sweep, objective: str, unit: str, seconds: float) -> str:

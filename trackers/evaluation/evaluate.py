@@ -121,7 +121,7 @@ class TrackScores(NamedTuple):
     def of(
         cls, association: Association, stations: Mapping[str, Mapping[str, Station]] | None, every: float | None = None
     ) -> TrackScores:
-        """The tracks of associated estimates; `stations`, `every` as in `evaluate_table`."""
+        """The tracks of associated estimates; `stations`, `every` as in `evaluate_association`."""
         rows = association.rows
         keys = rows.select(track_keys(rows))[association.starts[:-1]]
         return cls(keys, is_bearing(rows), scores_of_tracks(association, score(association, stations, every)))
@@ -241,32 +241,16 @@ def _true_positions(recording: Recording) -> pl.DataFrame:
     return pl.DataFrame({"t_s": recording.times[known], "tag": [""] * int(np.sum(known))} | none | axes)
 
 
-def evaluate_table(
-    tracks: pl.DataFrame,
-    truths: Mapping[str, pl.DataFrame],
-    stations: Mapping[str, Mapping[str, Station]] | None = None,
-    every: float | None = None,
-) -> Evaluation:
-    """As `evaluate`, of tables; the metrics of a recording and overall are taken over the rows of all its tracks.
-
-    `tracks`: the columns of tracks.parquet. `truths`: by recording, the columns of a truth table. `stations`: by
-    recording, its stations by id, required for bearings. `every`: s, score only the last estimate in each interval of
-    that length. Raises UnusableInput if no estimate lies inside the truth of its recording and tag.
-    """
-    association = associate_truth(tracks, truths)
-    refuse_without_overlap(association, truths)
-    return evaluate_association(association, stations, every)
-
-
 def evaluate_association(
     association: Association,
     stations: Mapping[str, Mapping[str, Station]] | None = None,
     every: float | None = None,
     ratios: Mapping[str, float] | None = None,
 ) -> Evaluation:
-    """As `evaluate_table`, of estimates already associated with truth; metrics are None if no row is scored.
+    """As `evaluate`, of estimates already associated with truth; metrics are None if no row is scored.
 
-    `ratios`: by recording, those of `residual_ratios`.
+    `stations`: by recording, its stations by id, required for bearings. `ratios`: by recording, those of
+    `residual_ratios`.
     """
     return TrackScores.of(association, stations, every).evaluation(ratios)
 

@@ -44,7 +44,7 @@ def score(
     stations: Mapping[str, Mapping[str, Station]] | None = None,
     every: float | None = None,
 ) -> Scored:
-    """Errors and NEES of associated estimates; `stations`, `every` as in `evaluate_table`."""
+    """Errors and NEES of associated estimates; `stations`, `every` as in `evaluate_association`."""
     kept = last_of_every(association, every) if every else np.flatnonzero(association.scored)
     if is_bearing(association.rows):
         return _bearings(association, kept, stations or {})

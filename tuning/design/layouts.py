@@ -7,7 +7,7 @@ squared violation of the other constraints, 0 where they hold.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,8 +22,6 @@ from trackwright.tuning.design.bound import Points, SensorAtEpoch, mean_bound
 
 Theta = Float[Array | np.ndarray, "elements coordinates"]
 """Numbers from 0 to 1, one row per element."""
-
-Bound = Callable[[Sequence[SensorAtEpoch], Points], Scalar]
 
 WEIGHT = 300.0
 """Weight of violations against the logarithm of the bound: a violation costs more than any bound gains."""
@@ -53,11 +51,11 @@ class AbstractLayout(eqx.Module):
     def violation(self, theta: Theta) -> Float[Array, ""]:
         """The squared violation of constraints other than the range; 0 where they hold."""
 
-    def objective(self, points: Points, bound: Bound = mean_bound) -> Callable[..., Scalar]:
+    def objective(self, points: Points) -> Callable[..., Scalar]:
         """The cost as a function of theta and the weight of violations: log of the bound plus weighted violations."""
 
         def cost(theta: Theta, weight: Scalar = WEIGHT) -> Scalar:
-            return jnp.log(bound(self.sensors(theta), points)) + weight * self.violation(theta)
+            return jnp.log(mean_bound(self.sensors(theta), points)) + weight * self.violation(theta)
 
         return cost
 

@@ -23,6 +23,8 @@ WEIGHT_INCREASE = 1000.0
 
 _BATCH = 1024
 
+MOST_SWEEPS = 20
+
 
 class SearchResult(NamedTuple):
     """The best `theta`, its `value`, and the number of `evaluations` of the cost or its gradient."""
@@ -81,7 +83,7 @@ def exhaust(
     return best._replace(evaluations=number)
 
 
-def exchange(objective: Objective, choices: np.ndarray, starts: Sequence[np.ndarray], sweeps: int = 20) -> SearchResult:
+def exchange(objective: Objective, choices: np.ndarray, starts: Sequence[np.ndarray]) -> SearchResult:
     """Fedorov's exchange (1972) on a grid: elements move in turn to the best of all `choices` (c, d), until none moves.
 
     For too many combinations to try all. From each of the `starts`, indices (n,) of choices.
@@ -90,7 +92,7 @@ def exchange(objective: Objective, choices: np.ndarray, starts: Sequence[np.ndar
     best, number = None, 0
     for start in starts:
         chosen, value = np.array(start), np.inf
-        for _ in range(sweeps):
+        for _ in range(MOST_SWEEPS):
             before = chosen.copy()
             for k in range(len(chosen)):
                 tried = np.repeat(chosen[None], len(choices), axis=0)

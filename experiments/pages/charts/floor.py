@@ -110,9 +110,9 @@ def draw_plan(axes: Axes, paths: Sequence[PlanPath], truths: Sequence[np.ndarray
     draw_rig(axes, rig, corners.size)
 
 
-def _mark_times(axes: Axes, times: np.ndarray, positions: np.ndarray, colour: str, about: int = 4) -> None:
-    """About so many times along a path, between its start and its end."""
-    for at in MaxNLocator(about + 1, steps=[1, 2, 5, 10]).tick_values(times[0], times[-1]):
+def _mark_times(axes: Axes, times: np.ndarray, positions: np.ndarray, colour: str) -> None:
+    """About four times along a path, between its start and its end."""
+    for at in MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(times[0], times[-1]):
         row = int(np.argmin(np.abs(times - at)))
         near = abs(times[row] - at) <= 0.02 * (times[-1] - times[0])
         if times[0] < at < times[-1] and near:

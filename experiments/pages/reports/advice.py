@@ -56,17 +56,15 @@ def advice_on(data: TuningReportData) -> Advice:
 
 
 def is_worse(metric: MetricChange, pair: tuple[float, float]) -> bool:
-    """Whether the metric increased, or moved away from its target, by more than `WORSE`."""
+    """Whether the metric increased by more than `WORSE`, or `WORSE_BY`."""
     before, after = pair
     if not (math.isfinite(before) and math.isfinite(after)):
         return math.isfinite(before)
-    if metric.target is None:
-        return after > before + (WORSE * before if metric.unit not in ("nats", "1") else WORSE_BY)
-    return abs(after - metric.target) > abs(before - metric.target) + WORSE * abs(metric.target)
+    return after > before + (WORSE * before if metric.unit not in ("nats", "1") else WORSE_BY)
 
 
 def is_better(metric: MetricChange, pair: tuple[float, float]) -> bool:
-    """Whether the metric decreased, or came closer to its target, by more than `WORSE`."""
+    """Whether the metric decreased by as much."""
     return all(math.isfinite(x) for x in pair) and is_worse(metric, (pair[1], pair[0]))
 
 

@@ -92,9 +92,9 @@ SURE = 0.95
 """Predicted probability from which on the calibration is summarised in a sentence."""
 
 
-def worksteps_text(report: WorkstepReport, width: int = 120) -> str:
+def worksteps_text(report: WorkstepReport) -> str:
     """A table of unlock decisions by fastening point, and a summary."""
-    return rendered(width, _table(report), *_sentences(report))
+    return rendered(120, _table(report), *_sentences(report))
 
 
 def _table(report: WorkstepReport) -> Table:

@@ -48,8 +48,7 @@ class TunedParameter:
 class MetricChange:
     """A metric before and after, on the recordings tuned on and on those held out; NaN where missing.
 
-    `key`: its name, as `rmse` or `nis-shape`. `target`: its value for a consistent filter, as 1 for NIS per degree of
-    freedom; None where lower is better.
+    `key`: its name, as `rmse` or `nis-shape`; lower is better.
     """
 
     key: str
@@ -57,7 +56,6 @@ class MetricChange:
     unit: str
     training: tuple[float, float]
     held_out: tuple[float, float]
-    target: float | None = None
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,14 @@ import polars as pl
 import pytest
 
 import trackwright as tw
+from tests.trackers.evaluation.tables import evaluate_table
 from trackwright.experiments.cli.evaluating import violation
 from trackwright.experiments.text.evaluation_text import to_json, to_text
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import _truths, associate, evaluate, evaluate_table
+from trackwright.trackers.evaluation.evaluate import _truths, associate, evaluate
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks_table import read_tracks
 from trackwright.trackers.recordings.truth import TruthStatus

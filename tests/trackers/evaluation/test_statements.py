@@ -4,8 +4,9 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tests.trackers.evaluation.tables import evaluate_table
 from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import evaluate_association, evaluate_table
+from trackwright.trackers.evaluation.evaluate import evaluate_association
 from trackwright.trackers.evaluation.statements import holds
 
 N = 4000
