@@ -18,7 +18,7 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.recordings.reading_grids import REPEATED, ReadingGrid
-from trackwright.tuning.parameters import Parameter, component_kinds, component_names, grid_of
+from trackwright.tuning.parameters import Parameter, component_kinds, component_names, grid_of, split
 from trackwright.tuning.parts import BESIDE, Computation, Point, plain_rows
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined, refit
@@ -58,14 +58,11 @@ def collapsed(
 
     The latter where the recordings do not determine them.
     """
-    at = 0
-    for parameter in parameters:
-        part = slice(at, at + parameter.size)
-        at += parameter.size
+    for (parameter, first), (_, last) in zip(split(parameters, start), split(parameters, end), strict=True):
         if not isinstance(parameter.example, Scale):
             continue
-        low, grid, unit = float(np.exp(end[part].min())), grid_of(grids, parameter), parameter.example.unit
-        fell = grid is not None and low <= 1.001 * grid.lowest < float(np.exp(start[part].min()))
+        low, grid, unit = float(np.exp(last.min())), grid_of(grids, parameter), parameter.example.unit
+        fell = grid is not None and low <= 1.001 * grid.lowest < float(np.exp(first.min()))
         if grid is not None and fell:
             what = "rounding" if grid.lowest == grid.floor else "changes"
             size = f"step {grid.step:.3g}" if what == "rounding" else f"typically {grid.change:.3g}"
@@ -73,7 +70,7 @@ def collapsed(
                 f"{parameter.label} fell to {low:.3g} {unit}, the {what} of its readings ({size} {unit} / √12), below "
                 "which it is not fitted: readings that repeat drive it down"
             )
-        elif np.min(end[part] - start[part]) < math.log(COLLAPSED) and not _determined(uncertainty, parameter):
+        elif np.min(last - first) < math.log(COLLAPSED) and not _determined(uncertainty, parameter):
             yield (
                 f"{parameter.label} collapsed to {low:.3g} {unit}, less than a thousandth of its starting "
                 "value: give bounds or a prior"
@@ -84,10 +81,8 @@ def _determined(uncertainty: Uncertainty | None, parameter: Parameter) -> bool:
     """Whether a noise level has a standard error below its value."""
     if uncertainty is None:
         return False
-    at = [other.label for other in uncertainty.parameters].index(parameter.label)
-    start = sum(other.size for other in uncertainty.parameters[:at])
-    sigma = np.where(uncertainty.undetermined | uncertainty.at_bound, np.inf, uncertainty.sigmas)
-    return bool(np.all(sigma[start : start + parameter.size] < 1.0))
+    sigmas = np.where(uncertainty.undetermined | uncertainty.at_bound, np.inf, uncertainty.sigmas)
+    return any(p.label == parameter.label and np.all(x < 1.0) for p, x in split(uncertainty.parameters, sigmas))
 
 
 def deciding(problem: Problem, uncertainty: Uncertainty, recordings: Sequence[str]) -> list[str]:

@@ -34,7 +34,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.tuning.batches import AnyBatch, lengths_of, steps_of
 from trackwright.tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
-from trackwright.tuning.parameters import Parameter, flatten, with_parameters
+from trackwright.tuning.parameters import Parameter, flatten, split, with_parameters
 from trackwright.tuning.problem import Problem, has_particles
 
 ROWS, SEGMENTS, SEGMENTS_OF_PARTICLES = 400, 8, 4
@@ -205,16 +205,13 @@ class _Search:
 
     def moved(self, logs: np.ndarray) -> np.ndarray:
         """The best vector so far with each level times exp(logs), (S, levels)."""
-        parts, start = [], 0
-        for k, parameter in enumerate(self.problem.parameters):
-            raw = np.asarray(parameter.example.raw, float)
-            here = self.vector[start : start + raw.size].reshape(raw.shape)
-            start += raw.size
-            by = logs[:, k].reshape(-1, *[1] * raw.ndim)
+        parts = []
+        for (parameter, here), log in zip(split(self.problem.parameters, self.vector), logs.T, strict=True):
+            by = log.reshape(-1, *[1] * here.ndim)
             new = here + by
             if isinstance(parameter.example, Covariance):
                 # Its unconstrained form is a Cholesky factor, with logarithms on the diagonal alone.
-                new = np.where(np.eye(len(raw)) > 0, new, here * np.exp(by))
+                new = np.where(np.eye(len(here)) > 0, new, here * np.exp(by))
             parts.append(new.reshape(len(logs), -1))
         return np.concatenate(parts, axis=1)
 

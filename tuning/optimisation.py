@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.model.tunable import Covariance, Scale, role_of
 from trackwright.tuning.optimisers import AbstractOptimiser
-from trackwright.tuning.parameters import Parameter
+from trackwright.tuning.parameters import Parameter, split
 from trackwright.tuning.problem import Evaluation, Problem, weighted_sum
 from trackwright.tuning.uncertainty import Optimum, determined, evaluations, optimum
 
@@ -330,16 +330,12 @@ def coarse_grid(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]
     for one, one for none.
     """
     motion, others = np.zeros_like(vector), np.zeros_like(vector)
-    at = 0
-    for parameter in parameters:
-        raised = np.zeros(parameter.shape)
-        if isinstance(parameter.example, Scale):
-            raised = raised + 1.0
-        elif isinstance(parameter.example, Covariance):
-            raised = np.eye(len(raised))  # the logarithms of a Cholesky factor's diagonal
-        part = motion if role_of(parameter.example) in ("process noise", "bias noise") else others
-        part[at : at + parameter.size] = np.ravel(raised)
-        at += parameter.size
+    for parameter, raised in split(parameters, np.arange(len(vector))):
+        if isinstance(parameter.example, Covariance):
+            raised = np.diagonal(raised)  # the logarithms of a Cholesky factor's diagonal
+        if isinstance(parameter.example, Scale | Covariance):
+            part = motion if role_of(parameter.example) in ("process noise", "bias noise") else others
+            part[np.ravel(raised)] = 1.0
     steps = (0.0, -GRID_STEP, GRID_STEP)
     grid = [
         vector + a * motion + b * others

@@ -23,7 +23,7 @@ from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import TIED, Parameter, component_kinds, physical, select_parameters
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import Uncertainty, unidentifiable
+from trackwright.tuning.uncertainty import unidentifiable
 
 POINTS_PER_REPORT = 32
 """Grid points between two progress reports."""
@@ -166,17 +166,30 @@ class Surface:
     values: Float[np.ndarray, "n *m"]
 
 
-def surface_of(result: FitResult, uncertainty: Uncertainty | None) -> Surface | None:
+def surface_of(result: FitResult) -> Surface | None:
     """The objective over one number, or over the two best determined; None where no value is finite.
 
     Covers the best start's trace and four standard errors, within `HALF_WIDTHS`; surfaces are interpolated cubically.
     """
-    axes = _axes(result, uncertainty)
+    trace, known = _trace_vectors(result), result.uncertainty
+    sigmas = np.full(trace.shape[1], np.inf)
+    if known is not None:
+        sigmas = np.where(known.undetermined | ~np.isfinite(known.sigmas), np.inf, known.sigmas)
+    still = unidentifiable(result.evaluation.term_gradients)
+    kinds = component_kinds(result.parameters)
+    # Entries of a matrix's factor are no numbers of their own.
+    free = [k for k, kind in enumerate(kinds) if not (issubclass(kind, Covariance) or still[k])]
+    determined = [k for k in free if np.isfinite(sigmas[k])]
+    moved = np.abs(trace[-1] - trace[0])
+    order = sorted(determined, key=lambda k: sigmas[k]) or sorted(free, key=lambda k: -moved[k])
+    axes = tuple(sorted(order[:2]))
     if not axes:
         return None
     count = FEW if result.problem.vectors_per_call == 1 else POINTS
     count = 2 * count - 1 if len(axes) == 1 else count
-    steps = [_half_width(result, uncertainty, k) * np.linspace(-1, 1, count) for k in axes]
+    wide = np.where(np.isfinite(sigmas), 4 * sigmas, 0.0)
+    half_widths = np.clip(np.maximum(wide, 1.15 * np.abs(trace - result.vector).max(axis=0)), *HALF_WIDTHS)
+    steps = [half_widths[k] * np.linspace(-1, 1, count) for k in axes]
     shifts = np.stack([m.ravel() for m in np.meshgrid(*steps, indexing="ij")], axis=1)
     vectors = np.repeat(result.vector[None], len(shifts), axis=0)
     vectors[:, list(axes)] += shifts
@@ -190,34 +203,6 @@ def surface_of(result: FitResult, uncertainty: Uncertainty | None) -> Surface | 
     return Surface(axes, grids, values)
 
 
-def _axes(result: FitResult, uncertainty: Uncertainty | None) -> tuple[int, ...]:
-    """The one or two determined numbers of least standard error, or without any those that moved most."""
-    free = _scalar_components(result)
-    if not free:
-        return ()
-    sigmas = _sigmas(uncertainty)
-    if sigmas is not None and np.isfinite(sigmas[free]).any():
-        order = sorted((k for k in free if np.isfinite(sigmas[k])), key=lambda k: sigmas[k])
-    else:
-        trace = _trace_vectors(result)
-        order = sorted(free, key=lambda k: -abs(float(trace[-1, k] - trace[0, k])))
-    return tuple(sorted(order[:2]))
-
-
-def _scalar_components(result: FitResult) -> list[int]:
-    """The indices of numbers that are no entries of a matrix's factor and have an effect."""
-    still = unidentifiable(result.evaluation.term_gradients)
-    kinds = component_kinds(result.parameters)
-    return [k for k, kind in enumerate(kinds) if not (issubclass(kind, Covariance) or still[k])]
-
-
-def _sigmas(uncertainty: Uncertainty | None) -> Float[np.ndarray, " p"] | None:
-    """Standard errors of the unconstrained numbers, infinite where undetermined."""
-    if uncertainty is None:
-        return None
-    return np.where(uncertainty.undetermined, np.inf, uncertainty.sigmas)
-
-
 def _trace_vectors(result: FitResult) -> Float[np.ndarray, "i p"]:
     """The unconstrained vectors (i, p) of the best start's trace."""
     vectors = [
@@ -225,13 +210,6 @@ def _trace_vectors(result: FitResult) -> Float[np.ndarray, "i p"]:
         for step in result.trace
     ]
     return np.stack(vectors)
-
-
-def _half_width(result: FitResult, uncertainty: Uncertainty | None, k: int) -> float:
-    sigmas = _sigmas(uncertainty)
-    wide = 4 * float(sigmas[k]) if sigmas is not None and np.isfinite(sigmas[k]) else 0.0
-    moved = 1.15 * float(np.max(np.abs(_trace_vectors(result)[:, k] - result.vector[k])))
-    return float(np.clip(max(wide, moved), *HALF_WIDTHS))
 
 
 def _physical(result: FitResult, k: int, steps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -32,7 +32,7 @@ from scipy.special import ndtri, stdtrit
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Covariance
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import Parameter, physical, physical_errors
+from trackwright.tuning.parameters import Parameter, physical, physical_errors, split
 from trackwright.tuning.parts import Computation, WithDerivatives, plain_rows
 from trackwright.tuning.problem import Evaluation, Problem, value_and_gradient
 
@@ -97,8 +97,8 @@ class Uncertainty:
         cov = self.observed if by == "curvature" else self.sandwich
         errors = physical_errors(self.parameters, self.optimum.vector, np.nan_to_num(cov))
         missing = self.undetermined | self.at_bound | np.isnan(np.diagonal(cov)) | (not self.at_optimum)
-        parts = zip(self.parameters, errors, self._by_parameter(missing), strict=True)
-        return {p.label: np.where(m, np.nan, e) for p, e, m in parts}
+        parts = zip(errors, split(self.parameters, missing), strict=True)
+        return {p.label: np.where(m, np.nan, e) for e, (p, m) in parts}
 
     def intervals(self, level: float = 0.95, by: By = "either") -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Lowest and highest physical value by label; symmetric in the logarithm of a Scale, the odds of a Fraction.
@@ -129,14 +129,6 @@ class Uncertainty:
                 ends = np.asarray(middle) - half, np.asarray(middle) + half
             intervals[p.label] = ends
         return intervals
-
-    def _by_parameter(self, flags: Bool[np.ndarray, " p"]) -> list[Bool[np.ndarray, "..."]]:
-        parts, start = [], 0
-        for p in self.parameters:
-            shape = np.shape(p.example.raw)
-            parts.append(flags[start : start + int(np.prod(shape, dtype=int))].reshape(shape))
-            start += parts[-1].size
-        return parts
 
 
 def uncertainty(problem: Problem, vector: Float[np.ndarray, " p"]) -> Uncertainty:

@@ -197,7 +197,7 @@ def collect(
         cautions=tuple(cautions),
         metrics=(*_sum_objective(objective, result), *_metrics(trackers, rows, weights, quantity, data.dimensions)),
         traces=_traces(result),
-        surface=surface_of(result, result.uncertainty),
+        surface=surface_of(result),
         evaluated_on="held-out recordings" if held_out else "the recordings tuned on",
         innovations=innovations,
         errors=_errors(trackers, runs, quantity, 180 / np.pi if angles else 1.0),
@@ -281,7 +281,7 @@ def _parameters(
 ) -> tuple[TunedParameter, ...]:
     undetermined = {name for issue in issues for name in issue.names}
     names = component_names(result.parameters)
-    units = [p.example.unit for p in result.parameters for _ in range(int(np.size(p.example.raw)))]
+    units = [p.example.unit for p in result.parameters for _ in range(p.size)]
     old, new = (_flat(result.parameters, values) for values in (_first_trace(result)[0].values, result.values))
     nothing = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()}
     bounds = {**nothing, **intervals}
