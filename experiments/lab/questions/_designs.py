@@ -18,9 +18,15 @@ from trackwright.experiments.monte_carlo.results import resampled
 from trackwright.sim.paths import WORK_VOLUME
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-from trackwright.tuning.design.bound import bounds, mean_bound
-from trackwright.tuning.design.layouts import AbstractLayout, PlanarArray, WallAnchors, range_sensor
-from trackwright.tuning.design.search import SearchResult
+from trackwright.tuning.design import (
+    AbstractLayout,
+    PlanarArray,
+    SearchResult,
+    WallAnchors,
+    bounds,
+    mean_bound,
+    range_sensor,
+)
 
 LAYOUTS = ("default", "grid", "gradient")
 

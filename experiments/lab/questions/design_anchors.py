@@ -29,7 +29,7 @@ from trackwright.sim.corruptions import white_noise
 from trackwright.sim.paths import hand_motion
 from trackwright.sim.ranging import Protocol, chamber, simulate_ranges
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.tuning.design.search import SearchResult, descend, exhaust
+from trackwright.tuning.design import SearchResult, descend, exhaust
 
 DESIGNS = of.designs("anchors")
 EXACT = Protocol(drift=0.0, sigma_stamp=0.0)

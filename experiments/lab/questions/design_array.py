@@ -27,7 +27,7 @@ from trackwright.sim.paths import WORK_VOLUME
 from trackwright.sim.stations import simulate_phases, work_station
 from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.tuning.design.search import SearchResult, descend, exchange
+from trackwright.tuning.design import SearchResult, descend, exchange
 
 DESIGNS = of.designs("array")
 MAGNIFIED = 10.0

@@ -19,9 +19,7 @@ from trackwright.trackers.aoa.phases import SphericalPhases
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.uwb_imu.differences import PAIR, PAIRS, RangeDifferenceSensor
-from trackwright.tuning.design.bound import SensorAtEpoch, information
-from trackwright.tuning.design.layouts import WallAnchors, range_sensor
-from trackwright.tuning.design.search import descend
+from trackwright.tuning.design import SensorAtEpoch, WallAnchors, descend, information, range_sensor
 
 CELLS = 60
 """Cells of the map along the longer side of the floor."""

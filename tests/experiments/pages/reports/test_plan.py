@@ -25,7 +25,7 @@ from trackwright.sim.stations import work_station
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.rig_file import rig_text
-from trackwright.tuning.design.layouts import WallAnchors
+from trackwright.tuning.design import WallAnchors
 
 SIGMAS = Sigmas(0.1, 0.05, 0.3)
 ROOM = Rig(

@@ -12,9 +12,19 @@ from trackwright.experiments.lab.questions._designs import LAYOUTS, TAG_POINTS, 
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
 from trackwright.trackers.aoa.phases import PlanePhases
-from trackwright.tuning.design.bound import SensorAtEpoch, bounds, information, mean_bound
-from trackwright.tuning.design.layouts import PlanarArray, WallAnchors, range_sensor, spacing_violation
-from trackwright.tuning.design.search import descend, exchange, exhaust
+from trackwright.tuning.design import (
+    PlanarArray,
+    SensorAtEpoch,
+    WallAnchors,
+    bounds,
+    descend,
+    exchange,
+    exhaust,
+    information,
+    mean_bound,
+    range_sensor,
+    spacing_violation,
+)
 
 ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
 BANDS = np.array([[0.2, 1.0], [2.0, 3.0], [0.2, 1.0], [2.0, 3.0]])
