@@ -15,8 +15,7 @@ from tests.experiments.pages.reports.small_tracks import BIAS, NASTY, TAGS, smal
 from trackwright.experiments.pages.charts import style
 from trackwright.experiments.pages.charts.figures import plot_tracks
 from trackwright.experiments.pages.reports.packing import drawn_rows, drawn_tracks, packed, script_json
-from trackwright.experiments.pages.reports.track import run_data, track_page
-from trackwright.experiments.pages.reports.track_data import error_map
+from trackwright.experiments.pages.reports.track import error_map, run_data, track_page
 from trackwright.experiments.pages.scored_tracks import IN_PLANE, ScoredTracks, drawn_of
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import evaluate

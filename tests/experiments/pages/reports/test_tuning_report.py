@@ -10,8 +10,7 @@ from scipy import stats
 
 from tests.experiments.pages.reports.tuning_report_data import innovations, report_data
 from trackwright.experiments.pages.charts import tuning
-from trackwright.experiments.pages.reports.advice import advice_on
-from trackwright.experiments.pages.reports.tuning import agreement, tuning_page, write_tuning_report
+from trackwright.experiments.pages.reports.tuning import advice_on, agreement, tuning_page, write_tuning_report
 from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
 from trackwright.experiments.text.wording import number, percent_change
 from trackwright.tuning.diagnostics import (
