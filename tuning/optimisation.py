@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -62,13 +61,6 @@ class FitState(NamedTuple):
     past_norms: Float[np.ndarray, "steps S"]
     past_vectors: Float[np.ndarray, "steps S p"]
     filter_runs: Int[np.ndarray, ""]
-
-    def select(self, which: Int[np.ndarray, " some"]) -> FitState:
-        """The state of some of the starts."""
-        fields = self._asdict()
-        past = {name: x[:, which] for name, x in fields.items() if name.startswith("past_")}
-        others = {name: x for name, x in fields.items() if name not in {"number", "filter_runs", *past}}
-        return self._replace(**past, **jax.tree_util.tree_map(lambda leaf: leaf[which], others))
 
 
 MIN_SLOPE = 1e-3

@@ -81,8 +81,9 @@ class Problem:
 
     `priors`: added to a likelihood. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory
     and their derivatives are multiplied by its weight. `keep`: takes the rows to where they are computed, in this
-    process or on workers. `sizes`: trajectories of each batch, with padding. `moving`: the numbers by which derivatives
-    are computed, all unless it is known that the others have no effect.
+    process or on workers. `sizes`: trajectories of each batch, with padding. `stochastic`: whether the tracker uses
+    random numbers. `moving`: the numbers by which derivatives are computed, all unless it is known that the others have
+    no effect.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -117,7 +118,7 @@ class Problem:
         # than one, nor does a filter with a particle axis, which would compute both sides of its conditions at every
         # row.
         fitting = CHUNK // (1 << (trajectories - 1).bit_length())
-        self.few = few(trajectories)
+        self.few, self.stochastic = few(trajectories), is_stochastic(self.tracker)
         self.moving = tuple(range(start.shape[1]))
         alone = self.few or has_particles(self.tracker) or not self.parameters
         self.vectors_per_call = 1 if alone else max(1, min(MAX_VECTORS, fitting))
@@ -194,17 +195,8 @@ class Problem:
         nats = penalty(self.priors, self.parameters, vectors)
         if not self.priors:
             return nats
-        scale = 1.0 / np.array([self.nats_per_unit(s) for s in sums])
+        scale = 1.0 / np.array([self.objective.nats_per_unit(s) for s in sums])
         return Penalty(nats.values * scale, nats.gradients * scale[:, None])
-
-    def nats_per_unit(self, sums: Float[np.ndarray, " k"]) -> float:
-        """The factor from the objective to a negative log-likelihood in nats."""
-        return self.objective.nats_per_unit(sums)
-
-    @property
-    def stochastic(self) -> bool:
-        """Whether the tracker uses random numbers."""
-        return is_stochastic(self.tracker)
 
     def point(self, vectors: Vectors) -> Point:
         """The argument of `with_derivatives` at vectors (S, p)."""

@@ -131,11 +131,6 @@ class Uncertainty:
         return intervals
 
 
-def uncertainty(problem: Problem, vector: Float[np.ndarray, " p"]) -> Uncertainty:
-    """The uncertainty of the optimum at `vector` (p,), in as many `evaluations`."""
-    return uncertainty_at(problem, optimum(problem, vector))
-
-
 def uncertainty_at(
     problem: Problem,
     optimum: Optimum,
@@ -288,7 +283,7 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     values, gradients = values + prior.values, gradients + prior.gradients
     rows = _differences(gradients, moving)
     # Without a single usable trajectory there is no likelihood.
-    nats = problem.nats_per_unit(sums[0]) if used.any() else np.nan
+    nats = problem.objective.nats_per_unit(sums[0]) if used.any() else np.nan
     psi = influence(problem.objective, terms[0], term_gradients[0])
     hessian, squared = 0.5 * (rows + rows.T), None
     weights = problem.weights[used]

@@ -24,7 +24,7 @@ from trackwright.experiments.cli.archive_part import (
 )
 from trackwright.experiments.cli.archive_tables import Refusals, Run, compared, gathered, read_results, write_results
 from trackwright.experiments.cli.console import json_alone, output_folder, ready
-from trackwright.experiments.cli.evaluating import conditions, violation
+from trackwright.experiments.cli.evaluating import code_of, conditions
 from trackwright.experiments.cli.manifest import write_manifest
 from trackwright.experiments.cli.options import EvaluateOptions, TrackOptions
 from trackwright.experiments.cli.report import COMPARISON
@@ -252,10 +252,7 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
         for run in runs:
             evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short))
             put(_shown(run, evaluation))
-            why = None if fail_if is None else violation(evaluation, fail_if)
-            if why is not None:
-                print(f"fails: {run.short}: {why}", file=sys.stderr)
-                failed = True
+            failed |= bool(code_of(evaluation, fail_if, f"{run.short}: "))
         _compare(runs)
         code = _ended("evaluated", out, noticed, [lines[path] for path in paths if path in lines], len(paths))
     return int(failed or code)

@@ -21,7 +21,7 @@ import polars as pl
 from trackwright.experiments.cli.archive_folders import RECORDINGS, is_table
 from trackwright.experiments.cli.console import errors_of, ready
 from trackwright.experiments.cli.options import ReadingOptions
-from trackwright.experiments.cli.tracking import late_readings
+from trackwright.experiments.cli.tracking import with_truth
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.portable import PortableTracker, spec_here
 from trackwright.experiments.jobs.run import Store, written
@@ -233,16 +233,7 @@ class Tracking:
         named = tracker.named(folder)
         tracks = named.run(folder, seed=self.seed)
         happened = events_of(tracks.table, named.spec, tracks.batches)
-        notices = list(tracks.notices)
-        truths = {folder.name: folder.tables["truth"]} if "truth" in folder.tables else {}
-        association = associate_truth(tracks.table, truths)
-        if association.scored.any():
-            notices += late_readings(named, [folder])
-        elif truths:
-            try:
-                refuse_without_overlap(association, truths)
-            except UnusableInput as problem:
-                notices.append(f"{folder.path}: not evaluated: {problem}")
+        association, lines = with_truth(tracks.table, named, [folder])
         scored = TrackScores.of(association, {folder.name: folder.rig.stations})
         about = {
             "tracker": tracker.name,
@@ -250,7 +241,7 @@ class Tracking:
             "endings": tracks.summaries,
         }
         tables = {TRACKS: tracks.table, EVENTS: happened}
-        return outcome_of(about, scored, residual_ratios(tracks), tables), notices
+        return outcome_of(about, scored, residual_ratios(tracks), tables), [*tracks.notices, *lines]
 
 
 Estimated = tuple[list[tuple[dict[str, Any], pl.DataFrame]], list[str], RecordingFolder]

@@ -15,11 +15,11 @@ import polars as pl
 
 from trackwright.experiments.cli.console import output_folder, read_with_notices
 from trackwright.experiments.cli.options import EvaluateOptions, require_output
-from trackwright.experiments.text.evaluation_text import to_json, to_text
+from trackwright.experiments.text.evaluation_text import content, to_json, to_text
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import notice
+from trackwright.experiments.text.wording import figures_drawn
 from trackwright.trackers.core.errors import UnusableInput, near
-from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics, associate, evaluate, metric_names
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -74,12 +74,15 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     text = to_json(evaluation, None if work is None else work.plain())
     atomic_write(folder / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
     print(text if options.json else to_text(evaluation, terminal_width()) + shown, end="")
-    if options.fail_if is not None:
-        why = violation(evaluation, options.fail_if)
-        if why is not None:
-            print(f"fails: {why}", file=sys.stderr)
-            return 1
-    return 0
+    return code_of(evaluation, options.fail_if)
+
+
+def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int:
+    """The exit code, 1 with a notice where the condition holds; `whose`: a tracker's name before it."""
+    why = None if fail_if is None else violation(evaluation, fail_if)
+    if why is not None:
+        print(f"fails: {whose}{why}", file=sys.stderr)
+    return int(why is not None)
 
 
 def with_work(evaluation: Evaluation, work: WorkstepReport) -> Evaluation:
@@ -137,30 +140,19 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
     moved, compared = compare_tracks(tracks, truths, align, offset, tolerance, steps, poses.all_pairs)
     evaluation = evaluate(moved, folders, part.every)
     evaluation = dataclasses.replace(evaluation, overall=evaluation.overall | pooled(compared))
-    content = {
-        "kind": "position",
-        "statements": evaluation.statements,
-        "overall": evaluation.overall,
-        "recordings": evaluation.recordings,
-        "tracks": evaluation.tracks,
-        "poses": {"align": align, "tracks": [track.to_dict() for track in compared]},
-    }
-    text = json_text(content)
-    width = terminal_width()
-    print(
-        text
-        if options.json
-        else to_text(evaluation, width) + "\n" + pose_errors_text(compared, align, width, offset == "auto"),
-        end="",
+    text = json_text(
+        content(evaluation) | {"poses": {"align": align, "tracks": [track.to_dict() for track in compared]}}
     )
+    width = terminal_width()
+    if options.json:
+        print(text, end="")
+    else:
+        print(f"{to_text(evaluation, width)}\n{pose_errors_text(compared, align, width, offset == 'auto')}", end="")
     if poses.out is not None:
         written = _write(poses.out, text, evaluation, moved, folders, truth, str(source))
         if not options.json:
             print(written)
-    why = None if options.fail_if is None else violation(evaluation, options.fail_if)
-    if why is not None:
-        notice(f"fails: {why}")
-    return int(why is not None)
+    return code_of(evaluation, options.fail_if)
 
 
 def _read_truth(paths: Sequence[Path], tag: str | None, name: str | None) -> list[RecordingFolder]:
@@ -198,18 +190,16 @@ def _write(
     from trackwright.experiments.pages.scored_tracks import ScoredTracks
 
     output_folder(out)
-    atomic_write(out / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))
+    atomic_write(out / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
     atomic_write(out / TRACKS, lambda path: write_tracks(tracks, path))
     if all(path.is_dir() for path in truth):
         names = "".join(f"{path.resolve()}\n" for path in truth)
-        atomic_write(out / "recordings.txt", lambda path: path.write_text(names, encoding="utf-8"))
+        atomic_write(out / SOURCES, lambda path: path.write_text(names, encoding="utf-8"))
     scored = ScoredTracks(associate(tracks, folders), folders, ())
     none = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
     run = run_data(scored, none, evaluation, source, figures=True)
     write_track_page(out / PAGE, [run], shlex.join(["trackwright", *sys.argv[1:]]), "evaluate")
-    drawn = plot_tracks(out, scored)
-    figures = f"{counted(len(drawn), 'figure')}: {', '.join(drawn)}"
-    return f"wrote {out}: {PAGE}, evaluation.json, {TRACKS} as compared, and {figures}"
+    return f"wrote {out}: {PAGE}, {EVALUATION}, {TRACKS} as compared, and {figures_drawn(plot_tracks(out, scored))}"
 
 
 class Condition(NamedTuple):

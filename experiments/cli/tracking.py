@@ -30,7 +30,7 @@ from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
-from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate_association
+from trackwright.trackers.evaluation.evaluate import evaluate_association
 from trackwright.trackers.evaluation.events import EVENTS, events_of
 from trackwright.trackers.evaluation.residuals import residual_ratios
 from trackwright.trackers.programs.freed_memory import give_back
@@ -38,7 +38,7 @@ from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.checks.residuals import delay_against_truth
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.tracks import Tracks, track
+from trackwright.trackers.recordings.tracks import track
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackwright.trackers.recordings.trajectories import known_height
 
@@ -202,17 +202,16 @@ def _track(
     atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
     whose = "" if out == options.out else f"{run.short}: "
     print(f"{whose}{counted(sum(summaries.values()), 'track')}: {endings(summaries)}")
-    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
-    association = associate_truth(table, truths)
-    if association.scored.any():
-        stations = {folder.name: folder.rig.stations for folder in folders}
-        evaluation = evaluate_association(association, stations, ratios=residual_ratios(tracks))
-        for line in late_readings(named, folders):
-            notice(f"notice: {line}")
-        if of == 1:
-            print(to_text(evaluation, terminal_width()), end="")
-    else:
-        evaluation = _without_truth(association, truths, tracks)
+    association, lines = with_truth(table, named, folders)
+    for line in lines:
+        notice(f"notice: {line}")
+    stations = {folder.name: folder.rig.stations for folder in folders}
+    evaluation = evaluate_association(association, stations, ratios=residual_ratios(tracks))
+    if not association.scored.any():
+        for sentence in evaluation.statements:
+            print(f"Without truth: {uncapitalised(sentence)}")
+    elif of == 1:
+        print(to_text(evaluation, terminal_width()), end="")
     metrics = to_json(evaluation)
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)
@@ -265,17 +264,20 @@ def _write_page(out: Path, pages: Sequence[Mapping[str, Any]]) -> None:
     write_track_page(out / PAGE, pages, shlex.join(["trackwright", *sys.argv[1:]]))
 
 
-def _without_truth(association: Association, truths: Mapping[str, pl.DataFrame], tracks: Tracks) -> Evaluation:
-    """The metrics of the innovations; prints what these show, and if there is a truth, why it is not used."""
-    if truths:
-        try:
+def with_truth(
+    table: pl.DataFrame, named: NamedTracker, folders: Sequence[RecordingFolder]
+) -> tuple[Association, list[str]]:
+    """The estimates with their truth, and notices: why it is not used, or which readings come late against it."""
+    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
+    association = associate_truth(table, truths)
+    if association.scored.any():
+        return association, late_readings(named, folders)
+    try:
+        if truths:
             refuse_without_overlap(association, truths)
-        except UnusableInput as problem:
-            notice(f"notice: not evaluated: {problem}")
-    evaluation = evaluate_association(association, ratios=residual_ratios(tracks))
-    for sentence in evaluation.statements:
-        print(f"Without truth: {uncapitalised(sentence)}")
-    return evaluation
+    except UnusableInput as problem:
+        return association, [f"not evaluated: {problem}"]
+    return association, []
 
 
 def late_readings(named: NamedTracker, folders: Sequence[RecordingFolder]) -> list[str]:

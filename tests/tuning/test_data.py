@@ -25,7 +25,7 @@ from trackwright.tuning.named_objectives import all_metrics, parse_objective
 from trackwright.tuning.objectives import MissingQuantityError
 from trackwright.tuning.parameters import flatten, select_parameters, tuned_by_default
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import optimum, uncertainty
+from trackwright.tuning.uncertainty import optimum, uncertainty_at
 
 ROWS = 60
 
@@ -199,7 +199,7 @@ def test_the_observed_information_of_a_weighted_likelihood_is_that_of_its_record
         rows = (shifted.gradients[:2] - shifted.gradients[2:]) / (2 * step) * shifted.sums[:2, 1:]
         own.append(0.5 * (rows + rows.T))
     A, B = (sum(w**k * H for w, H in zip(weights, own, strict=True)) for k in (1, 2))
-    found = uncertainty(problem, vector)
+    found = uncertainty_at(problem, optimum(problem, vector))
     np.testing.assert_allclose(found.observed, np.linalg.inv(A) @ B @ np.linalg.inv(A), rtol=1e-6)
 
 

@@ -22,13 +22,17 @@ from trackwright.tuning.uncertainty import (
     Uncertainty,
     optimum,
     refit,
-    uncertainty,
     uncertainty_at,
     unidentifiable,
     unused,
 )
 
 TYPICAL = 0.5
+
+
+def uncertainty(problem, vector):
+    """That of the optimum at a vector."""
+    return uncertainty_at(problem, optimum(problem, vector))
 
 
 @dataclass
@@ -76,10 +80,6 @@ class Numbers:
             used=np.ones((len(vectors), n), bool),
             filter_runs=n * len(vectors),
         )
-
-    def nats_per_unit(self, sums):
-        """The number of numbers."""
-        return float(sums[1])
 
     @property
     def moving(self):
