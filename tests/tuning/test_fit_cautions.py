@@ -112,7 +112,7 @@ def test_rows_that_carry_the_information_of_half_as_many_are_named():
     # Every row comes twice; the deviations of pairs, as all 16 patterns of signs in turn, have no other correlation.
     signs = np.repeat(list(product([-1.0, 1.0], repeat=4)) * 2, 2)
     sums = window_sums(np.arange(len(signs)) / 8, 1.0 + 0.5 * signs, np.zeros(len(signs)))
-    problem = SimpleNamespace(few=False, parts=SimpleNamespace(run=lambda *_: [(sums,)]))
+    problem = SimpleNamespace(few=False, parts=SimpleNamespace(compute=lambda _: [(sums,)]))
     (text,) = correlation(problem, np.zeros(2))
     assert "256 rows carry the information of about 128 independent ones" in text
     assert "about 1.4 times too narrow" in text
