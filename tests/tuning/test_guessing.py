@@ -1,6 +1,5 @@
 """Noise levels found in recordings made by the models themselves, from starts that are wrong by orders of magnitude."""
 
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,11 +31,9 @@ from trackwright.trackers.recordings.tracks import batches as in_batches
 from trackwright.trackers.uwb_imu.fusion import range_tracker
 from trackwright.tuning.guessing import (
     TOLERANCE,
-    FixNoiseLevels,
     _Search,
     first_guess,
     noise_levels,
-    noise_levels_of_fixes,
     sample_segments,
     tolerant,
 )
@@ -72,25 +69,6 @@ def _fixes(seed, count=8, rows=300, missing=0.0, uneven=0.0, dof=None):
         readings = {FIXES: Readings(np.where(seen, values, 0.0), seen, np.zeros((rows, 3)))}
         recordings.append(Recording(np.cumsum(dts), readings, {"height": np.zeros(rows)}, {}, str(k)))
     return recordings
-
-
-@pytest.mark.parametrize(
-    ("made", "within"),
-    # differences are of two and three wild numbers, but only one of them shows in a long lag's median
-    [({}, 1.25), ({"missing": 0.3, "uneven": 0.3}, 1.5), ({"dof": 3.0}, 2.2)],
-)
-def test_differences_of_fixes_show_all_levels_in_closed_form(made, within):
-    found = noise_levels_of_fixes(stack(_fixes(0, **made)))
-    got = np.array([found.acceleration, found.height_walk, found.horizontal, found.vertical])
-    assert np.all(np.abs(np.log(got / list(LEVELS.values()))) < np.log(within))
-
-
-def test_what_differences_do_not_show_is_not_claimed():
-    assert noise_levels_of_fixes(stack(walks([50], 0))) is None
-    assert noise_levels_of_fixes(stack(_fixes(0, count=1, rows=6))) is None
-    still = _fixes(1, count=1)
-    flat = [Recording(r.times, {FIXES: Readings(r.readings[FIXES].values * 0, r.readings[FIXES].seen)}) for r in still]
-    assert noise_levels_of_fixes(stack(flat)) is None
 
 
 def test_the_search_raises_the_limit_of_track_loss_and_changes_nothing_else():
@@ -160,19 +138,6 @@ def test_levels_of_a_users_own_motion_and_sensor_are_found_by_their_roles_whatev
     assert sorted({tuple(np.sign(v)) for v in grid}) == [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
 
 
-def test_closed_forms_go_to_roles_and_axes_of_fixes():
-    found = FixNoiseLevels(1.0, 2.0, 3.0, 4.0)
-    level = partial(Scale, 0.1)
-    assert found.of(level("m", "measurement noise", "horizontal")) == 1.0
-    assert found.of(level("m", "measurement noise", "vertical")) == 2.0
-    assert found.of(level("m/s^2/sqrt(Hz)", "process noise", "all")) == 3.0
-    assert found.of(level("m/sqrt(s)", "process noise", "vertical")) == 4.0
-    assert found.of(level("m", "measurement noise")) is None, "a range has no axis"
-    assert found.of(level("m/s^2/sqrt(Hz)", "process noise", "vertical")) is None
-    assert found.of(level("m", "bias noise", "horizontal")) is None
-    assert FixNoiseLevels(np.nan, 2.0, 3.0, 4.0).of(level("m", "measurement noise", "all")) is None
-
-
 def test_a_change_is_made_for_the_least_gain_and_not_below_it():
     # A parabola about 1: from 0, a step to 0.1 gains 0.19, one to 0.5 gains 0.75; nothing is finite beyond 2.
     parabola = SimpleNamespace(values=lambda v: np.where(v[:, 0] < 2.0, (v[:, 0] - 1.0) ** 2, np.nan))
@@ -181,8 +146,6 @@ def test_a_change_is_made_for_the_least_gain_and_not_below_it():
     assert (search.value, search.vector.tolist()) == (1.0, [0.0])
     search.consider(np.array([[0.1], [0.5], [3.0], [0.3]]))
     assert (search.value, search.vector.tolist()) == (0.25, [0.5])
-    search.consider(np.zeros((0, 1)))
-    assert search.vector.tolist() == [0.5]
 
 
 def test_what_changes_nothing_and_what_is_frozen_stays():
