@@ -14,16 +14,13 @@ import numpy as np
 from rich.table import Table
 
 from trackwright.experiments.text.tables import compact_table, rendered, width_of
-from trackwright.experiments.text.wording import Unit, fixed, length_unit, shown_metric
+from trackwright.experiments.text.wording import SCALES, Unit, fixed, length_unit, shown_metric
 from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
 from trackwright.trackers.evaluation.metrics import METRICS, Metric
 from trackwright.trackers.recordings.atomic import json_text
 
 SHOWN_TRACKS = 10
 """The most tracks listed per recording: the worst."""
-
-SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0), "rad": (180 / math.pi, 2)}
-"""Factor and digits of metrics that are no lengths, by their units."""
 
 LARGE = 1e4
 """Values in a table from here on have no digits after the point."""
@@ -106,13 +103,17 @@ def _text(evaluation: Evaluation, labels: Sequence[str], lines: Sequence[Line], 
 
 
 def _table(evaluation: Evaluation, columns: Sequence[Metric], labels: Sequence[str], lines: Sequence[Line]) -> Table:
-    unit, digits = _unit(evaluation)
+    # Angles between directions, or lengths.
+    unit = Unit("degrees", 180 / math.pi) if evaluation.bearing else length_unit(evaluation.overall["rmse_m"])
     what = "Bearing errors" if evaluation.bearing else "Horizontal and 3-D position errors"
     table = compact_table(f"{what} in {unit.name}", labels, [title_of(column) for column in columns])
     for words, metrics, style in lines:
         cells = []
         for column in columns:
-            value, (scale, shown) = shown_metric(metrics, column.name), SCALES.get(column.unit, (unit.factor, digits))
+            value, (scale, shown) = (
+                shown_metric(metrics, column.name),
+                SCALES.get(column.unit, (unit.factor, unit.digits)),
+            )
             cells.append(_cell(None if value is None else value * scale, shown))
         table.add_row(*words, *cells, style=style)
     return table
@@ -161,14 +162,6 @@ def _p95(bearing: bool, metrics: Metrics) -> float:
     """The 95th percentile by which the worst come first; those without truth come last."""
     p95 = metrics["p95_direction_rad" if bearing else "p95_m"]
     return -1.0 if p95 is None else p95
-
-
-def _unit(evaluation: Evaluation) -> tuple[Unit, int]:
-    """The unit of the errors, and their digits after the point."""
-    if evaluation.bearing:
-        return Unit("degrees", 180 / math.pi), 2
-    unit = length_unit(evaluation.overall["rmse_m"])
-    return unit, {"m": 3, "cm": 1, "mm": 2}[unit.name]
 
 
 def _notes(evaluation: Evaluation, columns: Sequence[Metric]) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.metrics import KIND_WORDS, METRICS
+from trackwright.trackers.evaluation.metrics import KINDS, METRICS
 
 MISSING = "–"
 STUDIES = {
@@ -19,7 +19,7 @@ STUDIES = {
 }
 """The metrics of a study that are no metrics of scores."""
 
-SUFFIXES = {**KIND_WORDS, "m": "", "rad": "", "m2": "", "s": ""}
+SUFFIXES = {**{name: kind.words for name, kind in KINDS.items()}, "m": "", "rad": "", "m2": "", "s": ""}
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -29,10 +29,19 @@ class Unit(NamedTuple):
     name: str
     factor: float
 
+    @property
+    def digits(self) -> int:
+        """The digits after the point of values in tables."""
+        return {"m": 3, "cm": 1}.get(self.name, 2)
+
 
 NO_UNIT = Unit("", 1.0)
 SHOWN = {"%": Unit("%", 100.0), "rad": Unit("°", float(np.rad2deg(1.0))), "m²": Unit("cm²", 1e4), "rows": NO_UNIT}
 """The units in which metrics are shown, by those in which they are stored."""
+
+
+SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0), "rad": (SHOWN["rad"].factor, 2)}
+"""Factor and digits in tables of metrics that are no lengths, by the units in which they are stored."""
 
 
 def shown_metric(metrics: Mapping[str, Any], name: str) -> float | None:

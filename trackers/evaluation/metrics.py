@@ -39,15 +39,27 @@ class Metric(NamedTuple):
     right: float | None = None
 
 
-KIND_WORDS = {
-    "m": "",
-    "3d_m": "in 3-D",
-    "heading_rad": "of heading",
-    "direction_rad": "of direction",
-    "azimuth_rad": "of azimuth",
-    "elevation_rad": "of elevation",
-}
-"""The kinds of errors, suffixes of the names of metrics, as they follow the words of a statistic."""
+class Kind(NamedTuple):
+    """A kind of errors: words that follow those of a statistic, and the begin of the headings of its columns.
+
+    `shown`: rank and page, as of `Metric`, of the statistics that have a column.
+    """
+
+    words: str
+    short: str
+    shown: Mapping[str, tuple[int, bool]]
+
+
+KINDS = {
+    "m": Kind("", "", {"rmse": (0, True), "median": (2, True), "p90": (3, False), "p95": (0, True), "p99": (3, False),
+                       "max": (0, True)}),
+    "3d_m": Kind("in 3-D", "3-D\n", {"rmse": (0, True), "p95": (3, False)}),
+    "heading_rad": Kind("of heading", "heading,\n° ", {"rmse": (0, True), "p95": (3, False)}),
+    "direction_rad": Kind("of direction", "angle\n", {"rmse": (1, True), "median": (2, False), "p95": (0, True)}),
+    "azimuth_rad": Kind("of azimuth", "az\n", {"rmse": (0, True), "bias": (3, False)}),
+    "elevation_rad": Kind("of elevation", "el\n", {"rmse": (0, True), "bias": (3, False)}),
+}  # fmt: skip
+"""The kinds of errors by the suffix of the names of their metrics."""
 
 
 def position_sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
@@ -75,28 +87,6 @@ def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat
 
 
-SHORT = {
-    "m": "",
-    "3d_m": "3-D\n",
-    "heading_rad": "heading,\n° ",
-    "direction_rad": "angle\n",
-    "azimuth_rad": "az\n",
-    "elevation_rad": "el\n",
-}
-SHOWN = {
-    "m": {"rmse": (0, True), "median": (2, True), "p90": (3, False), "p95": (0, True), "p99": (3, False),
-          "max": (0, True)},
-    "3d_m": {"rmse": (0, True), "p95": (3, False)},
-    "heading_rad": {"rmse": (0, True), "p95": (3, False)},
-    "direction_rad": {"rmse": (1, True), "median": (2, False), "p95": (0, True)},
-    "azimuth_rad": {"rmse": (0, True), "bias": (3, False)},
-    "elevation_rad": {"rmse": (0, True), "bias": (3, False)},
-}  # fmt: skip
-"""Rank and page of the statistics of each kind that have a column."""
-
-TITLES = {"rmse": "RMSE"}
-
-
 def _ratio(numerator: str, denominator: str) -> Formula:
     return lambda s: s[numerator] / s[denominator]
 
@@ -117,21 +107,21 @@ def _of_kind(kind: str) -> Iterator[Metric]:
         ("max", "largest error", lambda s: s.largest[kind]),
     )
     for name, words, formula in statistics:
-        yield _shown(kind, name, Metric(f"{name}_{kind}", f"{words} {KIND_WORDS[kind]}".strip(), _unit(kind), formula))
+        yield _shown(kind, name, Metric(f"{name}_{kind}", f"{words} {KINDS[kind].words}".strip(), _unit(kind), formula))
 
 
 def _bias(component: str, kind: str) -> Metric:
     """The mean error of a component, of the rows with errors of a kind."""
-    words = f"bias {KIND_WORDS.get(component, f'in {component[0]}')}"
+    words = f"bias {KINDS[component].words if component in KINDS else f'in {component[0]}'}"
     formula = _ratio(f"bias {component}", f"n {kind}")
     return _shown(component, "bias", Metric(f"bias_{component}", words, _unit(component), formula))
 
 
 def _shown(kind: str, name: str, metric: Metric) -> Metric:
-    if name not in SHOWN.get(kind, {}):
+    if kind not in KINDS or name not in KINDS[kind].shown:
         return metric
-    rank, page = SHOWN[kind][name]
-    return metric._replace(short=SHORT[kind] + TITLES.get(name, name), rank=rank, page=page)
+    rank, page = KINDS[kind].shown[name]
+    return metric._replace(short=KINDS[kind].short + name.replace("rmse", "RMSE"), rank=rank, page=page)
 
 
 def _unit(kind: str) -> str:

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from rich.console import RenderableType
 
 from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
-from trackwright.experiments.text.evaluation_text import COLUMNS, SCALES, title_of
+from trackwright.experiments.text.evaluation_text import COLUMNS, title_of
 from trackwright.experiments.text.expectations import Value, with_interval
 from trackwright.experiments.text.tables import compact_table, rendered, terminal_width
 from trackwright.experiments.text.wording import (  # fmt: skip
     MISSING,
+    SCALES,
     Unit,
     fixed,
     heading,
@@ -182,10 +183,9 @@ def _columns(runs: Sequence[TrackRun]) -> list[Metric]:
 
 
 def _cells(metrics: dict, columns: Sequence[Metric], unit: Unit) -> list[str]:
-    digits = {"m": 3, "cm": 1, "mm": 2}.get(unit.name, 2)
     cells = []
     for column in columns:
-        value, (scale, shown) = shown_metric(metrics, column.name), SCALES.get(column.unit, (unit.factor, digits))
+        value, (scale, shown) = shown_metric(metrics, column.name), SCALES.get(column.unit, (unit.factor, unit.digits))
         cells.append(fixed(None if value is None else value * scale, shown))
     return cells
 

@@ -31,13 +31,12 @@ def pose_errors_text(compared: Sequence[ComparedTrack], align: str, width: int, 
     worst = sorted(compared, key=lambda track: -track.errors.ape_m["rmse"])[:SHOWN_TRACKS]
     several = len(compared) > 1
     unit = length_unit(worst[0].errors.ape_m["rmse"])
-    digits = {"m": 4, "cm": 2, "mm": 3}[unit.name]
     table = compact_table(
         "Absolute and relative pose errors", ["tag", "error"] if several else ["error"], ["unit", "n", *_STATISTICS]
     )
     for track in worst:
         for k, (label, name, factor, errors) in enumerate(_rows(track.errors, unit.name, unit.factor)):
-            shown = digits if name == unit.name else 3
+            shown = unit.digits + 1 if name == unit.name else 3
             cells = [fixed(errors[key] * factor, shown) for key in _STATISTICS]
             head = [track.tag if k == 0 else "", label] if several else [label]
             table.add_row(*head, name, str(errors["n"]), *cells)

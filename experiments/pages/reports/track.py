@@ -24,7 +24,7 @@ from trackwright.experiments.pages.reports.packing import (
 )
 from trackwright.experiments.pages.reports.residuals import page_residuals
 from trackwright.experiments.pages.scored_tracks import Component, ScoredRecording, ScoredTracks
-from trackwright.experiments.text.wording import shown_metric
+from trackwright.experiments.text.wording import SCALES, shown_metric
 from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import Evaluation
@@ -44,10 +44,6 @@ MOST_RECORDINGS = 60
 
 MOST_LISTED = 40
 """The most tracks in the table: those with the largest errors."""
-
-SHOWN = {"m": ("m", 1.0, 3), "rad": ("°", 180 / math.pi, 2), "%": ("", 100.0, 0), "s": ("s", 1.0, 1),
-         "rows": ("", 1.0, 0), "": ("", 1.0, 2)}  # fmt: skip
-"""The unit in a column's heading, the factor to it from the stored one, and the digits, by the stored unit."""
 
 
 def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str, kind: str = "track") -> None:
@@ -107,12 +103,17 @@ def run_data(
     }
 
 
+HEADED = {"m": "m", "rad": "°", "s": "s"}
+"""The units in headings of columns, by those in which metrics are stored."""
+
+
 def _columns() -> list[dict[str, Any]]:
     """The columns of the table of metrics."""
     columns = []
     for metric in METRICS.values():
         if metric.page:
-            (unit, factor, digits), words = SHOWN[metric.unit], metric.short.replace("\n/", "/").replace("\n", " ")
+            unit, (factor, digits) = HEADED.get(metric.unit, ""), SCALES.get(metric.unit, (1.0, 3))
+            words = metric.short.replace("\n/", "/").replace("\n", " ")
             title = f"{words}, {unit}" if unit else words
             columns.append({"key": metric.name, "title": title, "factor": factor, "digits": digits})
     return columns
