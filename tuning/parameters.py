@@ -6,13 +6,13 @@ import fnmatch
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Shaped
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import (
@@ -210,8 +210,8 @@ def with_raw(node: AbstractTunable, raw: Array | np.ndarray) -> AbstractTunable:
     return eqx.tree_at(lambda n: n.raw, node, raw)
 
 
-def split(parameters: Sequence[Parameter], vector: Vector) -> Iterator[tuple[Parameter, Array | np.ndarray]]:
-    """Each parameter with its part of an unconstrained vector, in its shape."""
+def split(parameters: Sequence[Parameter], vector: Shaped[Array | np.ndarray, " p"]) -> Iterator[tuple[Parameter, Any]]:
+    """Each parameter with its part of an unconstrained vector, or of what belongs to its numbers, in its shape."""
     start = 0
     for parameter in parameters:
         yield parameter, vector[start : start + parameter.size].reshape(parameter.shape)

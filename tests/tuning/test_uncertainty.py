@@ -30,7 +30,7 @@ from trackwright.tuning.uncertainty import (
 TYPICAL = 0.5
 
 
-def uncertainty(problem, vector):
+def _uncertainty(problem, vector):
     """That of the optimum at a vector."""
     return uncertainty_at(problem, optimum(problem, vector))
 
@@ -118,7 +118,7 @@ def numbers():
 
 def test_the_observed_information_is_the_closed_form(numbers):
     problem, best = _sigma_and_mu(numbers)
-    found = uncertainty(problem, best)
+    found = _uncertainty(problem, best)
     total = numbers.size
     # of log σ: 1/(2N); of μ: σ²/N. Differences over 2 % of a level are off by (2 %)²·2/3
     errors = found.standard_errors("curvature")
@@ -137,7 +137,7 @@ def test_the_sandwich_is_right_where_trajectories_differ_and_the_information_is_
         # recordings with individual noise levels, which the model lacks
         levels = np.exp(rng.normal(0, 0.4, (60, 1)))
         problem, best = _sigma_and_mu(rng.normal(0, levels, (60, 25)))
-        found = uncertainty(problem, best)
+        found = _uncertainty(problem, best)
         fits.append(best[0])
         observed.append(found.observed[0, 0])
         sandwich.append(found.sandwich[0, 0])
@@ -151,7 +151,7 @@ def test_intervals_of_few_trajectories_have_their_nominal_coverage():
     covered = []
     for _ in range(200):
         problem, best = _sigma_and_mu(rng.normal(0.3, 0.7, (20, 25)))
-        ends = uncertainty(problem, best).intervals(by="scatter")
+        ends = _uncertainty(problem, best).intervals(by="scatter")
         covered.append([ends["sigma"][0] < 0.7 < ends["sigma"][1], ends["mu"][0] < 0.3 < ends["mu"][1]])
     # 200 repetitions determine 95 % to 1.5 %; for a level, whose squares are skewed, 20 trajectories are few
     assert np.all(np.abs(np.mean(covered, axis=0) - [0.94, 0.95]) < 0.045)
@@ -164,7 +164,7 @@ def test_intervals_of_trajectories_with_weights_have_their_nominal_coverage(by):
     for _ in range(60 if by == "profile" else 200):
         y = rng.normal(0.3, 0.7, (40, 10))
         problem, best = _sigma_and_mu(y, weights)
-        found = uncertainty(problem, best)
+        found = _uncertainty(problem, best)
         if by == "profile":
             one, other = (profile(problem, found.optimum, k) for k in (0, 1))
             ends = {"sigma": (one.low, one.high), "mu": (other.low, other.high)}
@@ -181,7 +181,7 @@ def test_intervals_of_trajectories_with_weights_have_their_nominal_coverage(by):
 
 def test_the_scatter_of_a_mean_is_the_textbook_interval_of_few_clusters():
     y = np.random.default_rng(3).normal(0.3, 0.7, (20, 25))
-    found = uncertainty(*_sigma_and_mu(y))
+    found = _uncertainty(*_sigma_and_mu(y))
     # The mean of twenty means: their standard deviation with n − 1, and Student's t with 19 degrees of freedom.
     expected = stats.sem(y.mean(axis=1))
     assert found.standard_errors("scatter")["mu"] == pytest.approx(expected, rel=1e-3)
@@ -248,7 +248,7 @@ def _product(y, weights):
 )
 def test_undetermined_parameters_are_described_in_words(numbers, weights, sentence):
     problem, start = _product(numbers, weights)
-    found = uncertainty(problem, start)
+    found = _uncertainty(problem, start)
     issues = identifiability_issues(found, problem.evaluate(start).term_gradients)
     texts = [j.text for j in issues]
     assert len(texts) == 1
@@ -281,7 +281,7 @@ def test_a_flat_number_keeps_its_starting_value_and_the_others_are_fitted_with_i
 @pytest.mark.parametrize("weights", [[1, 1], [1, 0.5]])
 def test_numbers_that_are_determined_together_are_not_moved_back(numbers, weights):
     problem, at = _product(numbers, weights)
-    found = uncertainty(problem, at)
+    found = _uncertainty(problem, at)
     assert flat_components(found) == []
     assert not kept_at_start(problem, found, np.zeros(2), 1.0).at_start.any()
 
@@ -300,7 +300,7 @@ def test_a_flat_number_whose_start_is_much_worse_stays_where_the_fit_ended(numbe
 
 def test_numbers_without_effect_are_named_in_one_sentence(numbers):
     problem, start = _product(numbers, [1, 0, 0])
-    issues = identifiability_issues(uncertainty(problem, start), problem.evaluate(start).term_gradients)
+    issues = identifiability_issues(_uncertainty(problem, start), problem.evaluate(start).term_gradients)
     assert [j.text for j in issues] == ["b and c have no effect on the objective"]
     assert issues[0].names == ("b", "c")
     many = [Parameter(("bias",), Real(np.zeros(8)), "bias")]
@@ -311,7 +311,7 @@ def test_numbers_without_effect_are_named_in_one_sentence(numbers):
 
 def test_parameters_of_one_product_are_named_together(numbers):
     problem, start = _product(numbers, [1, 1, 1])
-    issues = identifiability_issues(uncertainty(problem, start), problem.evaluate(start).term_gradients)
+    issues = identifiability_issues(_uncertainty(problem, start), problem.evaluate(start).term_gradients)
     assert len(issues) == 2
     assert all("not determined one by one" in j.text for j in issues)
 
@@ -352,7 +352,7 @@ def test_a_parameter_at_its_bound_is_named_and_the_others_are_conditional_on_it(
 def test_a_point_away_from_the_optimum_has_no_interval(numbers):
     problem, best = _sigma_and_mu(numbers)
     sigma = 1 / np.sqrt(2 * numbers.size)
-    near, far = (uncertainty(problem, best + [k * sigma, 0.0]) for k in (0.5, 3.0))
+    near, far = (_uncertainty(problem, best + [k * sigma, 0.0]) for k in (0.5, 3.0))
     assert near.at_optimum
     assert near.distance_to_optimum == pytest.approx(0.5, rel=0.1)
     assert far.distance_to_optimum == pytest.approx(3.0, rel=0.2)
@@ -373,7 +373,7 @@ def test_a_fit_that_ended_on_a_slope_without_curvature_is_not_at_the_optimum(num
 
 def test_an_interval_is_the_wider_of_curvature_and_scatter(numbers):
     problem, best = _sigma_and_mu(numbers)
-    found = uncertainty(problem, best)
+    found = _uncertainty(problem, best)
     # where every trajectory's score vanishes, so does the scatter
     flat = _found(problem.parameters, found.optimum.hessian, found.observed, 1e-9 * found.observed)
     one, other = flat.intervals(by="curvature"), flat.intervals(by="scatter")
@@ -425,7 +425,7 @@ def test_resampled_fits_have_the_spread_of_the_sandwich():
     rng = np.random.default_rng(4)
     y = rng.normal(0.2, np.exp(rng.normal(0, 0.3, (80, 1))), (80, 10))
     problem, best = _sigma_and_mu(y)
-    found = uncertainty(problem, best)
+    found = _uncertainty(problem, best)
     vectors = bootstrap(problem, found.optimum, replicates=2000, rounds=4)
     # 2,000 replicates determine a standard deviation to 2 %; resampling differs from it by terms of order 1/80
     np.testing.assert_allclose(vectors.std(axis=0), np.sqrt(np.diagonal(found.sandwich)), rtol=0.08)
@@ -478,7 +478,7 @@ def test_the_influence_of_a_trajectory_is_the_derivative_by_its_weight(line):
 
 
 def test_of_an_error_there_is_a_sandwich_and_no_information(line):
-    found = uncertainty(*line)
+    found = _uncertainty(*line)
     assert np.isnan(found.observed).all()
     assert found.clusters == 24
     assert np.isnan(found.optimum.nats_per_unit)
@@ -489,7 +489,7 @@ def test_few_trajectories_are_cut_into_blocks_of_rows():
     tracker = line_tracker()
     parameters = select_parameters(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
     problem = Problem(tracker, [stack(walks([2000, 1500], 5))], NegativeLogLikelihood(), parameters)
-    found = uncertainty(problem, flatten(parameters))
+    found = _uncertainty(problem, flatten(parameters))
     assert 48 <= found.clusters <= 52
     # of a true model both are the same; 50 blocks know a variance to a fifth
     ratio = np.diagonal(found.sandwich) / np.diagonal(found.observed)
@@ -502,7 +502,7 @@ def test_a_trajectory_without_a_finite_likelihood_adds_no_information():
     # The squares of such values overflow; where nothing is seen there is no information either.
     huge, unseen = Readings(gauge.values + 1e200, gauge.seen), Readings(gauge.values, np.zeros_like(gauge.seen))
     broken, silent = (
-        uncertainty(Problem(tracker, [stack([whole, made])], NegativeLogLikelihood(), parameters), flatten(parameters))
+        _uncertainty(Problem(tracker, [stack([whole, made])], NegativeLogLikelihood(), parameters), flatten(parameters))
         for made in (dataclasses.replace(other, readings={"gauge": readings}) for readings in (huge, unseen))
     )
     np.testing.assert_array_equal(broken.optimum.used, [True, False])
@@ -515,7 +515,7 @@ def test_of_a_tracker_all_kinds_of_uncertainty_agree():
     problem = Problem(tracker, [stack(walks([120] * 32, 3))], NegativeLogLikelihood(), parameters)
     start = flatten(parameters)[None]
     best = refit(problem, start, optimum(problem, start[0]).hessian, rounds=6).vectors[0]
-    found = uncertainty(problem, best)
+    found = _uncertainty(problem, best)
     by_curvature = found.intervals()["motion.sigma_v"]
     by_profile = profile(problem, found.optimum, 0)
     # about 3,000 readings: the likelihood is nearly normal, half an interval is 7 % of the level
