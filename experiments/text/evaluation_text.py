@@ -110,10 +110,8 @@ def _table(evaluation: Evaluation, columns: Sequence[Metric], labels: Sequence[s
     for words, metrics, style in lines:
         cells = []
         for column in columns:
-            value, (scale, shown) = (
-                shown_metric(metrics, column.name),
-                SCALES.get(column.unit, (unit.factor, unit.digits)),
-            )
+            value = shown_metric(metrics, column.name)
+            scale, shown = SCALES.get(column.unit, (unit.factor, unit.digits))
             cells.append(_cell(None if value is None else value * scale, shown))
         table.add_row(*words, *cells, style=style)
     return table

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.metrics import KINDS, METRICS
+from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS
 
 MISSING = "–"
 STUDIES = {
@@ -19,7 +19,7 @@ STUDIES = {
 }
 """The metrics of a study that are no metrics of scores."""
 
-SUFFIXES = {**{name: kind.words for name, kind in KINDS.items()}, "m": "", "rad": "", "m2": "", "s": ""}
+SUFFIXES = {**{name: kind.words for name, kind in ERROR_KINDS.items()}, "m": "", "rad": "", "m2": "", "s": ""}
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

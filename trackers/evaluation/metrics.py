@@ -39,8 +39,8 @@ class Metric(NamedTuple):
     right: float | None = None
 
 
-class Kind(NamedTuple):
-    """A kind of errors: words that follow those of a statistic, and the begin of the headings of its columns.
+class ErrorKind(NamedTuple):
+    """A kind of errors: words that follow those of a statistic, and how the headings of its columns begin.
 
     `shown`: rank and page, as of `Metric`, of the statistics that have a column.
     """
@@ -50,14 +50,14 @@ class Kind(NamedTuple):
     shown: Mapping[str, tuple[int, bool]]
 
 
-KINDS = {
-    "m": Kind("", "", {"rmse": (0, True), "median": (2, True), "p90": (3, False), "p95": (0, True), "p99": (3, False),
-                       "max": (0, True)}),
-    "3d_m": Kind("in 3-D", "3-D\n", {"rmse": (0, True), "p95": (3, False)}),
-    "heading_rad": Kind("of heading", "heading,\n° ", {"rmse": (0, True), "p95": (3, False)}),
-    "direction_rad": Kind("of direction", "angle\n", {"rmse": (1, True), "median": (2, False), "p95": (0, True)}),
-    "azimuth_rad": Kind("of azimuth", "az\n", {"rmse": (0, True), "bias": (3, False)}),
-    "elevation_rad": Kind("of elevation", "el\n", {"rmse": (0, True), "bias": (3, False)}),
+ERROR_KINDS = {
+    "m": ErrorKind("", "", {"rmse": (0, True), "median": (2, True), "p90": (3, False), "p95": (0, True),
+                            "p99": (3, False), "max": (0, True)}),
+    "3d_m": ErrorKind("in 3-D", "3-D\n", {"rmse": (0, True), "p95": (3, False)}),
+    "heading_rad": ErrorKind("of heading", "heading,\n° ", {"rmse": (0, True), "p95": (3, False)}),
+    "direction_rad": ErrorKind("of direction", "angle\n", {"rmse": (1, True), "median": (2, False), "p95": (0, True)}),
+    "azimuth_rad": ErrorKind("of azimuth", "az\n", {"rmse": (0, True), "bias": (3, False)}),
+    "elevation_rad": ErrorKind("of elevation", "el\n", {"rmse": (0, True), "bias": (3, False)}),
 }  # fmt: skip
 """The kinds of errors by the suffix of the names of their metrics."""
 
@@ -107,21 +107,22 @@ def _of_kind(kind: str) -> Iterator[Metric]:
         ("max", "largest error", lambda s: s.largest[kind]),
     )
     for name, words, formula in statistics:
-        yield _shown(kind, name, Metric(f"{name}_{kind}", f"{words} {KINDS[kind].words}".strip(), _unit(kind), formula))
+        words = f"{words} {ERROR_KINDS[kind].words}".strip()
+        yield _shown(kind, name, Metric(f"{name}_{kind}", words, _unit(kind), formula))
 
 
 def _bias(component: str, kind: str) -> Metric:
     """The mean error of a component, of the rows with errors of a kind."""
-    words = f"bias {KINDS[component].words if component in KINDS else f'in {component[0]}'}"
+    words = f"bias {ERROR_KINDS[component].words if component in ERROR_KINDS else f'in {component[0]}'}"
     formula = _ratio(f"bias {component}", f"n {kind}")
     return _shown(component, "bias", Metric(f"bias_{component}", words, _unit(component), formula))
 
 
 def _shown(kind: str, name: str, metric: Metric) -> Metric:
-    if kind not in KINDS or name not in KINDS[kind].shown:
+    if kind not in ERROR_KINDS or name not in ERROR_KINDS[kind].shown:
         return metric
-    rank, page = KINDS[kind].shown[name]
-    return metric._replace(short=KINDS[kind].short + name.replace("rmse", "RMSE"), rank=rank, page=page)
+    rank, page = ERROR_KINDS[kind].shown[name]
+    return metric._replace(short=ERROR_KINDS[kind].short + name.replace("rmse", "RMSE"), rank=rank, page=page)
 
 
 def _unit(kind: str) -> str:

@@ -28,7 +28,7 @@ from trackwright.experiments.pages.charts.style import (
 )
 from trackwright.experiments.text.expectations import Value
 from trackwright.experiments.text.wording import Unit, heading, unit_of
-from trackwright.trackers.evaluation.metrics import KINDS, METRICS
+from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS
 
 MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
 """Their counts differ from that of the colours: combinations of the three repeat late, and trackers look different."""
@@ -189,7 +189,7 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
     def draw(axes: Axes, condition: int, title: str) -> None:
         by_tracker = curves[condition]
         looks = [_look(number) for number, tracker in enumerate(study.trackers) if tracker in by_tracker]
-        error = f"error {KINDS[kinds[condition]].words}".strip()
+        error = f"error {ERROR_KINDS[kinds[condition]].words}".strip()
         quantity = f"{error}, {units[kinds[condition]].name}"
         draw_distributions(axes, [*by_tracker.values()], quantity, ends[condition], looks=looks)
         axes.set_title(literal(title))
@@ -265,7 +265,7 @@ def _kind(results: Results, condition: Condition) -> str:
     # The longer suffixes first: `3d_m` ends in `m` too.
     kinds = sorted(there, key=len, reverse=True)
     asked = (k for f in results.study.metrics for k in kinds if f.endswith(f"_{k}"))
-    return next(asked, next(k for k in KINDS if k in there))
+    return next(asked, next(k for k in ERROR_KINDS if k in there))
 
 
 def _axis(results: Results) -> str | None:
