@@ -30,7 +30,7 @@ from trackwright.experiments.cli.options import EvaluateOptions, TrackOptions
 from trackwright.experiments.cli.report import COMPARISON
 from trackwright.experiments.cli.tracking import endings, tracker_names, write_shown
 from trackwright.experiments.jobs.executors import Threads, cluster_executor
-from trackwright.experiments.jobs.portable import PortableTracker, file_of
+from trackwright.experiments.jobs.portable import file_of
 from trackwright.experiments.jobs.run import run as run_parts
 from trackwright.experiments.pages.reports.comparison import Table, comparison_text, write_comparison
 from trackwright.experiments.pages.reports.track import run_data
@@ -100,12 +100,7 @@ def _tracking(options: TrackOptions) -> Tracking:
     of_file = None if options.tuned is None else options.tuned.tracker
     names = tracker_names(options.tracker or of_file, options.noise)
     texts = tuple((name, file_of(name)) for name in names if spec_of(name))
-    values = {**({} if options.tuned is None else options.tuned.values), **options.values}
-    source = "--set" if options.values else str(options.noise)
-    smoothed = options.smooth or options.lag is not None
-    numbers = values, source, smoothed, options.lag, options.motion == "auto", options.errors == "auto"
-    tracker = PortableTracker("", "", options.free_height, *numbers)
-    return Tracking(texts, tracker, options.seed, options.force, options.used, options.used.read_calibration())
+    return Tracking(texts, options, options.used.read_calibration())
 
 
 def _run(
@@ -181,9 +176,8 @@ def _show(
     folders, batches, tables, events = [], [], [], []
     texts = dict(tracking.names)
     for name in names:
-        folder, _ = ready(read_recording(run.paths[name]), tracking.used, tracking.calibration)
-        tracker = tracking.tracker._replace(name=run.tracker, text=texts.get(run.tracker, ""))
-        batches += tracker.named(folder).batches(folder)
+        folder, _ = ready(read_recording(run.paths[name]), options.used, tracking.calibration)
+        batches += tracking.named(run.tracker, texts.get(run.tracker, ""), folder).batches(folder)
         folders.append(folder)
         tables.append(read_tracks(run.folders[name]))
         events.append(pl.read_parquet(run.folders[name] / EVENTS))

@@ -20,10 +20,10 @@ import polars as pl
 
 from trackwright.experiments.cli.archive_folders import RECORDINGS, is_table
 from trackwright.experiments.cli.console import errors_of, ready
-from trackwright.experiments.cli.options import ReadingOptions
+from trackwright.experiments.cli.options import TrackOptions
 from trackwright.experiments.cli.tracking import with_truth
 from trackwright.experiments.jobs.environment import environment
-from trackwright.experiments.jobs.portable import PortableTracker, spec_here
+from trackwright.experiments.jobs.portable import spec_here
 from trackwright.experiments.jobs.run import Store, written
 from trackwright.experiments.text.evaluation_text import to_json
 from trackwright.trackers.catalogue import fitting
@@ -37,6 +37,7 @@ from trackwright.trackers.recordings.atomic import json_text
 from trackwright.trackers.recordings.calibration import Calibration
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_truth
 from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.selection import Selection
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks, write_tracks
@@ -179,26 +180,20 @@ def _naming(path: Path | None, problem: UnusableInput) -> str:
 class Tracking:
     """How the recordings of an archive are tracked, as it travels.
 
-    `names`: of the trackers, with the texts of the users' files; none for the one that fits each recording. `tracker`:
-    the settings of each of them.
+    `names`: of the trackers, with the texts of the users' files; none for the one that fits each recording. `options`:
+    with the values that were read from files. `calibration`: the one that they name.
     """
 
     names: tuple[tuple[str, str], ...]
-    tracker: PortableTracker
-    seed: int
-    force: bool
-    used: ReadingOptions
+    options: TrackOptions
     calibration: Calibration | None
 
     def settings(self) -> dict[str, Any]:
         """All that the outcome of a recording depends on, beside its content."""
-        calibration = self.used.calibration
-        return {
+        options, calibration = self.options, self.options.used.calibration
+        return options.config("tracker", "noise", "cluster", "keep_going") | {
             "trackers": self.names,
-            "settings": self.tracker._replace(source="")._asdict(),
-            "seed": self.seed,
-            "force": self.force,
-            "used": asdict(self.used),
+            "noise": None if options.tuned is None else options.tuned.values,
             "calibration": None if calibration is None else calibration.read_text("utf-8"),
             "versions": _versions(),
         }
@@ -215,12 +210,12 @@ class Tracking:
         """The estimates of one recording; raises UnusableInput where it has errors."""
         for name, text in self.names:
             spec_here(name, text)  # a user's file may add the kind of the recording's tables
-        errors = errors_of(recording, self.force, self.calibration is not None)
-        folder, lines = ready(recording, self.used, self.calibration)
+        errors = errors_of(recording, self.options.force, self.calibration is not None)
+        folder, lines = ready(recording, self.options.used, self.calibration)
         result = RecordingResult(notices=[*errors, *lines])
         for name, text in self.names or [(fitting(folder), "")]:
             try:
-                outcome, lines = self._tracked(self.tracker._replace(name=name, text=text), folder)
+                outcome, lines = self._tracked(name, text, folder)
             except UnusableInput as problem:
                 result.refused.append(_naming(folder.path, problem))
                 continue
@@ -228,16 +223,20 @@ class Tracking:
             result.notices.extend(lines)
         return result
 
-    def _tracked(self, tracker: PortableTracker, folder: RecordingFolder) -> tuple[Outcome, list[str]]:
+    def named(self, name: str, text: str, folder: RecordingFolder) -> NamedTracker:
+        """A tracker for one recording; raises UnusableInput as `NamedTracker.of` and where values do not fit."""
+        return self.options.applied(NamedTracker.of(name, spec_here(name, text), folder, self.options.free_height))
+
+    def _tracked(self, name: str, text: str, folder: RecordingFolder) -> tuple[Outcome, list[str]]:
         """The outcome of one tracker, and its notices."""
-        named = tracker.named(folder)
-        tracks = named.run(folder, seed=self.seed)
+        named = self.named(name, text, folder)
+        tracks = named.run(folder, seed=self.options.seed)
         happened = events_of(tracks.table, named.spec, tracks.batches)
         association, lines = with_truth(tracks.table, named, [folder])
         scored = TrackScores.of(association, {folder.name: folder.rig.stations})
         about = {
-            "tracker": tracker.name,
-            "short": split_name(tracker.name)[1] or tracker.name,
+            "tracker": name,
+            "short": split_name(name)[1] or name,
             "endings": tracks.summaries,
         }
         tables = {TRACKS: tracks.table, EVENTS: happened}

@@ -235,6 +235,15 @@ class TrackOptions(TrackerOptions):
         """The noise file."""
         return self.noise
 
+    def applied(self, named: NamedTracker) -> NamedTracker:
+        """The tracker as `valued`, smoothed, and with several levels, where that is asked for."""
+        named = self.valued(named)
+        if self.smooth or self.lag is not None:
+            named = named.smoothing(self.lag)
+        if self.motion == "auto":
+            named = named.with_motion_levels()
+        return named.with_error_levels() if self.errors == "auto" else named
+
     def manifest(self, tracker: str) -> dict[str, Any]:
         """What the manifest of a run of this tracker holds of the options."""
         return self.config("cluster", "force", "keep_going") | {"tracker": tracker, "set": self.values}

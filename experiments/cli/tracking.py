@@ -173,13 +173,7 @@ def _track(
     name, folders = run
     named = build(name, folders, options.free_height)
     notice_unused_calibration(folders, name, named.spec.table)
-    named = options.valued(named)
-    if options.smooth or options.lag is not None:
-        named = named.smoothing(options.lag)
-    if options.motion == "auto":
-        named = named.with_motion_levels()
-    if options.errors == "auto":
-        named = named.with_error_levels()
+    named = options.applied(named)
     batches = named.batches(folders)
     for batch in batches:
         for line in batch.notices:

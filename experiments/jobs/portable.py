@@ -1,4 +1,4 @@
-"""What travels to other processes as text and numbers: users' files, and a tracker by name."""
+"""Users' files as text that travels to other processes, and the trackers in them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.user_file import split_name
-from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 
 Files = tuple[tuple[str, str], ...]
@@ -46,28 +43,3 @@ def spec_here(name: str, text: str) -> TrackerSpec:
         return spec_of(name)
     with copied(((file, text),)) as places:
         return spec_of(f"{places[file]}:{attribute}")
-
-
-class PortableTracker(NamedTuple):
-    """A `NamedTracker` as it travels; `text`: of the user's file, for a tracker given as `FILE.py:NAME`."""
-
-    name: str
-    text: str
-    free_height: bool
-    values: dict[str, Any]
-    source: str
-    smoothed: bool
-    lag: float | None
-    motion_levels: bool
-    error_levels: bool
-
-    def named(self, folder: RecordingFolder) -> NamedTracker:
-        """The tracker for one recording; raises UnusableInput as `NamedTracker.of` and where values do not fit."""
-        tracker = NamedTracker.of(self.name, spec_here(self.name, self.text), folder, self.free_height)
-        if self.values:
-            tracker = tracker.with_values(self.values, self.source)
-        if self.smoothed:
-            tracker = tracker.smoothing(self.lag)
-        if self.motion_levels:
-            tracker = tracker.with_motion_levels()
-        return tracker.with_error_levels() if self.error_levels else tracker
