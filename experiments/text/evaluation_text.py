@@ -108,23 +108,22 @@ def _table(evaluation: Evaluation, columns: Sequence[Metric], labels: Sequence[s
     what = "Bearing errors" if evaluation.bearing else "Horizontal and 3-D position errors"
     table = compact_table(f"{what} in {unit.name}", labels, [title_of(column) for column in columns])
     for words, metrics, style in lines:
-        cells = []
-        for column in columns:
-            value = shown_metric(metrics, column.name)
-            scale, shown = SCALES.get(column.unit, (unit.factor, unit.digits))
-            cells.append(_cell(None if value is None else value * scale, shown))
-        table.add_row(*words, *cells, style=style)
+        table.add_row(*words, *cells(metrics, columns, unit), style=style)
     return table
+
+
+def cells(metrics: Metrics, columns: Sequence[Metric], unit: Unit) -> Iterator[str]:
+    """The metrics in columns, lengths in this unit; of large values no digits after the point, and groups of three."""
+    for column in columns:
+        value = shown_metric(metrics, column.name)
+        factor, digits = SCALES.get(column.unit, (unit.factor, unit.digits))
+        scaled = None if value is None else value * factor
+        yield f"{scaled:,.0f}" if scaled is not None and abs(scaled) >= LARGE else fixed(scaled, digits)
 
 
 def title_of(column: Metric) -> str:
     """The heading of a column, in up to two lines."""
     return f"{column.short}\ns" if column.unit == "s" else column.short
-
-
-def _cell(value: float | None, digits: int) -> str:
-    """The value with so many digits after the point; of large ones none, and groups of three."""
-    return fixed(value, digits) if value is None or abs(value) < LARGE else f"{value:,.0f}"
 
 
 def _lines(evaluation: Evaluation, labels: Sequence[str]) -> list[Line]:

@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from rich.console import RenderableType
 
 from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
-from trackwright.experiments.text.evaluation_text import COLUMNS, title_of
+from trackwright.experiments.text.evaluation_text import COLUMNS, cells, title_of
 from trackwright.experiments.text.expectations import Value, with_interval
 from trackwright.experiments.text.tables import compact_table, rendered, terminal_width
 from trackwright.experiments.text.wording import (  # fmt: skip
     MISSING,
-    SCALES,
     Unit,
-    fixed,
     heading,
     length_unit,
     shown_metric,
@@ -130,7 +128,7 @@ def tables_of_tracks(runs: Sequence[TrackRun], contrasts: Sequence[Contrast]) ->
     shown = names if len(names) == 1 else [*names, ""]
     columns = _columns(runs)
     rows = [
-        [name or ALL, run.name, *_cells(run.metrics[name], columns, unit)]
+        [name or ALL, run.name, *cells(run.metrics[name], columns, unit)]
         for name in shown
         for run in runs
         if name in run.metrics
@@ -153,8 +151,8 @@ def difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> T
         interval = Value(d.value, d.low, d.high)
         p = MISSING if math.isnan(contrast.p) else "<0.001" if contrast.p < 0.001 else f"{contrast.p:.3f}"
         values = (with_interval(Value(x, math.nan, math.nan), of) for x in (d.first, d.second))
-        cells = [heading(contrast.metric, of), *values, with_interval(interval, of), p, yes_no(contrast.differs)]
-        rows.append([contrast.run, *cells])
+        text = [heading(contrast.metric, of), *values, with_interval(interval, of), p, yes_no(contrast.differs)]
+        rows.append([contrast.run, *text])
     pieces = sorted({contrast.difference.pieces for contrast in contrasts})
     known = sum(contrast.differs is not None for contrast in contrasts)
     count = " to ".join(map(str, dict.fromkeys((pieces[0], pieces[-1]))))
@@ -182,14 +180,6 @@ def _columns(runs: Sequence[TrackRun]) -> list[Metric]:
     ]
 
 
-def _cells(metrics: dict, columns: Sequence[Metric], unit: Unit) -> list[str]:
-    cells = []
-    for column in columns:
-        value, (scale, shown) = shown_metric(metrics, column.name), SCALES.get(column.unit, (unit.factor, unit.digits))
-        cells.append(fixed(None if value is None else value * scale, shown))
-    return cells
-
-
 def tables_of_studies(runs: Sequence[StudyRun], contrasts: Sequence[Contrast]) -> list[Table]:
     """The metrics of every world, tracker and study, and which studies differ from the first."""
     by_row: dict[tuple[str, str], list[Contrast]] = {}
@@ -203,9 +193,9 @@ def tables_of_studies(runs: Sequence[StudyRun], contrasts: Sequence[Contrast]) -
     rows = []
     for (subject, metric), others in by_row.items():
         unit, missing = units[metric], Value(math.nan, math.nan, math.nan)
-        cells = [with_interval(run.metrics.get((subject, metric), missing), unit) for run in runs]
+        values_of_runs = [with_interval(run.metrics.get((subject, metric), missing), unit) for run in runs]
         ratios = [_ratio(contrast.difference) for contrast in others]
-        rows.append([subject, heading(metric, unit), *cells, ", ".join(ratios), _which(others, len(runs))])
+        rows.append([subject, heading(metric, unit), *values_of_runs, ", ".join(ratios), _which(others, len(runs))])
     head = ("", "metric", *(run.name for run in runs), f"over {runs[0].name}", "differ?")
     note = f"In brackets 95 % intervals. Differences are corrected for {len(contrasts)} comparisons (Holm)."
     return [Table("Metrics", head, 2, rows, note)]
