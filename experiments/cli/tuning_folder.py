@@ -28,7 +28,7 @@ from trackwright.experiments.pages.reports.before_after import (
     tracked,
 )
 from trackwright.experiments.pages.reports.tuning import write_tuning_report
-from trackwright.experiments.pages.reports.tuning_data import Request, collect, recording_names
+from trackwright.experiments.pages.reports.tuning_data import collect, recording_names
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import spec_of
@@ -152,22 +152,27 @@ def _write_run(
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
     use += "" if calibration is None else f" --calibration {calibration}"
     use += "" if average is None else f" --average {average:g}"
-    request = Request(
-        command=command,
-        next_commands=(f"{command} --force" if refused else use, command),
-        tracker=fitted.named.name,
-        tracker_about=spec_of(fitted.named.name).about,
-        objective=objective,
-        seconds=seconds,
-        notes=(*([refused] if refused else []), *_notes(data, result, fitted.reported)),
-    )
     written = ["trace.csv", "manifest.json"]
     if figures is not None:
         written.insert(1, f"tuning.{figures}")
     if not options.no_report:
         written.insert(0, "report.html")
-        known = collect(request, result, fitted.reported, intervals, issues, compared, plans, cautions)
-        write_tuning_report(out / "report.html", replace(known, training=recording_names(data.training)))
+        known = collect(result, fitted.reported, objective, intervals, issues)
+        notes = [*([refused] if refused else []), *_notes(data, result, fitted.reported), *known.notes]
+        known = replace(
+            known,
+            training=recording_names(data.training),
+            command=command,
+            next_commands=(f"{command} --force" if refused else use, command),
+            tracker=fitted.named.name,
+            tracker_about=spec_of(fitted.named.name).about,
+            seconds=seconds,
+            compared=compared,
+            plans=plans,
+            cautions=tuple(cautions),
+            notes=tuple(notes),
+        )
+        write_tuning_report(out / "report.html", known)
     extra = {"recordings": [str(p) for p in recordings], "filter_runs": result.filter_runs}
     write_manifest(out, sys.argv, options.config("resume"), started, extra=extra)
     print(table(result, objective, intervals))

@@ -92,10 +92,6 @@ class TuningReportData:
     `provenance`: pairs of name and text.
     """
 
-    command: str
-    next_commands: tuple[str, ...]
-    tracker: str
-    tracker_about: str
     objective: str
     objective_about: str
     training: tuple[str, ...]
@@ -109,7 +105,11 @@ class TuningReportData:
     errors: tuple[ErrorTrack, ...]
     error_unit: str
     filter_runs: int
-    seconds: float
+    command: str = ""
+    next_commands: tuple[str, ...] = ()
+    tracker: str = ""
+    tracker_about: str = ""
+    seconds: float = 0.0
     compared: Compared | None = None
     plans: TrackChanges | None = None
     cautions: tuple[str, ...] = ()
@@ -137,40 +137,23 @@ NO_DISTRIBUTION = "NIS is not shown: for this tracker its distribution is unknow
 MISSING = (float("nan"),) * 2
 
 
-@dataclass(frozen=True)
-class Request:
-    """The request for a tuning run, and how long it took; see `TuningReportData`."""
-
-    command: str
-    next_commands: tuple[str, ...]
-    tracker: str
-    tracker_about: str
-    objective: str
-    seconds: float
-    notes: tuple[str, ...] = ()
-
-
 def collect(
-    request: Request,
     result: FitResult,
     data: FitData,
+    objective: str,
     intervals: Mapping[str, Interval],
     issues: Sequence[IdentifiabilityIssue] = (),
-    compared: Compared | None = None,
-    plans: TrackChanges | None = None,
-    cautions: Sequence[str] = (),
 ) -> TuningReportData:
     """Metrics of both trackers on all trajectories; innovations and errors on the held-out ones, if there are any.
 
-    `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters; `compared`:
-    recordings before and after; `plans`: their tracks; `cautions`: those of the result. The objective surface takes
-    about as many evaluations as the fit took steps.
+    `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters. The objective
+    surface takes about as many evaluations as the fit took steps. What is not of the result is left to the caller.
     """
     filter_runs, training, held_out = result.filter_runs, data.training, data.held_out
     quantity = next(iter(training[0].recording.truth))
     angles = quantity == "direction"
     # The metric `rmse` is the horizontal error; the 3-D error has a name of its own.
-    objective = "rmse-3d" if request.objective == "rmse" and data.dimensions == 3 else request.objective
+    objective = "rmse-3d" if objective == "rmse" and data.dimensions == 3 else objective
     trackers = (result.before, result.tracker)
     runs = [_runs(tracker, held_out or training) for tracker in trackers]
     before, after = (
@@ -183,18 +166,11 @@ def collect(
     rows = [[b if comparable else b._replace(truth={}) for b in data.rows(apart)] for apart in (False, True)]
     weights = [data.weights(apart) for apart in (False, True)]
     return TuningReportData(
-        command=request.command,
-        next_commands=request.next_commands,
-        tracker=request.tracker,
-        tracker_about=request.tracker_about,
         objective=objective,
         objective_about=_about(objective, "rad" if angles else "m"),
         training=recording_names(training),
         held_out=recording_names(held_out),
         parameters=_parameters(result, intervals, issues),
-        compared=compared,
-        plans=plans,
-        cautions=tuple(cautions),
         metrics=(*_sum_objective(objective, result), *_metrics(trackers, rows, weights, quantity, data.dimensions)),
         traces=_traces(result),
         surface=surface_of(result),
@@ -203,9 +179,8 @@ def collect(
         errors=_errors(trackers, runs, quantity, 180 / np.pi if angles else 1.0),
         error_unit="°" if angles else "m",
         filter_runs=filter_runs,
-        seconds=request.seconds,
         issues=tuple(issue.text for issue in issues),
-        notes=(*request.notes, *([HELD_OUT] if held_out else []), *([] if innovations else [NO_DISTRIBUTION])),
+        notes=(*([HELD_OUT] if held_out else []), *([] if innovations else [NO_DISTRIBUTION])),
         provenance=(
             ("trackwright", version("trackwright")),
             ("created", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")),

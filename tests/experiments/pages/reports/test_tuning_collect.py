@@ -1,12 +1,14 @@
 """The data of a tuning report, against the fit and the tracks they describe."""
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
 
 import trackwright as tw
 from trackwright.experiments.pages.reports.tuning import tuning_page
-from trackwright.experiments.pages.reports.tuning_data import Request, _parameters, collect
+from trackwright.experiments.pages.reports.tuning_data import _parameters, collect
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -41,10 +43,10 @@ def run():
     training, held_out = group.trajectories[:2], group.trajectories[2:]
     rows = [batch for _, batch in batches(training)]
     result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, FitOptions(steps=6, starts=2))
-    request = Request("trackwright tune a b", ("trackwright track c",), "fix-kf", "a Kalman filter", NLL, 1.5)
     issues = [IdentifiabilityIssue((PATTERNS[0],), "an issue")]
     data = FitData(group.tracker, parse_objective(NLL), NLL, group.planar, 3, training, held_out, "recordings")
-    return result, collect(request, result, data, intervals_of(result), issues)
+    collected = collect(result, data, NLL, intervals_of(result), issues)
+    return result, replace(collected, command="trackwright tune a b", tracker="fix-kf")
 
 
 def test_parameters_are_those_of_the_fit_and_one_with_an_issue_is_not_determined(run):
@@ -128,8 +130,7 @@ def test_of_directions_errors_are_in_degrees_and_metrics_in_radians():
     data = fit_data(tw.build("beam", folder).only_batch([folder]), NLL)
     sigma = next(name for name in tw.tunables(data.tracker) if name.endswith("sigma_p"))
     result = fit(data.tracker, data.rows(), data.objective, (sigma,), FitOptions(steps=1, starts=1))
-    request = Request("trackwright tune a", (), "beam", "a beamformer", NLL, 1.5)
-    collected = collect(request, result, data, intervals_of(result), [])
+    collected = collect(result, data, NLL, intervals_of(result))
     (rmse,) = [one for one in collected.metrics if one.key.startswith("rmse")]
     assert (rmse.unit, collected.error_unit) == ("rad", "°")
     pooled = np.concatenate([track.after for track in collected.errors])
@@ -146,8 +147,7 @@ def test_errors_are_one_for_each_time_as_track_has_them_and_begin_at_zero():
     data = fit_data(named.only_batch([folder]), NLL)
     sigma = "sensors.ranges.sigma_r"
     result = fit(data.tracker, data.rows(), data.objective, (sigma,), FitOptions(steps=1, starts=1))
-    request = Request("trackwright tune a", (), "uwb", "ranges", NLL, 1.5)
-    collected = collect(request, result, data, intervals_of(result), [])
+    collected = collect(result, data, NLL, intervals_of(result))
     assert collected.parameters[0].spread.startswith("68 % of the readings within ± 0.")
     assert "68 % of the readings within" in tuning_page(collected)
     (track,) = collected.errors
