@@ -8,7 +8,7 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -138,18 +138,13 @@ class Run:
         return int(pl.scan_parquet(path).select(pl.len()).collect().item())
 
 
-class Gathered(NamedTuple):
-    """The runs by tracker, the rows of the table of results, and how many recordings have notices."""
+def gathered(
+    store: RecordingStore, paths: Sequence[Path], done: Container[Path], refused: Refusals
+) -> tuple[list[Run], Rows, int]:
+    """The runs by tracker, the rows of the table of results, and how many recordings have notices.
 
-    runs: list[Run]
-    rows: Rows
-    noticed: int
-
-
-def gathered(store: RecordingStore, paths: Sequence[Path], done: Container[Path], refused: Refusals) -> Gathered:
-    """What is stored of the recordings at `paths`, in this order.
-
-    A second recording of one name is refused, since its rows could not be told apart.
+    Of what is stored of the recordings at `paths`, in this order. A second recording of one name is refused, since its
+    rows could not be told apart.
     """
     runs: dict[str, Run] = {}
     rows = Rows()
@@ -177,7 +172,7 @@ def gathered(store: RecordingStore, paths: Sequence[Path], done: Container[Path]
         noticed += bool(kept["notices"])
         for line in refused.get(path, ()):
             rows.append({"path": whole, "refused": line})
-    return Gathered(list(runs.values()), rows, noticed)
+    return list(runs.values()), rows, noticed
 
 
 def write_results(out: Path, rows: Rows) -> None:
