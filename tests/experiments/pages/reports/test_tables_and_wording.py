@@ -2,11 +2,14 @@
 
 import numpy as np
 
-from trackwright.experiments.text.evaluation_text import _cell
+from trackwright.experiments.text.evaluation_text import cells
 from trackwright.experiments.text.expectations import Value, with_interval
 from trackwright.experiments.text.tables import aligned, compact_table, markdown, rendered, ruled_table
-from trackwright.experiments.text.wording import duration, fixed, heading, rounded, unit_of, units_of
+from trackwright.experiments.text.wording import Unit, duration, fixed, heading, rounded, unit_of, units_of
 from trackwright.trackers.core.wording import counted, significant
+from trackwright.trackers.evaluation.metrics import METRICS
+
+MM = Unit("mm", 1.0)
 
 
 def test_aligned_columns_have_two_spaces_between_them_and_none_at_the_end():
@@ -66,4 +69,5 @@ def test_large_numbers_are_written_without_powers_of_ten():
         "1,000", "1,200", "180", "12", "0.00012", "-0.5",
     ]  # fmt: skip
     assert significant(float("inf"), 2) == "inf"
-    assert [_cell(x, 2) for x in (748121.37, 9999.0, 1.005, None)] == ["748,121", "9999.00", "1.00", "–"]
+    shown = [text for x in (748121.37, 9999.0, 1.005, None) for text in cells({"max_m": x}, [METRICS["max_m"]], MM)]
+    assert shown == ["748,121", "9999.00", "1.00", "–"]
