@@ -240,21 +240,35 @@ def test_the_command_tracks_as_python_does(tmp_path):
     assert not written["x_m"].equals(tw.build("fix-kf", read).run(read).to_polars()["x_m"])
 
 
-def test_the_command_reports_covariances_at_levels_of_errors_for_the_same_estimates(tmp_path):
+def test_without_a_calibration_covariances_are_those_of_levels_of_errors_for_the_same_estimates(tmp_path):
     path = tmp_path / "hall"
     write_recording(worlds.ranges(n=1, seed=2, rows=40).folder(), path)
-    options = ("--tracker", "uwb", "--errors", "auto", *PLAIN, "--out", tmp_path / "run")
-    done = trackwright("track", path, *options)
+    done = trackwright("track", path, "--tracker", "uwb", *PLAIN, "--out", tmp_path / "run")
     assert done.code == 0, done
+    assert "--errors" in done.err
     written, read = pl.read_parquet(tmp_path / "run" / "tracks.parquet"), tw.read(path)
-    expected = tw.build("uwb", read).with_error_levels().run(read).to_polars()
+    named = tw.build("uwb", read)
+    expected = named.with_error_levels().run(read).to_polars()
     assert written.select("t_s", "x_m", "std_x_m").equals(expected.select("t_s", "x_m", "std_x_m"))
-    given = tw.build("uwb", read).run(read).to_polars()
+    done = trackwright("track", path, "--tracker", "uwb", "--errors", "given", *PLAIN, "--out", tmp_path / "given")
+    assert done.code == 0, done
+    assert "--errors" not in done.err
+    given = pl.read_parquet(tmp_path / "given" / "tracks.parquet")
     np.testing.assert_allclose(written["x_m"], given["x_m"], rtol=1e-5)
     assert not written["std_x_m"].equals(given["std_x_m"])
     refused = trackwright("track", path, "--tracker", "multilateration", "--errors", "auto", "--out", tmp_path / "no")
     assert refused.code == 2
     assert "no biases that drift" in refused.err
+
+
+def test_values_calibrations_and_smoothers_report_their_own_covariances():
+    folder = worlds.ranges(n=1, seed=2, rows=40).folder()
+    named = tw.build("uwb", folder)
+    calibrated = folder.calibrated(tw.calibrate(folder))
+    assert named.own_errors(named.tracker)
+    assert not tw.build("uwb", calibrated).own_errors(tw.build("uwb", calibrated).tracker)
+    others = named.with_values({"motion.sigma_a": 1.0}), named.smoothing(), named.with_motion_levels()
+    assert not any(other.own_errors(other.tracker) for other in (*others, tw.build("multilateration", folder)))
 
 
 def _still(folder):
