@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 
 from trackwright.trackers.aoa.phases import SphericalPhases
 from trackwright.trackers.core.model.algebra import Scalar
-from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.parts.ranges import RangeSensor
 from trackwright.trackers.uwb_imu.differences import PAIR, PAIRS, RangeDifferenceSensor
@@ -77,7 +76,7 @@ class WallAnchors(AbstractLayout):
     corners: Float[np.ndarray, "c 2"]
     bands: Float[np.ndarray, "elements 2"]
     spacing: float
-    measured: Callable[[Float[Array, "anchors 3"], Inputs], list[SensorAtEpoch]] = eqx.field(static=True)
+    measured: Callable[[Float[Array, "anchors 3"], Mapping[str, Array]], list[SensorAtEpoch]] = eqx.field(static=True)
     height: float | None = eqx.field(static=True, default=None)
     fixed: Float[np.ndarray, "k 3"] | None = None
 
@@ -190,13 +189,15 @@ def spacing_violation(places: Float[Array, "elements axes"], spacing: float) -> 
     return jnp.sum(jnp.maximum(1.0 - distance / spacing, 0.0) ** 2)
 
 
-def ranges(sigma: float, places: Float[Array, "anchors 3"], known: Inputs) -> list[SensorAtEpoch]:
+def ranges(sigma: float, places: Float[Array, "anchors 3"], known: Mapping[str, Array]) -> list[SensorAtEpoch]:
     """A range from each of the places, m, with normal noise of `sigma` m; `known`: other inputs, as the height."""
     sensor = RangeSensor(1, 1, sigma, 1.0, 1e6)
     return [SensorAtEpoch(sensor, {"anchors": place, "anchor": jnp.zeros(1), **known}, 1) for place in places]
 
 
-def range_differences(sigma: float, places: Float[Array, "anchors 3"], known: Inputs) -> list[SensorAtEpoch]:
+def range_differences(
+    sigma: float, places: Float[Array, "anchors 3"], known: Mapping[str, Array]
+) -> list[SensorAtEpoch]:
     """The differences of all from the first, which is as good as any: they share its time of arrival. See `ranges`."""
     slots = len(places) - 1
     if slots < 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -17,7 +17,6 @@ from matplotlib.path import Path as Polygon
 from trackwright.trackers.aoa.fusion import AXES, ORIGIN, BearingSensor, bearing_inputs
 from trackwright.trackers.aoa.phases import SphericalPhases
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.tuning.design.bound import SensorAtEpoch, information
 from trackwright.tuning.design.layouts import WallAnchors, range_differences, ranges
@@ -94,7 +93,7 @@ def sensors_of(rig: Rig, sigmas: Sigmas, height: float | None) -> list[SensorAtE
     return sensors
 
 
-def _measured(sigmas: Sigmas) -> Callable[[jax.Array, Inputs], list[SensorAtEpoch]]:
+def _measured(sigmas: Sigmas) -> Callable[[jax.Array, Mapping[str, jax.Array]], list[SensorAtEpoch]]:
     """What anchors measure in an epoch, by their places."""
     return partial(ranges, sigmas.range) if sigmas.difference is None else partial(range_differences, sigmas.difference)
 
