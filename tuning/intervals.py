@@ -191,7 +191,7 @@ def without_intervals(uncertainty: Uncertainty | None, intervals: Mapping[str, I
     if uncertainty is None or not uncertainty.at_optimum or known or uncertainty.at_bound.all():
         return []
     if not np.isfinite(uncertainty.optimum.hessian).all():
-        return ["no 95 % intervals: the objective has no finite curvature at these values; tune fewer numbers, or nll"]
+        return ["no 95 % intervals: the objective has no finite curvature at these values; tune fewer numbers"]
     if np.isnan(uncertainty.observed).any() and np.isnan(uncertainty.sandwich).any():
         return [
             "no 95 % intervals: an objective that is no likelihood has those of the scatter of trajectories, "

@@ -78,6 +78,8 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
     """
     k, c = key
     of_group = view.group == k
+    if not of_group.any():
+        return math.nan, math.nan  # a sensor of other readings that has too few of its own
     part = view.of_rows(of_group)
     at = delays[of_group, c]
     true, before, after = (part.later(at + lag).predicted()[:, c] for lag in (0.0, LAG_S, -LAG_S))
