@@ -87,7 +87,7 @@ def test_a_log_in_milliseconds_takes_a_unit_and_no_other_column(there):
         ("log.csv", ("--table", "fixes", "--columns", "t_s=stamp"), ("fixes needs tag", "'distance'; give --tag ID\n")),
         ("log.csv", (), ("no table given", "--table")),
         ("log.csv", ("--columns", "range_m=distance"), ("--columns without --table",)),
-        ("log.csv", ("--mapping", "map.toml", "--table", "ranges"), ("one or the other",)),
+        ("log.csv", ("--mapping", "miluv", "--table", "ranges"), ("one or the other",)),
         ("missing.csv", CSV, ("missing.csv", "cannot be read")),
         ("mocap.tum", ("--table", "truth"), ("do not name the tag",)),
         ("mocap.tum", ("--table", "ranges", "--tag", "T"), ("truth or fixes",)),

@@ -1,0 +1,94 @@
+"""Mappings in TOML files: those of users, and the presets of the program for logs of public data sets and kits."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from trackwright.trackers.core.errors import UnusableInput, listed, near
+from trackwright.trackers.exchange.mapping import TableMapping, checked, columns_of, put
+from trackwright.trackers.recordings.input_file import file_bytes, read_toml
+from trackwright.trackers.recordings.kinds import table_kinds
+
+PRESETS = {path.stem: path for path in (Path(__file__).parent / "presets").glob("*.toml")}
+"""The presets by name; the head of each says what it reads, the units and frames, and where anchors come from."""
+
+_TEXTS = ("table", "topic", "tag", "separator", "decimal", "file")
+_KEYS = (*_TEXTS, "columns", "where", "anchors", "body")
+
+
+class MappingFile(NamedTuple):
+    """The mappings of `tables`, for files of a `format`, where it names one.
+
+    `anchors`: the pattern of an anchor in a text file of positions, with the groups anchor, x, y, z, m. `offsets`: the
+    places of tags on their body, (3,) m.
+    """
+
+    tables: Sequence[TableMapping]
+    format: str | None = None
+    anchors: str | None = None
+    offsets: Mapping[str, Sequence[float]] = {}
+
+    def positions(self, path: Path) -> dict[str, tuple[float, ...]]:
+        """The positions of anchors, m, in a text file of the makers; raises UnusableInput."""
+        anchors: dict[str, tuple[float, ...]] = {}
+        try:
+            for match in re.finditer(str(self.anchors), file_bytes(path).decode("utf-8")):
+                put(anchors, f"--rig {path}", match["anchor"], tuple(float(match[axis]) for axis in "xyz"))
+        except (OSError, ValueError) as error:
+            raise UnusableInput(f"--rig {path}: cannot be read: {error}; expected positions of anchors") from error
+        if not anchors:
+            raise UnusableInput(f"--rig {path}: no anchor in it; expected the makers' file, or a rig.toml")
+        return anchors
+
+
+def read_mapping(path: Path) -> MappingFile:
+    """The mappings of a preset, by its name, or of a TOML file with entries [[tables]]; raises UnusableInput."""
+    if path.suffix != ".toml" and not path.exists():
+        expected = f"a TOML file or one of {', '.join(sorted(PRESETS))}{near(str(path), PRESETS)}"
+        if str(path) not in PRESETS:
+            raise UnusableInput(f"--mapping {path}: no such file or preset; expected {expected}")
+        path = PRESETS[str(path)]
+    content = read_toml(path, "entries [[tables]]")
+    entries, form, anchors, tags = (content.pop(key, None) for key in ("tables", "format", "anchors", "tags"))
+    if content or not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
+        raise UnusableInput(
+            f"{path}: keys {listed(content) or 'none'}{'' if entries is None else ', tables'}; expected entries "
+            "[[tables]], each with table and columns, and where needed format, anchors, [tags.ID]"
+        )
+    try:
+        offsets = {tag: [float(x) for x in one["offset_m"]] for tag, one in (tags or {}).items()}
+        if anchors is not None and not {"anchor", *"xyz"} <= set(re.compile(anchors).groupindex):
+            raise ValueError
+    except (AttributeError, KeyError, TypeError, ValueError, re.error) as error:
+        raise UnusableInput(
+            f"{path}: anchors or tags; expected a pattern with groups anchor, x, y, z, and offset_m = [x, y, z] of each"
+        ) from error
+    tables = [_entry(f"{path}: [[tables]] {k}", entry, offsets) for k, entry in enumerate(entries, 1)]
+    return MappingFile(tables, form, anchors, offsets)
+
+
+def _entry(where: str, entry: dict[str, Any], offsets: Mapping[str, Sequence[float]]) -> TableMapping:
+    unknown = [key for key in entry if key not in _KEYS]
+    if unknown:
+        raise UnusableInput(f"{where}: unknown key {unknown[0]!r}; expected {', '.join(_KEYS)}")
+    if "table" not in entry:
+        raise UnusableInput(f"{where}: no table; expected one of {', '.join(table_kinds())}")
+    texts = {key: entry[key] for key in _TEXTS if key in entry}
+    columns, anchors, kept = (entry.get(key, {}) for key in ("columns", "anchors", "where"))
+    try:
+        if not all(isinstance(x, str) for x in (*texts.values(), *columns.values(), *anchors.values())):
+            raise TypeError
+        kept = {column: [str(value) for value in values] for column, values in kept.items()}
+    except (AttributeError, TypeError) as error:
+        raise UnusableInput(
+            f'{where}: expected texts, in columns and anchors TARGET = "EXPRESSION", in where COLUMN = [VALUE, …]'
+        ) from error
+    try:
+        columns, anchors = (columns_of([f"{k}={v}" for k, v in one.items()]) for one in (columns, anchors))
+        of_body = offsets if entry.get("body") else {}
+        return checked(TableMapping(columns=columns, where=kept, anchors=anchors, offsets=of_body, **texts))
+    except UnusableInput as problem:
+        raise UnusableInput(f"{where}: {problem}") from problem
