@@ -66,11 +66,11 @@ class TableMapping:
     """The columns of a table from those of a source.
 
     `columns`: by target, or by target and sensor as `range_m[A1]`, an expression; a column of the source that has the
-    name of a target needs none. `{a}` in both stands for all that names of the source have there; a column with `?`
-    may be missing. `topic`: of a bag. `file`: of a folder, with `{a}` as columns, and in `tag`. `tag`: the id of all
-    rows, where no column has it. `separator`: of the cells of a CSV file, None for the one in its header. `decimal`:
-    the mark in numbers of a CSV file, `.` or `,`. `where`: by column, the texts of the rows that are read. `anchors`:
-    x_m, y_m, z_m of each row's anchor. `offsets`: the places of tags on the body whose poses the rows are, (3,) m.
+    name of a target needs none; `{a}` in both stands for all that names of the source have there. `topic`: of a bag.
+    `tag`: the id of all rows, where no column has it. `separator`: of the cells of a CSV file, None for the one in its
+    header. `decimal`: the mark in numbers of a CSV file, `.` or `,`. `file`: of a folder; `{a}` in it may stand in
+    `tag`. `where`: by column, the texts of the rows that are read. `anchors`: x_m, y_m, z_m of each row's anchor.
+    `offsets`: the places of tags on the body whose poses the rows are, (3,) m.
     """
 
     table: str
@@ -243,18 +243,16 @@ def _filled(template: str, holes: Mapping[str, str]) -> str:
 
 
 def spelled_out(columns: Mapping[str, Expression], names: Sequence[str]) -> dict[str, Expression]:
-    """The expressions by target, those with holes for each of the source's `names` that fits, without missing ones."""
-    every = {}
-    for target, e in columns.items():
-        name = e.source.removesuffix("?")
-        for column, holes in _fitting(name, names) if _HOLE.search(name) else [(name, {})]:
-            if name == e.source or column in names:
-                every[_filled(target, holes)] = replace(e, text=e.text.replace(e.source, column), source=column)
-    return every
+    """The expressions by target, those with holes for each of the source's `names` that fits."""
+    return {
+        _filled(target, holes): replace(e, text=e.text.replace(e.source, name), source=name)
+        for target, e in columns.items()
+        for name, holes in (_fitting(e.source, names) if _HOLE.search(e.source) else [(e.source, {})])
+    }
 
 
 def _asked(file: TableFile, mapping: TableMapping) -> tuple[TableFile, TableMapping, list[str]]:
-    """The rows and the columns of a file that a mapping asks for, without holes and `?`, and notices.
+    """The rows of a file that a mapping asks for, the mapping without holes, and notices.
 
     Rows of tables that stand side by side are empty where one ends before the others.
     """
@@ -265,13 +263,12 @@ def _asked(file: TableFile, mapping: TableMapping) -> tuple[TableFile, TableMapp
     asked = frame.select(asked=pl.any_horizontal(full).fill_null(False))["asked"]
     for name, values in mapping.where.items():
         asked &= _texts(frame[_source(file, "where", Expression(name, name))]).is_in(values)
-    left = len(asked) - int(asked.sum())
-    if not left:
+    if asked.all():
         return file, mapping, []
     lines = None if file.lines is None else [line for line, kept in zip(file.lines, asked, strict=True) if kept]
-    why = f" or with other {', '.join(mapping.where)}" if mapping.where else ""
-    file = replace(file, frame=frame.filter(asked), lines=lines)
-    return file, mapping, [f"{counted(left, 'row')} empty{why} left out"]
+    why = f"with another {', '.join(mapping.where)}, or empty" if mapping.where else "empty"
+    notices = [f"{counted(int((~asked).sum()), 'row')} left out: {why}"]
+    return replace(file, frame=frame.filter(asked), lines=lines), mapping, notices
 
 
 def _at_the_tags(table: pl.DataFrame, mapping: TableMapping) -> pl.DataFrame:

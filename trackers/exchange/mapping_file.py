@@ -38,7 +38,7 @@ class MappingFile(NamedTuple):
             for match in re.finditer(str(self.anchors), file_bytes(path).decode("utf-8")):
                 put(anchors, f"--rig {path}", match["anchor"], tuple(float(match[axis]) for axis in "xyz"))
         except (OSError, ValueError) as error:
-            raise UnusableInput(f"--rig {path}: cannot be read: {error}; expected positions of anchors") from error
+            raise UnusableInput(f"--rig {path}: cannot be read ({error}); expected positions of anchors") from error
         if not anchors:
             raise UnusableInput(f"--rig {path}: no anchor in it; expected the makers' file, or a rig.toml")
         return anchors
@@ -46,12 +46,9 @@ class MappingFile(NamedTuple):
 
 def read_mapping(path: Path) -> MappingFile:
     """The mappings of a preset, by its name, or of a TOML file with entries [[tables]]; raises UnusableInput."""
-    if path.suffix != ".toml" and not path.exists():
-        expected = f"a TOML file or one of {', '.join(sorted(PRESETS))}{near(str(path), PRESETS)}"
-        if str(path) not in PRESETS:
-            raise UnusableInput(f"--mapping {path}: no such file or preset; expected {expected}")
-        path = PRESETS[str(path)]
-    content = read_toml(path, "entries [[tables]]")
+    expected = f"entries [[tables]], or a preset by name: {', '.join(sorted(PRESETS))}{near(str(path), PRESETS)}"
+    path = PRESETS.get(str(path), path)
+    content = read_toml(path, expected)
     entries, form, anchors, tags = (content.pop(key, None) for key in ("tables", "format", "anchors", "tags"))
     if content or not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
         raise UnusableInput(
@@ -60,11 +57,17 @@ def read_mapping(path: Path) -> MappingFile:
         )
     try:
         offsets = {tag: [float(x) for x in one["offset_m"]] for tag, one in (tags or {}).items()}
-        if anchors is not None and not {"anchor", *"xyz"} <= set(re.compile(anchors).groupindex):
+        groups = {"anchor", *"xyz"} if anchors is None else set(re.compile(anchors).groupindex)
+        if (
+            groups != {"anchor", *"xyz"}
+            or not isinstance(form, str | None)
+            or any(len(o) != 3 for o in offsets.values())
+        ):
             raise ValueError
     except (AttributeError, KeyError, TypeError, ValueError, re.error) as error:
         raise UnusableInput(
-            f"{path}: anchors or tags; expected a pattern with groups anchor, x, y, z, and offset_m = [x, y, z] of each"
+            f"{path}: format, anchors or tags; expected a name, a pattern with groups anchor, x, y, z, and of each tag "
+            "offset_m = [x, y, z]"
         ) from error
     tables = [_entry(f"{path}: [[tables]] {k}", entry, offsets) for k, entry in enumerate(entries, 1)]
     return MappingFile(tables, form, anchors, offsets)
@@ -77,14 +80,16 @@ def _entry(where: str, entry: dict[str, Any], offsets: Mapping[str, Sequence[flo
     if "table" not in entry:
         raise UnusableInput(f"{where}: no table; expected one of {', '.join(table_kinds())}")
     texts = {key: entry[key] for key in _TEXTS if key in entry}
-    columns, anchors, kept = (entry.get(key, {}) for key in ("columns", "anchors", "where"))
     try:
-        if not all(isinstance(x, str) for x in (*texts.values(), *columns.values(), *anchors.values())):
+        kept = {column: [str(value) for value in values] for column, values in entry.get("where", {}).items()}
+        columns, anchors = ({**entry.get(key, {})} for key in ("columns", "anchors"))
+        placed = not anchors or (set(anchors) == {"x_m", "y_m", "z_m"} and "anchor" in columns)
+        if not placed or not all(isinstance(text, str) for one in (texts, columns, anchors) for text in one.values()):
             raise TypeError
-        kept = {column: [str(value) for value in values] for column, values in kept.items()}
     except (AttributeError, TypeError) as error:
         raise UnusableInput(
-            f'{where}: expected texts, in columns and anchors TARGET = "EXPRESSION", in where COLUMN = [VALUE, …]'
+            f'{where}: expected texts, in columns TARGET = "EXPRESSION", as in anchors for x_m, y_m and z_m beside a '
+            "column of anchor, and in where COLUMN = [VALUE, …]"
         ) from error
     try:
         columns, anchors = (columns_of([f"{k}={v}" for k, v in one.items()]) for one in (columns, anchors))

@@ -232,7 +232,7 @@ def test_the_help_names_all_presets_and_a_misspelled_one_is_refused(tmp_path):
     said = " ".join(trackwright("import", "--help").out.split())
     assert ", ".join(sorted(PRESETS)) in said
     arguments = ("import", tmp_path, "--mapping", "milluv", "--out", tmp_path / "new")
-    assert_refused_last(trackwright(*arguments), "no such file or preset", "(did you mean miluv?)")
+    assert_refused_last(trackwright(*arguments), "milluv: cannot be read", "(did you mean miluv?)")
 
 
 def test_the_bag_of_isas_walk_1_gives_the_recording_that_was_made_by_hand(recordings, tmp_path):
