@@ -66,7 +66,7 @@ def import_source(
             each anchor.
         mapping: a TOML file with the table, columns, topic, tag, separator and decimal of several tables, instead of
             these options, or a preset for logs of a data set or kit: crazyflie, crazyflie-tdoa, isas-walk, miluv,
-            starloc, util, util-bag.
+            starloc, util.
         topic: of a bag.
         tag: the id of the tag, where no column has it.
         rig: a rig.toml with the positions of anchors or stations, or, with a preset, the makers' file of anchors;
@@ -93,11 +93,12 @@ def import_source(
     from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 
     preset = MappingFile(()) if mapping is None else read_mapping(mapping)
-    name = format or preset.format or format_of(source)
+    name = format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
+    asked = [one for one in preset.tables if (one.topic is not None) == (name == "ros")] or preset.tables
     own_tables = has_tables(name)
     notice(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
     given = TableMapping(table or "", columns_of(columns), topic, tag, separator, decimal)
-    mappings = _mappings(source, own_tables, given, preset.tables)
+    mappings = _mappings(source, own_tables, given, asked)
     there = (out / RIG_FILE).is_file()
     if origin == "start" and there:
         raise UnusableInput(

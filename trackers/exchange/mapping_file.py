@@ -20,14 +20,13 @@ _KEYS = (*_TEXTS, "columns", "where", "anchors", "body")
 
 
 class MappingFile(NamedTuple):
-    """The mappings of `tables`, for files of a `format`, where it names one.
+    """The mappings of `tables`; those with a topic are for bags, the others for other files.
 
     `anchors`: the pattern of an anchor in a text file of positions, with the groups anchor, x, y, z, m. `offsets`: the
     places of tags on their body, (3,) m.
     """
 
     tables: Sequence[TableMapping]
-    format: str | None = None
     anchors: str | None = None
     offsets: Mapping[str, Sequence[float]] = {}
 
@@ -49,28 +48,23 @@ def read_mapping(path: Path) -> MappingFile:
     expected = f"entries [[tables]], or a preset by name: {', '.join(sorted(PRESETS))}{near(str(path), PRESETS)}"
     path = PRESETS.get(str(path), path)
     content = read_toml(path, expected)
-    entries, form, anchors, tags = (content.pop(key, None) for key in ("tables", "format", "anchors", "tags"))
+    entries, anchors, tags = (content.pop(key, None) for key in ("tables", "anchors", "tags"))
     if content or not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
         raise UnusableInput(
             f"{path}: keys {listed(content) or 'none'}{'' if entries is None else ', tables'}; expected entries "
-            "[[tables]], each with table and columns, and where needed format, anchors, [tags.ID]"
+            "[[tables]], each with table and columns, and where needed anchors, [tags.ID]"
         )
     try:
         offsets = {tag: [float(x) for x in one["offset_m"]] for tag, one in (tags or {}).items()}
         groups = {"anchor", *"xyz"} if anchors is None else set(re.compile(anchors).groupindex)
-        if (
-            groups != {"anchor", *"xyz"}
-            or not isinstance(form, str | None)
-            or any(len(o) != 3 for o in offsets.values())
-        ):
+        if groups != {"anchor", *"xyz"} or any(len(offset) != 3 for offset in offsets.values()):
             raise ValueError
     except (AttributeError, KeyError, TypeError, ValueError, re.error) as error:
         raise UnusableInput(
-            f"{path}: format, anchors or tags; expected a name, a pattern with groups anchor, x, y, z, and of each tag "
-            "offset_m = [x, y, z]"
+            f"{path}: anchors or tags; expected a pattern with groups anchor, x, y, z, and offset_m = [x, y, z] of each"
         ) from error
     tables = [_entry(f"{path}: [[tables]] {k}", entry, offsets) for k, entry in enumerate(entries, 1)]
-    return MappingFile(tables, form, anchors, offsets)
+    return MappingFile(tables, anchors, offsets)
 
 
 def _entry(where: str, entry: dict[str, Any], offsets: Mapping[str, Sequence[float]]) -> TableMapping:

@@ -191,7 +191,7 @@ def test_util_bags_have_units_of_the_crazyflie(tmp_path):
         messages.append((t, "/pose_data", "geometry_msgs/msg/PoseWithCovarianceStamped", pose))
         messages.append((t, "/tdoa_data", "cf_msgs/msg/Tdoa", {"idA": a, "idB": b, "data": d}))
     _bag(tmp_path / "const1.bag", messages)
-    recording = _imported(tmp_path, "const1.bag", "util-bag", *_anchors(tmp_path / "survey.txt", "an{}_p,{},{},{}\n"))
+    recording = _imported(tmp_path, "const1.bag", "util", *_anchors(tmp_path / "survey.txt", "an{}_p,{},{},{}\n"))
     _agrees(recording, 6)
     assert recording.tables["imu"].rows()[0] == pytest.approx((0.2, "cf", 0, 0, 9.80665, np.pi, 0, 0))
 
