@@ -164,14 +164,19 @@ def _mappings(
 def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, transform: str | None) -> RecordingFolder:
     """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it."""
     from trackwright.experiments.text.terminal import notice
-    from trackwright.trackers.exchange.truth_frame import found_placement, parsed_placement
+    from trackwright.trackers.exchange.truth_frame import found_placement, leaning, parsed_placement
 
     truth = folder.tables.get("truth")
     if truth is None:
         raise UnusableInput("--transform and --align-truth: move a truth; expected --table truth")
     if transform is not None:
         return replace(folder, tables=dict(folder.tables) | {"truth": parsed_placement(transform).of_table(truth)})
-    sorted_truth = {"truth": truth.sort("t_s", maintain_order=True)}
-    placement, words = found_placement(replace(recording, tables=dict(recording.tables) | sorted_truth))
+    tables = dict(recording.tables) | {"truth": truth.sort("t_s", maintain_order=True)}
+    level, angle = leaning(replace(recording, tables=tables))
+    if angle:
+        notice(f"notice: truth levelled, which leaned by {angle:.0f}° against the gravity that the IMU measures; then")
+        truth = level.table(truth)
+    tables["truth"] = truth.sort("t_s", maintain_order=True)
+    placement, words = found_placement(replace(recording, tables=tables))
     notice(f"notice: truth moved by --transform {placement}: {words}")
     return replace(folder, tables=dict(folder.tables) | {"truth": placement.of_table(truth)})
