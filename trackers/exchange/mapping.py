@@ -258,7 +258,9 @@ def _asked(file: TableFile, mapping: TableMapping) -> tuple[TableFile, TableMapp
     """
     mapping = replace(mapping, columns=spelled_out(mapping.columns, file.frame.columns))
     frame = file.frame
-    used = [name for name in frame.columns if name in mapping.sources or name == "t_s"]
+    wanted = layout(mapping.table, frame.columns)
+    named = {*mapping.sources, "t_s", *wanted.ids, *wanted.values}
+    used = [name for name in frame.columns if name in named]
     full = (pl.col(n) != "" if frame[n].dtype == pl.String else pl.col(n).is_not_null() for n in used or frame.columns)
     asked = frame.select(asked=pl.any_horizontal(full).fill_null(False))["asked"]
     for name, values in mapping.where.items():

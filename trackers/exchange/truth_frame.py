@@ -72,13 +72,13 @@ def leaning(recording: RecordingFolder) -> tuple[Similarity, float]:
         if rows is None or attitude is None:
             continue
         at = spaced(attitude.times, PUSH_S)
-        turns = rotation_matrices(
-            attitude.quaternions[np.searchsorted(attitude.times, at).clip(max=len(attitude.times) - 1)]
-        )
+        row = np.searchsorted(attitude.times, at).clip(max=len(attitude.times) - 1)
         force = rows.between(rows.pushed, at - PUSH_S / 2, at + PUSH_S / 2) / PUSH_S
-        force = np.einsum("nij,nj->ni", turns, force)[np.isfinite(force).all(axis=1)].mean(axis=0)
-        x, y, z = force / np.linalg.norm(force)
-        if 9.0 < np.linalg.norm(force) < 11.0 and LEANING < math.degrees(math.acos(z)) < 180.0 - LEANING:
+        force = np.einsum("nij,nj->ni", rotation_matrices(attitude.quaternions[row]), force)
+        x, y, z = force[np.isfinite(force).all(axis=1)].sum(axis=0) / max(np.isfinite(force[:, 0]).sum(), 1)
+        size = max(math.hypot(x, y, z), 1e-9)
+        x, y, z = x / size, y / size, z / size
+        if 9.0 < size < 11.0 and LEANING < math.degrees(math.acos(z)) < 180.0 - LEANING:
             K = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
             return Similarity(np.eye(3) + K + K @ K / (1.0 + z), np.zeros(3)), math.degrees(math.acos(z))
     return Similarity(np.eye(3), np.zeros(3)), 0.0
