@@ -95,6 +95,8 @@ def import_source(
     preset = MappingFile(()) if mapping is None else read_mapping(mapping)
     name = format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
     asked = [one for one in preset.tables if (one.topic is not None) == (name == "ros")] or preset.tables
+    if left := [one.table for one in preset.tables if one not in asked]:
+        notice(f"notice: {mapping}: left out as {'without' if name == 'ros' else 'with'} a topic: {', '.join(left)}")
     own_tables = has_tables(name)
     notice(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
     given = TableMapping(table or "", columns_of(columns), topic, tag, separator, decimal)
