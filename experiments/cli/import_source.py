@@ -125,7 +125,7 @@ def import_source(
         anchors = preset.positions(known)
     elif known is not None:
         geometry = read_rig(known)[0]
-    folder = assembled(title, geometry, tables, anchors, preset.offsets)
+    folder = assembled(title, geometry, tables, anchors, preset.offsets, preset.bodies)
     if transform is not None or align_truth:
         folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform)
     written = save(folder, out)

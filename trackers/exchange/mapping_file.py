@@ -23,12 +23,13 @@ class MappingFile(NamedTuple):
     """The mappings of `tables`; those with a topic are for bags, the others for other files.
 
     `anchors`: the pattern of an anchor in a text file of positions, with the groups anchor, x, y, z, m. `offsets`: the
-    places of tags on their body, (3,) m.
+    places of tags on their body, (3,) m. `bodies`: the tags of each, where there are several.
     """
 
     tables: Sequence[TableMapping]
     anchors: str | None = None
     offsets: Mapping[str, Sequence[float]] = {}
+    bodies: Mapping[str, Sequence[str]] = {}
 
     def positions(self, path: Path) -> dict[str, tuple[float, ...]]:
         """The positions of anchors, m, in a text file of the makers; raises UnusableInput."""
@@ -48,23 +49,25 @@ def read_mapping(path: Path) -> MappingFile:
     expected = f"entries [[tables]], or a preset by name: {', '.join(sorted(PRESETS))}{near(str(path), PRESETS)}"
     path = PRESETS.get(str(path), path)
     content = read_toml(path, expected)
-    entries, anchors, tags = (content.pop(key, None) for key in ("tables", "anchors", "tags"))
+    entries, anchors, tags, bodies = (content.pop(key, None) for key in ("tables", "anchors", "tags", "bodies"))
     if content or not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
         raise UnusableInput(
             f"{path}: keys {listed(content) or 'none'}{'' if entries is None else ', tables'}; expected entries "
-            "[[tables]], each with table and columns, and where needed anchors, [tags.ID]"
+            "[[tables]], each with table and columns, and where needed anchors, [tags.ID], [bodies.ID]"
         )
     try:
         offsets = {tag: [float(x) for x in one["offset_m"]] for tag, one in (tags or {}).items()}
+        carried = {body: [str(tag) for tag in one["tags"]] for body, one in (bodies or {}).items()}
         groups = {"anchor", *"xyz"} if anchors is None else set(re.compile(anchors).groupindex)
         if groups != {"anchor", *"xyz"} or any(len(offset) != 3 for offset in offsets.values()):
             raise ValueError
     except (AttributeError, KeyError, TypeError, ValueError, re.error) as error:
         raise UnusableInput(
-            f"{path}: anchors or tags; expected a pattern with groups anchor, x, y, z, and offset_m = [x, y, z] of each"
+            f"{path}: anchors, tags or bodies; expected a pattern with groups anchor, x, y, z, offset_m = [x, y, z] of "
+            "each tag and tags = [ID, …] of each body"
         ) from error
     tables = [_entry(f"{path}: [[tables]] {k}", entry, offsets) for k, entry in enumerate(entries, 1)]
-    return MappingFile(tables, anchors, offsets)
+    return MappingFile(tables, anchors, offsets, carried)
 
 
 def _entry(where: str, entry: dict[str, Any], offsets: Mapping[str, Sequence[float]]) -> TableMapping:

@@ -110,6 +110,8 @@ def test_miluv_has_tags_on_robots_in_folders(tmp_path):
     rig = _anchors(tmp_path / "anchors.yaml", '    "{}": "[{}, {}, {}]"\n')
     recording = _imported(tmp_path, "exp", "miluv", *rig)
     _agrees(recording, 24)
+    assert recording.rig.bodies == {"ifo001": ("10", "11"), "ifo002": ("20", "21")}
+    assert set(recording.rig.tags) == {"10", "11", "20", "21"}
     assert recording.tables["imu"].rows() == [(0.0, tag, 0.4, 0.5, 9.8, 0.1, 0.2, 0.3) for tag in ("10", "20")]
     rig[1].write_text(rig[1].read_text() + '"1":\n    "2": "[9.0, 9.0, 9.0]"\n')
     said = trackwright("import", tmp_path / "exp", "--mapping", "miluv", *rig, "--out", tmp_path / "twice")
