@@ -40,7 +40,7 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue, identifiability_issues
-from trackwright.tuning.intervals import Interval, intervals_of, left_out_values
+from trackwright.tuning.intervals import Interval, intervals_of, left_out_values, without_intervals
 from trackwright.tuning.tuned_file import tuned_content, write_tuned
 
 INTERRUPTED = 130
@@ -104,7 +104,7 @@ def _compared(
 
     room = max(MOST_PLANS - len(fitted.shown), 0) if report else 0
     folders = [*fitted.shown, *fitted.others[:room]]
-    before, after = (tracked(named(side), folders) for side in (result.starts[0][0].values, result.values))
+    before, after = (tracked(side, folders) for side in (fitted.named, named(result.values)))
     others = [tracked(named(left_out.get(folder.name, result.values)), [folder]) for folder in fitted.shown if left_out]
     count = len({trajectory.folder.name for trajectory in fitted.data.training})
     part = f"{len(fitted.shown)} of {count} " if len(fitted.shown) < count else ""
@@ -144,9 +144,9 @@ def _write_run(
         write_tuned(out / "tuned.toml", content)
     figures = None if options.no_figures else options.format
     _write_trace(out, result, objective, unit, figures)
-    issues, cautions = list[IdentifiabilityIssue](), list[str]()
+    issues, cautions = list[IdentifiabilityIssue](), without_intervals(result.uncertainty, intervals)
     if result.uncertainty is not None:
-        gradients, cautions = result.evaluation.term_gradients, result.cautions
+        gradients, cautions = result.evaluation.term_gradients, [*result.cautions, *cautions]
         issues = identifiability_issues(result.uncertainty, gradients, bool(data.held_out))
     command = shlex.join(["trackwright", *sys.argv[1:]])
     use = f"trackwright track … --noise {out / 'tuned.toml'}"

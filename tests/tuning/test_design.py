@@ -1,5 +1,6 @@
 """Layouts by gradient: the bound against dense NumPy with finite differences, its slope, constraints and searches."""
 
+from functools import partial
 from itertools import combinations
 
 import equinox as eqx
@@ -22,7 +23,8 @@ from trackwright.tuning.design import (
     exhaust,
     information,
     mean_bound,
-    range_sensor,
+    range_differences,
+    ranges,
     spacing_violation,
 )
 
@@ -42,7 +44,7 @@ def _differences(measure, point, step=1e-5):
 @pytest.fixture(scope="module")
 def room():
     """Four anchors in a small room, and the value and slope of its objective."""
-    layout = WallAnchors(ROOM, BANDS, 1.0, range_sensor(4, SIGMA))
+    layout = WallAnchors(ROOM, BANDS, 1.0, partial(ranges, SIGMA))
     return layout, jax.jit(jax.value_and_grad(layout.objective(POINTS)))
 
 
@@ -74,11 +76,22 @@ def test_the_slope_of_the_bound_is_that_of_finite_differences(room):
 
 
 def test_a_known_height_leaves_the_information_of_the_plane():
-    layout = WallAnchors(ROOM, BANDS, 1.0, range_sensor(4, SIGMA), height=1.2)
+    layout = WallAnchors(ROOM, BANDS, 1.0, partial(ranges, SIGMA), height=1.2)
     found = np.asarray(jax.jit(lambda t: information(layout.sensors(t), jnp.asarray([2.0, 1.0])))(THETA))
     places = np.asarray(layout.positions(THETA))
     H = _differences(lambda p: np.linalg.norm(np.append(p, 1.2) - places, axis=1), np.array([2.0, 1.0]))
     assert found == pytest.approx(H.T @ H / SIGMA**2, rel=1e-5)
+
+
+def test_the_information_of_range_differences_is_that_of_a_dense_covariance():
+    fixed = np.array([[3.0, 2.0, 2.9]])
+    layout = WallAnchors(ROOM, BANDS, 1.0, partial(range_differences, SIGMA), fixed=fixed)
+    found = np.asarray(jax.jit(lambda t: information(layout.sensors(t), jnp.asarray(POINTS[0])))(THETA))
+    places = np.vstack([np.asarray(layout.positions(THETA)), fixed])
+    # All pairs of five times of arrival with half the variance each.
+    incidence = np.array([row - other for row, other in combinations(np.eye(5), 2)])
+    H = incidence @ _differences(lambda p: np.linalg.norm(p - places, axis=1), POINTS[0])
+    assert found == pytest.approx(H.T @ np.linalg.pinv(incidence @ incidence.T * SIGMA**2 / 2) @ H, rel=1e-5)
 
 
 def test_the_bound_of_phases_is_that_of_centred_dense_matrices():

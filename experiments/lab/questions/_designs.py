@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -18,15 +19,7 @@ from trackwright.experiments.monte_carlo.results import resampled
 from trackwright.sim.paths import WORK_VOLUME
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-from trackwright.tuning.design import (
-    AbstractLayout,
-    PlanarArray,
-    SearchResult,
-    WallAnchors,
-    bounds,
-    mean_bound,
-    range_sensor,
-)
+from trackwright.tuning.design import AbstractLayout, PlanarArray, SearchResult, WallAnchors, bounds, mean_bound, ranges
 
 LAYOUTS = ("default", "grid", "gradient")
 
@@ -44,7 +37,7 @@ ROUND = np.array([0.0, 0.5, 0.375, 0.875])
 def hall() -> WallAnchors:
     """Four anchors on the walls of the hall, two low and two high, at least 2 m apart."""
     low, high = (0.5, 1.5), (3.5, 5.0)
-    return WallAnchors(HALL, np.array([low, low, high, high]), 2.0, range_sensor(4, SIGMA_R))
+    return WallAnchors(HALL, np.array([low, low, high, high]), 2.0, partial(ranges, SIGMA_R))
 
 
 def stand() -> PlanarArray:
