@@ -19,7 +19,6 @@ from trackwright.trackers.core.data.recording import Columns
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.state import wrap
-from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.recordings.columns import run_starts
 from trackwright.trackers.recordings.tracks import Tracks, from_origins
@@ -52,7 +51,10 @@ def residual_ratios(tracks: Tracks) -> dict[str, float]:
     residuals: dict[str, dict[str, list[np.ndarray]]] = defaultdict(lambda: defaultdict(list))
     rows: Counter[str] = Counter()
     for batch in tracks.batches:
-        tracker = batch.tracker.tracker if isinstance(batch.tracker, Smoothed) else batch.tracker
+        tracker = batch.tracker
+        # Smoothers and levels of noise run a tracker that they hold.
+        while hasattr(tracker, "tracker"):
+            tracker = tracker.tracker
         sensors = tracker.sensors if isinstance(tracker, Tracker) else {}
         sensors = {name: sensor for name, sensor in sensors.items() if sensor.view_fields == ("position",)}
         trajectories = Trajectories.of(batch.trajectories)

@@ -192,7 +192,7 @@ def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, tracker, pict
         "smooth": False,
         "lag": None,
         "motion": "given",
-        "errors": "given",
+        "errors": None,
         "seed": 0,
     }
     assert manifest["config"] == settings
