@@ -62,6 +62,7 @@ from trackwright.trackers.uwb_imu.body import BodyState, TurningBody
 from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
+from trackwright.trackers.uwb_imu.wheels import Wheels
 
 TAGS, ROWS = 8, 64
 
@@ -190,6 +191,23 @@ def _of_bodies() -> RecordingFolder:
 
 
 @cache
+def _of_wheels() -> RecordingFolder:
+    """These bodies on wheels, whose odometry is lacking for a while."""
+    rows = [
+        {
+            "t_s": 100.0 * tag + 0.1 * k,
+            "tag": f"{tag}",
+            "speed_mps": 0.4 + 0.1 * np.sin(k),
+            "yaw_rate_radps": 0.3 * np.cos(0.2 * k),
+        }
+        for tag in range(2, 6)
+        for k in range(60)
+        if not 20 <= k < 32 and not (tag == 5 and k > 8)  # which ends early
+    ]
+    return replace(_of_bodies(), tables={**_of_bodies().tables, "odometry": pl.DataFrame(rows).sort("t_s")})
+
+
+@cache
 def trajectories(name: str, free_height: bool, source: Callable[[], RecordingFolder]) -> tuple[Trajectory, ...]:
     """The trajectories of all tags, as the ready tracker of this name reads them from `source()`.
 
@@ -272,6 +290,7 @@ def _ready_cases() -> Iterator[Case]:
     yield from both("uwb")
     yield from both("uwb-imu")
     yield from both("body", source=_of_bodies)
+    yield replace(ready("body", source=_of_wheels), name="body with odometry")
     yield from both("tdoa", source=_of_differences)
     yield from both("fusion", idle=("sensors.bearings.reported_std_scale",))
     yield from both("multilateration", smoothable=False)
@@ -440,6 +459,11 @@ MOTIONS = {
     "turning body": MotionCase(
         TurningBody(DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0), 0.5, 1.0),
         BodyState(Vector(0.1, 0.1), Heading(0.4), Vector(0.2, 0.2), 0.3, Vector(0.01, -0.02), Vector()),
+    ),
+    "driven body": MotionCase(
+        TurningBody(DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0), 0.5, 1.0, Wheels()),
+        BodyState(Vector(0.1, 0.1), Heading(0.4), Vector(0.2, 0.2), 0.3, Vector(0.01, -0.02), Vector()),
+        {"odometry": np.array([0.5, 0.4, 1.0]), "arm": np.array([0.3, -0.2, 0.0])},
     ),
     "damped velocity": MotionCase(
         DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0),

@@ -85,8 +85,8 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
             "uwb": Entry("uwb_imu", "ranges", "position from ranges, EKF with a drifting bias per anchor"),
             "body": Entry(
                 "uwb_imu",
-                "ranges",
-                "position and heading of a body from the ranges of its tags, EKF",
+                "ranges and odometry",
+                "position and heading of a body from the ranges of its tags, and from its odometry if any, EKF",
             ),
             "uwb-imu": Entry(
                 "uwb_imu",

@@ -28,7 +28,7 @@ FormatName = Annotated[
 ]
 """A format by name, or a user's own."""
 
-Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "truth"]
+Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
 
 
 def import_source(

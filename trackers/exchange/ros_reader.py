@@ -201,6 +201,12 @@ def _standard(kind: str, table: str) -> dict[str, str]:
         return {"t_s": "header.stamp"} | parts | {f"gyro_{a}_radps": f"angular_velocity.{a}" for a in axes}
     if kind == "sensor_msgs/msg/Range" and table == "ranges":
         return {"t_s": "header.stamp", "range_m": "range"}
+    if kind == "nav_msgs/msg/Odometry" and table == "odometry":
+        return {
+            "t_s": "header.stamp",
+            "speed_mps": "twist.twist.linear.x",
+            "yaw_rate_radps": "twist.twist.angular.z",
+        }
     if kind in _POSES and table in ("truth", "fixes"):
         position, attitude = _POSES[kind]
         expressions = {"t_s": "header.stamp"} | {f"{a}_m": f"{position}.{a}" for a in axes}

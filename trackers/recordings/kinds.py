@@ -24,10 +24,10 @@ from trackwright.trackers.core.model.rig import Point, Rig, angles_in_array
 from trackwright.trackers.recordings.columns import TagRows
 
 QUATERNION = ("qw", "qx", "qy", "qz")
-UNITS = {"m": "m", "rad": "rad", "mps2": "m/s²", "radps": "rad/s"}
+UNITS = {"m": "m", "rad": "rad", "mps": "m/s", "mps2": "m/s²", "radps": "rad/s"}
 """Unit in words by the ending of a column."""
 
-_NAME = re.compile(r"[a-z][a-z0-9_]*_(m|rad|mps2|radps)")
+_NAME = re.compile(r"[a-z][a-z0-9_]*_(m|rad|mps2?|radps)")
 
 
 class Sensors(NamedTuple):
@@ -56,10 +56,11 @@ class Sensors(NamedTuple):
 
 
 class Column(NamedTuple):
-    """A column with values, whose name ends with its unit: `_m`, `_rad`, `_mps2` or `_radps`.
+    """A column with values, whose name ends with its unit: `_m`, `_rad`, `_mps`, `_mps2` or `_radps`.
 
     `bias`: a median error up to this is a property of the sensor. `large`: errors up to this need no explanation;
-    `floor`: smaller ones cannot be told apart. `bound`: the largest angle. `positive`: zero and below is no reading.
+    `floor`: smaller ones cannot be told apart. `bound`: the largest angle, or the size up to which speeds and rates
+    are usual. `positive`: zero and below is no reading.
     """
 
     name: str
@@ -120,7 +121,7 @@ class Kind:
             if not _NAME.fullmatch(column.name.replace("{n}", "1")):
                 raise UnusableInput(
                     f"kind {self.name}: column {column.name!r}; expected a name that ends with its unit, "
-                    "_m, _rad, _mps2 or _radps"
+                    "_m, _rad, _mps, _mps2 or _radps"
                 )
         for sensor in self.sensors:
             if not sensor.startswith(("anchor", "station")):
@@ -347,6 +348,7 @@ KINDS: dict[str, Kind] = {
             ),
             attitude=True,
         ),
+        Kind("odometry", (Column("speed_mps", bound=10.0), Column("yaw_rate_radps", bound=10.0))),
     )
 }
 """The kinds of measurement by name of their table, in the order in which they are listed."""

@@ -1,4 +1,4 @@
-"""The assembled tracker of a rigid body with several ranging tags: position, velocity, heading and turning rate."""
+"""The assembled tracker of a rigid body with ranging tags: position, velocity, heading and turning rate."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
+from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, select
 from trackwright.trackers.core.model.covariance import Gaussian
-from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.inputs import Input, Inputs
 from trackwright.trackers.core.model.motion import AbstractMotion, Noise
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import Heading
@@ -19,6 +19,8 @@ from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases, damped_velocity
 from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
 from trackwright.trackers.uwb_imu.fusion import range_tracker
+from trackwright.trackers.uwb_imu.strapdown import ARM
+from trackwright.trackers.uwb_imu.wheels import ODOMETRY, Wheels
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 
@@ -37,20 +39,27 @@ class TurningBody(AbstractMotion):
     """Motion of an upright body: that of its place and biases, and a turning rate, first-order Gauss–Markov as well.
 
     `sigma_turn`: white angular acceleration, rad/s² per √Hz; `turn_memory`: time constant of the turning rate, s.
+    With `wheels` the body moves by their odometry where that is known.
     """
 
     place: DriftingBiases
     sigma_turn: Noise
     turn_memory: Noise
+    wheels: Wheels | None
 
-    def __init__(self, place: DriftingBiases, sigma_turn: float, turn_memory: float):
+    def __init__(self, place: DriftingBiases, sigma_turn: float, turn_memory: float, wheels: Wheels | None = None):
         self.place = place
+        self.wheels = wheels
         self.sigma_turn = Scale(sigma_turn, "rad/s^2/sqrt(Hz)", "process noise")
         self.turn_memory = Scale(turn_memory, "s")
 
     @property
     def noise_dimension(self) -> int:
         return self.place.noise_dimension + 2
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return () if self.wheels is None else (ODOMETRY, ARM)
 
     def at(self, belief: Gaussian) -> TurningBody:
         return eqx.tree_at(lambda motion: motion.place, self, self.place.at(belief))
@@ -62,7 +71,13 @@ class TurningBody(AbstractMotion):
         sigma = self.sigma_turn.value
         heading = state.attitude.angle + state.rate * gain + sigma * (a * shared + b * separate)
         turning = {"attitude": Heading(heading), "rate": state.rate * decay + sigma * a * rate_noise}
-        return BodyState(**carried_on._asdict(), **turning)
+        free = BodyState(**carried_on._asdict(), **turning)
+        if self.wheels is None:
+            return free
+        driven = self.wheels.driven(state, inputs, dt, Vector(*carried[:2], *carried[3:5], a, b))
+        on_floor = {name: Vector(*driven[name], *getattr(free, name).parts[2:]) for name in ("position", "velocity")}
+        known = (inputs[ODOMETRY.name][2] > 0.5) & (dt > 0)
+        return select(known, free._replace(**{**driven, **on_floor}), free)
 
 
 class BodyStart(AbstractNearbyStart):
@@ -104,6 +119,7 @@ def body_tracker(
     anchors: int,
     planar: bool = False,
     as_one: int = 1,
+    wheels: Wheels | None = None,
     sigma_turn: float = 0.5,
     turn_memory: float = 1.0,
     sigma_r: float = 0.09,
@@ -112,28 +128,30 @@ def body_tracker(
     """Position, heading, velocity and turning rate of an upright body from the ranges of its tags, one range per row.
 
     `sigma_r` and `levels`: those of `range_tracker`, whose `range_levels` serve a calibrated site; `sigma_turn` and
-    `turn_memory`: those of `TurningBody`. `as_one`: how many ranges between a tag and an anchor count as one, since
-    they come within `LASTS` s; the noise of each is larger by the square root. Estimates are of the place from which
-    the input `levers` leads to the tags.
+    `turn_memory`: those of `TurningBody`; `wheels`: where the body has odometry. `as_one`: how many ranges between a
+    tag and an anchor count as one, since they come within `LASTS` s; the noise of each is larger by the square root.
+    Estimates are of the place from which the input `levers` leads to the tags.
     """
     tag = range_tracker(anchors, planar, sigma_r=sigma_r * math.sqrt(as_one), **levels)
     start = tag.start
     assert isinstance(tag.motion, DriftingBiases)
     assert isinstance(start, BiasedStart)
     assert start.sigma_shared is not None
+    # A heading that the way alone shows is farther from linear than one that levers show.
+    headings, sigma_heading = (3, 1.0) if wheels is None else (4, 0.8)
     return Tracker(
-        TurningBody(tag.motion, sigma_turn, turn_memory),
+        TurningBody(tag.motion, sigma_turn, turn_memory, wheels),
         tag.sensors,
         BodyStart(
             start.sigma_position,
             start.sigma_velocity,
             start.sigma_bias,
             start.sigma_shared,
-            Scale(1.0, "rad"),
+            Scale(sigma_heading, "rad"),
             Scale(0.5, "rad/s"),
             planar,
             start.biases,
         ),
-        YawMixtureFilter(),
+        YawMixtureFilter(count=headings),
         tag.track_loss,
     )

@@ -1,11 +1,11 @@
-"""Trajectories of trackers of ranges, with and without an IMU, and how each is built: tables `ranges` and `imu`."""
+"""Trajectories of trackers of ranges, and how each is built: tables `ranges`, `imu` and `odometry`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +42,9 @@ from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
+from trackwright.trackers.uwb_imu.strapdown import ARM
 from trackwright.trackers.uwb_imu.trilateration import trilateration_tracker
+from trackwright.trackers.uwb_imu.wheels import ODOMETRY, Wheels, odometry_inputs
 
 GRAVITY = 9.81
 """m/s²."""
@@ -77,24 +79,93 @@ def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterabl
 def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Of each tag on a body the ranges of all tags on it, one per row, with their lever arms from that tag.
 
-    A tag without ranges is a place on the body, such as a tool's tip.
+    A tag without ranges is a place on the body, such as a tool's tip. Where the wheels of a body are measured, there
+    are further rows at the times of their readings.
     """
     rows = _ranges_by_body(folder)
     readings, number = range_rows(folder, rows, quality=True)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
-    inputs |= {"levers": _levers(folder, rows, upright=True)} | room_of_anchors(folder, len(number))
-    return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
+    inputs |= {"levers": _levers(folder, rows, upright=True)}
+    if ODOMETRY.name not in folder.tables:
+        inputs |= room_of_anchors(folder, len(number))
+        return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
+    wheels, bodies = folder.rows(ODOMETRY.name), _bodies(folder)
+    measured, at = wheels.floats(["speed_mps", "yaw_rate_radps"]), _of_bodies(wheels, bodies)
+    merged = _with_rows_between(rows, {tag: wheels.times[at[tag]] for tag in rows.tags})
+    held = [
+        odometry_inputs(merged.times[first:end], wheels.times[at[tag]], measured[at[tag]])
+        for tag, (first, end) in zip(rows.tags, pairwise(merged.starts), strict=True)
+    ]
+    further = {ODOMETRY.name: np.concatenate(held), ARM.name: _arms(folder, rows.tags, merged.starts)}
+    return merged.trajectories(folder, rows.tags, readings, inputs, further)
+
+
+def _bodies(folder: RecordingFolder) -> dict[str, tuple[str, ...]]:
+    """The tags on the body of each tag that is on one with others, or on one whose wheels are measured."""
+    driven = set(folder.rows(ODOMETRY.name).tags) if ODOMETRY.name in folder.tables else set[str]()
+    bodies = {tag: folder.rig.on_body_of(tag) or (tag,) for tag in sorted({*folder.rig.tags, *driven})}
+    return {tag: body for tag, body in bodies.items() if len(body) > 1 or driven & {*body}}
+
+
+def _of_bodies(rows: TagRows, bodies: Mapping[str, Sequence[str]]) -> dict[str, slice]:
+    """The rows of an IMU or of wheels by the tag of each body, none where no tag on it has any."""
+    at = {tag: slice(*rows.starts[k : k + 2]) for k, tag in enumerate(rows.tags)}
+    return {tag: next((at[other] for other in body if other in at), slice(0)) for tag, body in bodies.items()}
+
+
+def _arms(folder: RecordingFolder, tags: Sequence[str], starts: np.ndarray) -> np.ndarray:
+    """The input `arm` (N, 3), m, of the rows of tags."""
+    return np.repeat(np.stack([_offset(folder, tag) for tag in tags]), np.diff(starts), axis=0)
+
+
+class RowsBetween(NamedTuple):
+    """Rows of ranges and of other times: the first of each tag, then N; `times` (N,) s; `number` (N,): of the range.
+
+    Rows without a range have the number after the last.
+    """
+
+    starts: np.ndarray
+    times: np.ndarray
+    number: np.ndarray
+
+    def trajectories(
+        self,
+        folder: RecordingFolder,
+        tags: Sequence[str],
+        readings: Readings,
+        inputs: Mapping[str, np.ndarray],
+        further: Mapping[str, np.ndarray],
+    ) -> Trajectories:
+        """The trajectories with `readings` and `inputs` of the ranges, zeros between them, and `further` inputs."""
+        assert readings.reported is not None
+        given = {name: _with_zeros(values)[self.number] for name, values in inputs.items()}
+        ranges = Readings(*(_with_zeros(x)[self.number] for x in (readings.values, readings.seen, readings.reported)))
+        given |= {**further, **room_of_anchors(folder, len(self.times))}
+        return trajectories_of(folder, tags, self.starts, self.times, {RANGES: ranges}, given)
+
+
+def _with_rows_between(rows: TagRows, sampled: Mapping[str, np.ndarray]) -> RowsBetween:
+    """The rows of the tags in `sampled`, and further ones at its times, s, where a tag has no row."""
+    ranged, times, index = {tag: np.arange(*rows.starts[k : k + 2]) for k, tag in enumerate(rows.tags)}, [], []
+    for tag, samples in sampled.items():
+        between = samples[~np.isin(samples, rows.times[ranged[tag]])]
+        both = np.concatenate([rows.times[ranged[tag]], between])
+        order = np.argsort(both, kind="stable")
+        times.append(both[order])
+        index.append(np.concatenate([ranged[tag], np.full(len(between), len(rows.times))])[order])
+    starts = np.cumsum([0, *map(len, times)])
+    return RowsBetween(starts, np.concatenate(times), np.concatenate(index))
 
 
 def _tags_on_bodies(folder: RecordingFolder) -> list[str]:
-    """The tags that are on a body with others, by their ids."""
-    return [tag for tag in sorted(folder.rig.tags) if len(folder.rig.on_body_of(tag)) > 1]
+    """The tags of `_bodies`, by their ids."""
+    return list(_bodies(folder))
 
 
 def _ranges_by_body(folder: RecordingFolder) -> TableRows:
     """As `_ranges_of_bodies`, of all tags on bodies."""
-    return _ranges_of_bodies(folder, {tag: folder.rig.on_body_of(tag) for tag in _tags_on_bodies(folder)})
+    return _ranges_of_bodies(folder, _bodies(folder))
 
 
 def _ranges_of_bodies(folder: RecordingFolder, bodies: Mapping[str, Sequence[str]]) -> TableRows:
@@ -134,28 +205,15 @@ def _with_imu(
         inputs["levers"] = _levers(folder, rows)
     samples = folder.rows("imu")
     accel, gyro = _imu_samples(samples)
-    at = {tag: slice(*samples.starts[k : k + 2]) for k, tag in enumerate(samples.tags)}
-    ranged = {tag: np.arange(*rows.starts[k : k + 2]) for k, tag in enumerate(rows.tags)}
-    merged_times, merged_rows, merged_imu = [], [], []
-    for tag in tags:
-        part = next((at[other] for other in bodies[tag] if other in at), slice(0))
-        imu_times = samples.times[part]
-        between = imu_times[~np.isin(imu_times, rows.times[ranged[tag]])]
-        times = np.concatenate([rows.times[ranged[tag]], between])
-        order = np.argsort(times, kind="stable")
-        merged_times.append(times[order])
-        # Rows between ranges hold zeros, as the row after the last.
-        merged_rows.append(np.concatenate([ranged[tag], np.full(len(between), len(rows.times))])[order])
-        merged_imu.append(imu_inputs(times[order], imu_times, accel[part], gyro[part]))
-    starts = np.cumsum([0, *(len(times) for times in merged_times)])
-    index = np.concatenate(merged_rows)
-    merged = {name: _with_zeros(values)[index] for name, values in inputs.items()}
-    merged |= {name: np.concatenate([of_tag[name] for of_tag in merged_imu]) for name in merged_imu[0]}
-    merged |= room_of_anchors(folder, int(starts[-1]))
-    merged["arm"] = np.repeat(np.stack([_offset(folder, tag) for tag in tags]), np.diff(starts), axis=0)
-    assert readings.reported is not None
-    of_all = Readings(*(_with_zeros(x)[index] for x in (readings.values, readings.seen, readings.reported)))
-    return trajectories_of(folder, tags, starts, np.concatenate(merged_times), {RANGES: of_all}, merged)
+    at = _of_bodies(samples, bodies)
+    merged = _with_rows_between(rows, {tag: samples.times[at[tag]] for tag in tags})
+    of_tags = [
+        imu_inputs(merged.times[first:end], samples.times[at[tag]], accel[at[tag]], gyro[at[tag]])
+        for tag, (first, end) in zip(tags, pairwise(merged.starts), strict=True)
+    ]
+    further = {name: np.concatenate([of_tag[name] for of_tag in of_tags]) for name in of_tags[0]}
+    further[ARM.name] = _arms(folder, tags, merged.starts)
+    return merged.trajectories(folder, tags, readings, inputs, further)
 
 
 def _with_zeros(values: np.ndarray) -> np.ndarray:
@@ -296,8 +354,8 @@ def _lacks_bodies(folder: RecordingFolder) -> str | None:
     single = sorted(set(folder.rows("ranges").tags) - set(_tags_on_bodies(folder)))
     if single:
         return (
-            "offset_m in rig.toml for at least two tags on the body of each, found no other tag on that of "
-            f"{', '.join(single)}"
+            "offset_m in rig.toml for at least two tags on the body of each, or its odometry, found no other tag on "
+            f"that of {', '.join(single)}"
         )
     return lacks_ranges(folder, _ranges_by_body(folder))
 
@@ -332,7 +390,8 @@ def tracker_of_ranges(trajectory: Trajectory, planar: bool, together: int = 8) -
 
 def _body(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     levels = range_levels(trajectory.folder.calibration)
-    tracker = body_tracker(bias_slots(trajectory), planar, _as_one(trajectory), **levels)
+    wheels = Wheels() if ODOMETRY.name in trajectory.recording.inputs else None
+    tracker = body_tracker(bias_slots(trajectory), planar, _as_one(trajectory), wheels, **levels)
     return replace(tracker, lasting_errors=not levels)
 
 
@@ -397,6 +456,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         geometry=lambda trajectory: (
             bias_slots(trajectory),
             _as_one(trajectory),
+            ODOMETRY.name in trajectory.recording.inputs,
             *range_levels(trajectory.folder.calibration).values(),
         ),
         automatic=lambda folder: False,

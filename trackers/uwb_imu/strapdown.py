@@ -29,6 +29,16 @@ GYRO = Input("gyro", (3,), "rad/s", "turning rate in body axes", _HELPER)
 IMU = Input("imu", (2,), "", "whether accelerometer and gyro are available, 1 or 0", _HELPER)
 """The inputs with the IMU's sample."""
 
+ARM = Input(
+    "arm",
+    (3,),
+    "m",
+    "the lever arm from the IMU, or the middle of the axle, to the tag in body axes",
+    "`offset_m` of the tag in rig.toml",
+    Need.IF_GIVEN,
+)
+"""The input with the place of a tag on its body."""
+
 
 class PlanarInertial(NamedTuple):
     """The eight states of Kwon et al. 2021, equations (18)–(20), for a level body in the plane.
@@ -179,15 +189,7 @@ class Strapdown(AbstractMotion):
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        arm = Input(
-            "arm",
-            (3,),
-            "m",
-            "the lever arm from the IMU to the tag in body axes",
-            "`offset_m` of the tag in rig.toml",
-            Need.IF_GIVEN,
-        )
-        return ACCEL, GYRO, IMU, arm
+        return ACCEL, GYRO, IMU, ARM
 
     @property
     def noise_dimension(self) -> int:

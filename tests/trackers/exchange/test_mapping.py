@@ -34,6 +34,7 @@ RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7"
         ("azimuth_rad", "d*-1 in deg", 90.0, -np.pi / 2),
         ("accel_x_mps2", "d in g", 1.0, 9.80665),
         ("gyro_x_radps", "d in deg/s", 180.0, np.pi),
+        ("speed_mps", "d in km/h", 3.6, 1.0),
         ("t_s", "d in us", 2.5e6, 2.5),
         ("t_s", "d - 1718000000", 1718000001.5, 1.5),
         ("range_m", "d*1e-3", 1500.0, 1.5),
@@ -47,10 +48,12 @@ def test_an_expression_is_the_arithmetic_it_says(target, text, value, expected):
         "azimuth_rad": "bearings",
         "accel_x_mps2": "imu",
         "gyro_x_radps": "imu",
+        "speed_mps": "odometry",
         "t_s": "fixes",
     }
     table = tables[target]
     values = {"ranges": ["range_m"], "bearings": ["azimuth_rad", "elevation_rad"], "fixes": ["x_m", "y_m", "z_m"]}
+    values["odometry"] = ["speed_mps", "yaw_rate_radps"]
     axes = [f"{kind}_{a}_{unit}" for kind, unit in (("accel", "mps2"), ("gyro", "radps")) for a in "xyz"]
     entries = dict.fromkeys(values.get(table, axes), "d") | {"t_s": "t"} | {target: text}
     entries |= {"ranges": {"anchor": "'A1'"}, "bearings": {"station": "'S'"}}.get(table, {})

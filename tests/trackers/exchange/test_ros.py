@@ -45,6 +45,9 @@ topic = "/vicon/cart"
 table = "fixes"
 topic = "/odom"
 columns = { x_std_m = "sqrt(pose.covariance[0])", y_std_m = "sqrt(pose.covariance[7])" }
+[[tables]]
+table = "odometry"
+topic = "/odom"
 """
     )
     return folder
@@ -57,9 +60,11 @@ def test_a_bag_becomes_a_recording(bags, tmp_path, name):
         "import", bags / name, "--mapping", bags / "map.toml", "--rig", bags / "rig.toml", "--tag", "cart", "--out", out
     )
     assert said.code == 0, said.err
-    tables = {name: pl.read_parquet(out / f"{name}.parquet") for name in ("ranges", "imu", "truth", "fixes")}
+    tables = {
+        name: pl.read_parquet(out / f"{name}.parquet") for name in ("ranges", "imu", "truth", "fixes", "odometry")
+    }
     assert {name: len(table) for name, table in tables.items()} == {
-        "ranges": 2 * ROWS, "imu": ROWS, "truth": ROWS, "fixes": ROWS,
+        "ranges": 2 * ROWS, "imu": ROWS, "truth": ROWS, "fixes": ROWS, "odometry": ROWS,
     }  # fmt: skip
     ranges = tables["ranges"]
     assert ranges["tag"].unique().to_list() == ["cart"]
@@ -75,6 +80,7 @@ def test_a_bag_becomes_a_recording(bags, tmp_path, name):
     assert tables["imu"].row(0, named=True)["accel_z_mps2"] == pytest.approx(9.81)
     assert tables["imu"].row(0, named=True)["gyro_y_radps"] == pytest.approx(0.2)
     assert tables["fixes"].row(0, named=True)["y_std_m"] == pytest.approx(0.3)
+    assert tables["odometry"].row(0, named=True)["speed_mps"] == pytest.approx(1.0)
 
 
 def test_the_time_of_reception_can_be_taken(bags, tmp_path):

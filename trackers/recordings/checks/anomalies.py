@@ -21,7 +21,8 @@ from trackwright.trackers.recordings.kinds import QUATERNION, Kind, first_time, 
 GAP_FACTOR, GAP_LEAST_S = 5.0, 1.0
 OUTLIER_SPREAD, OUTLIER_MEDIAN = 10.0, 100.0
 _ANGLE_SLACK = 1e-3  # for π rounded up in text
-_LEAST_JUMP = {"m": 1.0, "mps2": 20.0, "radps": 5.0}  # within reach of a person, cart or drone between two rows
+_LEAST_JUMP = {"m": 1.0, "mps": 5.0, "mps2": 20.0, "radps": 5.0}
+"""Least jumps of outliers by unit: smaller ones are within reach of a person, cart or drone between two rows."""
 
 
 def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:

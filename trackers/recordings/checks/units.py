@@ -21,6 +21,11 @@ FAR_SIZES_MM = 150.0  # times the size of the rig, beyond which centimetres woul
 BEYOND_ANCHORS = 0.1  # share of range differences larger than their anchors' distance; 1 % of a real flight
 NANOSECOND_M = 0.2998
 LEAST_DIFFERENCE_M = 1e-5  # a difference in seconds is at most 1e-6 in 300 m; in metres some exceed their resolution
+OTHER_UNIT = {
+    "rad": "degrees, expected radians",
+    "mps": "millimetres or centimetres per second, expected metres",
+    "radps": "degrees per second, expected radians",
+}
 FASTEST_TURN = 35.0  # rad/s, the full scale of common gyroscopes
 
 
@@ -81,13 +86,13 @@ def _phases(kind: Kind, table: pl.DataFrame) -> list[CheckResult]:
 
 
 def _values(name: str, column: Column, values: pl.Series, size: float | None) -> list[CheckResult]:
-    """Angles beyond their bound, and lengths that are large beside the rig, whose `size` is in m."""
+    """Angles, speeds and rates beyond their bound, and lengths that are large beside the rig, whose `size` is in m."""
     if column.unit == "m":
         return _lengths(name, column.name.removesuffix("_m").replace("_", " "), values.abs(), size)
     large = values.abs().quantile(0.9)
-    if column.unit != "rad" or large is None or large <= column.bound:
+    if column.unit not in OTHER_UNIT or large is None or large <= column.bound:
         return []
-    message = f"10 % of {column.name} lie beyond ±{column.bound:.3g}: looks like degrees, expected radians"
+    message = f"10 % of {column.name} lie beyond ±{column.bound:.3g}: looks like {OTHER_UNIT[column.unit]}"
     return [CheckResult("error", name, message)]
 
 
