@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import polars as pl
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import TagRows
@@ -74,7 +74,7 @@ class ArrayRows(TagRows):
     def regular(
         cls,
         times: Float[np.ndarray, " T"],
-        ids: Int[np.ndarray, " n"],
+        ids: Shaped[np.ndarray, " n"],
         columns: Mapping[tuple[str, ...], Float[np.ndarray, "n T m"]],
     ) -> ArrayRows:
         """A row per tag and time: `times` (T,) s, and columns (n, T, m)."""
@@ -86,7 +86,7 @@ class ArrayRows(TagRows):
     def of_entries(
         cls,
         tag: Int[np.ndarray, " N"],
-        ids: Int[np.ndarray, " n"],
+        ids: Shaped[np.ndarray, " n"],
         times: Float[np.ndarray, " N"],
         columns: Mapping[tuple[str, ...], Float[np.ndarray, "N m"]],
         names: Mapping[str, tuple[Int[np.ndarray, " N"], Sequence[str]]] = MappingProxyType({}),
@@ -154,8 +154,7 @@ class SimulatedTables(Tables):
 
     def paths(self, recording: str) -> TruePaths:
         if self._paths is None:
-            truth = self._arrays["truth"]
-            self._paths = TruePaths(truth.tags, truth.starts, truth.times, truth.floats(AXES))
+            self._paths = TruePaths.of_rows(self._arrays["truth"])
         return self._paths
 
 

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import partial, wraps
-from numbers import Integral, Real
+from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from trackwright.sim.parameters import ParameterError, Range, checked, refuse_unknown
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,76 +32,7 @@ if TYPE_CHECKING:
     from trackwright.trackers.recordings.folder import RecordingFolder
     from trackwright.trackers.recordings.trajectories import Trajectory
 
-__all__ = ["WORLDS", "SimulatedWorld", "agv", "fusion", "line", "ranges", "station", "tdoa", "tool"]
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-@dataclass(frozen=True)
-class Range:
-    """The numbers from `low` to `high`, without `high` itself where `open`."""
-
-    low: float
-    high: float
-    open: bool = False
-
-    def contains(self, value: float) -> bool:
-        """Whether the value is one of them; NaN is not."""
-        return self.low <= value < self.high or (value == self.high and not self.open)
-
-    def __str__(self) -> str:
-        return f"from {self.low:g} to {'below ' if self.open else ''}{self.high:g}"
-
-
-class ParameterError(ValueError):
-    """An argument of a world outside its range or choices: the parameter's `name`, the `value`, what was `expected`."""
-
-    def __init__(self, name: str, value: Any, expected: str) -> None:
-        super().__init__(f"{name} = {value!r}: expected {expected}")
-        self.name, self.value, self.expected = name, value, expected
-
-
-def checked(world: Callable[P, R]) -> Callable[P, R]:
-    """The function with its arguments checked against their annotations before the call.
-
-    It raises TypeError for an unknown parameter, ParameterError for a value outside its range or choices.
-    """
-    signature = inspect.signature(world)
-    hints = get_type_hints(world, include_extras=True)
-
-    @wraps(world)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        refuse_unknown(kwargs, signature.parameters)
-        for name, value in signature.bind(*args, **kwargs).arguments.items():
-            _check(name, value, hints[name])
-        return world(*args, **kwargs)
-
-    return call
-
-
-def refuse_unknown(names: Iterable[str], parameters: Iterable[str]) -> None:
-    """Raise TypeError for the first of the names that is no parameter."""
-    known = list(parameters)
-    for name in names:
-        if name not in known:
-            raise TypeError(f"parameter '{name}' is unknown; expected one of {', '.join(known)}")
-
-
-def _check(name: str, value: Any, hint: Any) -> None:
-    if get_origin(hint) is Literal and value not in get_args(hint):
-        raise ParameterError(name, value, f"one of {', '.join(get_args(hint))}")
-    if get_origin(hint) is Annotated:
-        kind, *metadata = get_args(hint)
-        for allowed in (x for x in metadata if isinstance(x, Range)):
-            whole = kind is int
-            if (
-                not isinstance(value, Integral if whole else Real)
-                or isinstance(value, bool)
-                or not allowed.contains(float(value))
-            ):
-                raise ParameterError(name, value, f"a {'whole ' if whole else ''}number {allowed}")
-
+__all__ = ["WORLDS", "SimulatedWorld", "agv", "body", "fusion", "line", "ranges", "station", "tdoa", "tool"]
 
 Trajectories = Annotated[int, Range(1, 10**7)]
 Seed = Annotated[int, Range(0, 2**63 - 1)]
@@ -358,6 +290,54 @@ def _errors_of_anchors(bias: float, drift: float, hidden: float, sigma: float, l
 
 
 @checked
+def body(
+    n: Trajectories = 20,
+    seed: Seed = 0,
+    *,
+    tags: Annotated[int, Range(1, 3)] = 3,
+    odometry: bool = False,
+    rows: Annotated[int, Range(3, 10**7)] = 200,
+    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 10.0,
+    sigma_r: Annotated[float, Range(0.0, 10.0)] = 0.05,
+    bias: Annotated[float, Range(0.0, 10.0)] = 0.05,
+    hidden: Annotated[float, Range(0.0, 0.9)] = 0.1,
+    sigma_slip: Annotated[float, Range(0.0, 10.0)] = 0.01,
+    sigma_yaw_rate: Annotated[float, Range(0.0, 10.0)] = 0.04,
+    lost: Annotated[float, Range(0.0, 0.99)] = 0.1,
+    ids: Ids = None,
+) -> SimulatedWorld:
+    """Simulate trolleys with UWB tags in a room with four anchors: ranges, and wheel odometry on request, with truth.
+
+    Args:
+        tags: tags on each trolley.
+        odometry: whether the wheels are measured.
+        rows: times at which all tags range to all anchors.
+        rate_hz: times per second.
+        sigma_r: white noise of a range, m.
+        bias: standard deviation of the anchors' constant biases, m.
+        hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
+        sigma_slip: white noise of the measured speed, m/s per √Hz.
+        sigma_yaw_rate: white noise of the measured turning rate, rad/s per √Hz.
+        lost: share of the ranges that are missing.
+    """
+    from trackwright.sim.bodies import simulate_bodies
+    from trackwright.sim.ranging import chamber
+
+    world = simulate_bodies(
+        chamber(),
+        n=_ids(n, ids),
+        seed=seed,
+        tags=tags,
+        rate_hz=rate_hz,
+        n_points=rows,
+        of_anchors=_errors_of_anchors(bias, 0.0, hidden, 0.0, 0.0),
+        of_ranges=_errors_of_anchors(0.0, 0.0, 0.0, sigma_r, lost),
+        wheels=(sigma_slip, sigma_yaw_rate) if odometry else None,
+    )
+    return SimulatedWorld(f"simulated-body-{seed}", world)
+
+
+@checked
 def tool(
     n: Trajectories = 20,
     seed: Seed = 0,
@@ -445,7 +425,7 @@ def _folder(
 
 
 WORLDS: Mapping[str, Callable[..., RecordingFolder]] = MappingProxyType(
-    {world.__name__: partial(_folder, world) for world in (station, line, ranges, tdoa, fusion, tool, agv)}
+    {world.__name__: partial(_folder, world) for world in (station, line, ranges, tdoa, fusion, body, tool, agv)}
 )
 """`make(ids, seed, **numbers)`, a recording folder, by the name of the world in a study."""
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 from trackwright.experiments.cli.arguments import new_app
 from trackwright.experiments.cli.options import Folder
 from trackwright.sim import worlds
-from trackwright.sim.worlds import ParameterError
+from trackwright.sim.parameters import ParameterError
 from trackwright.trackers.core.errors import UnusableInput
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ def _refusal(error: ParameterError) -> str:
     return f"--{error.name.replace('_', '-')} {' '.join(map(str, words))}: expected {error.expected}"
 
 
-simulate = new_app("simulate", "Simulate a recording with truth: station, line, ranges, tdoa, fusion, tool, agv.")
-for _world in (worlds.station, worlds.line, worlds.ranges, worlds.tdoa, worlds.fusion, worlds.tool, worlds.agv):
+_WORLDS = "station", "line", "ranges", "tdoa", "fusion", "body", "tool", "agv"
+simulate = new_app("simulate", f"Simulate a recording with truth: {', '.join(_WORLDS)}.")
+for _world in (getattr(worlds, name) for name in _WORLDS):
     simulate.command(command(_world), name=_world.__name__, sort_key=len(simulate._commands))

@@ -128,6 +128,8 @@ def _track(
     tracked, seconds = [], 0.0
     for batch in batches:
         trajectories = Trajectories.of(batch.trajectories)
+        # Further tags of a body are no trajectories of their own.
+        trajectories = trajectories.chosen(np.flatnonzero(np.isin(trajectories.tags, ids.astype(str))))
         longest = int(np.diff(trajectories.columns.starts).max())
         stacked = trajectories.columns.batch(rounded(longest), seed=study.seed, truth=False)
         # Padded to whole chunks, so that the bits depend neither on the number of trajectories nor of devices.

@@ -31,7 +31,10 @@ DEFAULT_METRICS = ("rmse_m", "median_m", "p95_m", "bound_m", "nees_mean", "nis_r
 
 @dataclass(frozen=True)
 class World:
-    """A simulated world: `make(ids, seed, **numbers)` returns a folder with truth and one tag per id (n,)."""
+    """A simulated world: `make(ids, seed, **numbers)` returns a folder with truth and a tag named after each id (n,).
+
+    Further tags, as of one body, are not scored.
+    """
 
     make: Callable[..., RecordingFolder]
     numbers: Mapping[str, Any] = field(default_factory=dict)

@@ -21,6 +21,7 @@ SHORT = {
     "ranges": {"rows": 15, "lost": 0.2},
     "tdoa": {"rows": 15, "lost": 0.2},
     "fusion": {"rows": 15, "lost": 0.2},
+    "body": {"rows": 15, "tags": 1, "odometry": True, "lost": 0.2},
     "tool": {"rows": 20, "gap": (0.1, 0.2)},
     "agv": {"rows": 30, "latency": 0.2},
 }

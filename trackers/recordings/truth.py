@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
+from functools import cached_property, partial
 
 import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S, first_not_before
-from trackwright.trackers.recordings.columns import TableRows, require_columns
+from trackwright.trackers.recordings.columns import TableRows, TagRows, require_columns
 from trackwright.trackers.recordings.kinds import QUATERNION
 
 
@@ -26,8 +27,8 @@ class TruePaths:
     """The true paths of tags: positions at sorted times, no two of them equal, between which they are interpolated.
 
     `tags`: of the paths. `starts` (paths + 1,): the first row of each path, then their number n. `times` (n,) s and
-    `positions` (n, 3) m: z is NaN where there is no height. `headings` (n,) rad: of the bodies, about the vertical;
-    NaN, or None for all, where they are not known.
+    `positions` (n, 3) m: z is NaN where there is no height. `attitudes`: the quaternions (n, 4) of the bodies, NaN
+    where they are not known, read with the first heading; None for none.
     """
 
     def __init__(
@@ -36,10 +37,10 @@ class TruePaths:
         starts: np.ndarray,
         times: np.ndarray,
         positions: np.ndarray,
-        headings: np.ndarray | None = None,
+        attitudes: Callable[[], np.ndarray] | None = None,
     ) -> None:
         self.number = {tag: k for k, tag in enumerate(tags)}
-        self.starts, self.times, self.positions, self.headings = starts, times, positions, headings
+        self.starts, self.times, self.positions, self._attitudes = starts, times, positions, attitudes
         self._latest: list[tuple[Sequence[str], np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
 
     @classmethod
@@ -63,11 +64,21 @@ class TruePaths:
         if not later.all():
             distinct = present.unique(["tag", "t_s"], keep="first", maintain_order=True)
             rows = TableRows(distinct.sort("t_s", maintain_order=True))
-        headings = None
-        if QUATERNION[0] in rows:
-            w, x, y, z = rows.floats(QUATERNION).T
-            headings = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        return cls(rows.tags, rows.starts, rows.times, rows.floats(["x_m", "y_m", "z_m"]), headings)
+        return cls.of_rows(rows)
+
+    @classmethod
+    def of_rows(cls, rows: TagRows) -> TruePaths:
+        """The paths of rows by tag, at sorted times, no two of a tag equal."""
+        attitudes = partial(rows.floats, QUATERNION) if QUATERNION[0] in rows else None
+        return cls(rows.tags, rows.starts, rows.times, rows.floats(("x_m", "y_m", "z_m")), attitudes)
+
+    @cached_property
+    def headings(self) -> np.ndarray | None:
+        """The headings (n,) of the bodies about the vertical, rad, NaN where they are not known; None for all."""
+        if self._attitudes is None:
+            return None
+        w, x, y, z = self._attitudes().T
+        return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
     def of_tag(self, tag: str) -> tuple[np.ndarray, np.ndarray]:
         """Times (n,) s and positions (n, 3) m of one path."""

@@ -12,7 +12,7 @@ from trackwright.experiments.cli.trackers import _simulated
 from trackwright.trackers.catalogue import TRACKERS, build
 from trackwright.trackers.core.model.tunable import meanings
 
-NOT_SIMULATED = ("bearings", "body", "trilateration", "trilateration-compensated", "floor-pf")
+NOT_SIMULATED = ("bearings", "trilateration", "trilateration-compensated", "floor-pf")
 
 
 @pytest.mark.parametrize("name", sorted({*TRACKERS} - {*NOT_SIMULATED}))

@@ -16,7 +16,7 @@ from trackwright.experiments.cli.commands import COMMANDS, application
 from trackwright.sim import worlds
 from trackwright.trackers.recordings.folder import write_recording
 
-MEMBERS = ("station", "line", "ranges", "tdoa", "fusion", "tool", "agv")
+MEMBERS = ("station", "line", "ranges", "tdoa", "fusion", "body", "tool", "agv")
 EVERY = (*(name for name in COMMANDS if name != "simulate"), *(f"simulate {name}" for name in MEMBERS))
 
 
@@ -64,7 +64,10 @@ def test_a_family_of_commands_lists_its_members():
         (("trak", "x"), "no command trak (did you mean track?)"),
         (("simulate-line",), "did you mean simulate?"),
         (("simulate", "lines"), "simulate: no command lines (did you mean line?)"),
-        (("simulate", "walk"), "simulate: no command walk; expected station, line, ranges, tdoa, fusion, tool or agv"),
+        (
+            ("simulate", "walk"),
+            "simulate: no command walk; expected station, line, ranges, tdoa, fusion, body, tool or agv",
+        ),
         (("track", "x", "--out", "o", "--nose", "f"), "no option --nose (did you mean --noise?)"),
         (("track", "x", "--out", "/"), "--out /: is the root of the file system"),
         (("tune", "x", "--out", "o", "--steps", "0"), "--steps 0: expected at least 1"),

@@ -19,6 +19,7 @@ WORLDS = {
     "ranges": (("--rows", 30), {"ranges", "truth"}, "uwb"),
     "tdoa": (("--rows", 30, "--schedule", "turns"), {"tdoa", "truth"}, "tdoa"),
     "fusion": (("--rows", 30, "--stations", 1), {"ranges", "bearings", "truth"}, "fusion"),
+    "body": (("--rows", 30, "--tags", 1, "--odometry"), {"ranges", "odometry", "truth"}, "uwb"),
     "tool": (("--rows", 40), {"ranges", "imu", "truth"}, "uwb"),
     # Its fixes have heights, which a tracker on a line would lose.
     "agv": (("--rows", 50, "--latency", 0.3, "--mirror", 0.1, "--wild", 0.01), {"fixes", "truth"}, "fix-kf"),

@@ -13,6 +13,7 @@ import pytest
 
 from tests.broken import ANOMALOUS
 from tests.faulty import write_good
+from trackwright.sim import worlds
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.checks.check_result import CheckResult, format_results
@@ -266,3 +267,15 @@ def test_every_real_recording_reads_and_no_mistake_is_named_in_it():
     (late,) = wrong.pop("starloc-fast-s1")
     assert "comes 0.04 s early" in late
     assert not any(wrong.values()), wrong
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "words"), [("speed_mps", 1e3, "millimetres"), ("yaw_rate_radps", 57.3, "degrees")]
+)
+def test_odometry_in_other_units_is_named(column, factor, words):
+    folder = worlds.body(n=1, tags=1, odometry=True, rows=50).folder()
+    assert [result for result in check(folder) if result.level == "error"] == []
+    results = _check(folder, odometry=lambda table: table.with_columns(pl.col(column) * factor))
+    (found,) = [result for result in results if result.level == "error"]
+    assert found.where == "odometry"
+    assert words in found.message
