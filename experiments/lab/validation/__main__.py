@@ -13,6 +13,7 @@ CASES = (
     "envelope",
     "nis_expectation",
     "recovery",
+    "error_over_bound",
     "track_loss",
     "bag_tour",
 )
