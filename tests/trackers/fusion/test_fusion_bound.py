@@ -18,9 +18,8 @@ TAGS, SETTLED = 32, 80
 """Tags, and rows until the start is forgotten."""
 
 
-@pytest.mark.parametrize(
-    "noise", [pytest.param(0.5, marks=pytest.mark.slow), 1.0, pytest.param(2.0, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0])
 def test_errors_reach_the_bound_and_ellipses_hold(noise):
     """Normal noise, and a start near the truth, about which readings are linear."""
     batch = TRACKERS["fusion"].batches([worlds.fusion(TAGS, 5, rows=60, lost=0.0, hidden=0.0).folder()], "fusion")[0]
@@ -34,7 +33,7 @@ def test_errors_reach_the_bound_and_ellipses_hold(noise):
     tracker = replace(batch.tracker, track_loss=NEVER_LOST).with_values(levels | normal | near)
     drawn, priors, states = own_world(tracker, [trajectory.recording for trajectory in batch.trajectories], 1)
     estimates = tracker.run(drawn, initial=priors)
-    paths = [jax.tree_util.tree_map(lambda x, k=k: x[..., k : k + 1], states) for k in range(TAGS)]
+    paths = [jax.tree_util.tree_map(lambda x, k=k: np.asarray(x)[..., k : k + 1], states) for k in range(TAGS)]
     # Of each path by itself: the mean information of paths that pass a station at other distances is of none of them.
     bounds = np.stack([posterior_bound(tracker, stack([r]), path) for r, path in zip(drawn, paths, strict=True)])
     true = np.stack(list(states.position), axis=-1).swapaxes(0, 1)
