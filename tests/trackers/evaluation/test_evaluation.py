@@ -305,11 +305,6 @@ def test_a_station_missing_in_the_rig_is_refused(stations):
 # What cannot be used
 
 
-def test_tracks_of_another_recording_are_refused():
-    with pytest.raises(UnusableInput, match="recording hall, the truth is of yard"):
-        evaluate_table(_tracks([0.5], [0.0]), {"yard": _truth([0.0, 1.0], [0.0, 0.0])})
-
-
 def test_tracks_at_other_times_are_refused_with_both_spans():
     with pytest.raises(UnusableInput, match=r"from 100 to 101 s of tags 1, truth of 'hall' from 0 to 1 s"):
         evaluate_table(_tracks([100.0, 101.0], [0.0] * 2), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
@@ -339,20 +334,6 @@ def test_tables_that_do_not_fit_are_refused_in_one_line(tracks, truth, words):
 def test_tracks_are_read_from_the_folder_that_track_wrote(tmp_path, noisy):
     noisy[0].write_parquet(tmp_path / "tracks.parquet")
     assert read_tracks(tmp_path).equals(noisy[0])
-
-
-@pytest.mark.parametrize("content", [None, b"", b"PAR1 and then something else"])
-def test_a_folder_without_readable_tracks_is_refused(tmp_path, content):
-    if content is not None:
-        (tmp_path / "tracks.parquet").write_bytes(content)
-    with pytest.raises(UnusableInput, match=r"tracks\.parquet"):
-        read_tracks(tmp_path)
-
-
-def test_an_empty_table_of_tracks_is_refused(tmp_path, noisy):
-    noisy[0].clear().write_parquet(tmp_path / "tracks.parquet")
-    with pytest.raises(UnusableInput, match="the table is empty"):
-        read_tracks(tmp_path)
 
 
 # Text, JSON, conditions
