@@ -104,8 +104,10 @@ class ArrayRows(TagRows):
             return self._columns[tuple(names)]
         places = {name: (columns, k) for columns in self._columns for k, name in enumerate(columns) if name in names}
         values = {name: self._columns[columns][:, k] for name, (columns, k) in places.items()}
-        missing = np.full(len(self.times), np.nan)
-        return np.stack([values.get(name, missing) for name in names], axis=1)
+        result = np.full((len(self.times), len(names)), np.nan)
+        for column, name in zip(result.T, names, strict=True):
+            column[:] = values.get(name, np.nan)
+        return result
 
     def codes(self, name: str, ids: Sequence[str]) -> Int[np.ndarray, " N"]:
         numbers, stored_ids = self._ids[name]

@@ -5,6 +5,7 @@ And the values that are fitted to all recordings but one (cross-validation).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,6 +18,7 @@ from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, by_label, physical, physical_vector
 from trackwright.tuning.problem import Problem
+from trackwright.tuning.uncertainty import MIN_TRAJECTORIES as SCATTERED
 from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined, refit
 
 HALF_WIDTH = 3.5
@@ -181,6 +183,22 @@ def intervals_of(result: FitResult, kind: str = "curvature") -> dict[str, Interv
     except ValueError as error:
         raise UnusableInput(f"intervals by {kind}: {error}") from error
     return dict(uncertainty.intervals())
+
+
+def without_intervals(uncertainty: Uncertainty | None, intervals: Mapping[str, Interval]) -> list[str]:
+    """Why a fit at its optimum has no interval of a number that is not at a bound, in words; empty for other fits."""
+    known = any(np.isfinite(ends).any() for ends in intervals.values())
+    if uncertainty is None or not uncertainty.at_optimum or known or uncertainty.at_bound.all():
+        return []
+    if not np.isfinite(uncertainty.optimum.hessian).all():
+        return ["no 95 % intervals: the objective has no finite curvature at these values; tune fewer numbers"]
+    if np.isnan(uncertainty.observed).any() and np.isnan(uncertainty.sandwich).any():
+        return [
+            "no 95 % intervals: an objective that is no likelihood has those of the scatter of trajectories, "
+            f"{SCATTERED} or more, found {uncertainty.clusters}; give --intervals bootstrap ({MIN_TRAJECTORIES} or "
+            "more), shorter --piece-rows, or --objective nll"
+        ]
+    return []
 
 
 def require_possible(kind: str, objective: AbstractObjective, trajectories: int) -> None:

@@ -103,7 +103,8 @@ def _tracking(options: TrackOptions) -> Tracking:
     values = {**({} if options.tuned is None else options.tuned.values), **options.values}
     source = "--set" if options.values else str(options.noise)
     smoothed = options.smooth or options.lag is not None
-    numbers = values, source, smoothed, options.lag, options.motion == "auto", options.errors == "auto"
+    errors = None if options.errors is None else options.errors == "auto"
+    numbers = values, source, smoothed, options.lag, options.motion == "auto", errors
     tracker = PortableTracker("", "", options.free_height, *numbers)
     return Tracking(texts, tracker, options.seed, options.force, options.used, options.used.read_calibration())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -64,10 +65,12 @@ def import_source(
             "range_m=distance in mm", "t_s=stamp in iso", "anchor=header.frame_id", "range_m[A1]=d1" for a column of
             each anchor.
         mapping: a TOML file with the table, columns, topic, tag, separator and decimal of several tables, instead of
-            these options.
+            these options, or a preset for logs of a data set or kit: crazyflie, crazyflie-tdoa, isas-walk, miluv,
+            starloc, util.
         topic: of a bag.
         tag: the id of the tag, where no column has it.
-        rig: a rig.toml with the positions of anchors or stations; default: those in the log, if it has any.
+        rig: a rig.toml with the positions of anchors or stations, or, with a preset, the makers' file of anchors;
+            default: those in the log, if it has any.
         separator: of the cells of a CSV file; default: a semicolon or tab where the header has one and no comma.
         decimal: the mark in the numbers of a CSV file.
         origin: the time of the source that becomes t_s = 0 in every table: start (the earliest measurement), seconds
@@ -85,14 +88,19 @@ def import_source(
     from trackwright.trackers.exchange.formats import format_of, has_tables
     from trackwright.trackers.exchange.imported import assembled, origin_of, read_source, save, since
     from trackwright.trackers.exchange.mapping import Asked, TableMapping, columns_of
+    from trackwright.trackers.exchange.mapping_file import MappingFile, read_mapping
     from trackwright.trackers.recordings.folder import read_recording
     from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 
-    name = format or format_of(source)
+    preset = MappingFile(()) if mapping is None else read_mapping(mapping)
+    name = format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
+    asked = [one for one in preset.tables if (one.topic is not None) == (name == "ros")] or preset.tables
+    if left := [one.table for one in preset.tables if one not in asked]:
+        notice(f"notice: {mapping}: left out as {'without' if name == 'ros' else 'with'} a topic: {', '.join(left)}")
     own_tables = has_tables(name)
     notice(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
     given = TableMapping(table or "", columns_of(columns), topic, tag, separator, decimal)
-    mappings = _mappings(source, own_tables, given, mapping)
+    mappings = _mappings(source, own_tables, given, asked)
     there = (out / RIG_FILE).is_file()
     if origin == "start" and there:
         raise UnusableInput(
@@ -112,7 +120,12 @@ def import_source(
     # Recordings of one installation share its rig, but not their name.
     title = None if there else out.resolve().name
     known = out / RIG_FILE if there else rig
-    folder = assembled(title, None if known is None else read_rig(known)[0], tables, imported.anchors)
+    geometry, anchors = None, imported.anchors
+    if known is not None and preset.anchors is not None and known.suffix != ".toml":
+        anchors = preset.positions(known)
+    elif known is not None:
+        geometry = read_rig(known)[0]
+    folder = assembled(title, geometry, tables, anchors, preset.offsets, preset.bodies)
     if transform is not None or align_truth:
         folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform)
     written = save(folder, out)
@@ -123,22 +136,22 @@ def import_source(
     return 0
 
 
-def _mappings(source: Path, own_tables: bool, given: TableMapping, file: Path | None) -> list[TableMapping]:
-    """The mappings of the tables of a source, by the options `given` or by the file of --mapping.
+def _mappings(
+    source: Path, own_tables: bool, given: TableMapping, tables: Sequence[TableMapping]
+) -> list[TableMapping]:
+    """The mappings of the tables of a source, by the options `given` or the `tables` of the file of --mapping.
 
     `own_tables`: whether the source says itself which tables it holds.
     """
-    from trackwright.trackers.exchange.mapping import read_mapping
-
     plain = not given.columns and given.topic is None and given.separator is None and given.decimal == "."
-    if file is not None:
+    if tables:
         if own_tables:
-            raise UnusableInput(f"--mapping {file}: a file of this format has its tables; leave it out")
+            raise UnusableInput("--mapping: a file of this format has its tables; leave it out")
         if given.table or not plain:
             raise UnusableInput(
                 "--mapping and --table, --columns, --topic, --separator or --decimal; expected one or the other"
             )
-        return [m if m.tag else replace(m, tag=given.tag) for m in read_mapping(file)]
+        return [m if m.tag else replace(m, tag=given.tag) for m in tables]
     if own_tables:
         if given.table or given.topic is not None:
             raise UnusableInput(f"{source}: a file of this format has its tables; leave --table and --topic out")
@@ -153,14 +166,19 @@ def _mappings(source: Path, own_tables: bool, given: TableMapping, file: Path | 
 def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, transform: str | None) -> RecordingFolder:
     """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it."""
     from trackwright.experiments.text.terminal import notice
-    from trackwright.trackers.exchange.truth_frame import found_placement, parsed_placement
+    from trackwright.trackers.exchange.truth_frame import found_placement, leaning, parsed_placement
 
     truth = folder.tables.get("truth")
     if truth is None:
         raise UnusableInput("--transform and --align-truth: move a truth; expected --table truth")
     if transform is not None:
         return replace(folder, tables=dict(folder.tables) | {"truth": parsed_placement(transform).of_table(truth)})
-    sorted_truth = {"truth": truth.sort("t_s", maintain_order=True)}
-    placement, words = found_placement(replace(recording, tables=dict(recording.tables) | sorted_truth))
+    tables = dict(recording.tables) | {"truth": truth.sort("t_s", maintain_order=True)}
+    level, angle = leaning(replace(recording, tables=tables))
+    if angle:
+        notice(f"notice: truth levelled, which leaned by {angle:.0f}° against the gravity that the IMU measures; then")
+        truth = level.table(truth)
+    tables["truth"] = truth.sort("t_s", maintain_order=True)
+    placement, words = found_placement(replace(recording, tables=tables))
     notice(f"notice: truth moved by --transform {placement}: {words}")
     return replace(folder, tables=dict(folder.tables) | {"truth": placement.of_table(truth)})

@@ -193,8 +193,8 @@ class TrackOptions(TrackerOptions):
         motion: auto runs several levels of horizontal motion, the given one and smaller ones, weighted by how well each
             predicts the readings: for motion unlike that of the defaults, as of a slow trolley.
         errors: auto reports covariances that follow the size of the recording's own errors: those of the same estimates
-            under smaller and larger biases, weighted by how well each predicts the readings, for a site without a
-            calibration.
+            under smaller and larger biases, weighted by how well each predicts the readings; given those of the noise
+            levels. By default auto for uwb without --calibration, --noise, --set, --smooth and --motion auto.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
         no_figures: draw no figures.
@@ -210,7 +210,7 @@ class TrackOptions(TrackerOptions):
     smooth: bool = False
     lag: Seconds | None = None
     motion: Literal["given", "auto"] = "given"
-    errors: Literal["given", "auto"] = "given"
+    errors: Literal["given", "auto"] | None = None
     seed: int = 0
     cluster: Address | None = None
     no_figures: bool = False

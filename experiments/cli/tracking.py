@@ -178,12 +178,14 @@ def _track(
         named = named.smoothing(options.lag)
     if options.motion == "auto":
         named = named.with_motion_levels()
-    if options.errors == "auto":
-        named = named.with_error_levels()
+    if options.errors is not None:
+        named = named.with_error_levels(options.errors == "auto")
     batches = named.batches(folders)
     for batch in batches:
         for line in batch.notices:
             notice(f"notice: {line}")
+    if options.errors is None and named.own_errors(named.tracker):
+        notice("covariances: follow the size of the recording's own errors, without a calibration; see --errors")
     flat = [trajectory for batch in batches if batch.planar for trajectory in batch.trajectories]
     heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
     if heights and not named.spec.bearing_only:

@@ -40,7 +40,7 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue, identifiability_issues
-from trackwright.tuning.intervals import Interval, intervals_of, left_out_values
+from trackwright.tuning.intervals import Interval, intervals_of, left_out_values, without_intervals
 from trackwright.tuning.tuned_file import tuned_content, write_tuned
 
 INTERRUPTED = 130
@@ -172,6 +172,7 @@ def write_run(
     _write_trace(out, result, objective, unit, figures)
     issues = _issues(result, bool(data.held_out))
     cautions = [] if result.uncertainty is None else result.cautions
+    cautions += without_intervals(result.uncertainty, intervals)
     notices = [f"notice: {text}" for text in (*(issue.text for issue in issues), *cautions)]
     lines = [*table(result, objective, intervals), *notices, compared.text().rstrip("\n")]
     command = shlex.join(["trackwright", *sys.argv[1:]])

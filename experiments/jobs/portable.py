@@ -65,7 +65,7 @@ class PortableTracker(NamedTuple):
     smoothed: bool
     lag: float | None
     motion_levels: bool
-    error_levels: bool
+    error_levels: bool | None
 
     @classmethod
     def of(cls, tracker: NamedTracker) -> PortableTracker:
@@ -88,7 +88,7 @@ class PortableTracker(NamedTuple):
             tracker = tracker.smoothing(self.lag)
         if self.motion_levels:
             tracker = tracker.with_motion_levels()
-        return tracker.with_error_levels() if self.error_levels else tracker
+        return tracker if self.error_levels is None else tracker.with_error_levels(self.error_levels)
 
 
 def run_on(

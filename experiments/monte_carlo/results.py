@@ -15,6 +15,7 @@ import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import Condition, Study
 from trackwright.experiments.text.expectations import Value
+from trackwright.trackers.core.errors import listed
 from trackwright.trackers.evaluation.metrics import METRICS, metrics
 from trackwright.trackers.evaluation.scores import BINS, EDGES, Scores
 
@@ -94,6 +95,20 @@ class Results:
     def seconds(self) -> float:
         """Computing time of all chunks, over all runs, machines and devices."""
         return sum(totals.seconds for totals in self.totals.values())
+
+    def without_bound(self) -> str:
+        """Which trackers have no Cramér–Rao bound, and why; empty where none is asked for or all have one."""
+        without = [
+            tracker
+            for tracker in self.study.trackers
+            if all(np.isnan(self.totals[c.index, tracker].bounds[0]) for c in self.study.conditions)
+        ]
+        if not without or not any(metric.startswith("bound") for metric in self.study.metrics):
+            return ""
+        return (
+            f"No bound of {listed(without)}: only extended Kalman filters whose state is position and velocity, "
+            "without biases or a latency, have one; judge others by NEES."
+        )
 
     def numbers(self, measure: str, world: str, tracker: str, **point: Any) -> np.ndarray:
         """A measure's numbers (n,), one per trajectory."""

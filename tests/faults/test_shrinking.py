@@ -16,7 +16,7 @@ from tests.faults.texts import CALIBRATION, MAPPING, TUNED
 from tests.faults.values import CELLS, IDS
 from tests.faulty import RIG, good_tables
 from trackwright.trackers.core.errors import UnusableInput, has_control
-from trackwright.trackers.exchange.mapping import read_mapping
+from trackwright.trackers.exchange.mapping_file import read_mapping
 from trackwright.trackers.recordings.calibration import read_calibration
 from trackwright.trackers.recordings.rig_file import read_rig
 from trackwright.tuning.tuned_file import read_tuned

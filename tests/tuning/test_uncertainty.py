@@ -13,7 +13,7 @@ from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.core.data.recording import Readings, stack
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
 from trackwright.tuning.identifiability import flat_components, identifiability_issues, kept_at_start
-from trackwright.tuning.intervals import bootstrap, percentile_intervals, profile
+from trackwright.tuning.intervals import bootstrap, percentile_intervals, profile, without_intervals
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.parameters import Parameter, flatten, select_parameters
 from trackwright.tuning.problem import Evaluation, Problem
@@ -225,6 +225,17 @@ def test_entries_above_a_factors_diagonal_are_no_issue():
     term_gradients = np.ones((2, 4, 20)) * np.array([1.0, 0.0, 1.0, 1.0])[:, None]
     assert unused(parameters).tolist() == [False, True, False, False]
     assert identifiability_issues(found, term_gradients) == []
+
+
+def test_a_fit_without_intervals_says_why():
+    parameters, none = [Parameter(("level",), Scale(1.0), "level")], np.full((1, 1), np.nan)
+    few = dataclasses.replace(_found(parameters, np.diag([50.0]), none), clusters=4)
+    (why,) = without_intervals(few, few.intervals())
+    assert "those of the scatter of trajectories, 20 or more, found 4; give --intervals bootstrap (5 or more)" in why
+    rough = _found(parameters, none, none)
+    assert "no finite curvature" in without_intervals(rough, rough.intervals())[0]
+    known = _found(parameters, np.diag([50.0]), np.diag([0.02]))
+    assert without_intervals(known, known.intervals()) == []
 
 
 def _product(y, weights):

@@ -18,7 +18,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.user_file import from_file
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
 from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, checked, columns_of, mapped_table
@@ -135,15 +135,22 @@ def assembled(
     name: str | None,
     rig: Rig | None,
     tables: Mapping[str, pl.DataFrame],
-    anchors: Mapping[str, tuple[float, float, float]] | None = None,
+    anchors: Mapping[str, Sequence[float]] | None = None,
+    offsets: Mapping[str, Sequence[float]] | None = None,
+    bodies: Mapping[str, Sequence[str]] | None = None,
 ) -> RecordingFolder:
     """The recording of tables, with a rig or the anchors that a log names; raises UnusableInput for unknown sensors.
 
-    `name`: of the recording, by default that of the rig.
+    `name`: of the recording, by default that of the rig. `offsets`, `bodies`: places of tags on their body, m, and the
+    tags of each, of which those of the tables are added to the rig's.
     """
     if rig is None:
         rig = Rig(name or "imported", {key: np.array(place) for key, place in (anchors or {}).items()})
-    rig = replace(rig, name=name or rig.name)
+    there = {tag for table in tables.values() for tag in table["tag"].unique()}
+    tags = {tag: Tag(offset=np.array(place)) for tag, place in (offsets or {}).items() if tag in there}
+    on_bodies = {body: tuple(t for t in names if t in there) for body, names in (bodies or {}).items()}
+    on_bodies = {body: names for body, names in on_bodies.items() if len(names) > 1}
+    rig = replace(rig, name=name or rig.name, tags=tags | dict(rig.tags), bodies=on_bodies | dict(rig.bodies))
     for table, kind in KINDS.items():
         section, known = f"{kind.noun}s", kind.places(rig)
         for column in kind.sensors if table in tables else ():

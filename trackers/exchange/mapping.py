@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.recordings.input_file import beginning, read_toml
+from trackwright.trackers.recordings.input_file import beginning
 from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
 from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file
 
@@ -38,8 +40,8 @@ _EXPRESSION = re.compile(
     rf"(?P<source>.+?)\s*(?:(?P<times>[*/])\s*(?P<factor>{_NUMBER}))?\s*"
     rf"(?:(?P<sign>[-+])\s*(?P<shift>{_NUMBER.removeprefix('[-+]?')}))?(?:\s+in\s+(?P<unit>\S+))?"
 )
-_TARGET = re.compile(r"(?P<name>\w+)(?:\[(?P<sensor>[^\]]+)\])?")
-_ENTRY_KEYS = ("table", "columns", "topic", "tag", "separator", "decimal")
+_TARGET = re.compile(r"(?P<name>[\w{}]+)(?:\[(?P<sensor>[^\]]+)\])?")
+_HOLE = re.compile(r"\{(\w+)\}")
 _UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|ns|deg|km|ft)[\])]$", re.IGNORECASE)
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:[T ]|$)")
 _ZONE = re.compile(r":\d.*?(Z|[+-]\d{2}:?(?:\d{2})?)$")
@@ -64,8 +66,11 @@ class TableMapping:
     """The columns of a table from those of a source.
 
     `columns`: by target, or by target and sensor as `range_m[A1]`, an expression; a column of the source that has the
-    name of a target needs none. `topic`: of a bag. `tag`: the id of all rows, where no column has it. `separator`: of
-    the cells of a CSV file, None for the one in its header. `decimal`: the mark in numbers of a CSV file, `.` or `,`.
+    name of a target needs none; `{a}` in both stands for all that names of the source have there. `topic`: of a bag.
+    `tag`: the id of all rows, where no column has it. `separator`: of the cells of a CSV file, None for the one in its
+    header. `decimal`: the mark in numbers of a CSV file, `.` or `,`. `file`: of a folder; `{a}` in it may stand in
+    `tag`. `where`: by column, the texts of the rows that are read. `anchors`: x_m, y_m, z_m of each row's anchor.
+    `offsets`: the places of tags on the body whose poses the rows are, (3,) m.
     """
 
     table: str
@@ -74,6 +79,16 @@ class TableMapping:
     tag: str | None = None
     separator: str | None = None
     decimal: str = "."
+    file: str | None = None
+    where: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    anchors: Mapping[str, Expression] = field(default_factory=dict)
+    offsets: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    @property
+    def sources(self) -> set[str]:
+        """The columns, or fields of messages, of the source that are asked for."""
+        expressions = (*self.columns.values(), *self.anchors.values())
+        return {e.source for e in expressions if e.constant is None} | set(self.where)
 
 
 def parsed(target: str, text: str) -> Expression:
@@ -135,36 +150,6 @@ def sensor_of(target: str) -> tuple[str, str | None]:
     return match["name"], match["sensor"]
 
 
-def read_mapping(path: Path) -> list[TableMapping]:
-    """The mappings of a TOML file with entries [[tables]]; raises UnusableInput."""
-    content = read_toml(path, "entries [[tables]]")
-    entries = content.pop("tables", None)
-    if content or not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
-        raise UnusableInput(
-            f"{path}: keys {listed(content) or 'none'}{'' if entries is None else ', tables'}; expected entries "
-            "[[tables]] alone, each with table and columns"
-        )
-    return [_entry(f"{path}: [[tables]] {k}", entry) for k, entry in enumerate(entries, 1)]
-
-
-def _entry(where: str, entry: dict[str, Any]) -> TableMapping:
-    unknown = [key for key in entry if key not in _ENTRY_KEYS]
-    if unknown:
-        raise UnusableInput(f"{where}: unknown key {unknown[0]!r}; expected {', '.join(_ENTRY_KEYS)}")
-    columns = entry.pop("columns", {})
-    texts = [key for key, value in entry.items() if not isinstance(value, str)]
-    if texts or not isinstance(columns, dict) or not all(isinstance(value, str) for value in columns.values()):
-        raise UnusableInput(
-            f'{where}: {(texts or ["columns"])[0]}; expected texts, and in columns TARGET = "EXPRESSION"'
-        )
-    if "table" not in entry:
-        raise UnusableInput(f"{where}: no table; expected one of {', '.join(table_kinds())}")
-    try:
-        return checked(TableMapping(columns=columns_of([f"{k}={v}" for k, v in columns.items()]), **entry))
-    except UnusableInput as problem:
-        raise UnusableInput(f"{where}: {problem}") from problem
-
-
 def checked(mapping: TableMapping) -> TableMapping:
     """The mapping; raises UnusableInput for a table that a recording does not have."""
     if mapping.table not in table_kinds():
@@ -180,7 +165,16 @@ class Source:
 
     tables: dict[str, pl.DataFrame] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
-    anchors: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    anchors: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def read(self, file: TableFile, mapping: TableMapping) -> None:
+        """Adds the table that a mapping makes of the columns of a file, and its anchors; raises UnusableInput."""
+        self.add(mapping.table, *mapped_table(file, mapping))
+        if mapping.anchors:
+            places = {name: _values(file, name, text) for name, text in mapping.anchors.items()}
+            places = {"anchor": _identifiers(file, "anchor", mapping.columns["anchor"]), **places}
+            for anchor, *place in pl.DataFrame(places).unique(maintain_order=True).rows():
+                put(self.anchors, str(file.path), anchor, tuple(x + 0.0 for x in place))
 
     def add(self, name: str, table: pl.DataFrame, notices: Sequence[str]) -> None:
         """Adds a table, after the rows of another part of it."""
@@ -188,6 +182,15 @@ class Source:
             table = pl.concat([self.tables[name], table], how="diagonal").sort("t_s", maintain_order=True)
         self.tables[name] = table
         self.notices += [f"{name}: {line}" for line in notices]
+
+
+def put(anchors: dict[str, tuple[float, ...]], where: str, anchor: str, place: tuple[float, ...]) -> None:
+    """Adds the position, m, of an anchor, read `where`; raises UnusableInput for one that moves."""
+    if anchors.setdefault(anchor, place) != place:
+        raise UnusableInput(
+            f"{where}: anchor {anchor} at {place}, before at {anchors[anchor]}; expected anchors that stay; "
+            "cut the log where it was moved, or keep one of the set-ups"
+        )
 
 
 class Asked(NamedTuple):
@@ -206,15 +209,78 @@ class Asked(NamedTuple):
 def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The tables that the mappings make of a CSV or Parquet file; raises UnusableInput with file and line."""
     source = Source()
-    for mapping in asked.mappings:
-        separator = mapping.separator or _separator_of(path, mapping.decimal)
+    for file, mapping in (pair for one in asked.mappings for pair in _files(path, one)):
+        separator = mapping.separator or _separator_of(file, mapping.decimal)
         if mapping.separator is None and separator != ",":
             source.notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
         if len(separator) != 1:
             raise UnusableInput(f"--separator {separator!r}; expected one character, such as ';'")
-        file = replace(read_table_file(path, separator), decimal=mapping.decimal)
-        source.add(mapping.table, *mapped_table(file, mapping))
+        source.read(replace(read_table_file(file, separator), decimal=mapping.decimal), mapping)
     return source
+
+
+def _files(path: Path, mapping: TableMapping) -> list[tuple[Path, TableMapping]]:
+    """The files of a mapping, which may be those of a folder, each with the mapping for it."""
+    if mapping.file is None:
+        return [(path, mapping)]
+    files = sorted(path.glob(_HOLE.sub("*", mapping.file).lstrip("/") or "*"))
+    fitting = _fitting(mapping.file, [file.relative_to(path).as_posix() for file in files])
+    if not fitting:
+        raise UnusableInput(f"{path}: no folder with {mapping.file}; check the path")
+    return [(path / name, replace(mapping, tag=mapping.tag and _filled(mapping.tag, holes))) for name, holes in fitting]
+
+
+def _fitting(template: str, names: Iterable[str]) -> list[tuple[str, dict[str, str]]]:
+    """The names that are as a template such as `ranging.distance{a}`, and what each has in its holes."""
+    parts = _HOLE.split(template)
+    pattern = re.compile(r"(\w+)".join(map(re.escape, parts[::2])))
+    matches = ((name, pattern.fullmatch(name)) for name in names)
+    return [(name, dict(zip(parts[1::2], match.groups(), strict=True))) for name, match in matches if match is not None]
+
+
+def _filled(template: str, holes: Mapping[str, str]) -> str:
+    return _HOLE.sub(lambda match: holes.get(match[1], match[0]), template)
+
+
+def spelled_out(columns: Mapping[str, Expression], names: Sequence[str]) -> dict[str, Expression]:
+    """The expressions by target, those with holes for each of the source's `names` that fits."""
+    return {
+        _filled(target, holes): replace(e, text=e.text.replace(e.source, name), source=name)
+        for target, e in columns.items()
+        for name, holes in (_fitting(e.source, names) if _HOLE.search(e.source) else [(e.source, {})])
+    }
+
+
+def _asked(file: TableFile, mapping: TableMapping) -> tuple[TableFile, TableMapping, list[str]]:
+    """The rows of a file that a mapping asks for, the mapping without holes, and notices.
+
+    Rows of tables that stand side by side are empty where one ends before the others.
+    """
+    mapping = replace(mapping, columns=spelled_out(mapping.columns, file.frame.columns))
+    frame = file.frame
+    wanted = layout(mapping.table, frame.columns)
+    named = {*mapping.sources, "t_s", *wanted.ids, *wanted.values}
+    used = [name for name in frame.columns if name in named]
+    full = (pl.col(n) != "" if frame[n].dtype == pl.String else pl.col(n).is_not_null() for n in used or frame.columns)
+    asked = frame.select(asked=pl.any_horizontal(full).fill_null(False))["asked"]
+    for name, values in mapping.where.items():
+        asked &= _texts(frame[_source(file, "where", Expression(name, name))]).is_in(values)
+    if asked.all():
+        return file, mapping, []
+    lines = None if file.lines is None else [line for line, kept in zip(file.lines, asked, strict=True) if kept]
+    why = f"with another {', '.join(mapping.where)}, or empty" if mapping.where else "empty"
+    notices = [f"{counted(int((~asked).sum()), 'row')} left out: {why}"]
+    return replace(file, frame=frame.filter(asked), lines=lines), mapping, notices
+
+
+def _at_the_tags(table: pl.DataFrame, mapping: TableMapping) -> pl.DataFrame:
+    """The table with positions of bodies moved to their tags."""
+    if QUATERNION[0] not in table.columns:
+        raise UnusableInput(f"{mapping.table}: body = true without an attitude; expected qw, qx, qy, qz in columns")
+    q = table.select(QUATERNION).to_numpy()
+    offsets = np.array([mapping.offsets.get(tag, (0.0, 0.0, 0.0)) for tag in table["tag"]], float)
+    moved = np.einsum("nij,nj->ni", rotation_matrices(q / np.linalg.norm(q, axis=1, keepdims=True)), offsets)
+    return table.with_columns(pl.col(f"{a}_m") + pl.Series(x) for a, x in zip("xyz", moved.T, strict=True))
 
 
 def _separator_of(path: Path, decimal: str) -> str:
@@ -232,6 +298,7 @@ def mapped_table(file: TableFile, mapping: TableMapping) -> tuple[pl.DataFrame, 
     missing column, one that the table does not have, and a cell that is not a number, with its row.
     """
     by_sensor: dict[str | None, dict[str, Expression]] = {}
+    file, mapping, notices = _asked(file, mapping)
     for target, expression in mapping.columns.items():
         name, sensor = sensor_of(target)
         by_sensor.setdefault(sensor, {})[name] = expression
@@ -242,16 +309,15 @@ def mapped_table(file: TableFile, mapping: TableMapping) -> tuple[pl.DataFrame, 
     table = pl.concat(parts)
     wanted = layout(mapping.table, table.columns)
     filled = table.filter(pl.any_horizontal(pl.col(wanted.values).is_not_null()))
-    notices = (
-        [] if len(filled) == len(table) else [f"{counted(len(table) - len(filled), 'row')} without a value left out"]
-    )
+    if len(filled) < len(table):
+        notices.append(f"{counted(len(table) - len(filled), 'row')} without a value left out")
     if filled.is_empty():
         raise UnusableInput(f"{file.path}: no row has a value of {', '.join(wanted.values)}; look at the mapping")
-    used = {expression.source for expression in mapping.columns.values()}
-    used |= {"t_s", *wanted.ids, *wanted.values, *wanted.optional}
+    used = mapping.sources | {"t_s", *wanted.ids, *wanted.values, *wanted.optional}
     unused = [name for name in file.frame.columns if name not in used]
     if unused:
         notices.append(f"columns not used: {listed(unused, 12)}")
+    filled = _at_the_tags(filled, mapping) if mapping.offsets else filled
     return filled.sort("t_s", maintain_order=True) if parts[1:] else filled, notices
 
 
@@ -336,13 +402,19 @@ def _identifiers(file: TableFile, name: str, expression: Expression) -> pl.Serie
     column = file.frame[_source(file, name, expression)]
     if not (column.dtype.is_integer() or column.dtype in (pl.String, pl.Categorical, pl.Enum)):
         raise UnusableInput(f"{file.path}: {name} from a column of type {column.dtype}; expected text or whole numbers")
-    text = column.cast(pl.String).str.strip_chars()
+    text = _texts(column)
     missing = text.is_null() | (text == "")
     if missing.any():
         raise UnusableInput(
             f"{file.location(first_row(missing), expression.source)}: empty; expected the id for {name}"
         )
     return text
+
+
+def _texts(column: pl.Series) -> pl.Series:
+    """Texts without blanks; whole numbers without the point that programs give a column with empty cells."""
+    text = column.cast(pl.String).str.strip_chars()
+    return text.str.strip_suffix(".0") if text.str.contains(r"^\d+\.0$").all() else text
 
 
 def _values(file: TableFile, name: str, expression: Expression) -> pl.Series:

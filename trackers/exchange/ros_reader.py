@@ -15,7 +15,7 @@ from typing import Any
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, mapped_table, parsed, sensor_of
+from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, parsed, sensor_of, spelled_out
 from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, size_of
 from trackwright.trackers.recordings.table_file import TableFile
 
@@ -135,7 +135,7 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
         for mapping in asked.mappings:
             if mapping.topic is None:
                 raise UnusableInput(f"{path}: no --topic for {mapping.table}; expected one of {topics_of(reader)}")
-            source.add(mapping.table, *mapped_table(*message_columns(reader, path, mapping)))
+            source.read(*message_columns(reader, path, mapping))
     return source
 
 
@@ -168,14 +168,15 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
     given = {sensor_of(target)[0] for target in mapping.columns}
     standard = {target: parsed(target, text) for target, text in _standard(kinds[0], mapping.table).items()}
     # A standard field gives way to the user's, and the id of a sensor in brackets to none.
-    columns = {target: text for target, text in standard.items() if target not in given} | dict(mapping.columns)
-    sources = [e.source for e in columns.values() if e.constant is None]
-    if not sources:
+    asked = spelled_out(mapping.columns, list(_paths(reader.typestore.fielddefs, kinds[0])))
+    columns = {target: text for target, text in standard.items() if target not in given} | asked
+    mapping = replace(mapping, columns=columns)
+    if not any(e.constant is None for e in columns.values()):
         raise UnusableInput(
             f"{path}: topic {mapping.topic} has {kinds[0]}, which is no standard message for {mapping.table}; map its "
             f"fields: --columns 'range_m=FIELD in mm' 'anchor=FIELD' …; fields: {_fields(reader, kinds[0])}"
         )
-    rows: dict[str, list[Any]] = {source: [] for source in dict.fromkeys(sources)}
+    rows: dict[str, list[Any]] = {source: [] for source in sorted(mapping.sources)}
     for where, message, stamp in _messages(reader, connections, f"{path}: topic {mapping.topic}"):
         fields = {source: _values(message, source, stamp, where, reader, kinds[0]) for source in rows}
         lengths = {len(values) for values in fields.values() if isinstance(values, list)}
@@ -189,7 +190,7 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
         raise UnusableInput(f"{path}: topic {mapping.topic}: no messages; expected at least one")
     if len(frame) > 1 and "header.stamp" in frame.columns and (frame["header.stamp"] == 0).all():
         raise UnusableInput(f"{path}: topic {mapping.topic}: header.stamp is 0 in every message; give t_s=received")
-    return TableFile(Path(f"{path} {mapping.topic}"), frame), replace(mapping, columns=columns)
+    return TableFile(Path(f"{path} {mapping.topic}"), frame), mapping
 
 
 def _standard(kind: str, table: str) -> dict[str, str]:

@@ -12,7 +12,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.exchange.formats import FORMATS
-from trackwright.trackers.exchange.mapping import Asked, Expression, Source
+from trackwright.trackers.exchange.mapping import Asked, Expression, Source, put
 from trackwright.trackers.exchange.trajectories import AXES
 from trackwright.trackers.recordings.input_file import file_bytes
 
@@ -153,7 +153,7 @@ class _Log:
     clock: _Clock
     ranges: list[tuple[float, str, str, float]] = field(default_factory=list)
     fixes: list[tuple[float, str, float, float, float]] = field(default_factory=list)
-    anchors: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    anchors: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     def dwm1001(self, number: int, body: str, prefix: str) -> None:
         """Adds the readings of a line; raises UnusableInput."""
@@ -175,12 +175,7 @@ class _Log:
             raise _NoSuchLine(f"{self.path}: line {number}: {body[:60]!r}; expected {_EXPECTED[command]}")
         time = self.clock.at(number, prefix)
         for anchor, x, y, z, distance in readings:
-            place = (float(x), float(y), float(z))
-            if self.anchors.setdefault(anchor, place) != place:
-                raise UnusableInput(
-                    f"{self.path}: line {number}: anchor {anchor} at {place}, before at {self.anchors[anchor]}; "
-                    "expected anchors that stay; cut the log where it was moved"
-                )
+            put(self.anchors, f"{self.path}: line {number}", anchor, (float(x), float(y), float(z)))
             self.ranges.append((time, str(self.tag), anchor, float(distance)))
         if position is not None:
             x, y, z = (float(position[k]) for k in (1, 2, 3))

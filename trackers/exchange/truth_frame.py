@@ -10,14 +10,19 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.exchange.trajectories import Similarity
 from trackwright.trackers.recordings.checks.changes import transform_text
 from trackwright.trackers.recordings.checks.compared import Compared, compared, robust_fit
+from trackwright.trackers.recordings.checks.imu import imu_rows, spaced, true_attitude
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 
 LONGEST_S, STEP_S = 10.0, 0.5
 """Differences of the clocks that are searched, and their steps; motion of a few decimetres lies between two."""
+
+LEANING, PUSH_S = 5.0, 0.2
+"""Angle of gravity to z, °, from which a truth is levelled, and the time over which an IMU is averaged, s."""
 
 FEW, NEAR = 240, 3
 """Readings of the search, and how many of its 24 turns are refined at each difference of the clocks."""
@@ -54,6 +59,29 @@ def parsed_placement(text: str) -> Placement:
             "seconds added to the times"
         )
     return Placement(*numbers)
+
+
+def leaning(recording: RecordingFolder) -> tuple[Similarity, float]:
+    """The turn that makes gravity vertical in the truth's frame, and its angle, °: 0 where an IMU does not tell.
+
+    Gravity is the mean of the specific force, which true attitudes take from body axes to the frame of the truth.
+    """
+    truth = recording.tables["truth"]
+    for tag in truth["tag"].unique(maintain_order=True) if "imu" in recording.tables else ():
+        rows, attitude = imu_rows(recording.tables["imu"], tag), true_attitude(truth.filter(pl.col("tag") == tag))
+        if rows is None or attitude is None:
+            continue
+        at = spaced(attitude.times, PUSH_S)
+        row = np.searchsorted(attitude.times, at).clip(max=len(attitude.times) - 1)
+        force = rows.between(rows.pushed, at - PUSH_S / 2, at + PUSH_S / 2) / PUSH_S
+        force = np.einsum("nij,nj->ni", rotation_matrices(attitude.quaternions[row]), force)
+        x, y, z = force[np.isfinite(force).all(axis=1)].sum(axis=0) / max(np.isfinite(force[:, 0]).sum(), 1)
+        size = max(math.hypot(x, y, z), 1e-9)
+        x, y, z = x / size, y / size, z / size
+        if 9.0 < size < 11.0 and LEANING < math.degrees(math.acos(z)) < 180.0 - LEANING:
+            K = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+            return Similarity(np.eye(3) + K + K @ K / (1.0 + z), np.zeros(3)), math.degrees(math.acos(z))
+    return Similarity(np.eye(3), np.zeros(3)), 0.0
 
 
 def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:

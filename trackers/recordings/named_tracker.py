@@ -36,9 +36,9 @@ class NamedTracker:
     `tracker`: the tracker of the first trajectory of the recordings it was made for. `values`: physical numbers by
     tunable name or shell pattern that replace the defaults in every recording; `source`: where they come from, for
     messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. `motion_levels`,
-    `error_levels`: whether it runs at several levels of motion, and of errors. A recording with other stations or
-    anchors gets a tracker of its own geometry with the same numbers. `made_for`: the recordings that it was made for
-    and their rows, which are made only once.
+    `error_levels`: whether it runs at several levels of motion, and of errors; None for the catalogue's choice. A
+    recording with other stations or anchors gets a tracker of its own geometry with the same numbers. `made_for`: the
+    recordings that it was made for and their rows, which are made only once.
     """
 
     name: str
@@ -50,7 +50,7 @@ class NamedTracker:
     smoothed: bool = False
     lag: float | None = None
     motion_levels: bool = False
-    error_levels: bool = False
+    error_levels: bool | None = None
     made_for: tuple[list[RecordingFolder], list[TrackerBatch]] = field(default_factory=lambda: ([], []))
 
     @classmethod
@@ -81,7 +81,8 @@ class NamedTracker:
         """
         groups = self._batches(recordings)
         split = [part for group in groups for part in above_rounding(group)]
-        return [replace(group, tracker=self._finished(group.tracker)) for group in split]
+        finished = [self._finished(group.tracker, self.own_errors(group.tracker)) for group in split]
+        return [replace(group, tracker=tracker) for group, tracker in zip(split, finished, strict=True)]
 
     def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The batches with this tracker's numbers as they are, not smoothed."""
@@ -145,18 +146,27 @@ class NamedTracker:
         """
         return replace(self, motion_levels=True)._checked()
 
-    def with_error_levels(self) -> NamedTracker:
-        """This tracker with covariances that follow the size of the recording's own errors: see `NoiseLevels`.
+    def with_error_levels(self, on: bool = True) -> NamedTracker:
+        """This tracker with covariances that follow the size of the recording's own errors, or not: see `NoiseLevels`.
 
-        Estimates stay those of the given levels. Raises UnusableInput for a tracker without biases that drift.
+        Estimates stay those of the given levels. By default `uwb` has them in recordings without a calibration, unless
+        it is smoothed, which has a bound of its own, or has values or levels of motion. Raises UnusableInput for a
+        tracker without biases that drift.
         """
-        return replace(self, error_levels=True)._checked()
+        return replace(self, error_levels=on)._checked()
 
     def _checked(self) -> NamedTracker:
         self._finished(self.tracker)
         return self
 
-    def _finished(self, tracker: Any) -> AbstractTracker:
+    def own_errors(self, tracker: Any) -> bool:
+        """Whether estimates by `tracker` of the catalogue get the covariances of `with_error_levels`."""
+        if self.error_levels is None:
+            chosen = self.values or self.motion_levels or self.smoothed
+            return self.spec.error_levels and tracker.lasting_errors and not chosen
+        return self.error_levels
+
+    def _finished(self, tracker: Any, own_errors: bool | None = None) -> AbstractTracker:
         """A tracker of the catalogue, smoothed and at several levels of noise where this one is."""
         if self.smoothed:
             from trackwright.trackers.core.run.smoother import Smoothed
@@ -167,17 +177,18 @@ class NamedTracker:
                 raise UnusableInput(
                     f"tracker '{self.name}' cannot be smoothed: {error}; run it without smoothing"
                 ) from error
-        if self.motion_levels or self.error_levels:
+        own_errors = self.error_levels if own_errors is None else own_errors
+        if self.motion_levels or own_errors:
             from trackwright.trackers.core.run.noise_levels import ERRORS, NoiseLevels
 
             tracker = NoiseLevels(tracker) if self.motion_levels else tracker
-            tracker = NoiseLevels(tracker, ERRORS, about_first=True) if self.error_levels else tracker
+            tracker = NoiseLevels(tracker, ERRORS, about_first=True) if own_errors else tracker
         finished: AbstractTracker = tracker
         return finished
 
     def __repr__(self) -> str:
         smoothed = f", smoothed over {self.lag:g} s" if self.lag else ", smoothed" if self.smoothed else ""
-        smoothed += ", at several levels of motion" * self.motion_levels + ", and of errors" * self.error_levels
+        smoothed += ", at several levels of motion" * self.motion_levels + ", and of errors" * bool(self.error_levels)
         return f"<tracker {self.name}: {self.spec.about}{smoothed}; tunables {', '.join(self.tunables)}>"
 
 

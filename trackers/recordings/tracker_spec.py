@@ -46,7 +46,8 @@ class TrackerSpec:
     asked once for all tags of a folder that share station and known height, where the rows are `Trajectories`.
     `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
     `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so
-    that leaving the path is an event. `every_row`: the tables of which it reads rows that repeat a
+    that leaving the path is an event. `error_levels`: without a calibration its covariances follow the size of the
+    recording's own errors, see `NoiseLevels`. `every_row`: the tables of which it reads rows that repeat a
     value, too, since it averages them, counts rows, or estimates each time by itself.
     """
 
@@ -60,6 +61,7 @@ class TrackerSpec:
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False
     on_path: bool = False
+    error_levels: bool = False
     every_row: Collection[str] = ()
 
     @property

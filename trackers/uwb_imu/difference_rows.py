@@ -16,8 +16,11 @@ from trackwright.trackers.recordings.trajectories import Trajectories, known_hei
 from trackwright.trackers.uwb_imu.differences import TDOA
 from trackwright.trackers.uwb_imu.hyperbolic import Differences, hyperbolic_positions
 
-MOST_SLOTS = 8
-"""Most differences in a row; a longer message has several rows, whose differences count as independent."""
+MOST_SLOTS = 16
+"""Most differences in a row; a longer message has several rows, whose differences count as independent.
+
+Twice as many take up to four times as long to compile.
+"""
 
 SHARED = 0.9
 """Share of the variance of a difference that is of its two times of arrival, which other differences share.
@@ -55,7 +58,7 @@ def difference_trajectories(folder: RecordingFolder, free_height: bool) -> Traje
     apart = np.linalg.norm(anchors[number[:, 0]] - anchors[number[:, 1]], axis=1)
     seen &= ((apart > 0.0) & (np.abs(values[:, 0]) <= apart + BEYOND))[:, None]
     slot, message, starts = messages(rows)
-    # 1, 2, 4 or 8, so that recordings share a program.
+    # A power of two, so that recordings share a program.
     count, slots = int(starts[-1]), 1 << int(slot.max(initial=0)).bit_length()
     at = np.full((count, slots), len(values))
     at[message, slot] = np.arange(len(values))

@@ -387,6 +387,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=tracker_of_ranges,
         lacks=lacks_ranges,
         geometry=lambda trajectory: (bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
+        error_levels=True,
     ),
     "body": partial(
         TrackerSpec,

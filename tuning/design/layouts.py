@@ -18,6 +18,7 @@ from trackwright.trackers.aoa.phases import SphericalPhases
 from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.parts.ranges import RangeSensor
+from trackwright.trackers.uwb_imu.differences import PAIR, PAIRS, RangeDifferenceSensor
 from trackwright.tuning.design.bound import Points, SensorAtEpoch, mean_bound
 
 Theta = Float[Array | np.ndarray, "elements coordinates"]
@@ -66,15 +67,16 @@ class WallAnchors(AbstractLayout):
     """Anchors on the walls of a room; theta is each one's share of the perimeter, and of the height of its band.
 
     `corners` (c, 2) m, in order; `bands` (anchors, 2): each one's least and greatest height, m; `spacing`: minimum
-    distance of two anchors, m; `sensor`: a range sensor with one slot, anchors numbered from 0; `height`: of tags at a
-    known height; `fixed` (k, 3) m: anchors that stay where they are, numbered after the others. Bands keep the anchors
-    out of one plane: the bound covers small errors only, not mirrored positions.
+    distance of two anchors, m; `measured`: what anchors at places (n, 3), m, measure, as `ranges` or
+    `range_differences` of a sigma; `height`: of tags at a known height; `fixed` (k, 3) m: anchors that stay where they
+    are, after the others. Bands keep the anchors out of one plane: the bound covers small errors only, not mirrored
+    positions.
     """
 
     corners: Float[np.ndarray, "c 2"]
     bands: Float[np.ndarray, "elements 2"]
     spacing: float
-    sensor: RangeSensor
+    measured: Callable[[Float[Array, "anchors 3"], Mapping[str, Array]], list[SensorAtEpoch]] = eqx.field(static=True)
     height: float | None = eqx.field(static=True, default=None)
     fixed: Float[np.ndarray, "k 3"] | None = None
 
@@ -109,11 +111,7 @@ class WallAnchors(AbstractLayout):
         return np.stack([along, (np.asarray(places)[:, 2] - low) / (high - low)], axis=1)
 
     def sensors(self, theta: Theta) -> list[SensorAtEpoch]:
-        known = {} if self.height is None else {"height": jnp.asarray(self.height)}
-        return [
-            SensorAtEpoch(self.sensor, {"anchors": place, "anchor": jnp.full(1, float(k)), **known}, 1)
-            for k, place in enumerate(self._all(theta))
-        ]
+        return self.measured(self._all(theta), {} if self.height is None else {"height": jnp.asarray(self.height)})
 
     def _all(self, theta: Theta) -> Float[Array, "anchors 3"]:
         """The positions of the anchors on the walls, then those of the fixed ones, m."""
@@ -191,6 +189,20 @@ def spacing_violation(places: Float[Array, "elements axes"], spacing: float) -> 
     return jnp.sum(jnp.maximum(1.0 - distance / spacing, 0.0) ** 2)
 
 
-def range_sensor(anchors: int, sigma_r: float) -> RangeSensor:
-    """A range sensor with normal noise of `sigma_r` m."""
-    return RangeSensor(1, anchors, sigma_r, 1.0, 1e6)
+def ranges(sigma: float, places: Float[Array, "anchors 3"], known: Mapping[str, Array]) -> list[SensorAtEpoch]:
+    """A range from each of the places, m, with normal noise of `sigma` m; `known`: other inputs, as the height."""
+    sensor = RangeSensor(1, 1, sigma, 1.0, 1e6)
+    return [SensorAtEpoch(sensor, {"anchors": place, "anchor": jnp.zeros(1), **known}, 1) for place in places]
+
+
+def range_differences(
+    sigma: float, places: Float[Array, "anchors 3"], known: Mapping[str, Array]
+) -> list[SensorAtEpoch]:
+    """The differences of all from the first, which is as good as any: they share its time of arrival. See `ranges`."""
+    slots = len(places) - 1
+    if slots < 1:
+        return []
+    number = np.stack([np.arange(1, slots + 1), np.zeros(slots, int)], axis=1)
+    inputs = {PAIRS.name: places[number].ravel(), PAIR.name: jnp.asarray(1.0 * number.ravel()), **known}
+    reported = (*[0.0] * slots, *[0.5] * (slots * (slots - 1) // 2))
+    return [SensorAtEpoch(RangeDifferenceSensor(slots, sigma, 1e6), inputs, slots, reported)]

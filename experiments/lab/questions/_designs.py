@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -19,7 +20,7 @@ from trackwright.sim.paths import WORK_VOLUME
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackwright.tuning.design.bound import bounds, mean_bound
-from trackwright.tuning.design.layouts import AbstractLayout, PlanarArray, WallAnchors, range_sensor
+from trackwright.tuning.design.layouts import AbstractLayout, PlanarArray, WallAnchors, ranges
 from trackwright.tuning.design.search import SearchResult
 
 LAYOUTS = ("default", "grid", "gradient")
@@ -38,7 +39,7 @@ ROUND = np.array([0.0, 0.5, 0.375, 0.875])
 def hall() -> WallAnchors:
     """Four anchors on the walls of the hall, two low and two high, at least 2 m apart."""
     low, high = (0.5, 1.5), (3.5, 5.0)
-    return WallAnchors(HALL, np.array([low, low, high, high]), 2.0, range_sensor(4, SIGMA_R))
+    return WallAnchors(HALL, np.array([low, low, high, high]), 2.0, partial(ranges, SIGMA_R))
 
 
 def stand() -> PlanarArray:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,9 +18,8 @@ from trackwright.trackers.aoa.fusion import AXES, ORIGIN, BearingSensor, bearing
 from trackwright.trackers.aoa.phases import SphericalPhases
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.uwb_imu.differences import PAIR, PAIRS, RangeDifferenceSensor
 from trackwright.tuning.design.bound import SensorAtEpoch, information
-from trackwright.tuning.design.layouts import WallAnchors, range_sensor
+from trackwright.tuning.design.layouts import WallAnchors, range_differences, ranges
 from trackwright.tuning.design.search import descend
 
 CELLS = 60
@@ -82,11 +81,7 @@ def sensors_of(rig: Rig, sigmas: Sigmas, height: float | None) -> list[SensorAtE
     `height`: of the tags, m, if known; the sensors then take a position in the plane. Noise is normal; biases are zero.
     """
     known = {} if height is None else {"height": jnp.asarray(height)}
-    sensors = [] if sigmas.difference is None else _differences(rig, sigmas.difference, known)
-    sensors += [
-        SensorAtEpoch(range_sensor(1, sigmas.range), {"anchors": jnp.asarray(p), "anchor": jnp.zeros(1), **known}, 1)
-        for p in (rig.anchors.values() if sigmas.difference is None else ())
-    ]
+    sensors = _measured(sigmas)(jnp.asarray([*rig.anchors.values()]).reshape(-1, 3), known)
     for station in rig.stations.values():
         if station.antennas is not None:
             sensors.append(SensorAtEpoch(SphericalPhases(station, sigmas.phase), known, len(station.antennas)))
@@ -98,16 +93,9 @@ def sensors_of(rig: Rig, sigmas: Sigmas, height: float | None) -> list[SensorAtE
     return sensors
 
 
-def _differences(rig: Rig, sigma: float, known: Mapping[str, jax.Array]) -> list[SensorAtEpoch]:
-    """The differences of all anchors from the first, which is as good as any: they share its time of arrival."""
-    anchors = np.array([*rig.anchors.values()]).reshape(-1, 3)
-    slots = len(anchors) - 1
-    if slots < 1:
-        return []
-    number = np.stack([np.arange(1, slots + 1), np.zeros(slots, int)], axis=1)
-    inputs = {PAIRS.name: jnp.asarray(anchors[number].ravel()), PAIR.name: jnp.asarray(1.0 * number.ravel()), **known}
-    reported = (*[0.0] * slots, *[0.5] * (slots * (slots - 1) // 2))
-    return [SensorAtEpoch(RangeDifferenceSensor(slots, sigma, 1e6), inputs, slots, reported)]
+def _measured(sigmas: Sigmas) -> Callable[[jax.Array, Mapping[str, jax.Array]], list[SensorAtEpoch]]:
+    """What anchors measure in an epoch, by their places."""
+    return partial(ranges, sigmas.range) if sigmas.difference is None else partial(range_differences, sigmas.difference)
 
 
 def floor_of(rig: Rig) -> Float[np.ndarray, "m 2"]:
@@ -180,8 +168,6 @@ def place_anchors(rig: Rig, count: int, floor: FloorMap, height_known: bool) -> 
     The bound is that of the horizontal position if the height is known, else of the position in space. Anchors are
     called P1, P2, ..., less the names in the rig. Raises UnusableInput for a rig with stations or without anchors.
     """
-    if floor.sigmas.difference is not None:
-        raise UnusableInput(f"--place {count}: anchors are proposed for ranges alone; leave --sigma-difference out")
     if not rig.anchors or rig.stations:
         has = "stations" if rig.stations else "no anchors"
         raise UnusableInput(f"--place {count}: {rig.name} has {has}; expected a rig with anchors alone")
@@ -191,10 +177,9 @@ def place_anchors(rig: Rig, count: int, floor: FloorMap, height_known: bool) -> 
     points = grid[np.linspace(0, len(grid) - 1, min(POINTS, len(grid))).astype(int)]
     if not height_known:
         points = np.column_stack([points, np.full(len(points), floor.height)])
-    sensor = range_sensor(count + len(fixed), floor.sigmas.range)
     outline, height = floor_of(rig), floor.height if height_known else None
     with jax.enable_x64(True):
-        layout = WallAnchors(outline, np.tile(band, (count, 1)), SPACING, sensor, height, fixed)
+        layout = WallAnchors(outline, np.tile(band, (count, 1)), SPACING, _measured(floor.sigmas), height, fixed)
         starts = np.random.default_rng(0).random((STARTS, *layout.shape))
         optimum = descend(layout.objective(points), layout.project, starts)
         positions = np.asarray(layout.positions(optimum.theta))

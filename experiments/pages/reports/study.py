@@ -136,6 +136,7 @@ def _metrics(results: Results, units: dict[str, Unit]) -> Table:
     lead = f"{runs} trajectories per row, the same for all trackers. In brackets 95 % bootstrap intervals."
     if any(metric.startswith("bound") for metric in study.metrics):
         lead += " The bound is for the tracker's own noise levels, over the second half of the rows."
+        lead += f" {results.without_bound()}".rstrip()
     return Table(lead, head, rows, ["", "text", *[""] * len(columns)])
 
 

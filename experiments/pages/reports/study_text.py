@@ -35,6 +35,7 @@ def to_text(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -
     ]
     reproduced = [t for t in (_expected(expected), _conclusions(expected)) if t is not None]
     text = rendered(terminal_width(WIDTH), *tables, *reproduced)
+    text += f"\n{without}\n" if (without := results.without_bound()) else ""
     return f"{text}\n{headline_of(expected)}\n" if reproduced else text
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import assert_refused_last, trackwright
-from trackwright.trackers.exchange.trajectories import PoseTrajectory, trajectory_of_table, write_trajectory
+from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarity, trajectory_of_table, write_trajectory
 from trackwright.trackers.exchange.truth_frame import Placement, found_placement
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
@@ -87,7 +87,7 @@ def test_a_log_in_milliseconds_takes_a_unit_and_no_other_column(there):
         ("log.csv", ("--table", "fixes", "--columns", "t_s=stamp"), ("fixes needs tag", "'distance'; give --tag ID\n")),
         ("log.csv", (), ("no table given", "--table")),
         ("log.csv", ("--columns", "range_m=distance"), ("--columns without --table",)),
-        ("log.csv", ("--mapping", "map.toml", "--table", "ranges"), ("one or the other",)),
+        ("log.csv", ("--mapping", "miluv", "--table", "ranges"), ("one or the other",)),
         ("missing.csv", CSV, ("missing.csv", "cannot be read")),
         ("mocap.tum", ("--table", "truth"), ("do not name the tag",)),
         ("mocap.tum", ("--table", "ranges", "--tag", "T"), ("truth or fixes",)),
@@ -231,6 +231,19 @@ def test_a_truth_in_another_frame_and_on_another_clock_is_brought_over_by_the_re
     Path("hall/truth.parquet").unlink()
     assert trackwright(*TRUTH, "--transform=100,-50,2,-37,0.35").code == 0
     assert _distances(foreign).max() < 1e-3
+
+
+def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = tw.simulate.tool(n=1, rows=300, seed=4).folder()
+    truth = folder.tables["truth"]
+    lean = Similarity(np.array([[1, 0, 0], [0, 0.96, -0.28], [0, 0.28, 0.96]]) @ _turn(30.0), np.array([4.0, 2.0, 1.0]))
+    write_recording(replace(folder, tables={k: v for k, v in folder.tables.items() if k != "truth"}), Path("hall"))
+    write_trajectory(trajectory_of_table(lean.table(truth), "mocap"), "mocap.tum")
+    said = trackwright(*TRUTH, "--align-truth")
+    assert "levelled, which leaned by 16°" in said.err
+    moved = read_recording("hall").tables["truth"]
+    np.testing.assert_allclose(moved.select("x_m", "y_m", "z_m"), truth.select("x_m", "y_m", "z_m"), atol=0.2)
 
 
 def test_what_check_prints_of_a_turned_truth_is_an_option_of_import(foreign):

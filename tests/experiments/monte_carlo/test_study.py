@@ -184,6 +184,14 @@ def test_a_paired_difference_has_a_narrower_interval_than_an_unpaired_one(whole)
     assert difference.high - difference.low < unpaired
 
 
+def test_trackers_without_a_bound_are_named(whole):
+    study, runs = whole[1].study, whole[1].runs
+    bounded = {k: t._replace(bounds=np.ones(2)) if k[1] == "kalman" else t for k, t in whole[1].totals.items()}
+    said = "\nNo bound of window, stiffer: only extended Kalman filters whose state is position and velocity"
+    assert said in to_text(Results(study, bounded, runs), [])
+    assert "No bound" not in to_text(Results(dataclasses.replace(study, metrics=("rmse_m",)), bounded, runs), [])
+
+
 def test_every_condition_and_tracker_has_its_metrics(whole):
     text = to_text(whole[1], [])
     assert "RMSE" in text

@@ -14,7 +14,8 @@ import pytest
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.exchange.imported import import_frames
-from trackwright.trackers.exchange.mapping import TableMapping, columns_of, mapped_table, parsed, read_mapping
+from trackwright.trackers.exchange.mapping import TableMapping, columns_of, mapped_table, parsed
+from trackwright.trackers.exchange.mapping_file import read_mapping
 from trackwright.trackers.recordings.table_file import TableFile, read_table_file
 
 RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7": np.array([0.0, 4, 2])})
@@ -158,7 +159,7 @@ def test_a_mistake_in_a_mapping_is_refused(tmp_path, table, columns, words):
 def test_a_mapping_is_read_from_toml(tmp_path):
     path = tmp_path / "map.toml"
     path.write_text('[[tables]]\ntable = "ranges"\ntopic = "/uwb"\ncolumns = { range_m = "d in mm" }\n')
-    (mapping,) = read_mapping(path)
+    (mapping,) = read_mapping(path).tables
     assert mapping == TableMapping("ranges", {"range_m": parsed("range_m", "d in mm")}, "/uwb")
     for text, word in (("x = 1", "expected entries"), ('[[tables]]\ntabel = "x"', "unknown key 'tabel'"),
                        ('[[tables]]\ntable = "range"', "expected one of ranges"), ("[[tables]]\n", "no table"),

@@ -147,10 +147,20 @@ def test_the_differences_of_a_time_are_one_row_and_longer_messages_several():
     readings = trajectory.recording.readings[TDOA]
     assert readings.values.shape == (len(TIMES), 8)
     assert (readings.seen.sum(axis=1) == 6).all()
-    everyone = [(i, j) for i in range(6) for j in range(i)]
-    (trajectory,) = difference_trajectories(_folder(everyone), False)
+    (trajectory,) = difference_trajectories(_folder([(i, j) for i in range(6) for j in range(6) if i != j]), False)
     assert trajectory.recording.readings[TDOA].values.shape == (2 * len(TIMES), MOST_SLOTS)
-    assert trajectory.recording.readings[TDOA].seen.sum() == 15 * len(TIMES)
+    assert trajectory.recording.readings[TDOA].seen.sum() == 30 * len(TIMES)
+
+
+def test_a_message_of_fifteen_differences_is_whitened_as_one():
+    everyone = [(i, j) for i in range(6) for j in range(i)]
+    (trajectory,) = difference_trajectories(_folder(everyone, change=lambda table: table.head(30)), False)
+    readings = trajectory.recording.readings[TDOA]
+    values, seen, reported = (np.asarray(x)[0] for x in (readings.values, readings.seen, readings.reported))
+    reading = Reading(list(values), list(seen), list(reported))
+    residual = RangeDifferenceSensor(len(values), SIGMA, DOF).residual(reading, [0.0] * len(values))
+    factor = np.linalg.cholesky(_dense(everyone, np.full(15, SIGMA)))
+    np.testing.assert_allclose(np.array(residual.whitened)[seen], np.linalg.solve(factor, values[seen]), rtol=1e-6)
 
 
 def test_a_difference_beyond_the_distance_of_its_anchors_is_no_reading():

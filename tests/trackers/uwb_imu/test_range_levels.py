@@ -19,7 +19,7 @@ ANCHOR = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.array([0.0, 20.0]))
 
 def _sigma_bias(folder):
     """The standard deviation of the biases of the tracker that runs on the folder."""
-    (batch,) = build("uwb", folder).batches(folder)
+    batch = build("uwb", folder).only_batch(folder)
     return float(batch.tracker.motion.sigma_bias.value)
 
 
@@ -39,7 +39,8 @@ def test_biases_of_a_calibrated_site_have_its_spread_and_no_mean():
 def test_without_a_calibration_errors_of_ranges_last_and_batches_are_apart(name):
     folder = simulate.tool(n=1, seed=0, rows=40).folder()
     calibrated = replace(folder.calibrated(Calibration(anchors=dict.fromkeys(folder.rig.anchors, ANCHOR))), name="b")
-    batches = build(name, [folder, calibrated]).batches([folder, calibrated])
+    named = build(name, [folder, calibrated]).with_error_levels(False)
+    batches = named.batches([folder, calibrated])
     assert [batch.tracker.lasting_errors for batch in batches] == [True, False]
 
 

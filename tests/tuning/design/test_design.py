@@ -1,5 +1,6 @@
 """Layouts by gradient: the bound against dense NumPy with finite differences, its slope, constraints and searches."""
 
+from functools import partial
 from itertools import combinations
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
 from trackwright.trackers.aoa.phases import PlanePhases
 from trackwright.tuning.design.bound import SensorAtEpoch, bounds, information, mean_bound
-from trackwright.tuning.design.layouts import PlanarArray, WallAnchors, range_sensor, spacing_violation
+from trackwright.tuning.design.layouts import PlanarArray, WallAnchors, range_differences, ranges, spacing_violation
 from trackwright.tuning.design.search import descend, exchange, exhaust
 
 ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
@@ -32,7 +33,7 @@ def _differences(measure, point, step=1e-5):
 @pytest.fixture(scope="module")
 def room():
     """Four anchors in a small room, and the value and slope of its objective."""
-    layout = WallAnchors(ROOM, BANDS, 1.0, range_sensor(4, SIGMA))
+    layout = WallAnchors(ROOM, BANDS, 1.0, partial(ranges, SIGMA))
     return layout, jax.jit(jax.value_and_grad(layout.objective(POINTS)))
 
 
@@ -64,11 +65,22 @@ def test_the_slope_of_the_bound_is_that_of_finite_differences(room):
 
 
 def test_a_known_height_leaves_the_information_of_the_plane():
-    layout = WallAnchors(ROOM, BANDS, 1.0, range_sensor(4, SIGMA), height=1.2)
+    layout = WallAnchors(ROOM, BANDS, 1.0, partial(ranges, SIGMA), height=1.2)
     found = np.asarray(jax.jit(lambda t: information(layout.sensors(t), jnp.asarray([2.0, 1.0])))(THETA))
     places = np.asarray(layout.positions(THETA))
     H = _differences(lambda p: np.linalg.norm(np.append(p, 1.2) - places, axis=1), np.array([2.0, 1.0]))
     assert found == pytest.approx(H.T @ H / SIGMA**2, rel=1e-5)
+
+
+def test_the_information_of_range_differences_is_that_of_a_dense_covariance():
+    fixed = np.array([[3.0, 2.0, 2.9]])
+    layout = WallAnchors(ROOM, BANDS, 1.0, partial(range_differences, SIGMA), fixed=fixed)
+    found = np.asarray(jax.jit(lambda t: information(layout.sensors(t), jnp.asarray(POINTS[0])))(THETA))
+    places = np.vstack([np.asarray(layout.positions(THETA)), fixed])
+    # All pairs of five times of arrival with half the variance each.
+    incidence = np.array([row - other for row, other in combinations(np.eye(5), 2)])
+    H = incidence @ _differences(lambda p: np.linalg.norm(p - places, axis=1), POINTS[0])
+    assert found == pytest.approx(H.T @ np.linalg.pinv(incidence @ incidence.T * SIGMA**2 / 2) @ H, rel=1e-5)
 
 
 def test_the_bound_of_phases_is_that_of_centred_dense_matrices():

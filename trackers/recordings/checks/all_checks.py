@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.checks.coverage import (
 )
 from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry, check_heights
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
-from trackwright.trackers.recordings.checks.quality import check_quality
+from trackwright.trackers.recordings.checks.quality import check_marks, check_quality
 from trackwright.trackers.recordings.checks.readings import (
     about_local_line,
     check_correlation,
@@ -59,13 +59,15 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         from trackwright.trackers.recordings.checks.imu import check_imu
         from trackwright.trackers.recordings.checks.imu_clock import check_imu_clock
 
-        # With wrong axes, an IMU fits the ranges at no delay, or at a wrong one.
-        results += check_imu(tables) or check_imu_clock(recording)
+        results += check_imu(tables)
+        # With wrong axes, an IMU fits the ranges at no delay, or at a wrong one; those of the truth may differ.
+        results += [] if check_imu(tables, against_truth=False) else check_imu_clock(recording)
     for name in measured:
         results += _check_errors(recording, name)
         view = compared(recording, name)
         if view is not None:
             results += [*check_residuals(view), *check_quality(recording, name)]
+        results += check_marks(recording, name)
         # Wrong units are a mistake that is named already.
         results += [] if wrong_units else _mistakes(recording, name, view)
     return sorted(results, key=lambda result: LEVELS.index(result.level))

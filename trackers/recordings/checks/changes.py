@@ -143,9 +143,8 @@ def changes(view: Compared) -> Iterator[Change]:
         if change.typical is not None:
             sizes = np.array([np.nanmedian(np.abs(view.values[view.group == k])) for k in range(len(view.ids))])
             groups = (sizes > change.typical[0]) & (sizes < change.typical[1])
-        yield Change(
-            change.words, change.cause, {"values": change.of(view.values)}, by_group=bool(kind.sensors), groups=groups
-        )
+        by_group = bool(kind.sensors) and not kind.difference  # the unit of a difference is that of a message
+        yield Change(change.words, change.cause, {"values": change.of(view.values)}, by_group=by_group, groups=groups)
     if kind.sensors:
         yield from _of_places(view)
     if kind.noun == "station":

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.columns import stable_order
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors
@@ -28,7 +29,8 @@ CUT = 3.0
 class Compared(NamedTuple):
     """Readings of a table and what predicts them, those of a group (anchor or station; of fixes, tag) together.
 
-    `ids`: of the G groups. `group` (N,), not decreasing, `tag` (N,): numbers in `ids` and in `tags`. `times` (N,) s.
+    `ids`: of the G groups. `group` (N,), not decreasing, `tag` (N,): numbers in `ids` and in `tags`. A difference is
+    in the groups of both its anchors, in that of the second one with the other sign. `times` (N,) s.
     `values` (N, m): NaN where one is missing. `positions` (N, 3) m: the true ones. `sensors`: those of each reading,
     the first of which is the group. `rotations` (G, 4): quaternions of stations. `paths`: the true paths.
     """
@@ -88,6 +90,21 @@ class Compared(NamedTuple):
                     sizes[k, column] = median_of(np.abs(known - middle))
         return sizes
 
+    def medians(self, errors: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "G m"]:
+        """The median error of each group and column.
+
+        Of differences the errors of anchors, by least squares over the medians of pairs, less their median: an error
+        that all have in common is seen in no difference.
+        """
+        ids = len(self.ids)
+        if not self.kind.difference:
+            return np.stack([known_median(errors[self.group == k]) for k in range(ids)])
+        pairs, of_pair, counts = np.unique(self.sensors.number, axis=0, return_inverse=True, return_counts=True)
+        medians = np.stack([known_median(errors[of_pair.ravel() == k]) for k in range(len(pairs))])
+        signs, weights = np.eye(ids)[pairs[:, 0]] - np.eye(ids)[pairs[:, 1]], np.sqrt(counts)[:, None]
+        own = np.linalg.lstsq(weights * signs, weights * medians, rcond=None)[0]
+        return np.asarray(own - np.median(own, axis=0))
+
     def later(self, delay: float | Float[np.ndarray, " N"], of: Int[np.ndarray, " T"] | None = None) -> Compared:
         """The same readings with the true positions of `delay` seconds before, NaN where there are none.
 
@@ -127,11 +144,16 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
     measured = kind.measured(rig, rows)
     tag = rows.of_each(np.arange(len(rows.tags)))
     ids = measured.ids if kind.sensors else tuple(rows.tags)
-    group = measured.sensors.number[:, 0] if kind.sensors else tag
+    times, values, sensors = rows.times, measured.values, measured.sensors
+    if kind.difference:
+        # Each is one of both its anchors, whichever is the first.
+        tag, times, values = np.tile(tag, 2), np.tile(times, 2), np.concatenate([values, -values])
+        sensors = sensors._replace(number=np.concatenate([sensors.number, sensors.number[:, ::-1]]))
+    group = sensors.number[:, 0] if kind.sensors else tag
     rotations = np.array([rig.stations[key].rotation for key in ids if kind.noun == "station"], float).reshape(-1, 4)
     whole = Compared(
-        kind, ids, tuple(rows.tags), measured.columns, group, tag, rows.times, measured.values,
-        np.full((len(tag), 3), np.nan), measured.sensors, rotations, recording.paths,
+        kind, ids, tuple(rows.tags), measured.columns, group, tag, times, values,
+        np.full((len(tag), 3), np.nan), sensors, rotations, recording.paths,
     )  # fmt: skip
     order = stable_order(group * len(rows.tags) + tag)
     counts = np.bincount(group, minlength=len(ids))

@@ -36,6 +36,9 @@ TURNS = 5
 """Turns of the truth from which a frame is fitted: those with the smallest errors of 24."""
 
 LONGEST_DELAY_S = 60.0
+NEAREST = 3
+"""Delays from which a finer grid goes on."""
+
 LATENCY_S = 1.0
 """Delays of measurements up to here are a property of the sensor."""
 
@@ -73,17 +76,21 @@ def fitted_changes(view: Compared, large: Bool[np.ndarray, " G"]) -> Iterator[Ch
 
 
 def _offset(view: Compared) -> Change:
-    offset = _medians(view, view.errors())
+    offset = view.medians(view.errors())
+    subtracted, place = offset[view.group], ""
+    if view.kind.difference:
+        # Many tags see an anchor in the corner from one side, so that its place is an offset to them.
+        subtracted, place = subtracted - offset[view.sensors.number[:, 1]], ", or of another position"
     return Change(
         f"a constant subtracted from the {view.table}",
-        f"an offset of the {view.table}, as of an antenna delay that is not calibrated; calibrate the anchors",
-        {"values": view.values - offset[view.group]}, 1, True, np.abs(offset[:, 0]) >= LEAST_OFFSET_M,
+        f"an offset of the {view.table}, as of an antenna delay that is not calibrated{place}; calibrate the anchors",
+        {"values": view.values - subtracted}, 1, True, np.abs(offset[:, 0]) >= LEAST_OFFSET_M,
         parts=tuple(f"{x:+.2f} m" for x in offset[:, 0]),
     )  # fmt: skip
 
 
 def _scale(view: Compared) -> Change:
-    ratio = _medians(view, view.values / np.maximum(view.predicted(), 0.1))
+    ratio = view.medians(view.values / np.maximum(view.predicted(), 0.1))
     return Change(
         f"the {view.table} divided by a constant",
         f"a scale error of the {view.table}; check their unit and the clock of the device",
@@ -91,11 +98,6 @@ def _scale(view: Compared) -> Change:
         np.abs(np.log(np.maximum(np.abs(ratio[:, 0]), 1e-6))) > LEAST_SCALE,
         parts=tuple(f"{x:.3f}" for x in ratio[:, 0]),
     )  # fmt: skip
-
-
-def _medians(view: Compared, x: np.ndarray) -> np.ndarray:
-    """The median of each group and column (G, m)."""
-    return np.stack([known_median(x[view.group == k]) for k in range(len(view.ids))])
 
 
 def _azimuths_turned(view: Compared) -> Iterator[Change]:
@@ -173,29 +175,43 @@ def _searched(
 
 
 def _moved(view: Compared, large: np.ndarray) -> Iterator[Change]:
-    """The place of each group with large errors fitted to its readings, unless the tags hardly move."""
+    """The place of each group with large errors fitted to its readings, unless the tags hardly move.
+
+    Of differences one place at a time: that of one anchor is wrong in the readings of others, too.
+    """
     given = view.sensors.places
-    places, fitted = given.copy(), np.zeros(len(given), bool)
-    for k in np.flatnonzero(large).tolist():
-        part = view.of_rows(view.group == k)
-        if np.linalg.norm(np.ptp(part.positions, axis=0)) < LEAST_EXTENT_M:
-            continue
-
-        def errors(place: np.ndarray, part: Compared = part, k: int = k) -> np.ndarray:
-            return part.changed(places=np.where(np.arange(len(given))[:, None] == k, place, given)).errors()
-
-        starts = (given[k], given.mean(axis=0), 2 * part.positions.mean(axis=0) - given[k])
-        place, size = min((robust_fit(errors, start) for start in starts), key=lambda fit: fit[1])
-        sides = (place, _mirrored(place, part.positions))
-        alike = [side for side in sides if np.nanmedian(np.abs(errors(side))) <= ALIKE * size]
-        places[k] = min(alike or sides[:1], key=lambda side: float(np.linalg.norm(side - given[k])))
-        fitted[k] = True
-    if fitted.any():
+    fitted = {
+        k: _place(view, k)
+        for k in np.flatnonzero(large).tolist()
+        if _extent(view.of_rows(view.group == k)) >= LEAST_EXTENT_M
+    }
+    for chosen in [[k] for k in fitted] if view.kind.difference else [list(fitted)] if fitted else []:
+        places = given.copy()
+        places[chosen] = [fitted[k] for k in chosen]
         yield Change(
             "another position", "a wrong position in rig.toml; measure it again", {"places": places}, 3, True,
-            fitted & (np.linalg.norm(places - given, axis=1) > LEAST_MOVE_M), place=True,
+            np.linalg.norm(places - given, axis=1) > LEAST_MOVE_M, place=True,
             parts=tuple(f"at {_metres(place)}" for place in places),
         )  # fmt: skip
+
+
+def _place(view: Compared, k: int) -> Float[np.ndarray, "3"]:
+    """The place of a group, m, that fits its readings best, of places that do alike that nearest to the given one."""
+    given, part = view.sensors.places, view.of_rows(view.group == k)
+
+    def errors(place: np.ndarray) -> np.ndarray:
+        return part.changed(places=np.where(np.arange(len(given))[:, None] == k, place, given)).errors()
+
+    starts = (given[k], given.mean(axis=0), 2 * part.positions.mean(axis=0) - given[k])
+    place, size = min((robust_fit(errors, start) for start in starts), key=lambda fit: fit[1])
+    sides = (place, _mirrored(place, part.positions))
+    alike = [side for side in sides if np.nanmedian(np.abs(errors(side))) <= ALIKE * size]
+    return min(alike or sides[:1], key=lambda side: float(np.linalg.norm(side - given[k])))
+
+
+def _extent(view: Compared) -> float:
+    """How far the true positions reach, m."""
+    return float(np.linalg.norm(np.ptp(view.positions, axis=0)))
 
 
 def _mirrored(place: np.ndarray, positions: np.ndarray) -> np.ndarray:
@@ -284,17 +300,18 @@ def _farthest(view: Compared) -> float:
 
 def _delayed(view: Compared) -> Iterator[Change]:
     """The truth of some seconds before or after."""
-    extent = max(np.linalg.norm(np.ptp(view.positions[view.tag == k], axis=0)) for k in np.unique(view.tag))
+    extent = max(_extent(view.of_rows(view.tag == k)) for k in np.unique(view.tag))
     span = float(np.ptp(view.times))
     if extent < LEAST_MOTION_M or span < 2.0:
         return
     longest, few = min(LONGEST_DELAY_S, 0.45 * span), view.thinned(COARSE)
-    best, step = 0.0, 1.0
-    grid = np.arange(-longest, longest + step, step)
+    grid, step = np.arange(-longest, longest + 1.0, 1.0), 1.0
     while step > 0.02:
         part = few if step > 0.1 else view
-        best = min(grid, key=lambda delay: float(_logs(part.later(delay).sizes()).sum()))
-        grid, step = best + step * np.arange(-1.0, 1.01, 0.25), step / 4
+        # A path that repeats itself has several, of which the right one need not be that nearest to the grid.
+        nearest = sorted(grid, key=lambda delay: float(_logs(part.later(delay).sizes()).sum()))[:NEAREST]
+        grid, step = np.unique(np.add.outer(nearest, step * np.arange(-1.0, 1.01, 0.25))), step / 4
+    best = float(nearest[0])
     late = "late" if best > 0 else "early"
     yield Change(
         f"the measurements taken {abs(best):.2f} s {'earlier' if best > 0 else 'later'}",
@@ -314,16 +331,15 @@ def _swapped_sensors(view: Compared) -> Iterator[Change]:
         all_at = [few.changed(places=sensors.places[[k] * count], axes=sensors.axes[[k] * count]) for k in range(count)]
         order = _assignment(np.stack([_logs(other.sizes()) for other in all_at], axis=1))
     else:
-        # The groups are those of the first sensor; an exchange concerns the others as well.
+        # A difference has two anchors, each of which may be another.
         orders = [exchanged(count, i, j) for i, j in combinations(range(count), 2)]
         order = min(orders, key=lambda order: float(_logs(few.changed(places=sensors.places[order]).sizes()).sum()))
-    moved = (order != np.arange(count))[sensors.number].any(axis=1)
     if (order != np.arange(count)).any():
         yield Change(
             _exchange(view.noun, view.ids, order),
             f"the ids of {view.noun}s are mixed up; correct rig.toml or the table",
             {"places": sensors.places[order], "axes": sensors.axes[order]}, by_group=True,
-            groups=2 * np.bincount(view.group, moved, count) > np.bincount(view.group, minlength=count), together=True,
+            groups=order != np.arange(count), together=True,
         )  # fmt: skip
 
 

@@ -39,6 +39,9 @@ TILTED = np.cos(np.radians(60.0))
 """Cosine of the angle between mean specific force and z beyond which an IMU lies on its side or upside down."""
 
 LONGEST_DELAY_S, LEAST_DELAY_S, STEP_S = 3.0, 0.1, 0.02
+FINE_DELAY_S, CERTAIN, BLOCK_S = 0.02, 5.0, 5.0
+"""Least delay against a true attitude that is told, s, in standard errors too, which are of blocks of time, s."""
+
 LATENCY_S = 1.0
 """Delays up to here are no mistake that stops a command."""
 
@@ -150,11 +153,16 @@ def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult] |
         return None
     if abs(delay) >= LEAST_DELAY_S:
         return [_late(delay, "attitude")]
-    return _other_quaternions(rows, attitude) or [
-        CheckResult("error" if wrong else "warning", "imu", line)
-        for name, measured, true in _vectors(rows, attitude, times, rates)
-        for wrong, line in _axes(name, measured, true)
-    ]
+    later, error = _fine_delay(rows, times, sizes)
+    late = [_late(later, "attitude")] if abs(later) > max(FINE_DELAY_S, CERTAIN * error) else []
+    return late + (
+        _other_quaternions(rows, attitude)
+        or [
+            CheckResult("error" if wrong else "warning", "imu", line)
+            for name, measured, true in _vectors(rows, attitude, times, rates)
+            for wrong, line in _axes(name, measured, true)
+        ]
+    )
 
 
 def _against_heights(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
@@ -202,6 +210,28 @@ def _delay(
     fits = {round(float(d), 3): fit(d) for d in np.arange(-LONGEST_DELAY_S, LONGEST_DELAY_S + STEP_S / 2, STEP_S)}
     best = max(fits, key=lambda delay: fits[delay])
     return best if fits[best] - at_once > gain else 0.0, fits[best]
+
+
+def _fine_delay(rows: ImuRows, times: np.ndarray, sizes: np.ndarray) -> tuple[float, float]:
+    """Seconds by which an IMU comes late against turn rates of these sizes, and their error, by leaving out blocks."""
+    delays = np.arange(-LEAST_DELAY_S, LEAST_DELAY_S + STEP_S, STEP_S / 2)
+    part = slice(None, None, -(-len(times) // 2000))
+    times, sizes = times[part], sizes[part]
+    squares = [(np.linalg.norm(_measured_rates(rows, times + d), axis=1) - sizes) ** 2 for d in delays]
+    known, block = np.isfinite(squares).all(axis=0), np.unique(np.floor(times / BLOCK_S), return_inverse=True)[1]
+    sums = np.stack([np.bincount(block[known], one[known], minlength=1) for one in squares])
+
+    def least(total: np.ndarray) -> float:
+        best = int(np.clip(np.argmin(total), 1, len(total) - 2))
+        return float(delays[best] + STEP_S / 2 * lowest(*total[best - 1 : best + 2]))
+
+    without = [least(sums.sum(axis=1) - one) for one in sums.T]
+    return least(sums.sum(axis=1)), float(np.std(without) * np.sqrt(len(without)))
+
+
+def lowest(before: np.ndarray, least: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Where a parabola through values at -1, 0 and 1 is lowest."""
+    return 0.5 * (before - after) / np.maximum(before - 2 * least + after, 1e-9)
 
 
 def _vectors(

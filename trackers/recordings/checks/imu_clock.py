@@ -1,4 +1,4 @@
-"""The clock of an IMU against that of ranges, without truth: how late it is where its motion fits theirs best.
+"""The clock and the vertical of an IMU against those of ranges, without truth: where its motion fits theirs best.
 
 In each of some windows the acceleration, turned level by the turn rates and twice integrated, explains the ranges but
 for a heading and a polynomial of time, which holds start, tilt and biases. The delay is that with the smallest squares
@@ -9,6 +9,7 @@ respect to the delay, from its sums over blocks of time.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,14 @@ from numpy.polynomial import chebyshev
 
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.recordings.checks.check_result import CheckResult
-from trackwright.trackers.recordings.checks.imu import GAP_S, LEAST_DELAY_S, LONGEST_DELAY_S, MOST_ROWS, integral
+from trackwright.trackers.recordings.checks.imu import (
+    GAP_S,
+    LEAST_DELAY_S,
+    LONGEST_DELAY_S,
+    MOST_ROWS,
+    integral,
+    lowest,
+)
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, QUATERNION, layout
 
@@ -54,12 +62,19 @@ TURNS = 2 * np.pi * np.arange(72)[:, None] / 72
 
 
 def check_imu_clock(recording: RecordingFolder) -> list[CheckResult]:
-    """A warning where an IMU comes late or early against the ranges; `check_imu` tells it of a true attitude."""
+    """A warning where an IMU comes late or early against the ranges, an error where z of the anchors points down.
+
+    `check_imu` tells the clock of a true attitude.
+    """
     tables = recording.tables
-    attitude = [set(QUATERNION) <= set(tables[name].columns) for name in ("imu", "truth") if name in tables]
-    if "imu" not in tables or "ranges" not in tables or any(attitude):
+    known, own = (name in tables and set(QUATERNION) <= set(tables[name].columns) for name in ("truth", "imu"))
+    if "imu" not in tables or "ranges" not in tables or own:
         return []
-    delays = [(tag, delay_of(list(windows(recording, tag)))) for tag in recording.rows("imu").tags[:MOST_TAGS]]
+    parts = {tag: list(windows(recording, tag)) for tag in recording.rows("imu").tags[:MOST_TAGS]}
+    if any(_fits_better(list(windows(_upside_down(recording), tag)), up) for tag, up in parts.items()):
+        message = "z points down: the motion of the IMU fits the ranges only with the anchors turned half round x"
+        return [CheckResult("error", "rig.toml", f"{message}; negate y and z of all positions, as of truth and fixes")]
+    delays = [(tag, delay_of(up)) for tag, up in parts.items() if not known]
     return [
         CheckResult(
             "warning", "imu", f"tag {tag}: comes {abs(delay):.1f} s {'late' if delay > 0 else 'early'} against the "
@@ -67,6 +82,24 @@ def check_imu_clock(recording: RecordingFolder) -> list[CheckResult]:
         )
         for tag, delay in delays if delay is not None and abs(delay) >= 2 * LEAST_DELAY_S
     ]  # fmt: skip
+
+
+def _upside_down(recording: RecordingFolder) -> RecordingFolder:
+    """The recording with its frame turned half round x."""
+    rig = recording.rig
+    anchors = {name: place * np.array([1.0, -1.0, -1.0]) for name, place in rig.anchors.items()}
+    tags = {name: replace(tag, height=None if tag.height is None else -tag.height) for name, tag in rig.tags.items()}
+    return replace(recording, rig=replace(rig, anchors=anchors, tags=tags))
+
+
+def _fits_better(parts: Sequence[Window], others: Sequence[Window]) -> bool:
+    """Whether an IMU explains the ranges of windows for certain, and better than the other ones with any delay."""
+    if len(parts) < LEAST_WINDOWS:
+        return False
+    total, least = (np.sum([one.squares for one in some], axis=0) for some in (parts, others))
+    best = int(np.argmin(total))
+    rivals = min(least.min(), sum(one.still for one in parts))
+    return 0 < best < len(DELAYS) - 1 and rivals - total[best] > CERTAIN * _variance(parts, best)
 
 
 class Window(NamedTuple):
@@ -99,7 +132,7 @@ def delay_of(parts: Sequence[Window]) -> float | None:
         return None
     if total[np.abs(DELAYS) < 1.5 * LEAST_DELAY_S].min() - total[best] < certain:
         return 0.0
-    return float(DELAYS[best] + STEP_S * _lowest(*total[best - 1 : best + 2]))
+    return float(DELAYS[best] + STEP_S * lowest(*total[best - 1 : best + 2]))
 
 
 def _variance(parts: Sequence[Window], best: int) -> float:
@@ -113,11 +146,6 @@ def _variance(parts: Sequence[Window], best: int) -> float:
     times = np.concatenate([one.times for one in parts])
     block = np.unique(np.floor(times / BLOCK_S), return_inverse=True)[1]
     return max(float(np.sum(np.bincount(block, np.concatenate(scores)) ** 2)) / max(information, 1e-12), 1.0)
-
-
-def _lowest(before: np.ndarray, least: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Where a parabola through values at -1, 0 and 1 is lowest."""
-    return 0.5 * (before - after) / np.maximum(before - 2 * least + after, 1e-9)
 
 
 def windows(recording: RecordingFolder, tag: str) -> Iterator[Window]:
@@ -222,7 +250,7 @@ def _window(
     losses = c * c * aa + 2 * c * s * ab + s * s * bb - 2 * (c * ay + s * by)
     row = np.argmin(losses, axis=0)
     beside = (losses[(row + k) % len(TURNS), np.arange(len(row))] for k in (-1, 0, 1))
-    heading = TURNS[row, 0] + TURNS[1, 0] * _lowest(*beside)
+    heading = TURNS[row, 0] + TURNS[1, 0] * lowest(*beside)
     c, s = np.cos(heading), np.sin(heading)
     errors, still = left - c * a - s * b, float(columns[:, 0] @ columns[:, 0])
     return Window(times, errors[:-count], (s * a - c * b)[:-count], np.einsum("nd,nd->d", errors, errors), still)

@@ -116,7 +116,7 @@ def _judged(
 def _sentence(view: Compared, groups: np.ndarray, change: Change, sizes: np.ndarray) -> str:
     chosen = np.flatnonzero(groups)
     unit, factor = view.kind.shown
-    # An anchor that is the second one of all its differences has no errors of its own.
+    # A sensor of other readings may have too few of its own, and hence no errors.
     both = (x[chosen][np.isfinite(x[chosen]).any(axis=1)] for x in (view.sizes(bias=False), sizes))
     largest = [f"{significant(factor * float(np.nanmedian(np.nanmax(x, axis=1))), 2)}{unit}" for x in both]
     where = ""

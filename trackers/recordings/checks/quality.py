@@ -14,6 +14,9 @@ from trackwright.trackers.recordings.kinds import KINDS
 LEAST_ROWS = 40
 """Least number of readings with a true value and a quality."""
 
+MOST_MARKS, MARKED, CERTAIN = 4, 0.1, 5.0
+"""Most values of a column that marks readings; how much more often marked ones repeat, at least, and in deviations."""
+
 
 def check_quality(recording: RecordingFolder, name: str) -> list[CheckResult]:
     """A line for each column of quality of a table; none without truth."""
@@ -41,6 +44,32 @@ def check_quality(recording: RecordingFolder, name: str) -> list[CheckResult]:
         if parts:
             message = f"{column} and errors against truth less the median of each {kind.noun}: {'; '.join(parts)}"
             results.append(CheckResult("info", name, message))
+    return results
+
+
+def check_marks(recording: RecordingFolder, name: str) -> list[CheckResult]:
+    """A warning for each value of a column of quality with which readings repeat the one before more than with others.
+
+    So do exchanges that failed, whose readings are old ones.
+    """
+    table, layout = recording.tables[name], KINDS[name].layout(recording.tables[name].columns)
+    same = pl.all_horizontal(pl.col(value) == pl.col(value).shift() for value in layout.values).over(*layout.ids)
+    repeats = table.select(same.fill_null(False)).to_series().to_numpy()
+    results = []
+    for column in layout.quality:
+        values = table[column].drop_nulls().unique().sort()
+        for value in values if 2 <= len(values) <= MOST_MARKS else ():
+            marked = (table[column] == value).fill_null(False).to_numpy()
+            share, rest = repeats[marked].mean(), repeats[~marked].mean()
+            deviation = np.sqrt(repeats.var() * (1 / marked.sum() + 1 / (~marked).sum()))
+            if share - rest > max(MARKED, CERTAIN * deviation):
+                message = (
+                    f"{100 * share:.0f} % of the {marked.sum()} rows with {column} = {value:g} repeat the row before, "
+                )
+                message += (
+                    f"{100 * rest:.0f} % of the others: exchanges that failed? leave them out by where of a mapping"
+                )
+                results.append(CheckResult("warning", name, message))
     return results
 
 

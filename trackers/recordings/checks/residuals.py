@@ -47,6 +47,8 @@ class Residuals(NamedTuple):
 def residuals(view: Compared) -> list[Residuals]:
     """The errors of each group and column against truth."""
     errors, result = view.errors(), []
+    if view.kind.difference:
+        errors = errors + view.medians(errors)[view.sensors.number[:, 1]]  # of the one anchor alone
     # The slope is that of the errors after the delay: over the delay a reading does not change linearly.
     delays = np.zeros(errors.shape)
     for _ in range(2):
@@ -77,7 +79,7 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
     k, c = key
     of_group = view.group == k
     if not of_group.any():
-        return math.nan, math.nan  # an anchor that is the second one of all its differences
+        return math.nan, math.nan  # a sensor of other readings that has too few of its own
     part = view.of_rows(of_group)
     at = delays[of_group, c]
     true, before, after = (part.later(at + lag).predicted()[:, c] for lag in (0.0, LAG_S, -LAG_S))

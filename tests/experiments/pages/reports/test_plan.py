@@ -36,11 +36,17 @@ ROOM = Rig(
 HEIGHT = 1.2
 
 
-def _epoch(rig):
-    """All measurements of one epoch at a point, each over its standard deviation; a phase is known up to an offset."""
+def _epoch(rig, sigmas):
+    """All measurements of one epoch at a point, each over its standard deviation.
+
+    A phase is known up to an offset, as is a time of arrival, which has half the variance of a difference.
+    """
 
     def measured(point):
-        values = [np.linalg.norm(point - anchor) / SIGMAS.range for anchor in rig.anchors.values()]
+        values = np.array([np.linalg.norm(point - anchor) / sigmas.range for anchor in rig.anchors.values()])
+        if sigmas.difference is not None:
+            values = (values - values.mean()) * sigmas.range / (sigmas.difference / np.sqrt(2))
+        values = list(values)
         for station in rig.stations.values():
             if station.antennas is None:
                 values += list(station.angles(point) / SIGMAS.angle)
@@ -53,8 +59,8 @@ def _epoch(rig):
     return measured
 
 
-def _covariance(rig, point, axes):
-    measured, step = _epoch(rig), 1e-5
+def _covariance(rig, point, axes, sigmas=SIGMAS):
+    measured, step = _epoch(rig, sigmas), 1e-5
     columns = [(measured(point + e) - measured(point - e)) / (2 * step) for e in step * np.eye(3)[:axes]]
     H = np.stack(columns, axis=1)
     return np.linalg.inv(H.T @ H)
@@ -72,8 +78,6 @@ def test_bounds_of_range_differences_are_those_of_a_dense_covariance():
         H = incidence @ (away / np.linalg.norm(away, axis=1)[:, None])
         for n, covariance in ((2, floor.flat[i, k]), (3, floor.covariance[i, k])):
             np.testing.assert_allclose(covariance, np.linalg.inv(H[:, :n].T @ precision @ H[:, :n]), rtol=1e-4)
-    with pytest.raises(UnusableInput, match="for ranges alone; leave --sigma-difference out"):
-        place_anchors(rig, 1, floor, height_known=False)
 
 
 def _work_station(angles):
@@ -102,9 +106,13 @@ def test_a_position_in_line_with_two_anchors_is_not_determined():
 
 
 @pytest.mark.slow
-def test_the_place_of_one_more_anchor_is_as_good_as_an_exhaustive_search():
-    three = replace(ROOM, anchors={name: ROOM.anchors[name] for name in "ABC"})
-    floor = floor_map(three, SIGMAS, HEIGHT)
+@pytest.mark.parametrize("sigmas", [SIGMAS, SIGMAS._replace(difference=0.2)], ids=["ranges", "range differences"])
+def test_the_place_of_one_more_anchor_is_as_good_as_an_exhaustive_search(sigmas):
+    # The difference has one unknown more.
+    three = replace(
+        ROOM, anchors={name: ROOM.anchors[name] for name in ("ABC" if sigmas.difference is None else "ABCD")}
+    )
+    floor = floor_map(three, sigmas, HEIGHT)
     found = place_anchors(three, 1, floor, height_known=False)
 
     def rms(floor_map_):
@@ -113,7 +121,7 @@ def test_the_place_of_one_more_anchor_is_as_good_as_an_exhaustive_search():
     def mean_bound(anchor):
         rig = replace(three, anchors={**three.anchors, "P": anchor})
         points = np.stack(np.meshgrid(floor.x, floor.y, indexing="ij"), axis=-1)[floor.inside][::19]
-        return np.sqrt(np.mean([np.trace(_covariance(rig, np.append(p, HEIGHT), 3)) for p in points]))
+        return np.sqrt(np.mean([np.trace(_covariance(rig, np.append(p, HEIGHT), 3, sigmas)) for p in points]))
 
     corners = floor_of(three)
     walls = [

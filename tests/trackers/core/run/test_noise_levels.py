@@ -228,31 +228,33 @@ def test_a_trolley_that_hardly_moves_is_tracked_better_and_a_walk_not_worse(walk
     assert error["walk", "levels"] < 1.03 * error["walk", "given"]
 
 
-def _commanded(walk, folder, option):
-    """What `track` with an option writes of a walk, and what Python reads, and finds without levels."""
+def _commanded(walk, folder, *options):
+    """What `track` with options writes of a walk and says, and the walk as it is read."""
     write_recording(walk, folder / "hall")
-    options = ("--tracker", "uwb", option, "auto", *PLAIN, "--out", folder / "run")
-    done = trackwright("track", folder / "hall", *options)
+    done = trackwright("track", folder / "hall", "--tracker", "uwb", *options, *PLAIN, "--out", folder / "run")
     assert done.code == 0, done
-    read = tw.read(folder / "hall")
-    return pl.read_parquet(folder / "run" / "tracks.parquet"), read, tw.build("uwb", read).run(read).to_polars()
+    return pl.read_parquet(folder / "run" / "tracks.parquet"), done.err, tw.read(folder / "hall")
 
 
 def test_the_command_tracks_as_python_does(walk, tmp_path):
-    written, read, given = _commanded(walk, tmp_path, "--motion")
-    expected = tw.build("uwb", read).with_motion_levels().run(read).to_polars()
+    written, _, read = _commanded(walk, tmp_path, "--motion", "auto", "--errors", "given")
+    named = tw.build("uwb", read)
+    expected = named.with_motion_levels().run(read).to_polars()
     assert written.select("t_s", "x_m", "log_likelihood").equals(expected.select("t_s", "x_m", "log_likelihood"))
-    assert not written["x_m"].equals(given["x_m"])
+    assert not written["x_m"].equals(named.run(read).to_polars()["x_m"])
 
 
-def test_the_command_reports_covariances_at_levels_of_errors_for_the_same_estimates(walk, tmp_path):
-    written, read, given = _commanded(walk, tmp_path, "--errors")
+def test_without_a_calibration_covariances_are_those_of_levels_of_errors_for_the_same_estimates(walk, tmp_path):
+    written, said, read = _commanded(walk, tmp_path / "levels")
+    assert "--errors" in said
     expected = tw.build("uwb", read).with_error_levels().run(read).to_polars()
     assert written.select("t_s", "x_m", "std_x_m").equals(expected.select("t_s", "x_m", "std_x_m"))
+    given, said, _ = _commanded(walk, tmp_path / "given", "--errors", "given")
+    assert "--errors" not in said
     np.testing.assert_allclose(written["x_m"], given["x_m"], rtol=1e-5)
     assert not written["std_x_m"].equals(given["std_x_m"])
     options = ("--tracker", "multilateration", "--errors", "auto", "--out", tmp_path / "no")
-    refused = trackwright("track", tmp_path / "hall", *options)
+    refused = trackwright("track", tmp_path / "given" / "hall", *options)
     assert refused.code == 2
     assert "no biases that drift" in refused.err
 

@@ -52,6 +52,17 @@ def test_a_true_attitude_tells_the_delay_better():
     assert "against the truth's attitude" in lines[0]
 
 
+@pytest.mark.parametrize("truth", [True, False])
+def test_anchors_with_z_down_are_told_by_the_motion_of_an_imu(truth):
+    folder = _later(0.0, truth)
+    anchors = {key: place * [1.0, -1.0, -1.0] for key, place in folder.rig.anchors.items()}
+    (found,) = (
+        one for one in check(replace(folder, rig=replace(folder.rig, anchors=anchors))) if "down" in one.message
+    )
+    assert (found.level, found.where) == ("error", "rig.toml")
+    assert not any("down" in one.message for one in check(folder))
+
+
 def test_an_imu_of_another_motion_tells_no_delay():
     folder = _later(0.0)
     turned_back = folder.tables["imu"].with_columns(T.reverse()).sort("t_s")
