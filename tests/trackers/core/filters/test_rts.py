@@ -155,7 +155,15 @@ def test_noise_of_an_early_stage_passes_through_the_later_ones():
         np.testing.assert_allclose(estimates[trajectory].covariance[rows], covs, rtol=1e-7, atol=1e-7)
 
 
-@pytest.mark.parametrize(("lag", "copies"), [(None, FEW), (LAG, MANY)], ids=["few", "many with a fixed lag"])
+@pytest.mark.parametrize(
+    ("lag", "copies"),
+    [
+        pytest.param(None, FEW, id="few"),
+        pytest.param(LAG, MANY, id="many with a fixed lag"),
+        pytest.param(LAG, FEW, id="few with a fixed lag", marks=pytest.mark.slow),
+        pytest.param(None, MANY, id="many", marks=pytest.mark.slow),
+    ],
+)
 def test_with_lasting_errors_variances_bound_those_of_any_correlation(world, lag, copies):
     """The smoothed error is M e + r, e the filter's: with a correlation of one the standard deviations add up."""
     batch = world.stacked(copies=copies)
