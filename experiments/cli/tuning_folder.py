@@ -122,7 +122,7 @@ def _compared(
 
     room = max(MOST_PLANS - len(fitted.shown), 0) if report else 0
     folders = [*fitted.shown, *fitted.others[:room]]
-    before, after = (tracked(named(side), folders) for side in (result.starts[0][0].values, result.values))
+    before, after = (tracked(side, folders) for side in (fitted.named, named(result.values)))
     others = [tracked(named(left_out.get(folder.name, result.values)), [folder]) for folder in fitted.shown if left_out]
     count = len({trajectory.folder.name for trajectory in fitted.data.training})
     part = f"{len(fitted.shown)} of {count} " if len(fitted.shown) < count else ""
