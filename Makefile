@@ -41,8 +41,9 @@ demo: env
 test: env
 	$(BIN)/python -m pytest
 
+# With fusions compiled as for users: the default suite compiles them another, faster way.
 test-slow: env
-	$(BIN)/python -m pytest -m slow
+	XLA_FLAGS=--xla_backend_optimization_level=0 $(BIN)/python -m pytest -m slow
 
 # Of changed lines alone: make mutate MUTATE='--since origin/main'
 mutate: env

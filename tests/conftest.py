@@ -8,9 +8,9 @@ import itertools
 import os
 from pathlib import Path
 
-# Before jax computes. The suite compiles more than it computes: code that LLVM does not optimise takes a quarter less.
-# trackwright adds its own flags.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+# Before jax computes. The suite compiles more than it computes: code that LLVM does not optimise takes a quarter less,
+# and fusions that do not pass through MLIR a fifth less again. trackwright adds its own flags.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
 # Tests, workers and commands in subprocesses share compiled programs: many of them compile the same tracker.
 os.environ.setdefault("TRACKWRIGHT_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -32,7 +31,6 @@ from trackwright.tuning.parameters import (
     flatten,
     floors,
     limits,
-    physical,
     select_parameters,
     tuned_by_default,
     with_parameters,
@@ -326,12 +324,8 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     vectors = state.past_vectors[:, start]
     moved = np.flatnonzero(np.any(np.diff(vectors, axis=0) != 0, axis=1))
     last = moved[-1] + 2 if len(moved) else 1
-    values = jax.vmap(lambda v: physical(parameters, v))(vectors[:last])
+    # Vector by vector: programs for every number of steps would take longer to compile.
     return [
-        Step(
-            float(state.past_values[k, start]),
-            float(state.past_norms[k, start]),
-            {p.label: np.asarray(v[k], float) for p, v in zip(parameters, values, strict=True)},
-        )
+        Step(float(state.past_values[k, start]), float(state.past_norms[k, start]), by_label(parameters, vectors[k]))
         for k in range(last)
     ]

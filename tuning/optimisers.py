@@ -52,7 +52,7 @@ class Adam(AbstractOptimiser):
         return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
 
     def init(self, vectors: Vectors) -> Any:
-        return jax.vmap(self.transformation.init)(jnp.asarray(vectors))
+        return _initial(self, jnp.asarray(vectors))
 
     def propose(self, state: Any, vectors: Vectors, gradients: Vectors) -> tuple[Vectors, Any]:
         return _updated(self, gradients, state, vectors)
@@ -68,7 +68,7 @@ class LBFGS(AbstractOptimiser):
         return optax.scale_by_lbfgs()
 
     def init(self, vectors: Vectors) -> Any:
-        return jax.vmap(self.transformation.init)(jnp.asarray(vectors))
+        return _initial(self, jnp.asarray(vectors))
 
     def propose(self, state: Any, vectors: Vectors, gradients: Vectors) -> tuple[Vectors, Any]:
         first = np.asarray(state.count) == 0
@@ -93,12 +93,17 @@ def _updated(optimiser: Adam | LBFGS, gradients: Vectors, state: Any, vectors: V
     """
     updates = []
     for k, (gradient, vector) in enumerate(zip(gradients, vectors, strict=True)):
-        of_start = jax.tree_util.tree_map(lambda leaf: jnp.asarray(leaf[k]), state)  # noqa: B023
+        of_start = jax.tree_util.tree_map(lambda leaf: jnp.asarray(np.asarray(leaf)[k]), state)  # noqa: B023
         # Adam raises a float to the power of an integer count, which strict promotion would refuse.
         with jax.numpy_dtype_promotion("standard"):
             updates.append(_update(optimiser, jnp.asarray(gradient), of_start, jnp.asarray(vector)))
     steps, states = zip(*updates, strict=True)
     return np.stack(steps).astype(float), jax.tree_util.tree_map(lambda *x: np.stack(x), *states)
+
+
+@eqx.filter_jit
+def _initial(optimiser: Adam | LBFGS, vectors: jax.Array) -> Any:
+    return jax.vmap(optimiser.transformation.init)(vectors)
 
 
 @eqx.filter_jit

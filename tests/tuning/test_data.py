@@ -194,7 +194,7 @@ def test_the_observed_information_of_a_weighted_likelihood_is_that_of_its_record
     vector, step = flatten(parameters), 0.02
     own = []
     for recording in made:
-        alone = Problem(tracker, [stack([recording])], goal, parameters)
+        alone = Problem(tracker, [stack([recording], rows=300)], goal, parameters)
         shifted = alone.evaluate(np.concatenate([vector + step * np.eye(2), vector - step * np.eye(2)]))
         rows = (shifted.gradients[:2] - shifted.gradients[2:]) / (2 * step) * shifted.sums[:2, 1:]
         own.append(0.5 * (rows + rows.T))

@@ -11,7 +11,7 @@ TRUE = np.array([0.12, 0.05, 12.0, 0.5])
 """σ and ν, rad, τ, s, and ℓ, m."""
 
 
-def _walk(rng, seconds=150.0, every=0.2):
+def _walk(rng, seconds=150.0, every=0.4):
     """Times, s, and positions, m, of a tag that walks at 0.8 m/s along x, and stops for 2 to 20 s."""
     times = np.arange(0.0, seconds, every)
     spells = rng.uniform(*np.array([[4.0, 2.0], [15.0, 20.0]] * 30).reshape(30, 2, 2).transpose(1, 0, 2))
@@ -85,7 +85,7 @@ def test_spikes_and_the_noise_of_the_truth_at_rest_change_nothing_that_lasts():
 
 def test_a_tag_that_stands_still_leaves_the_length_at_its_prior():
     rng = np.random.default_rng(3)
-    times = np.arange(0.0, 200.0, 0.2)
+    times = np.arange(0.0, 200.0, 0.4)
     positions = np.zeros((len(times), 3))
     (estimate,) = lasting_errors({"": [series_of(times, positions, _errors(rng, _factor(times, positions)))]}).values()
     assert estimate.determined.tolist() == [True, True, True, False]

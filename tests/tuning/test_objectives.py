@@ -151,9 +151,9 @@ def test_a_function_of_state_and_truth_is_an_objective():
     result = tw.fit(tracker, rows, miss, "motion.sigma_a", tw.FitOptions(steps=6))
     assert result.value < result.start_value
     for model, value in ((tracker, result.start_value), (result.tracker, result.value)):
-        estimates = [np.stack(list(model.run(r).mean.position), axis=-1) for r in rows]
+        estimates = np.stack(list(model.run(stack(rows)).mean.position), axis=-1)
         errors = [
-            np.linalg.norm(e - path[: len(e)], axis=1)[r.truth["position"][1]]
+            np.linalg.norm(e[: len(r)] - path[: len(r)], axis=1)[r.truth["position"][1]]
             for e, r in zip(estimates, rows, strict=True)
         ]
         # Each of the two recordings has the same weight.

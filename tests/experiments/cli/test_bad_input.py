@@ -54,7 +54,8 @@ def test_a_broken_recording_is_refused_in_one_line(tmp_path, beginnings, name, c
 def test_a_broken_recording_beside_a_good_one_has_its_own_line_and_the_good_one_is_tracked(tmp_path, beginnings):
     word = BROKEN["infinite value"](tmp_path / "bad")
     out = tmp_path / "out"
-    said = trackwright("track", beginnings / "good", tmp_path / "bad", "--tracker", "uwb", *PLAIN, "--out", out)
+    options = ("--tracker", "moving-average", *PLAIN, "--out", out)
+    said = trackwright("track", beginnings / "good", tmp_path / "bad", *options)
     assert said.code == 1
     lines = [line for line in said.err.splitlines() if line.startswith("not tracked: ")]
     assert len(lines) == 1

@@ -86,13 +86,6 @@ def test_fixes_without_any_height_are_refused_and_with_a_known_one_are_not(world
     assert lacks_fixes(_with(_known_height(world), fixes=flat)) is None
 
 
-def test_a_folder_without_fixes_is_refused_in_one_line(world, tmp_path):
-    write_recording(RecordingFolder("bare", None, world.rig, {"truth": world.tables["truth"]}), tmp_path / "bare")
-    said = trackwright("track", tmp_path / "bare", "--tracker", "mhk", "--out", tmp_path / "out")
-    assert said.code == 2
-    assert "fixes" in said.err
-
-
 def test_anchors_without_a_plane_are_refused_in_one_line(world, tmp_path):
     write_recording(_with(world, Rig("few", anchors={}, tags=world.rig.tags)), tmp_path / "few")
     said = trackwright("track", tmp_path / "few", "--tracker", "fix-mirror", "--out", tmp_path / "out")

@@ -99,7 +99,7 @@ def test_track_averages_and_its_manifest_has_the_interval(tmp_path):
     for average in (None, 0.5):
         out = tmp_path / f"out-{average}"
         options = [] if average is None else ["--average", str(average)]
-        plain = ("--tracker", "fix-kf", *PLAIN, "--out", out)
+        plain = ("--tracker", "moving-average", *PLAIN, "--out", out)
         done = trackwright("track", tmp_path / "good", *plain, *options)
         assert done.code == 0
         assert json.loads((out / "manifest.json").read_text())["config"]["average"] == average

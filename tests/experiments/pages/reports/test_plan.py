@@ -184,7 +184,9 @@ def test_wrong_options_are_refused_before_the_rig_is_read(tmp_path, options, mes
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command_writes_a_page_and_a_picture(tmp_path, capsys):
+def test_the_command_writes_a_page_and_a_picture(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(plan_accuracy, "POINTS", 20)
+    monkeypatch.setattr(plan_accuracy, "STARTS", 2)
     (tmp_path / "rig.toml").write_text(rig_text(ROOM), "utf-8")
     assert plan(tmp_path, out=tmp_path / "out", place=1) == 0
     shown = capsys.readouterr().out

@@ -209,5 +209,5 @@ def test_a_long_track_keeps_its_ends_and_its_largest_error():
 
 def test_directions_have_no_plan():
     folders = [worlds.station(n=1, seed=1, rows=20).folder()]
-    side = tracked(tw.build("beam", folders), folders)
+    side = tracked(tw.build("das", folders), folders)
     assert track_changes(side, side, folders, ()) == ((), 0)

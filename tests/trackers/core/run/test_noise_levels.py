@@ -164,11 +164,10 @@ def test_a_first_member_without_a_share_keeps_its_means(outputs):
 
 def test_a_continued_run_has_the_numbers_of_the_whole(recording):
     faster = (Level(0.5), Level(0.5, readings=0.5))
-    tracker = NoiseLevels(NoiseLevels(fix_tracker(planar=True)), faster, about_first=True)
-    whole = tracker.run(recording)
-    # Equal halves are one program.
-    first, second = _recording(slice(6)), _recording(slice(6, None))
-    rest = tracker.run(second, initial=tracker.run(first).final)
+    tracker = NoiseLevels(NoiseLevels(fix_tracker(planar=True), LEVELS), faster, about_first=True)
+    # Side by side they are one program.
+    whole, first = tracker.run([recording, _recording(slice(6))])
+    rest = tracker.run(_recording(slice(6, None)), initial=first.final)
     np.testing.assert_allclose(rest.log_likelihood, whole.log_likelihood[6:], rtol=1e-12)
     np.testing.assert_allclose(rest.mean.position[0], whole.mean.position[0][6:], rtol=1e-12)
     np.testing.assert_allclose(rest.covariance, whole.covariance[6:], rtol=1e-9, atol=1e-14)
@@ -214,9 +213,12 @@ def _nees(estimates, truth):
     return np.mean(np.einsum("bti,btij,btj->bt", error, np.linalg.inv(cov), error)) / 2
 
 
-def test_a_trolley_that_hardly_moves_is_tracked_better_and_a_walk_not_worse():
-    hall = worlds.ranges(n=1, seed=4, rows=400)
-    walk = hall.folder()
+@pytest.fixture(scope="module")
+def walk():
+    return worlds.ranges(n=1, seed=4, rows=400).folder()
+
+
+def test_a_trolley_that_hardly_moves_is_tracked_better_and_a_walk_not_worse(walk):
     tracker = tw.build("uwb", walk)
     error = {}
     for name, folder in (("walk", walk), ("still", _still(walk))):
@@ -226,49 +228,35 @@ def test_a_trolley_that_hardly_moves_is_tracked_better_and_a_walk_not_worse():
     assert error["walk", "levels"] < 1.03 * error["walk", "given"]
 
 
-def test_the_command_tracks_as_python_does(tmp_path):
-    folder = worlds.agv(n=1, seed=2, rows=40).folder()
-    path = tmp_path / "hall"
-    write_recording(folder, path)
-    options = ("--tracker", "fix-kf", "--motion", "auto", *PLAIN, "--out", tmp_path / "run")
-    done = trackwright("track", path, *options)
+def _commanded(walk, folder, *options):
+    """What `track` with options writes of a walk and says, and the walk as it is read."""
+    write_recording(walk, folder / "hall")
+    done = trackwright("track", folder / "hall", "--tracker", "uwb", *options, *PLAIN, "--out", folder / "run")
     assert done.code == 0, done
-    written = pl.read_parquet(tmp_path / "run" / "tracks.parquet")
-    read = tw.read(path)
-    expected = tw.build("fix-kf", read).with_motion_levels().run(read).to_polars()
-    assert written.select("t_s", "x_m", "log_likelihood").equals(expected.select("t_s", "x_m", "log_likelihood"))
-    assert not written["x_m"].equals(tw.build("fix-kf", read).run(read).to_polars()["x_m"])
+    return pl.read_parquet(folder / "run" / "tracks.parquet"), done.err, tw.read(folder / "hall")
 
 
-def test_without_a_calibration_covariances_are_those_of_levels_of_errors_for_the_same_estimates(tmp_path):
-    path = tmp_path / "hall"
-    write_recording(worlds.ranges(n=1, seed=2, rows=40).folder(), path)
-    done = trackwright("track", path, "--tracker", "uwb", *PLAIN, "--out", tmp_path / "run")
-    assert done.code == 0, done
-    assert "--errors" in done.err
-    written, read = pl.read_parquet(tmp_path / "run" / "tracks.parquet"), tw.read(path)
+def test_the_command_tracks_as_python_does(walk, tmp_path):
+    written, _, read = _commanded(walk, tmp_path, "--motion", "auto", "--errors", "given")
     named = tw.build("uwb", read)
-    expected = named.with_error_levels().run(read).to_polars()
+    expected = named.with_motion_levels().run(read).to_polars()
+    assert written.select("t_s", "x_m", "log_likelihood").equals(expected.select("t_s", "x_m", "log_likelihood"))
+    assert not written["x_m"].equals(named.run(read).to_polars()["x_m"])
+
+
+def test_without_a_calibration_covariances_are_those_of_levels_of_errors_for_the_same_estimates(walk, tmp_path):
+    written, said, read = _commanded(walk, tmp_path / "levels")
+    assert "--errors" in said
+    expected = tw.build("uwb", read).with_error_levels().run(read).to_polars()
     assert written.select("t_s", "x_m", "std_x_m").equals(expected.select("t_s", "x_m", "std_x_m"))
-    done = trackwright("track", path, "--tracker", "uwb", "--errors", "given", *PLAIN, "--out", tmp_path / "given")
-    assert done.code == 0, done
-    assert "--errors" not in done.err
-    given = pl.read_parquet(tmp_path / "given" / "tracks.parquet")
+    given, said, _ = _commanded(walk, tmp_path / "given", "--errors", "given")
+    assert "--errors" not in said
     np.testing.assert_allclose(written["x_m"], given["x_m"], rtol=1e-5)
     assert not written["std_x_m"].equals(given["std_x_m"])
-    refused = trackwright("track", path, "--tracker", "multilateration", "--errors", "auto", "--out", tmp_path / "no")
+    options = ("--tracker", "multilateration", "--errors", "auto", "--out", tmp_path / "no")
+    refused = trackwright("track", tmp_path / "given" / "hall", *options)
     assert refused.code == 2
     assert "no biases that drift" in refused.err
-
-
-def test_values_calibrations_and_smoothers_report_their_own_covariances():
-    folder = worlds.ranges(n=1, seed=2, rows=40).folder()
-    named = tw.build("uwb", folder)
-    calibrated = folder.calibrated(tw.calibrate(folder))
-    assert named.own_errors(named.tracker)
-    assert not tw.build("uwb", calibrated).own_errors(tw.build("uwb", calibrated).tracker)
-    others = named.with_values({"motion.sigma_a": 1.0}), named.smoothing(), named.with_motion_levels()
-    assert not any(other.own_errors(other.tracker) for other in (*others, tw.build("multilateration", folder)))
 
 
 def _still(folder):

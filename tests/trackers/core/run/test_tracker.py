@@ -18,7 +18,6 @@ from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, inde
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker, filter_batch
-from trackwright.trackers.from_arrays import fix_recording
 
 
 class Ruler(AbstractSensor):
@@ -110,16 +109,12 @@ def test_with_the_position_alone_estimates_have_its_covariance_and_nothing_else_
 
 
 def test_an_error_is_a_function_of_a_noise_level_for_vmap_and_grad():
-    rng = np.random.default_rng(4)
-    times, sigmas = np.arange(30) * 0.1, np.array([0.1, 0.4, 2.0])
-    path = np.stack([np.cos(times), np.sin(times)], axis=1)
-    batch = stack([fix_recording(times, path + 0.1 * rng.normal(size=path.shape), height=1.0)])
-    tracker = fix_tracker(planar=True)
+    sigmas, batch = np.array([0.1, 0.4, 2.0]), stack(_recordings()[:1])
 
     @jax.jit
     def error(sigma):
-        position = filter_batch(tracker.with_values({"motion.sigma_a": sigma}), batch).mean.position
-        return jnp.mean((position[0][:, 0] - path[:, 0]) ** 2 + (position[1][:, 0] - path[:, 1]) ** 2)
+        (position,) = filter_batch(_flat().with_values({"motion.sigma_a": sigma}), batch).mean.position
+        return jnp.mean((position - 0.5) ** 2)
 
     together = jax.vmap(error)(sigmas)
     np.testing.assert_allclose(together, [error(s) for s in sigmas], rtol=1e-9)

@@ -284,21 +284,22 @@ def draws(
     `key`: raw, (2,) uint32. A normal number has 16 random bits: the median of one of 65,536 equally likely intervals,
     so that none exceeds 4.3.
     """
-    spare = words(key, 0, 2)
+    spare = words(key, range(1), 2)[:, 0]
     table = jnp.asarray(quantiles(), dtype)
     normals = []
-    for row in range(rows):
-        pairs = words(key, row + 1, -(-count // 4)).reshape(-1)
+    for pairs in words(key, range(1, rows + 1), -(-count // 4)).swapaxes(0, 1).reshape(rows, -1):
         bits = jnp.concatenate([pairs >> np.uint32(16), pairs & np.uint32(0xFFFF)])[:count].astype(jnp.int32)
         normals.append(table.at[bits].get(mode="promise_in_bounds"))
     return spare[:, 0], (spare[0, 1] >> np.uint32(9)).astype(dtype) * 2.0**-23, normals
 
 
-def words(key: RawKey, stream: int, count: int) -> UInt32[Array, "2 {count}"]:
-    """Random words (2, count), uint32: both words of the first `count` counters of a stream under a raw key.
+def words(key: RawKey, streams: range, count: int) -> UInt32[Array, "2 k {count}"]:
+    """Random words (2, k, count), uint32: both words of the first `count` counters of k streams under a raw key.
 
     Each entry computes both words and selects one: with two results XLA makes a pass over memory of every round.
+    One call for all streams: the rounds are compiled once.
     """
-    shape = (2, count)
-    x, y = threefry(key, jax.lax.broadcasted_iota(jnp.uint32, shape, 1), jnp.full(shape, stream, jnp.uint32))
+    shape = (2, len(streams), count)
+    stream = jax.lax.broadcasted_iota(jnp.uint32, shape, 1) + np.uint32(streams.start)
+    x, y = threefry(key, jax.lax.broadcasted_iota(jnp.uint32, shape, 2), stream)
     return jnp.where(jax.lax.broadcasted_iota(jnp.uint32, shape, 0) == 0, x, y)
