@@ -13,6 +13,7 @@ CASES = (
     "envelope",
     "nis_expectation",
     "recovery",
+    "surveys",
     "track_loss",
     "bag_tour",
 )
