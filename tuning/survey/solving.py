@@ -28,7 +28,7 @@ PROBES = 12
 _RIDGE = 1e-6
 """Information, m⁻², of each coefficient of a path: for directions that no range determines."""
 
-_STEPS, _CONVERGED = 60, 1e-5
+_STEPS, _CONVERGED = 60, 1e-4
 
 
 @dataclass(frozen=True, eq=False)

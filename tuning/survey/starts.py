@@ -36,7 +36,7 @@ FIRST_SCALE, FIRST_DENSITY = 0.2, 0.3
 """Noise levels with which the search begins: m, and m²/s³."""
 
 _RESECTIONS, _RESECTED, _DESCENT = 12, 100, 20
-_ROUNDS, _FEW, _REFINED = 3, 10, 2
+_ROUNDS, _FEW, _REFINED = 3, 10, 3
 
 
 def epochs(walk: Walk, count: int) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k A"]]:
@@ -267,8 +267,8 @@ def polished(walks: Sequence[Walk], solution: Solution, prior: Prior, random: np
 
 def multistart(
     walks: Sequence[Walk], known: Float[np.ndarray, "A 3"], prior: Prior, random: np.random.Generator
-) -> Solution | None:
-    """The solution of least cost from many starts, in any frame; None where there is no start.
+) -> list[Solution]:
+    """The best solutions from many starts, in any frame, that of least cost first; none where there is no start.
 
     `known`: positions, m, that are one more start where all are there.
     """
@@ -279,4 +279,4 @@ def multistart(
     whole = (completed(walks, places, first, random) for first, places in starts)
     tried = sorted((solved(walks, start, prior, _FEW) for start in whole if start is not None), key=lambda s: s.cost)
     refined = (polished(walks, solved(walks, start, prior), prior, random) for start in tried[:_REFINED])
-    return min(refined, key=lambda s: s.cost, default=None)
+    return sorted(refined, key=lambda s: s.cost)

@@ -150,13 +150,13 @@ def survey(
     known = np.array([before.anchors.get(name, np.full(3, np.nan)) for name in names], float)
     prior = delay_prior(len(names))
     random = np.random.default_rng(0)
-    solution = multistart(walks, known, prior, random)
-    if solution is None:
+    minima = multistart(walks, known, prior, random)
+    if not minima:
         raise UnusableInput(
             f"{_names(ranged)}: no arrangement of the anchors fits the ranges; expected walks with ranges to four "
             "anchors within a second; walk where more anchors are heard"
         )
-    fixed = [names.index(name) for name in given]
+    solution, fixed = minima[0], [names.index(name) for name in given]
     if given:
         _require_frame(known[fixed], given)
         solution, prior = _onto(walks, solution, known, fixed, sigma, flat)
@@ -170,10 +170,13 @@ def survey(
         chosen = [names.index(name) for name in (frame or names[:3])]
         solution, prior = _framed(walks, solution, chosen, flat, prior)
         words = ", ".join(names[k] for k in chosen)
+        if not flat:
+            notes.append("the mirror image of all, z as -z, fits as well; tags are assumed below the frame's anchors")
         if not frame:
             notes.append(f"frame: {words}: origin, x axis, and to the left of it; --given or --frame choose another")
     solution, mirrored = _sided(walks, solution, known if flat or given else None, effect)
     covariance = _covariance(walks, solution, prior, effect, flat)
+    covariance += np.diag(np.where(np.diag(covariance) > 0.0, _between(minima, effect, flat), 0.0))
     residuals = [walk.ranges - predicted(walk, solution.anchors, path)[0] for walk, path in
                  zip(walks, solution.paths, strict=True)]  # fmt: skip
     squares = sum(np.bincount(w.anchor, r**2, len(names)) for w, r in zip(walks, residuals, strict=True))
@@ -345,3 +348,19 @@ def _covariance(
                 covariance[row, :], covariance[:, row] = 0.0, 0.0
                 covariance[row, row] = root**2
     return covariance
+
+
+def _between(minima: Sequence[Solution], effect: float, flat: bool) -> Float[np.ndarray, " U"]:
+    """The variances, m², of the unknowns by the distances between minima of the cost that are about equally likely."""
+    best, d = minima[0].anchors, 2 if flat else 3
+    variances = np.zeros_like(best)
+    for other in minima[1:]:
+        if (other.cost - minima[0].cost) / effect < UNLIKELY:
+            moves = aligned(other.anchors[:, :3], best[:, :3], d)
+            places = [other.anchors[:, :3] @ turn.T + shift for turn, shift in moves]
+            away = min((place - best[:, :3] for place in places), key=lambda x: float((x[:, :d] ** 2).sum()))
+            # A known height of tags leaves images above and below, which `mirrored` states.
+            away[:, d:] = 0.0
+            variances[:, :d] = np.maximum(variances[:, :d], (away**2).sum(axis=1)[:, None])
+            variances[:, 3] = np.maximum(variances[:, 3], (other.anchors[:, 3] - best[:, 3]) ** 2)
+    return variances.ravel()
