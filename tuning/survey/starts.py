@@ -272,7 +272,8 @@ def multistart(
 
     `known`: positions, m, that are one more start where all are there.
     """
-    longest = sorted(range(len(walks)), key=lambda k: -len(walks[k].ranges))[:2]
+    # A walk of known height gives the vertical.
+    longest = sorted(range(len(walks)), key=lambda k: (walks[k].height is None, -len(walks[k].ranges)))[:2]
     starts = [(first, places) for first in longest for places in distance_geometry(walks[first], len(known), random)]
     if np.isfinite(known).all():
         starts.append((longest[0], known))

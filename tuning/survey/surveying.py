@@ -14,7 +14,7 @@ from trackwright.trackers.recordings.calibration import RANGE_PRIOR
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.survey.solving import Prior, Solution, design_effect, information, predicted, solved
 from trackwright.tuning.survey.starts import descended, misfit, multistart, polished, ranges_to
-from trackwright.tuning.survey.walks import Walk, walks_of
+from trackwright.tuning.survey.walks import LEAST_RANGES, Walk, walks_of
 
 COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1
 """Standard deviations of delays before any range, m: of what all anchors share, and of each anchor's own."""
@@ -28,6 +28,9 @@ DETERMINED, WEAK = 0.25, 1.0
 
 UNLIKELY = 4.0
 """Log-likelihood ratio from which a mirror image is excluded."""
+
+ASIDE = 0.1
+"""Least distance of a frame's third anchor from the line through the others, as a share of their distance."""
 
 LEAST_ANCHORS = 4
 ROUNDS = 3
@@ -56,7 +59,7 @@ class Survey:
     rms: Float[np.ndarray, " A"]
     readings: Int[np.ndarray, " A"]
     effect: float
-    paths: tuple[Float[np.ndarray, "n 3"], ...]
+    paths: tuple[Float[np.ndarray, "_ 3"], ...]
     rig: Rig
     before: Rig
     notes: tuple[str, ...]
@@ -117,43 +120,27 @@ def survey(
 ) -> Survey:
     """The positions and delays of the anchors of recordings with ranges, without their truth.
 
-    `given`: anchors whose positions in the rig are known with standard deviation `sigma`, m; 0: exactly. Without any,
-    `frame` names three anchors: the first is the origin, the second on the x axis, the third to the left of it and,
-    where heights are not known, in the plane z = 0; by default the first three. `height`: of all tags, m, else those
-    that the rigs give; without either, heights are estimated. Raises UnusableInput where that does not fix the frame,
-    for fewer than four anchors with ranges, and for walks that do not determine the anchors at all.
+    `given`: anchors whose positions in the first rig are known with standard deviation `sigma`, m; 0: exactly. Without
+    any, `frame` names three anchors: the origin, one on the x axis, one to the left of it and, where
+    heights are not known, in the plane z = 0; by default the first two and the next aside. `height`: of all tags,
+    m, else those that the rigs give; without either, heights are estimated. Raises UnusableInput where that does not
+    fix the frame, for fewer than four anchors with ranges, and for walks to which no arrangement of them fits.
     """
     folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
-    ranged = [folder for folder in folders if "ranges" in folder.tables]
-    if not ranged:
-        raise UnusableInput(f"{_names(folders)}: no table ranges; expected ranges to anchors; give such a recording")
-    names = sorted({name for folder in ranged for name in folder.tables["ranges"]["anchor"].unique()})
     before = folders[0].rig
-    if len(names) < LEAST_ANCHORS:
-        raise UnusableInput(
-            f"{_names(ranged)}: ranges to {len(names)} anchors; expected {LEAST_ANCHORS} at least; survey more together"
-        )
+    names = _anchors_of(folders)
     given = names if tuple(given) == ("all",) else tuple(given)
-    for name in (*given, *frame):
-        if name not in names:
-            raise UnusableInput(f"anchor {name!r} has no ranges; expected some of {listed(names, 12)}")
-    lacking = [name for name in given if name not in before.anchors]
-    if lacking:
-        raise UnusableInput(f"{before.name}: rig.toml has no anchor {lacking[0]}, which is given; add its position")
-    walks = walks_of(ranged, names, height)
-    seen = np.bincount(np.concatenate([walk.anchor for walk in walks]), minlength=len(names)) if walks else np.zeros(1)
-    if not walks or seen.min() < 20:
-        few = names[int(np.argmin(seen))] if walks else "any anchor"
-        raise UnusableInput(f"{_names(ranged)}: too few ranges to {few}; expected 20 at least; record a longer walk")
-    flat = all(walk.height is not None for walk in walks)
+    _require_known(names, before, given, frame)
+    walks = _long_enough(folders, names, height)
+    # One known height makes z the vertical.
+    flat = any(walk.height is not None for walk in walks)
     notes = _notes(walks, flat)
     known = np.array([before.anchors.get(name, np.full(3, np.nan)) for name in names], float)
-    prior = delay_prior(len(names))
-    random = np.random.default_rng(0)
+    prior, random = delay_prior(len(names)), np.random.default_rng(0)
     minima = multistart(walks, known, prior, random)
     if not minima:
         raise UnusableInput(
-            f"{_names(ranged)}: no arrangement of the anchors fits the ranges; expected walks with ranges to four "
+            f"{_names(folders)}: no arrangement of the anchors fits the ranges; expected walks with ranges to four "
             "anchors within a second; walk where more anchors are heard"
         )
     solution, fixed = minima[0], [names.index(name) for name in given]
@@ -167,7 +154,7 @@ def survey(
         tempered = replace(prior, precision=prior.precision * effect)
     solution = solved(walks, solution, tempered)
     if not given:
-        chosen = [names.index(name) for name in (frame or names[:3])]
+        chosen = _axes(names, frame, solution.anchors[:, :3], 2 if flat else 3)
         solution, prior = _framed(walks, solution, chosen, flat, prior)
         words = ", ".join(names[k] for k in chosen)
         if not flat:
@@ -177,17 +164,57 @@ def survey(
     solution, mirrored = _sided(walks, solution, known if flat or given else None, effect)
     covariance = _covariance(walks, solution, prior, effect, flat)
     covariance += np.diag(np.where(np.diag(covariance) > 0.0, _between(minima, effect, flat), 0.0))
-    residuals = [walk.ranges - predicted(walk, solution.anchors, path)[0] for walk, path in
-                 zip(walks, solution.paths, strict=True)]  # fmt: skip
-    squares = sum(np.bincount(w.anchor, r**2, len(names)) for w, r in zip(walks, residuals, strict=True))
+    readings, rms = _residuals(walks, solution)
     positions = solution.anchors[:, :3]
-    anchors = {**before.anchors, **dict(zip(names, positions, strict=True))}
     return Survey(
-        tuple(names), positions, solution.anchors[:, 3], covariance, mirrored, solution.scales, solution.densities,
-        np.sqrt(squares / seen), seen, effect,
-        tuple(walk.positions(path) for walk, path in zip(walks, solution.paths, strict=True)),
-        replace(before, anchors=anchors), before, tuple(notes),
+        tuple(names), positions, solution.anchors[:, 3], covariance, mirrored, solution.scales, solution.densities, rms,
+        readings, effect, tuple(walk.positions(path) for walk, path in zip(walks, solution.paths, strict=True)),
+        replace(before, anchors={**before.anchors, **dict(zip(names, positions, strict=True))}), before, tuple(notes),
     )  # fmt: skip
+
+
+def _anchors_of(folders: Sequence[RecordingFolder]) -> list[str]:
+    """The anchors that have ranges; raises UnusableInput for fewer than four."""
+    tables = [folder.tables["ranges"] for folder in folders if "ranges" in folder.tables]
+    if not tables:
+        raise UnusableInput(f"{_names(folders)}: no table ranges; expected ranges to anchors; give such a recording")
+    names = sorted({name for table in tables for name in table["anchor"].unique()})
+    if len(names) < LEAST_ANCHORS:
+        raise UnusableInput(
+            f"{_names(folders)}: ranges to {len(names)} anchors; expected {LEAST_ANCHORS} at least; survey more"
+        )
+    return names
+
+
+def _require_known(names: Sequence[str], rig: Rig, given: Sequence[str], frame: Sequence[str]) -> None:
+    """Raises UnusableInput for anchors without ranges, and for given ones without a position."""
+    for name in (*given, *frame):
+        if name not in names:
+            raise UnusableInput(f"anchor {name!r} has no ranges; expected some of {listed(names, 12)}; correct its id")
+    lacking = [name for name in given if name not in rig.anchors]
+    if lacking:
+        raise UnusableInput(f"{rig.name}: rig.toml has no anchor {lacking[0]}; expected those given; add its position")
+
+
+def _long_enough(folders: Sequence[RecordingFolder], names: Sequence[str], height: float | None) -> list[Walk]:
+    """The walks; raises UnusableInput for an anchor with too few ranges."""
+    walks = walks_of([folder for folder in folders if "ranges" in folder.tables], names, height)
+    seen = sum((np.bincount(walk.anchor, minlength=len(names)) for walk in walks), np.zeros(len(names), int))
+    if seen.min() < LEAST_RANGES:
+        few = names[int(np.argmin(seen))]
+        raise UnusableInput(
+            f"{_names(folders)}: {seen.min()} ranges to {few} without gaps; expected {LEAST_RANGES} at least; "
+            "record a longer walk"
+        )
+    return walks
+
+
+def _residuals(walks: Sequence[Walk], solution: Solution) -> tuple[Int[np.ndarray, " A"], Float[np.ndarray, " A"]]:
+    """The number of ranges of each anchor, and the root mean square of their errors, m."""
+    error = [w.ranges - predicted(w, solution.anchors, path)[0] for w, path in zip(walks, solution.paths, strict=True)]
+    anchor = np.concatenate([walk.anchor for walk in walks])
+    readings = np.bincount(anchor)
+    return readings, np.sqrt(np.bincount(anchor, np.concatenate(error) ** 2) / readings)
 
 
 def _names(folders: Sequence[RecordingFolder]) -> str:
@@ -265,6 +292,20 @@ def _onto(
 def _tags(walks: Sequence[Walk], solution: Solution) -> Float[np.ndarray, "n 3"]:
     """The positions of the tags, m, in all walks."""
     return np.concatenate([walk.positions(path) for walk, path in zip(walks, solution.paths, strict=True)])
+
+
+def _axes(names: Sequence[str], frame: Sequence[str], anchors: np.ndarray, d: int) -> list[int]:
+    """The anchors of the frame: those named, or the first two and the next one aside; refused in a line."""
+    thirds = [names.index(frame[2])] if frame else range(2, len(names))
+    a, b = (names.index(name) for name in (frame or names)[:2])
+    ahead = (anchors[b] - anchors[a])[:d]
+    for c in thirds:
+        aside = (anchors[c] - anchors[a])[:d]
+        off = np.linalg.norm(aside - ahead * (aside @ ahead) / (ahead @ ahead))
+        if off > ASIDE * np.linalg.norm(ahead):
+            return [a, b, c]
+    words = ", ".join(frame or names)
+    raise UnusableInput(f"{words}: stand in a line; expected three anchors that do not; give others as --frame")
 
 
 def frame_of(

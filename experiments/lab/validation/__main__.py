@@ -14,6 +14,7 @@ CASES = (
     "nis_expectation",
     "recovery",
     "surveys",
+    "surveys:real_surveys",
     "track_loss",
     "bag_tour",
 )

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,8 @@ import polars as pl
 from scipy.signal import lfilter
 
 import trackwright as tw
-from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
+from trackwright.experiments.cli.runtime import keep_programs
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.text.terminal import progress
 from trackwright.tuning.survey.solving import Solution, information
@@ -42,31 +45,35 @@ REAL = {
 
 
 def surveys(*, count: int = SURVEYS, output: Output = DEFAULTS) -> int:
-    """Simulated surveys against truth and bound, and real ones against the published positions; 1 if one misses.
+    """Simulated surveys of anchors against truth and the bound; 1 if a criterion fails.
 
     Args:
-        count: of simulated surveys.
+        count: of surveys.
     """
-    simulated = simulated_surveys(3 if output.small else count)
-    real = [real_survey(name) for name in list(REAL)[: 1 if output.small else None]]
-    output.publish(
-        "validation surveys",
-        Table(simulated, "simulated", note="Coverage of 95 % intervals; errors over the bound, both RMS."),
-        Table(real, "real", note="Median errors after alignment; RMSE of uwb with the published and the surveyed rig."),
-    )
-    return int(any(row["good"] == "no" for row in simulated))
-
-
-def simulated_surveys(count: int) -> list[Row]:
-    """A row for each kind of walk, with and without errors that last."""
     kinds = [(walk, lasting) for lasting in (0.0, LASTING) for walk in HEIGHTS]
+    numbers = range(3 if output.small else count)
     results: dict[tuple[str, float], list[Row]] = {kind: [] for kind in kinds}
-    with progress("surveys", count) as advance:
-        for number in range(count):
-            kind = kinds[number % len(kinds)]
-            results[kind].append(simulated_survey(number, *kind))
+    with progress("surveys", len(numbers)) as advance, ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        of_kinds = [kinds[number % len(kinds)] for number in numbers]
+        for kind, row in zip(of_kinds, pool.map(simulated_survey, numbers, *zip(*of_kinds, strict=True)), strict=False):
+            results[kind].append(row)
             advance(1)
-    return [_row(*kind, rows) for kind, rows in results.items() if rows]
+    rows = [_row(*kind, of_kind) for kind, of_kind in results.items() if of_kind]
+    output.publish("validation surveys", Table(rows, note="Errors and bounds: root mean squares; s: processor time."))
+    return int(any(row["good"] == "no" for row in rows))
+
+
+def real_surveys(*sites: str, output: Output = DEFAULTS) -> int:
+    """Surveys of the anchors of real recordings, without their truth, against the published positions.
+
+    Args:
+        sites: these alone.
+    """
+    keep_programs()
+    rows = [real_survey(name) for name in chosen(sites, REAL, ("starloc-fast",) if output.small else ())]
+    note = "Median errors of anchors after alignment; RMSE: horizontal, of uwb with the published and the surveyed rig."
+    output.publish("validation real-surveys", Table(rows, note=note))
+    return 0
 
 
 def _row(walk: str, lasting: float, rows: Sequence[Row]) -> Row:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, plan_corners
+from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, ellipses, plan_corners
 from trackwright.experiments.pages.charts.style import BLUE, GREEN, GREY, Chart, write_panels
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.text.tables import rendered, ruled_table, terminal_width
@@ -105,7 +105,8 @@ def _plan(axes: Axes, survey: Survey) -> None:
     paths.append(
         PlanPath("", BLUE, np.full((1, 2), np.nan), survey.positions[drawn, :2], covs[drawn], "95 % ellipse")
     )  # fmt: skip
-    draw_plan(axes, paths, [], survey.rig, plan_corners([whole], [], survey.rig))
+    shown = [whole, ellipses(survey.positions[drawn, :2], covs[drawn])]
+    draw_plan(axes, paths, [], survey.rig, plan_corners(shown, [], survey.rig))
     known = [k for k, name in enumerate(survey.names) if name in survey.before.anchors]
     if len(known) > 2:
         before = np.array([survey.before.anchors[survey.names[k]] for k in known])
