@@ -60,13 +60,18 @@ def test_the_information_is_the_schur_complement_of_the_dense_one(height):
 
 def test_the_solution_is_a_minimum_of_the_cost():
     walk, start = _small()
-    found = solved([walk], start, delay_prior(len(start.anchors)), levels=False)
-    least, random = cost_of([walk], found, delay_prior(len(start.anchors))), np.random.default_rng(1)
+    prior, random, h = delay_prior(len(start.anchors)), np.random.default_rng(1), 1e-3
+    found = solved([walk], start, prior, levels=False)
     for _ in range(20):
-        anchors = found.anchors + 1e-2 * random.standard_normal(found.anchors.shape)
-        paths = [found.paths[0] + 1e-2 * random.standard_normal(found.paths[0].shape)]
-        moved = replace(found, anchors=anchors, paths=paths)
-        assert cost_of([walk], moved, delay_prior(len(anchors))) > least
+        anchors, path = (random.standard_normal(x.shape) for x in (found.anchors, found.paths[0]))
+        below, at, above = (
+            cost_of(
+                [walk], replace(found, anchors=found.anchors + k * anchors, paths=[found.paths[0] + k * path]), prior
+            )
+            for k in (-h, 0.0, h)
+        )
+        # The lowest point of the parabola through the three.
+        assert abs(0.5 * h * (below - above) / (below + above - 2.0 * at)) < 1e-5
 
 
 def test_a_turned_room_has_the_same_cost():
@@ -88,6 +93,8 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     assert (np.abs(error) <= 4.0 * found.half_widths[:, :3] / 1.96 + 1e-9).all()
 
     flat = survey(folders[:1])
+    # One anchor is found at the height of the walk, where it has no other side.
+    assert flat.mirrored.sum() == len(flat.names) - 1
     assert not any(flat.determined(k)[1] for k in range(len(flat.names)))
     assert "two heights" in flat.verdict(0)
 

@@ -142,6 +142,10 @@ def simulated_site(
     at = (np.arange(count) + random.uniform(0.0, 0.6, count)) / count * along[-1]
     walls = np.column_stack([np.interp(at, along, column) for column in corners.T])
     anchors = np.column_stack([walls, random.uniform(0.3, 2.8, count)])[random.permutation(count)]
+    # Three anchors in a line make no frame.
+    ahead, asides = (anchors[1] - anchors[0])[:2], (anchors[2:] - anchors[0])[:, :2]
+    third = 2 + int(np.argmax(np.abs(asides @ [-ahead[1], ahead[0]])))
+    anchors[[2, third]] = anchors[[third, 2]]
     delays = 0.3 * random.standard_normal() + 0.1 * random.standard_normal(count)
     names = [f"A{k:02d}" for k in range(count)]
     folders, paths = [], []
