@@ -8,6 +8,7 @@ import pytest
 from trackwright.experiments.lab.validation.surveys import simulated_site
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.tuning.survey import surveying
 from trackwright.tuning.survey.solving import FISHER, Solution, cost_of, information, solved
 from trackwright.tuning.survey.surveying import delay_prior, frame_of, survey
 from trackwright.tuning.survey.walks import walks_of
@@ -99,7 +100,7 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     assert "two heights" in flat.verdict(0)
 
 
-def test_given_anchors_stay_and_too_few_are_refused():
+def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
     folders, anchors, _ = simulated_site(2, (0.5, 1.9), 0.0)
     names = [f"A{k:02d}" for k in range(len(anchors))]
     known = dict(zip(names[:3], anchors, strict=False))
@@ -107,6 +108,11 @@ def test_given_anchors_stay_and_too_few_are_refused():
     found = survey(placed, given=names[:3])
     np.testing.assert_array_equal(found.positions[:3], anchors[:3])
     assert np.median(np.abs(found.positions - anchors)) < 0.15
+    # Other minima a metre away widen what is searched for alone.
+    monkeypatch.setattr(surveying, "_between", lambda minima, *_: np.ones(minima[0].anchors.size))
+    taped = survey(placed, given=names[:3], sigma=0.05)
+    assert (taped.half_widths[:3, :3] <= 1.96 * 0.05 + 1e-9).all()
+    assert (taped.half_widths[3:, :3] >= 1.96).all()
     with pytest.raises(UnusableInput, match="leaves a rotation"):
         survey(placed, given=names[:2])
     with pytest.raises(UnusableInput, match="has no ranges"):

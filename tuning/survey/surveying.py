@@ -163,7 +163,10 @@ def survey(
             notes.append(f"frame: {words}: origin, x axis, and to the left of it; --given or --frame choose another")
     solution, mirrored = _sided(walks, solution, known if flat or given else None, effect)
     covariance = _covariance(walks, solution, prior, effect, flat)
-    covariance += np.diag(np.where(np.diag(covariance) > 0.0, _between(minima, effect, flat), 0.0))
+    # Given positions are known as well as that, whatever other minima there are.
+    searched = np.diag(covariance) > 0.0
+    searched[[4 * k + axis for k in fixed for axis in range(3)]] = False
+    covariance += np.diag(np.where(searched, _between(minima, effect, flat), 0.0))
     readings, rms = _residuals(walks, solution)
     positions = solution.anchors[:, :3]
     return Survey(
