@@ -122,6 +122,8 @@ from trackwright.tuning.optimisers import LBFGS as LBFGS
 from trackwright.tuning.optimisers import Adam as Adam
 from trackwright.tuning.pit_uniformity import PITUniformity as PITUniformity
 from trackwright.tuning.priors import Prior as Prior
+from trackwright.tuning.survey.surveying import Survey as Survey
+from trackwright.tuning.survey.surveying import survey as survey
 from trackwright.tuning.sweeping import sweep as sweep
 from trackwright.tuning.tuned_file import read_tuned as read_tuned
 from trackwright.tuning.tuned_file import write_tuned as write_tuned
@@ -253,8 +255,10 @@ __all__ = [
     "StateLogLikelihood",
     "PITUniformity",
     "Weighted",
-    # systematic errors of stations and anchors, tuned files
+    # systematic errors of stations and anchors, positions of anchors without truth, tuned files
     "calibrate",
+    "survey",
+    "Survey",
     "read_tuned",
     "write_tuned",
     # modules

@@ -16,6 +16,7 @@ COMMANDS = {
     "plan": "cli.plan:plan",
     "import": "cli.import_source:import_source",
     "check": "cli.check:check",
+    "survey": "cli.survey:survey",
     "calibrate": "cli.check:calibrate_recordings",
     "track": "cli.track:track",
     "evaluate": "cli.track:evaluate_tracks",

@@ -205,15 +205,18 @@ def _repeated(items: Sequence[Any]) -> int | None:
     return next((k for k, item in enumerate(items) if counts[item] > 1), None)
 
 
-def read_recording(path: str | Path) -> RecordingFolder:
-    """The recording in the folder `path`; raises UnusableInput with a message of one line for unusable content."""
+def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
+    """The recording in the folder `path`; raises UnusableInput with a message of one line for unusable content.
+
+    `placed`: whether the anchors of ranges must be in rig.toml, as all trackers need them; `survey` places them.
+    """
     path = Path(path)
     rig, files, notices, others = folder_contents(path)
     tables, ignored = {}, []
     if others:
         ignored.append(f"{listed(others)} (not one of the tables {', '.join(table_kinds())})")
     for name, file in files.items():
-        tables[name], table_notices, columns = read_table(file, name, rig)
+        tables[name], table_notices, columns = read_table(file, name, rig, placed or name != "ranges")
         notices += table_notices
         if columns:
             which = f"column{'s' if len(columns) > 1 else ''} {listed(map(repr, columns))}"

@@ -26,11 +26,11 @@ _LARGEST = 1e15  # its square is within the range of a 32-bit float
 _LATEST = 1e20  # beyond nanoseconds since 1970
 
 
-def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str], list[str]]:
+def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl.DataFrame, list[str], list[str]]:
     """The table in `path`, sorted by time, null where a value is missing, notices of changes, and ignored columns.
 
-    Ids are String, all other columns Float64. Columns of signal quality are kept where all cells are numbers. Raises
-    UnusableInput with file, row and column.
+    Ids are String, all other columns Float64. Columns of signal quality are kept where all cells are numbers. `placed`:
+    whether all anchors and stations must be in the rig. Raises UnusableInput with file, row and column.
     """
     file, kind = read_table_file(path), table_kinds()[name]
     expected, ignored = _columns(file, kind)
@@ -46,7 +46,8 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str]
     frame = pl.DataFrame([times, *ids, *numbers, *quality])
     _check_stds(file, frame, expected)
     _check_quaternions(file, frame)
-    _check_sensors(file, frame, kind, rig)
+    if placed:
+        _check_sensors(file, frame, kind, rig)
     notices = []
     for column in (column.name for column in kind.columns if column.positive):
         zero = int((frame[column] == 0).sum())

@@ -14,6 +14,8 @@ CASES = (
     "nis_expectation",
     "recovery",
     "error_over_bound",
+    "surveys",
+    "surveys:real_surveys",
     "track_loss",
     "bag_tour",
 )

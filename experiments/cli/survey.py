@@ -1,0 +1,77 @@
+"""`trackwright survey`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from trackwright.experiments.cli.options import File, Recording
+from trackwright.trackers.core.errors import UnusableInput
+
+Names = Annotated[str, Parameter(metavar="A1,A2,…")]
+
+
+def survey(
+    *recordings: Recording,
+    out: File,
+    given: Names | None = None,
+    sigma: float = 0.0,
+    frame: Names | None = None,
+    height: float | None = None,
+    force: bool = False,
+    json: bool = False,
+) -> int:
+    """Survey anchors: their positions and delays from walks without truth.
+
+    Writes a rig.toml that `track` takes, and beside it a page. Anchors that rig.toml of the walks lacks are surveyed,
+    too.
+
+    Args:
+        recordings: recording folders with ranges to the same anchors; truth, if there is any, is not used.
+        out: the file to write, as rig.toml; the page and its figure go beside it.
+        given: anchors whose positions in rig.toml are known, or all.
+        sigma: their standard deviation, m, as 0.05 by tape; default: exact.
+        frame: without given anchors: origin, x axis, and one to the left of it; default: the first.
+        height: of the tags, m; default: that of the tags in rig.toml, else estimated.
+        force: replace a file that exists.
+        json: print positions, delays, intervals and verdicts as JSON instead of a table.
+    """
+    if out.suffix != ".toml" or out.is_dir():
+        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give rig.toml in a folder")
+    if out.exists() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    if not 0 <= sigma < math.inf:
+        raise UnusableInput(f"--sigma {sigma:g}: expected metres above zero, or 0 for exact positions")
+    if height is not None and not math.isfinite(height):
+        raise UnusableInput(f"--height {height:g}: expected a height in metres")
+    if sigma and given is None:
+        raise UnusableInput(f"--sigma {sigma:g}: is that of given positions; expected --given, as --given all")
+    axes = tuple(frame.split(",")) if frame else ()
+    if frame and (len({*axes}) != 3 or given is not None):
+        raise UnusableInput(f"--frame {frame}: expected three anchors, as A1,A2,A3, and no --given; leave one out")
+    from trackwright.experiments.cli.console import json_alone, output_folder
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.recordings.folder import read_recording, refuse_repeated
+
+    refuse_repeated(recordings)
+    folders = [read_recording(path, placed=False) for path in recordings]
+    # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
+    from trackwright.experiments.pages.reports.survey import survey_data, survey_text, write_survey_report
+    from trackwright.trackers.recordings.atomic import atomic_write
+    from trackwright.trackers.recordings.rig_file import rig_text
+    from trackwright.tuning.survey.surveying import survey as survey_anchors
+
+    result = survey_anchors(folders, tuple(given.split(",")) if given else (), sigma, axes, height)
+    output_folder(out.parent)
+    for line in result.notes:
+        notice(f"notice: {line}")
+    atomic_write(out, lambda path: path.write_text(rig_text(result.rig), encoding="utf-8"))
+    drawn, page = write_survey_report(out, result, sys.argv)
+    with json_alone(json) as put:
+        print(survey_text(result), end="")
+        print(f"wrote {out}, {page.name} and {drawn.name}")
+        put(survey_data(result))
+    return 0

@@ -1,0 +1,52 @@
+"""`trackwright survey`: the rig, the page and the JSON that it writes, and what it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.in_process import assert_refused, trackwright
+from trackwright.experiments.lab.validation.surveys import simulated_site
+from trackwright.trackers.recordings.folder import write_recording
+from trackwright.trackers.recordings.rig_file import read_rig
+
+
+@pytest.fixture(scope="module")
+def walks(tmp_path_factory):
+    """Walks at two heights among anchors without positions, and the true distance of the first two anchors, m."""
+    there = tmp_path_factory.mktemp("walks")
+    folders, anchors, _ = simulated_site(2, (0.5, 1.9), 0.0)
+    for folder, name in zip(folders, ("low", "high"), strict=True):
+        write_recording(folder, there / name)
+    return there / "low", there / "high", np.linalg.norm((anchors[1] - anchors[0])[:2])
+
+
+def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks, tmp_path):
+    *folders, distance = walks
+    out = tmp_path / "site" / "rig.toml"
+    said = trackwright("survey", *folders, "--out", out, "--json")
+    assert said.code == 0, said.err
+    anchors = read_rig(out)[0].anchors
+    assert abs(anchors["A01"][0] - distance) < 0.2
+    assert anchors["A01"][1] == pytest.approx(0.0, abs=1e-9)
+    found = json.loads(said.out)["anchors"]
+    assert found["A01"]["half_width_m"][1] == 0.0
+    assert found["A03"]["half_width_m"][0] > 0.0
+    assert {path.name for path in out.parent.iterdir()} == {"rig.toml", "rig.html", "rig.png"}
+    assert "determined" in out.with_suffix(".html").read_text("utf-8")
+    assert_refused(trackwright("survey", *folders, "--out", out), "exists", "--force")
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--given", "A00,A01,A02"), "rig.toml has no anchor A00"),
+        (("--sigma", "0.1"), "expected --given"),
+        (("--frame", "A00,A01"), "expected three anchors"),
+        (("--frame", "A00,A01,B"), "'B' has no ranges"),
+        (("--height", "nan"), "expected a height"),
+    ],
+)
+def test_options_without_sense_are_refused_in_one_line(walks, tmp_path, options, word):
+    assert_refused(trackwright("survey", *walks[:2], *options, "--out", tmp_path / "rig.toml"), word)
+    assert not list(tmp_path.iterdir())

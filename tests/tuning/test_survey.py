@@ -1,0 +1,119 @@
+"""Surveys of anchors: information against dense matrices, invariance to the frame, recovered rooms, refused heights."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trackwright.experiments.lab.validation.surveys import simulated_site
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.tuning.survey import surveying
+from trackwright.tuning.survey.solving import FISHER, Solution, cost_of, information, solved
+from trackwright.tuning.survey.surveying import delay_prior, frame_of, survey
+from trackwright.tuning.survey.walks import walks_of
+
+
+def _small(height=None, seconds=6.0):
+    """The start of a simulated walk with its true anchors and path."""
+    (folder,), anchors, (path,) = simulated_site(4, (height,), 0.0)
+    table = folder.tables["ranges"].filter(folder.tables["ranges"]["t_s"] < seconds)
+    names = sorted(table["anchor"].unique())
+    (walk,) = walks_of([replace(folder, tables={"ranges": table})], names, height)
+    at = np.column_stack([np.interp(walk.times, np.arange(len(path)) / 4.0, column) for column in path.T])
+    unknown = np.column_stack([anchors, np.full(len(anchors), 0.1)])
+    levels = np.full(len(anchors), 0.1), np.full(1, 0.5)
+    return walk, Solution(unknown, [walk.fitted(at)], *levels)
+
+
+def _ranges(walk, unknown, path):
+    """The ranges at these anchors and path, by plain sums of cubic B-splines."""
+    u = (walk.times - walk.times[0]) / 0.25
+    x = np.zeros((len(u), path.shape[1]))
+    for knot, value in enumerate(path):
+        t = np.abs(u - (knot - 1))
+        x += np.where(t < 1, 2 / 3 - t**2 + t**3 / 2, np.where(t < 2, (2 - t) ** 3 / 6, 0.0))[:, None] * value
+    if walk.height is not None:
+        x = np.column_stack([x, np.full(len(x), walk.height)])
+    anchors = unknown[walk.anchor]
+    return np.linalg.norm(x - anchors[:, :3], axis=1) + anchors[:, 3]
+
+
+@pytest.mark.parametrize("height", [None, 1.2])
+def test_the_information_is_the_schur_complement_of_the_dense_one(height):
+    walk, solution = _small(height)
+    (path,) = solution.paths
+    point = np.concatenate([solution.anchors.ravel(), path.ravel()])
+    size = solution.anchors.size
+
+    def predicted(x):
+        return _ranges(walk, x[:size].reshape(-1, 4), x[size:].reshape(path.shape))
+
+    step = 1e-5
+    jacobian = np.stack([(predicted(point + e) - predicted(point - e)) / (2 * step) for e in step * np.eye(len(point))])
+    dense = FISHER / 0.1**2 * jacobian @ jacobian.T
+    second = np.diff(np.eye(len(path)), 2, axis=0) / 0.25**2
+    dense[size:, size:] += np.kron(second.T @ second * 0.25, np.eye(path.shape[1])) / 0.5
+    dense[size:, size:] += 1e-6 * np.eye(path.size)
+    a, b, c = dense[:size, :size], dense[:size, size:], dense[size:, size:]
+    np.testing.assert_allclose(information([walk], solution), a - b @ np.linalg.solve(c, b.T), rtol=1e-4, atol=1e-2)
+
+
+def test_the_solution_is_a_minimum_of_the_cost():
+    walk, start = _small()
+    prior, random, h = delay_prior(len(start.anchors)), np.random.default_rng(1), 1e-3
+    found = solved([walk], start, prior, levels=False)
+    for _ in range(20):
+        anchors, path = (random.standard_normal(x.shape) for x in (found.anchors, found.paths[0]))
+        below, at, above = (
+            cost_of(
+                [walk], replace(found, anchors=found.anchors + k * anchors, paths=[found.paths[0] + k * path]), prior
+            )
+            for k in (-h, 0.0, h)
+        )
+        # The lowest point of the parabola through the three.
+        assert abs(0.5 * h * (below - above) / (below + above - 2.0 * at)) < 1e-5
+
+
+def test_a_turned_room_has_the_same_cost():
+    walk, start = _small()
+    turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    turned = np.column_stack([start.anchors[:, :3] @ turn.T + [1.0, 2.0, 3.0], start.anchors[:, 3]])
+    moved = replace(start, anchors=turned, paths=[start.paths[0] @ turn.T + [1.0, 2.0, 3.0]])
+    prior = delay_prior(len(start.anchors))
+    assert cost_of([walk], moved, prior) == pytest.approx(cost_of([walk], start, prior), rel=1e-9)
+
+
+def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_heights():
+    folders, anchors, paths = simulated_site(2, (0.5, 1.9), 0.0)
+    turn, shift = frame_of(anchors[:3], np.concatenate(paths), flat=True)
+    found = survey(folders)
+    error = found.positions - (anchors @ turn.T + shift)
+    assert np.median(np.abs(error)) < 0.15
+    assert not found.mirrored.any()
+    assert (np.abs(error) <= 4.0 * found.half_widths[:, :3] / 1.96 + 1e-9).all()
+
+    flat = survey(folders[:1])
+    # One anchor is found at the height of the walk, where it has no other side.
+    assert flat.mirrored.sum() == len(flat.names) - 1
+    assert not any(flat.determined(k)[1] for k in range(len(flat.names)))
+    assert "two heights" in flat.verdict(0)
+
+
+def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
+    folders, anchors, _ = simulated_site(2, (0.5, 1.9), 0.0)
+    names = [f"A{k:02d}" for k in range(len(anchors))]
+    known = dict(zip(names[:3], anchors, strict=False))
+    placed = [replace(folder, rig=Rig(folder.name, anchors=known, tags=folder.rig.tags)) for folder in folders]
+    found = survey(placed, given=names[:3])
+    np.testing.assert_array_equal(found.positions[:3], anchors[:3])
+    assert np.median(np.abs(found.positions - anchors)) < 0.15
+    # Other minima a metre away widen what is searched for alone.
+    monkeypatch.setattr(surveying, "_between", lambda minima, *_: np.ones(minima[0].anchors.size))
+    taped = survey(placed, given=names[:3], sigma=0.05)
+    assert (taped.half_widths[:3, :3] <= 1.96 * 0.05 + 1e-9).all()
+    assert (taped.half_widths[3:, :3] >= 1.96).all()
+    with pytest.raises(UnusableInput, match="leaves a rotation"):
+        survey(placed, given=names[:2])
+    with pytest.raises(UnusableInput, match="has no ranges"):
+        survey(placed, frame=("A00", "A01", "B"))

@@ -1,0 +1,410 @@
+"""Surveys: where the anchors of an installation stand, from walks without truth, with intervals and verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.calibration import RANGE_PRIOR
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.survey.solving import Prior, Solution, design_effect, information, predicted, solved
+from trackwright.tuning.survey.starts import descended, misfit, multistart, polished, ranges_to
+from trackwright.tuning.survey.walks import LEAST_RANGES, Walk, walks_of
+
+COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1
+"""Standard deviations of delays before any range, m: of what all anchors share, and of each anchor's own."""
+
+EXACT = 1e-3
+"""Standard deviation, m, below which a given position counts as exact."""
+
+NORMAL = 1.96
+DETERMINED, WEAK = 0.25, 1.0
+"""Half-widths of 95 % intervals, m, up to which a coordinate counts as determined, and as weakly so."""
+
+UNLIKELY = 4.0
+"""Log-likelihood ratio from which a mirror image is excluded."""
+
+ASIDE = 0.1
+"""Least distance of a frame's third anchor from the line through the others, as a share of their distance."""
+
+LEAST_ANCHORS = 4
+ROUNDS = 3
+"""How often the design effect, and the solution with it, are computed in turn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Anchors with their positions and delays.
+
+    `names` (A,); `positions` (A, 3) m and `delays` (A,) m; `covariance` (4A, 4A), m², of x, y, z and delay of each
+    anchor in turn, zero where the frame or an exact position fixes a coordinate. `mirrored` (A,): whether the mirror
+    image of the anchor on the other side of the walk's plane fits as well. `scales`, `rms`, m, and `readings` (A,): of
+    each anchor's errors. `densities` (walks,): of the tags' accelerations, m²/s³. `effect`: by how much errors that
+    last widen variances. `paths`: positions (n, 3), m, of the tag in each walk. `rig`: that of the first recording with
+    these positions; `before`: as it was. `notes`: what was assumed, a line each.
+    """
+
+    names: tuple[str, ...]
+    positions: Float[np.ndarray, "A 3"]
+    delays: Float[np.ndarray, " A"]
+    covariance: Float[np.ndarray, "U U"]
+    mirrored: Bool[np.ndarray, " A"]
+    scales: Float[np.ndarray, " A"]
+    densities: Float[np.ndarray, " walks"]
+    rms: Float[np.ndarray, " A"]
+    readings: Int[np.ndarray, " A"]
+    effect: float
+    paths: tuple[Float[np.ndarray, "_ 3"], ...]
+    rig: Rig
+    before: Rig
+    notes: tuple[str, ...]
+
+    @property
+    def half_widths(self) -> Float[np.ndarray, "A 4"]:
+        """Those of the 95 % intervals of x, y, z and delay of each anchor, m."""
+        return NORMAL * np.sqrt(np.diag(self.covariance)).reshape(-1, 4)
+
+    @property
+    def delay_determined(self) -> Bool[np.ndarray, " A"]:
+        """Whether the ranges determine a delay better than what was known before."""
+        return self.half_widths[:, 3] < 0.7 * NORMAL * np.hypot(COMMON_DELAY, OWN_DELAY)
+
+    def verdict(self, k: int) -> str:
+        """Whether the position of anchor `k` is determined, and otherwise what walk would determine it."""
+        flat, height = self._extents(k)
+        words = []
+        for extent, name in ((flat, "x, y"), (height, "height")):
+            if extent > WEAK:
+                words.append(f"not determined: {name}")
+            elif extent > DETERMINED:
+                words.append(f"weak: {name}")
+        if self.mirrored[k]:
+            words = [word for word in words if "height" not in word] + ["not determined: above or below the walk"]
+        return f"{'; '.join(words)} ({self._advice(k)})" if words else "determined"
+
+    def determined(self, k: int) -> tuple[bool, bool]:
+        """Whether x and y, and whether the height of anchor `k` are determined."""
+        flat, height = self._extents(k)
+        return flat <= DETERMINED, height <= DETERMINED and not self.mirrored[k]
+
+    def _extents(self, k: int) -> tuple[float, float]:
+        """Half the largest horizontal axis of the 95 % interval of anchor `k`, and of its height, m."""
+        block = self.covariance[4 * k : 4 * k + 3, 4 * k : 4 * k + 3]
+        return NORMAL * float(np.sqrt(np.linalg.eigvalsh(block[:2, :2])[-1])), NORMAL * float(np.sqrt(block[2, 2]))
+
+    def _advice(self, k: int) -> str:
+        """The walk that determines the weakest direction of anchor `k`."""
+        block = self.covariance[4 * k : 4 * k + 3, 4 * k : 4 * k + 3]
+        weakest = np.linalg.eigh(block)[1][:, -1]
+        places = np.concatenate(self.paths)
+        if self.mirrored[k] or abs(weakest[2]) > 0.7:
+            return "walk at two heights" if np.ptp(places[:, 2]) < 1.0 else f"walk at two heights near {self.names[k]}"
+        offset = places - self.positions[k]
+        radial = offset.mean(axis=0) / np.linalg.norm(offset.mean(axis=0))
+        if abs(weakest @ radial) > 0.7:
+            return f"walk close to {self.names[k]} and away from it"
+        return f"walk around {self.names[k]}"
+
+
+def survey(
+    recordings: RecordingFolder | Sequence[RecordingFolder],
+    given: Sequence[str] = (),
+    sigma: float = 0.0,
+    frame: Sequence[str] = (),
+    height: float | None = None,
+) -> Survey:
+    """The positions and delays of the anchors of recordings with ranges, without their truth.
+
+    `given`: anchors whose positions in the first rig are known with standard deviation `sigma`, m; 0: exactly. Without
+    any, `frame` names three anchors: the origin, one on the x axis, one to the left of it and, where
+    heights are not known, in the plane z = 0; by default the first two and the next aside. `height`: of all tags,
+    m, else those that the rigs give; without either, heights are estimated. Raises UnusableInput where that does not
+    fix the frame, for fewer than four anchors with ranges, and for walks to which no arrangement of them fits.
+    """
+    folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
+    before = folders[0].rig
+    names = _anchors_of(folders)
+    given = names if tuple(given) == ("all",) else tuple(given)
+    _require_known(names, before, given, frame)
+    walks = _long_enough(folders, names, height)
+    # One known height makes z the vertical.
+    flat = any(walk.height is not None for walk in walks)
+    notes = _notes(walks, flat)
+    known = np.array([before.anchors.get(name, np.full(3, np.nan)) for name in names], float)
+    prior, random = delay_prior(len(names)), np.random.default_rng(0)
+    minima = multistart(walks, known, prior, random)
+    if not minima:
+        raise UnusableInput(
+            f"{_names(folders)}: no arrangement of the anchors fits the ranges; expected walks with ranges to four "
+            "anchors within a second; walk where more anchors are heard"
+        )
+    solution, fixed = minima[0], [names.index(name) for name in given]
+    if given:
+        _require_frame(known[fixed], given)
+        solution, prior = _onto(walks, solution, known, fixed, sigma, flat)
+    effect, tempered = 1.0, prior
+    for _ in range(ROUNDS):
+        solution = polished(walks, solved(walks, solution, tempered), tempered, random)
+        effect = design_effect(walks, solution, tempered)
+        tempered = replace(prior, precision=prior.precision * effect)
+    solution = solved(walks, solution, tempered)
+    if not given:
+        chosen = _axes(names, frame, solution.anchors[:, :3], 2 if flat else 3)
+        solution, prior = _framed(walks, solution, chosen, flat, prior)
+        words = ", ".join(names[k] for k in chosen)
+        if not flat:
+            notes.append("the mirror image of all, z as -z, fits as well; tags are assumed below the frame's anchors")
+        if not frame:
+            notes.append(f"frame: {words}: origin, x axis, and to the left of it; --given or --frame choose another")
+    solution, mirrored = _sided(walks, solution, known if flat or given else None, effect)
+    covariance = _covariance(walks, solution, prior, effect, flat)
+    # Given positions are known as well as that, whatever other minima there are.
+    searched = np.diag(covariance) > 0.0
+    searched[[4 * k + axis for k in fixed for axis in range(3)]] = False
+    covariance += np.diag(np.where(searched, _between(minima, effect, flat), 0.0))
+    readings, rms = _residuals(walks, solution)
+    positions = solution.anchors[:, :3]
+    return Survey(
+        tuple(names), positions, solution.anchors[:, 3], covariance, mirrored, solution.scales, solution.densities, rms,
+        readings, effect, tuple(walk.positions(path) for walk, path in zip(walks, solution.paths, strict=True)),
+        replace(before, anchors={**before.anchors, **dict(zip(names, positions, strict=True))}), before, tuple(notes),
+    )  # fmt: skip
+
+
+def _anchors_of(folders: Sequence[RecordingFolder]) -> list[str]:
+    """The anchors that have ranges; raises UnusableInput for fewer than four."""
+    tables = [folder.tables["ranges"] for folder in folders if "ranges" in folder.tables]
+    if not tables:
+        raise UnusableInput(f"{_names(folders)}: no table ranges; expected ranges to anchors; give such a recording")
+    names = sorted({name for table in tables for name in table["anchor"].unique()})
+    if len(names) < LEAST_ANCHORS:
+        raise UnusableInput(
+            f"{_names(folders)}: ranges to {len(names)} anchors; expected {LEAST_ANCHORS} at least; survey more"
+        )
+    return names
+
+
+def _require_known(names: Sequence[str], rig: Rig, given: Sequence[str], frame: Sequence[str]) -> None:
+    """Raises UnusableInput for anchors without ranges, and for given ones without a position."""
+    for name in (*given, *frame):
+        if name not in names:
+            raise UnusableInput(f"anchor {name!r} has no ranges; expected some of {listed(names, 12)}; correct its id")
+    lacking = [name for name in given if name not in rig.anchors]
+    if lacking:
+        raise UnusableInput(f"{rig.name}: rig.toml has no anchor {lacking[0]}; expected those given; add its position")
+
+
+def _long_enough(folders: Sequence[RecordingFolder], names: Sequence[str], height: float | None) -> list[Walk]:
+    """The walks; raises UnusableInput for an anchor with too few ranges."""
+    walks = walks_of([folder for folder in folders if "ranges" in folder.tables], names, height)
+    seen = sum((np.bincount(walk.anchor, minlength=len(names)) for walk in walks), np.zeros(len(names), int))
+    if seen.min() < LEAST_RANGES:
+        few = names[int(np.argmin(seen))]
+        raise UnusableInput(
+            f"{_names(folders)}: {seen.min()} ranges to {few} without gaps; expected {LEAST_RANGES} at least; "
+            "record a longer walk"
+        )
+    return walks
+
+
+def _residuals(walks: Sequence[Walk], solution: Solution) -> tuple[Int[np.ndarray, " A"], Float[np.ndarray, " A"]]:
+    """The number of ranges of each anchor, and the root mean square of their errors, m."""
+    error = [w.ranges - predicted(w, solution.anchors, path)[0] for w, path in zip(walks, solution.paths, strict=True)]
+    anchor = np.concatenate([walk.anchor for walk in walks])
+    readings = np.bincount(anchor)
+    return readings, np.sqrt(np.bincount(anchor, np.concatenate(error) ** 2) / readings)
+
+
+def _names(folders: Sequence[RecordingFolder]) -> str:
+    return listed(str(folder.path or folder.name) for folder in folders)
+
+
+def _notes(walks: Sequence[Walk], flat: bool) -> list[str]:
+    """How heights enter."""
+    if flat:
+        heights = sorted({walk.height for walk in walks if walk.height is not None})
+        return [f"heights of tags known: {listed(f'{height:g} m' for height in heights)}"]
+    return ["heights of tags estimated; --height states one that is known"]
+
+
+def delay_prior(count: int) -> Prior:
+    """Delays that share most of what they are; nothing about positions."""
+    precision = np.zeros((4 * count, 4 * count))
+    delays = np.arange(3, 4 * count, 4)
+    precision[np.ix_(delays, delays)] = np.linalg.inv(OWN_DELAY**2 * np.eye(count) + COMMON_DELAY**2)
+    return Prior(np.zeros(4 * count), precision, np.ones(4 * count, bool))
+
+
+def _require_frame(places: np.ndarray, given: Sequence[str]) -> None:
+    """Raises UnusableInput where given positions leave a rotation or a mirror image over the floor."""
+    if len(places) < 3 or np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[1] < 0.1:
+        raise UnusableInput(
+            f"--given {','.join(given)}: leaves a rotation; expected three anchors not in a line; give more"
+        )
+
+
+def _moved(walks: Sequence[Walk], solution: Solution, turn: np.ndarray, shift: np.ndarray) -> Solution:
+    """The solution turned, or mirrored, by a matrix (3, 3) and shifted (3,)."""
+    anchors = np.column_stack([solution.anchors[:, :3] @ turn.T + shift, solution.anchors[:, 3]])
+    paths = [path @ turn[: w.dimensions, : w.dimensions].T + shift[: w.dimensions]
+             for w, path in zip(walks, solution.paths, strict=True)]  # fmt: skip
+    return replace(solution, anchors=anchors, paths=paths)
+
+
+def aligned(points: np.ndarray, onto: np.ndarray, d: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The rotation or reflection (3, 3) and shift (3,) of d coordinates of points (k, 3) onto others (Kabsch 1976).
+
+    Two of them where the points are in a plane, which its mirror image fits as well.
+    """
+    a, b = points[:, :d], onto[:, :d]
+    left, sizes, right = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
+    moves = []
+    for sign in (1.0, -1.0) if sizes[-1] < 1e-2 * sizes[0] else (1.0,):
+        turn, shift = np.eye(3), np.zeros(3)
+        turn[:d, :d] = (left * np.append(np.ones(d - 1), sign) @ right).T
+        shift[:d] = b.mean(axis=0) - turn[:d, :d] @ a.mean(axis=0)
+        moves.append((turn, shift))
+    return moves
+
+
+def _onto(
+    walks: Sequence[Walk], solution: Solution, known: np.ndarray, fixed: Sequence[int], sigma: float, flat: bool
+) -> tuple[Solution, Prior]:
+    """The solution among the given anchors, and their prior density, exact ones fixed."""
+    prior = delay_prior(len(known))
+    mean, precision, free = prior.mean.copy(), prior.precision.copy(), prior.free.copy()
+    moves = aligned(solution.anchors[fixed, :3], known[fixed], 2 if flat else 3)
+    # Of mirror images, that with the tags below the given anchors.
+    placed = min((_moved(walks, solution, *move) for move in moves), key=lambda s: _tags(walks, s)[:, 2].mean())
+    anchors = placed.anchors.copy()
+    for k in fixed:
+        at = slice(4 * k, 4 * k + 3)
+        mean[at] = known[k]
+        if sigma < EXACT:
+            free[at], anchors[k, :3] = False, known[k]
+        else:
+            precision[at, at] = np.eye(3) / sigma**2
+    return replace(placed, anchors=anchors), Prior(mean, precision, free)
+
+
+def _tags(walks: Sequence[Walk], solution: Solution) -> Float[np.ndarray, "n 3"]:
+    """The positions of the tags, m, in all walks."""
+    return np.concatenate([walk.positions(path) for walk, path in zip(walks, solution.paths, strict=True)])
+
+
+def _axes(names: Sequence[str], frame: Sequence[str], anchors: np.ndarray, d: int) -> list[int]:
+    """The anchors of the frame: those named, or the first two and the next one aside; refused in a line."""
+    thirds = [names.index(frame[2])] if frame else range(2, len(names))
+    a, b = (names.index(name) for name in (frame or names)[:2])
+    ahead = (anchors[b] - anchors[a])[:d]
+    for c in thirds:
+        aside = (anchors[c] - anchors[a])[:d]
+        off = np.linalg.norm(aside - ahead * (aside @ ahead) / (ahead @ ahead))
+        if off > ASIDE * np.linalg.norm(ahead):
+            return [a, b, c]
+    words = ", ".join(frame or names)
+    raise UnusableInput(f"{words}: stand in a line; expected three anchors that do not; give others as --frame")
+
+
+def frame_of(
+    anchors: Float[np.ndarray, "3 3"], tags: Float[np.ndarray, "n 3"], flat: bool
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
+    """The rotation or reflection and the shift into the frame of three anchors, m, with tags below them.
+
+    The first is the origin, the second on the x axis, the third to its left. `flat`: heights stay; otherwise the three
+    have height 0.
+    """
+    d = 2 if flat else 3
+    origin = anchors[0]
+    ahead, aside = ((point - origin)[:d] for point in anchors[1:])
+    x = ahead / np.linalg.norm(ahead)
+    y = aside - x * (aside @ x)
+    y /= np.linalg.norm(y)
+    turn, shift = np.eye(3), np.zeros(3)
+    turn[:d, :d] = np.stack([x, y] if flat else [x, y, np.cross(x, y)])
+    if not flat and ((tags - origin) @ turn[2]).mean() > 0:
+        turn[2] *= -1.0
+    shift[:d] = -turn[:d, :d] @ origin[:d]
+    return turn, shift
+
+
+def _framed(
+    walks: Sequence[Walk], solution: Solution, chosen: Sequence[int], flat: bool, prior: Prior
+) -> tuple[Solution, Prior]:
+    """The solution in the frame of three chosen anchors, and the prior with the coordinates that it fixes."""
+    turn, shift = frame_of(solution.anchors[list(chosen), :3], _tags(walks, solution), flat)
+    free = prior.free.copy().reshape(-1, 4)
+    for k, first, last in zip(chosen, (0, 1, 2), (2, 2, 2) if flat else (3, 3, 3), strict=True):
+        free[k, first:last] = False
+    return _moved(walks, solution, turn, shift), replace(prior, free=free.ravel())
+
+
+def _sided(
+    walks: Sequence[Walk], solution: Solution, known: np.ndarray | None, effect: float
+) -> tuple[Solution, Bool[np.ndarray, " A"]]:
+    """The solution with anchors on the likely side of the walk's plane, and of which the other side fits as well.
+
+    That side is where the rig has an anchor, `known` (A, 3), NaN where it does not, and otherwise above.
+    """
+    tags = _tags(walks, solution)
+    centre = tags.mean(axis=0)
+    normal = np.linalg.svd(tags[:: max(1, len(tags) // 2000)] - centre, full_matrices=False)[2][-1]
+    anchors, mirrored = solution.anchors.copy(), np.zeros(len(solution.anchors), bool)
+    for k, anchor in enumerate(solution.anchors):
+        positions, ranges = ranges_to(walks, solution, k)
+        offset = (anchor[:3] - centre) @ normal
+        image = descended(anchor[None, :3] - 2.0 * offset * normal, positions, ranges, anchor[3])[0]
+        if ((image - centre) @ normal) * offset >= 0.0:
+            continue
+        worse = misfit(image, positions, ranges - anchor[3], solution.scales[k])
+        worse -= misfit(anchor[:3], positions, ranges - anchor[3], solution.scales[k])
+        if worse / effect >= UNLIKELY:
+            continue
+        other, mirrored[k] = image[2] > anchor[2], True
+        if known is not None and np.isfinite(known[k, 2]):
+            side = np.abs(known[k, 2] - [anchor[2], image[2]])
+            other, mirrored[k] = side[1] < side[0], abs(known[k, 2] - centre[2]) < side.min()
+        if other:
+            anchors[k, :3] = image
+    return replace(solution, anchors=anchors), mirrored
+
+
+def _covariance(
+    walks: Sequence[Walk], solution: Solution, prior: Prior, effect: float, flat: bool
+) -> Float[np.ndarray, "U U"]:
+    """The covariance of what is free."""
+    free = np.flatnonzero(prior.free)
+    precision = information(walks, solution) / effect + prior.precision
+    covariance = np.zeros_like(precision)
+    # A standard deviation of a kilometre for what nothing determines.
+    covariance[np.ix_(free, free)] = np.linalg.inv(precision[np.ix_(free, free)] + 1e-6 * np.eye(len(free)))
+    if flat and len({walk.height for walk in walks}) == 1:
+        # Ranges see the square of a height over the walk: near zero the interval is that of its root.
+        for k in np.flatnonzero(prior.free.reshape(-1, 4)[:, 2]):
+            row, above = 4 * k + 2, abs(solution.anchors[k, 2] - (walks[0].height or 0.0))
+            root = np.sqrt(2.0 * above * np.sqrt(covariance[row, row]))
+            if above < root < WEAK:
+                covariance[row, :], covariance[:, row] = 0.0, 0.0
+                covariance[row, row] = root**2
+    return covariance
+
+
+def _between(minima: Sequence[Solution], effect: float, flat: bool) -> Float[np.ndarray, " U"]:
+    """The variances, m², of the unknowns by the distances between minima of the cost that are about equally likely."""
+    best, d = minima[0].anchors, 2 if flat else 3
+    variances = np.zeros_like(best)
+    for other in minima[1:]:
+        if (other.cost - minima[0].cost) / effect < UNLIKELY:
+            moves = aligned(other.anchors[:, :3], best[:, :3], d)
+            places = [other.anchors[:, :3] @ turn.T + shift for turn, shift in moves]
+            away = min((place - best[:, :3] for place in places), key=lambda x: float((x[:, :d] ** 2).sum()))
+            # A known height of tags leaves images above and below, which `mirrored` states.
+            away[:, d:] = 0.0
+            variances[:, :d] = np.maximum(variances[:, :d], (away**2).sum(axis=1)[:, None])
+            variances[:, 3] = np.maximum(variances[:, 3], (other.anchors[:, 3] - best[:, 3]) ** 2)
+    return variances.ravel()
