@@ -244,9 +244,9 @@ def test_unknown_columns_and_tables_of_a_recording_are_one_notice(tmp_path: Path
     write_good(tmp_path / "a")
     for name in ("ranges", "bearings"):
         good_tables()[name].with_columns(remark=pl.lit("good")).write_csv(tmp_path / "a" / f"{name}.csv")
-    (tmp_path / "a" / "odometry.csv").write_text("t_s,tag,speed_mps\n0,T1,1\n")
+    (tmp_path / "a" / "pressure.csv").write_text("t_s,tag,pressure_pa\n0,T1,1\n")
     (notice,) = read_recording(tmp_path / "a").notices
-    assert all(word in notice for word in ("ignored: odometry.csv", "'remark' of bearings.csv", "of ranges.csv"))
+    assert all(word in notice for word in ("ignored: pressure.csv", "'remark' of bearings.csv", "of ranges.csv"))
 
 
 def test_columns_of_signal_quality_are_kept_and_averaged_and_none_becomes_a_standard_deviation(tmp_path: Path):
