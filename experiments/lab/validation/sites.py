@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.lab.subprocesses import required_recordings
+from trackwright.experiments.lab.subprocesses import flights_folder, required_recordings
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import evaluate
@@ -47,6 +47,7 @@ SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "fusion": (*RANGES_SEEN, *WALKS),
         "uwb-imu": ("starloc-fast-s1", "iasl-drone-1"),
         "fix-mirror": ("tiers-1tag-01",),
+        "tdoa": ("util-c1-t1-tdoa2", "util-c1-t1-tdoa3", "util-c4-t5-tdoa2"),
     }
 )
 """The recordings on which the default noise levels of a tracker were set."""
@@ -138,6 +139,9 @@ SITES = (
     Site("ngbui line 1, path known", "line-grid", "ngbui-line-1-*"),
     Site("ngbui line 2, path known", "line-grid", "ngbui-line-2-*"),
     Site("ngbui line 3, path known", "line-grid", "ngbui-line-3-*"),
+    # Range differences of a quadrotor; limits: errors of an EKF tuned on the flight, in the clear room the larger.
+    Site("util", "tdoa", "util-c1-*", Errors(0.047, 0.107)),
+    Site("util, cluttered", "tdoa", "util-c4-*", Errors(0.152, 0.404)),
     # Late fixes of drones, which may be mirrored in the anchors' plane.
     Site("tiers", "fix-mirror", "tiers-*", tuned=("*latency*",)),
 )
@@ -184,13 +188,14 @@ class Judged(NamedTuple):
 
 
 def recorded(pattern: str | Sequence[str]) -> list[RecordingFolder]:
-    """The recordings of the folder TRACKWRIGHT_RECORDINGS that match a pattern, or of these names.
+    """The recordings of the folder TRACKWRIGHT_RECORDINGS, and flights, that match a pattern, or of these names.
 
     Raises UnusableInput without the folder.
     """
-    root = required_recordings()
+    root, flights = required_recordings(), flights_folder()
     if isinstance(pattern, str):
-        paths = sorted(path.parent for path in root.glob("*/rig.toml") if fnmatch(path.parent.name, pattern))
+        files = [file for folder in (root, flights) if folder is not None for file in folder.glob("*/rig.toml")]
+        paths = sorted(file.parent for file in files if fnmatch(file.parent.name, pattern))
     else:
         paths = [root / name for name in pattern]
     return read_recordings(paths) if paths else []
