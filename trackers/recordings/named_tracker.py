@@ -81,8 +81,7 @@ class NamedTracker:
         """
         groups = self._batches(recordings)
         split = [part for group in groups for part in above_rounding(group)]
-        finished = [self._finished(group.tracker, self.own_errors(group.tracker)) for group in split]
-        return [replace(group, tracker=tracker) for group, tracker in zip(split, finished, strict=True)]
+        return [replace(group, tracker=self._finished(group.tracker, running=True)) for group in split]
 
     def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The batches with this tracker's numbers as they are, not smoothed."""
@@ -166,8 +165,12 @@ class NamedTracker:
             return self.spec.error_levels and tracker.lasting_errors and not chosen
         return self.error_levels
 
-    def _finished(self, tracker: Any, own_errors: bool | None = None) -> AbstractTracker:
-        """A tracker of the catalogue, smoothed and at several levels of noise where this one is."""
+    def _finished(self, tracker: Any, running: bool = False) -> AbstractTracker:
+        """A tracker of the catalogue, smoothed and at several levels of noise where this one is.
+
+        `running`: whether for estimates; a fit has levels of errors where they were asked for alone.
+        """
+        error_levels = self.own_errors(tracker) if running else self.error_levels
         if self.smoothed:
             from trackwright.trackers.core.run.smoother import Smoothed
 
@@ -177,12 +180,11 @@ class NamedTracker:
                 raise UnusableInput(
                     f"tracker '{self.name}' cannot be smoothed: {error}; run it without smoothing"
                 ) from error
-        own_errors = self.error_levels if own_errors is None else own_errors
-        if self.motion_levels or own_errors:
+        if self.motion_levels or error_levels:
             from trackwright.trackers.core.run.noise_levels import ERRORS, NoiseLevels
 
             tracker = NoiseLevels(tracker) if self.motion_levels else tracker
-            tracker = NoiseLevels(tracker, ERRORS, about_first=True) if own_errors else tracker
+            tracker = NoiseLevels(tracker, ERRORS, about_first=True) if error_levels else tracker
         finished: AbstractTracker = tracker
         return finished
 
