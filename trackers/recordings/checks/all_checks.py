@@ -59,9 +59,10 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         from trackwright.trackers.recordings.checks.imu import check_imu
         from trackwright.trackers.recordings.checks.imu_clock import check_imu_clock
 
-        results += check_imu(tables)
+        of_imu = check_imu(tables)
         # With wrong axes, an IMU fits the ranges at no delay, or at a wrong one; those of the truth may differ.
-        results += [] if check_imu(tables, against_truth=False) else check_imu_clock(recording)
+        alone = check_imu(tables, against_truth=False) if "truth" in tables else of_imu
+        results += of_imu if alone else [*of_imu, *check_imu_clock(recording)]
     for name in measured:
         results += _check_errors(recording, name)
         view = compared(recording, name)

@@ -9,7 +9,6 @@ respect to the delay, from its sums over blocks of time.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +57,9 @@ CERTAIN, APART_S = 5.0**2, 0.35
 """Squares, in units of their variance, by which a delay has to fit better than others so far apart, than no delay and
 than no motion: five standard deviations."""
 
+UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
+"""The factors on x, y and z of half a turn round x."""
+
 TURNS = 2 * np.pi * np.arange(72)[:, None] / 72
 
 
@@ -70,8 +72,9 @@ def check_imu_clock(recording: RecordingFolder) -> list[CheckResult]:
     known, own = (name in tables and set(QUATERNION) <= set(tables[name].columns) for name in ("truth", "imu"))
     if "imu" not in tables or "ranges" not in tables or own:
         return []
-    parts = {tag: list(windows(recording, tag)) for tag in recording.rows("imu").tags[:MOST_TAGS]}
-    if any(_fits_better(list(windows(_upside_down(recording), tag)), up) for tag, up in parts.items()):
+    pairs = {tag: list(windows(recording, tag)) for tag in recording.rows("imu").tags[:MOST_TAGS]}
+    parts = {tag: [up for up, _ in each] for tag, each in pairs.items()}
+    if any(_fits_better([down for _, down in each], parts[tag]) for tag, each in pairs.items()):
         message = "z points down: the motion of the IMU fits the ranges only with the anchors turned half round x"
         return [CheckResult("error", "rig.toml", f"{message}; negate y and z of all positions, as of truth and fixes")]
     delays = [(tag, delay_of(up)) for tag, up in parts.items() if not known]
@@ -82,14 +85,6 @@ def check_imu_clock(recording: RecordingFolder) -> list[CheckResult]:
         )
         for tag, delay in delays if delay is not None and abs(delay) >= 2 * LEAST_DELAY_S
     ]  # fmt: skip
-
-
-def _upside_down(recording: RecordingFolder) -> RecordingFolder:
-    """The recording with its frame turned half round x."""
-    rig = recording.rig
-    anchors = {name: place * np.array([1.0, -1.0, -1.0]) for name, place in rig.anchors.items()}
-    tags = {name: replace(tag, height=None if tag.height is None else -tag.height) for name, tag in rig.tags.items()}
-    return replace(recording, rig=replace(rig, anchors=anchors, tags=tags))
 
 
 def _fits_better(parts: Sequence[Window], others: Sequence[Window]) -> bool:
@@ -148,8 +143,8 @@ def _variance(parts: Sequence[Window], best: int) -> float:
     return max(float(np.sum(np.bincount(block, np.concatenate(scores)) ** 2)) / max(information, 1e-12), 1.0)
 
 
-def windows(recording: RecordingFolder, tag: str) -> Iterator[Window]:
-    """The windows of a tag's IMU, with the ranges of all tags on its body."""
+def windows(recording: RecordingFolder, tag: str) -> Iterator[tuple[Window, Window]]:
+    """The windows of a tag's IMU, with the ranges of all tags on its body: as the rig is, and turned half round x."""
     rig, rows, ranges = recording.rig, recording.rows("imu"), recording.rows("ranges")
     of_tag = slice(*rows.starts[rows.tags.index(tag) :][:2])
     x = rows.floats(layout("imu", recording.tables["imu"].columns).values)[of_tag]
@@ -194,8 +189,12 @@ def windows(recording: RecordingFolder, tag: str) -> Iterator[Window]:
         # The start is orders of magnitude larger than what is compared.
         moved = _left(basis[:, : OPEN_DEGREE + 1], moved.reshape(len(part), -1)).reshape(moved.shape) * (9.81 / size)
         moved = moved + sum(axis * on[part, k, None, None] for k, axis in enumerate(axes))
-        path = _path(basis, number, values[part], measured.sensors.places[seen], height)
-        yield _window(at[part], basis[:, : OPEN_DEGREE + 1], number, path, moved)
+        places = measured.sensors.places[seen]
+        up, down = (
+            _window(at[part], basis[:, : OPEN_DEGREE + 1], number, _path(basis, number, values[part], *frame), moved)
+            for frame in ((places, height), (places * UPSIDE_DOWN, None if height is None else -height))
+        )
+        yield up, down
 
 
 class Path(NamedTuple):

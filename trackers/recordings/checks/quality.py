@@ -63,13 +63,9 @@ def check_marks(recording: RecordingFolder, name: str) -> list[CheckResult]:
             share, rest = repeats[marked].mean(), repeats[~marked].mean()
             deviation = np.sqrt(repeats.var() * (1 / marked.sum() + 1 / (~marked).sum()))
             if share - rest > max(MARKED, CERTAIN * deviation):
-                message = (
-                    f"{100 * share:.0f} % of the {marked.sum()} rows with {column} = {value:g} repeat the row before, "
-                )
-                message += (
-                    f"{100 * rest:.0f} % of the others: exchanges that failed? leave them out by where of a mapping"
-                )
-                results.append(CheckResult("warning", name, message))
+                rows = f"{100 * share:.0f} % of the {marked.sum()} rows with {column} = {value:g} repeat the row before"
+                ask = "exchanges that failed? leave them out by where of a mapping"
+                results.append(CheckResult("warning", name, f"{rows}, {100 * rest:.0f} % of the others: {ask}"))
     return results
 
 

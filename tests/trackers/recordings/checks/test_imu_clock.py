@@ -43,7 +43,7 @@ def test_the_delay_of_an_imu_is_found_by_the_ranges(late):
     for one in found:
         assert (one.level, one.where) == ("warning", "imu")
         assert ("late" if late > 0 else "early") in one.message
-    assert delay_of(list(windows(_later(late), "0"))) == pytest.approx(late if found else 0.0, abs=0.1)
+    assert delay_of([up for up, _ in windows(_later(late), "0")]) == pytest.approx(late if found else 0.0, abs=0.1)
 
 
 def test_a_true_attitude_tells_the_delay_better():
@@ -72,7 +72,7 @@ def test_an_imu_of_another_motion_tells_no_delay():
 def test_a_clock_that_jumps_has_no_delay():
     middle = float(_world().tables["imu"]["t_s"].mean())
     jumping = _later(pl.when(middle < T).then(1.0).otherwise(-1.0))
-    assert delay_of(list(windows(jumping, "0"))) is None
+    assert delay_of([up for up, _ in windows(jumping, "0")]) is None
 
 
 def test_the_delay_is_found_in_coordinates_of_a_map():
@@ -88,8 +88,8 @@ def test_ranges_of_all_tags_of_a_body_count():
     every_other = pl.int_range(pl.len()) // 4 % 2 == 0
     ranges = folder.tables["ranges"].with_columns(tag=pl.when(every_other).then(pl.lit("0")).otherwise(pl.lit("twin")))
     shared = replace(folder, rig=replace(folder.rig, tags=tags), tables=dict(folder.tables) | {"ranges": ranges})
-    expected = [len(one.times) for one in windows(folder, "0")]
-    assert [len(one.times) for one in windows(shared, "0")] == expected
+    expected = [len(up.times) for up, _ in windows(folder, "0")]
+    assert [len(up.times) for up, _ in windows(shared, "0")] == expected
 
 
 def test_a_row_of_another_clock_costs_no_memory():
