@@ -35,9 +35,9 @@ class Unstacked:
         recordings = [trajectory.recording for trajectory in self.trajectories[start:stop]]
         return Columns.of(recordings).batch(self.steps).columns(0, stop - start)
 
-    def pieces(self, chunk: int) -> Iterator[Batch]:
+    def pieces(self, chunk: int, large_state: bool) -> Iterator[Batch]:
         """As `trackers.core.run.chunks.pieces`."""
-        size = piece_size(self.size, self.steps, chunk)
+        size = piece_size(self.size, self.steps, chunk, large_state)
         return (self.columns(start, start + size) for start in range(0, self.size, size))
 
 
@@ -50,9 +50,9 @@ def unstacked(trajectories: Sequence[Trajectory]) -> list[Unstacked]:
     return [Unstacked([trajectories[k] for k in numbers], steps) for numbers, steps in groups]
 
 
-def padded_size(batch: AnyBatch, chunk: int) -> int:
+def padded_size(batch: AnyBatch, chunk: int, large_state: bool) -> int:
     """The trajectories of all pieces of a batch, with padding."""
-    size = piece_size(batch.size, steps_of(batch), chunk)
+    size = piece_size(batch.size, steps_of(batch), chunk, large_state)
     return size * -(-batch.size // size)
 
 
@@ -70,14 +70,18 @@ def lengths_of(batch: AnyBatch) -> Int[np.ndarray, " B"]:
 
 @dataclass(frozen=True)
 class Pieces:
-    """The pieces of at most `chunk` trajectories of all batches, made anew whenever they are looked through."""
+    """The `pieces` of all batches, made anew whenever they are looked through."""
 
     batches: Sequence[AnyBatch]
     chunk: int = CHUNK
+    large_state: bool = False
 
     def __iter__(self) -> Iterator[Batch]:
         for batch in self.batches:
-            yield from batch.pieces(self.chunk) if isinstance(batch, Unstacked) else pieces(batch, self.chunk)
+            if isinstance(batch, Unstacked):
+                yield from batch.pieces(self.chunk, self.large_state)
+            else:
+                yield from pieces(batch, self.chunk, self.large_state)
 
 
 Weigh = Literal["recordings", "rows"]

@@ -33,7 +33,7 @@ from trackwright.trackers.core.data.recording import Batch, Readings, Recording,
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Real, Scale, replaced
-from trackwright.trackers.core.run.chunks import pieces, placed, run_chunks
+from trackwright.trackers.core.run.chunks import has_large_state, pieces, placed, run_chunks
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import PathOutputMap
@@ -66,7 +66,8 @@ def gradients(tracker: AbstractTracker, batch: Batch, patterns: str | Sequence[s
     chunk = max(1, MAX_BATCH * 2000 // n_particles)
     problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters, chunk)
     vector = flatten(parameters)[None, :]
-    run_chunks(problem.with_derivatives, [(problem.point(vector), next(placed(pieces(batch, chunk))))])
+    parts = placed(pieces(batch, chunk, has_large_state(tracker)))
+    run_chunks(problem.with_derivatives, [(problem.point(vector), next(parts))])
     started = time.perf_counter()
     evaluation = problem.evaluate(vector)
     seconds = (time.perf_counter() - started) / batch.size

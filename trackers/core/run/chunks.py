@@ -19,7 +19,8 @@ from jaxtyping import Array, DTypeLike, Shaped
 
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.model.covariance import compiler_options, few
+from trackwright.trackers.core.model.covariance import FEW, compiler_options, few, side_by_side
+from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.programs.traced_programs import kept_program
 
@@ -29,12 +30,18 @@ CHUNK = 512
 """Trajectories per chunk: enough to amortise the overhead of a step, few enough for the cache."""
 
 
-LONG = 1000
-"""Rows from which on few recordings run one by one: a call takes a millisecond, as long as hundreds of rows."""
+FEW_SMALL, FEW_LARGE = 16, 64
+"""Most trajectories that run in pieces of few, with a small state and with one of `MANY_NOISES` or more noises.
 
-ALONE = 16
-"""Most long recordings whose estimates are computed one by one: the program of sixteen compiles two or three times as
-long as that of one, and a row side by side costs nearly as much."""
+The program of few compiles in a half to a quarter of the time, and for a large state a row costs about as much as in
+the program of many, in gradients a fifth to a half.
+"""
+
+MANY_NOISES = 8
+
+LONG = 1000
+"""Rows from which on these run one by one, which costs least; a call takes a millisecond, as long as hundreds of rows.
+"""
 
 
 def as_numbers(tree: Tree, dtype: DTypeLike) -> Tree:
@@ -64,17 +71,28 @@ def as_dtype(tree: Tree, dtype: DTypeLike) -> Tree:
     return result
 
 
-def piece_size(trajectories: int, rows: int, chunk: int) -> int:
+def has_large_state(tracker: Any) -> bool:
+    """Whether a motion of the tracker has many noises, so that its program of many trajectories compiles for long."""
+
+    def is_motion(x: Any) -> bool:
+        return isinstance(x, AbstractMotion)
+
+    leaves = jax.tree_util.tree_leaves(tracker, is_leaf=is_motion)
+    return any(is_motion(x) and x.noise_dimension >= MANY_NOISES for x in leaves)
+
+
+def piece_size(trajectories: int, rows: int, chunk: int, large_state: bool = False) -> int:
     """The number of trajectories per part, padding included, of a batch of this size; at most `chunk`."""
-    # A small batch gets a small chunk, a power of two so that few shapes are compiled. Few long recordings run one by
-    # one: they gain nothing side by side, and one program serves them all.
-    alone = few(trajectories) and rows >= LONG
-    return 1 if alone else min(chunk, 1 << (trajectories - 1).bit_length())
+    at_once = side_by_side(1 if rows >= LONG else FEW, trajectories)
+    if at_once < trajectories <= (FEW_LARGE if large_state else FEW_SMALL):
+        return min(chunk, -(-trajectories // -(-trajectories // at_once)))
+    # A power of two, so that few shapes are compiled.
+    return min(chunk, 1 << (trajectories - 1).bit_length())
 
 
-def pieces(batch: Batch, chunk: int) -> list[Batch]:
-    """The batch in parts of at most `chunk` trajectories, not yet on a device."""
-    size = piece_size(batch.size, len(batch.dt), chunk)
+def pieces(batch: Batch, chunk: int, large_state: bool = False) -> list[Batch]:
+    """The batch in parts of `piece_size` trajectories, not yet on a device."""
+    size = piece_size(batch.size, len(batch.dt), chunk, large_state)
     return [batch.columns(start, start + size) for start in range(0, batch.size, size)]
 
 
@@ -256,7 +274,7 @@ def batch_estimates(tracker: Scans, batch: Batch, chunk: int, state: Any = None,
     have the state after the last row as `final`.
     """
     # No truth: it would be copied for nothing.
-    parts = pieces(batch._replace(truth={}), 1 if batch.size <= ALONE and len(batch.dt) >= LONG else chunk)
+    parts = pieces(batch._replace(truth={}), chunk, has_large_state(tracker))
     # Arrays used once go to the device with the call.
     alone, size = len(parts) == 1, parts[0].size
     model = (as_numbers if alone else as_dtype)(tracker, batch.dt.dtype)

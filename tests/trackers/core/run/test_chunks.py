@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
-from trackwright.trackers.core.run.chunks import as_numbers, chunks, n_workers, run_chunks
+from trackwright.trackers.core.run.chunks import LONG, as_numbers, chunks, n_workers, piece_size, pieces, run_chunks
 
 HASHED = """
 import hashlib, jax, numpy as np
-from tests.trackers.core.test_chunks import _many
+from tests.trackers.core.run.test_chunks import _many
 from trackwright.trackers.baselines.fixes import fix_tracker
 found = fix_tracker().run(_many(1100))
 print(jax.device_count(), hashlib.sha256(b"".join(np.ascontiguousarray(x).tobytes() for x in
@@ -55,6 +55,26 @@ def test_floats_alone_become_numbers_of_the_type():
     assert [x.dtype for x in numbers[len(whole) : -1]] == [np.float32] * 4
     assert [type(x) for x in numbers[len(whole) : -2]] == [np.ndarray] * 3
     assert isinstance(numbers[-2], jax.Array)
+
+
+@pytest.mark.parametrize(("large_state", "most"), [(False, 16), (True, 64)])
+def test_some_dozens_run_in_pieces_of_few_of_one_size_with_little_padding(large_state, most):
+    for count in range(9, most + 1):
+        size = piece_size(count, 50, 512, large_state)
+        assert 5 <= size <= 8
+        assert -count % size < -(-count // size)
+        assert piece_size(count, LONG, 512, large_state) == 1
+    assert piece_size(most + 1, 50, 512, large_state) == piece_size(most + 1, LONG, 512, large_state) == 2 * most
+    assert piece_size(most, 50, 4, large_state) == 4  # a smaller chunk binds
+
+
+def test_pieces_are_the_batch_in_order():
+    batch = _many(11, 6)
+    parts = pieces(batch, 512)
+    assert [part.size for part in parts] == [6, 6]
+    joined = np.concatenate([part.dt for part in parts], axis=1)
+    np.testing.assert_array_equal(joined[:, :11], batch.dt)
+    assert not parts[-1].valid[:, -1].any()
 
 
 def test_parts_side_by_side_are_those_one_after_another_in_their_order():
