@@ -37,7 +37,7 @@ The program of few compiles in a half to a quarter of the time, and for a large 
 the program of many, in gradients a fifth to a half.
 """
 
-MANY_NOISES = 8
+MANY_NOISES = 10
 
 LONG = 1000
 """Rows from which on these run one by one, which costs least; a call takes a millisecond, as long as hundreds of rows.
