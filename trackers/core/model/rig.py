@@ -111,6 +111,10 @@ class Rig:
             if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
                 raise UnusableInput(f"Rig: anchor {name} is at {np.asarray(place).tolist()}; expected [x, y, z], m")
 
+    def places(self) -> list[Point]:
+        """The positions of its anchors, then of its stations, (3,) m each."""
+        return [np.asarray(p) for p in (*self.anchors.values(), *(s.position for s in self.stations.values()))]
+
     def on_body_of(self, tag: str) -> tuple[str, ...]:
         """The tags on the body of this one, itself among them; without `bodies` all that have an `offset` are on one.
 

@@ -6,7 +6,7 @@ for result in check(read_recording("hall")):
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterable
 
 from trackwright.trackers.recordings.checks.anomalies import anomalies
 from trackwright.trackers.recordings.checks.check_result import LEVELS, CheckResult
@@ -21,14 +21,7 @@ from trackwright.trackers.recordings.checks.coverage import (
 from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry, check_heights
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
 from trackwright.trackers.recordings.checks.quality import check_marks, check_quality
-from trackwright.trackers.recordings.checks.readings import (
-    about_local_line,
-    check_correlation,
-    check_quantisation,
-    check_repeats,
-    readings,
-    robust_std,
-)
+from trackwright.trackers.recordings.checks.readings import check_readings
 from trackwright.trackers.recordings.checks.residuals import check_residuals
 from trackwright.trackers.recordings.checks.units import check_units
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -39,10 +32,8 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     """Errors, warnings and notes on a recording, the most severe first."""
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in KINDS if name in tables}
-    results = []
-    for notice in dict.fromkeys((*recording.notices, *anomalies(tables, rig))):
-        where, _, message = notice.partition(": ")
-        results.append(CheckResult("warning", where, message))
+    notices = dict.fromkeys((*recording.notices, *anomalies(tables, rig)))
+    results = [CheckResult("warning", *notice.partition(": ")[::2]) for notice in notices]
     if not measured:
         results.append(CheckResult("error", "tables", "no measurements, only truth; expected a table to track"))
     results += check_time_base(measured or tables)
@@ -50,12 +41,12 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     results += check_ids(rig, measured)
     results += check_units(rig, tables)
     results += check_heights(rig, tables)
-    results += check_fix_heights(rig, recording.rows("fixes")) if "fixes" in tables else []
-    if measured and "truth" in tables:
-        results += check_truth(tables["truth"], measured)
+    results += check_fix_heights(rig, recording.rows("fixes")) if "fixes" in tables else ()
+    results += check_truth(tables["truth"], measured) if measured and "truth" in tables else ()
     results += check_geometry(rig, tables)
-    wrong_units = any(result.level == "error" for result in results)
-    if "imu" in tables and not wrong_units:
+    # Wrong units are a mistake that is named already.
+    sound = all(result.level != "error" for result in results)
+    if "imu" in tables and sound:
         from trackwright.trackers.recordings.checks.imu import check_imu
         from trackwright.trackers.recordings.checks.imu_clock import check_imu_clock
 
@@ -64,13 +55,11 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         alone = check_imu(tables, against_truth=False) if "truth" in tables else of_imu
         results += of_imu if alone else [*of_imu, *check_imu_clock(recording)]
     for name in measured:
-        results += _check_errors(recording, name)
+        results += check_readings(recording, name)
         view = compared(recording, name)
-        if view is not None:
-            results += [*check_residuals(view), *check_quality(recording, name)]
+        results += [] if view is None else [*check_residuals(view), *check_quality(recording, name)]
         results += check_marks(recording, name)
-        # Wrong units are a mistake that is named already.
-        results += [] if wrong_units else _mistakes(recording, name, view)
+        results += _mistakes(recording, name, view) if sound else ()
     return sorted(results, key=lambda result: LEVELS.index(result.level))
 
 
@@ -81,11 +70,10 @@ def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[
     """
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in KINDS if name in tables}
-    sizes = [*check_units(rig, tables), *check_heights(rig, tables)]
     results = [result for result in check_time_base(measured or tables) if result.level == "error"]
-    results += [result for result in sizes if result.level != "info"]
-    if measured and "truth" in tables:
-        results += [result for result in check_overlap(tables["truth"], measured) if result.level == "error"]
+    results += [result for result in check_units(rig, tables) if result.level != "info"]
+    results += check_heights(rig, tables)
+    results += check_overlap(tables["truth"], measured) if measured and "truth" in tables else ()
     if any(result.level == "error" for result in results):
         return results
     if "imu" in tables:
@@ -97,21 +85,10 @@ def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[
     return results
 
 
-def _mistakes(recording: RecordingFolder, name: str, view: Compared | None) -> list[CheckResult]:
+def _mistakes(recording: RecordingFolder, name: str, view: Compared | None) -> Iterable[CheckResult]:
     """The most likely mistake in a table: against the truth, or where there is none, of readings among themselves."""
     if view is not None:
         return check_against_truth(view)
     from trackwright.trackers.recordings.checks.closing import check_closing
 
     return check_closing(recording, name)
-
-
-def _check_errors(recording: RecordingFolder, name: str) -> list[CheckResult]:
-    """Checks of the errors of a table's readings: repeats, quantisation steps, correlation."""
-    read = readings(recording, name)
-    about = about_local_line(read)
-    results = [*check_repeats(name, read), *check_quantisation(name, read, robust_std(about))]
-    if not KINDS[name].averaged:
-        return results  # a local line through an IMU or phases does not follow the motion
-    true = bool(np.isfinite(read.errors).any())
-    return [*results, *check_correlation(name, read, read.errors if true else about, true)]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import polars as pl
@@ -25,10 +24,11 @@ STREAMS_SHOWN = 24
 START_S = 60.0
 """Expected limit of the first time, s."""
 
+_OUTSIDE = "no measurement lies inside the time span of the truth"
 _EPOCHS = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"), (1e8, "seconds"))
 
 
-def check_ids(rig: Rig, measured: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
+def check_ids(rig: Rig, measured: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """Anchors and stations of the rig without a measurement: failed devices, or misspelt ids."""
     observed: dict[str, set[str]] = {"anchor": set(), "station": set()}
     for name, table in measured.items():
@@ -36,27 +36,22 @@ def check_ids(rig: Rig, measured: Mapping[str, pl.DataFrame]) -> list[CheckResul
         present = table.filter(pl.any_horizontal(pl.col(expected.values).is_not_null()))
         for column in expected.ids[1:]:
             observed[column.partition("_")[0]] |= set(present[column].unique())
-    results = []
-    for column, known in (("anchor", rig.anchors), ("station", rig.stations)):
-        unobserved = [key for key in known if key not in observed[column]]
+    for noun, known in (("anchor", rig.anchors), ("station", rig.stations)):
+        unobserved = [key for key in known if key not in observed[noun]]
         # a folder of fixes may have anchors that no table names
-        if unobserved and (observed[column] or column == "station"):
-            message = f"{column}s never observed: {len(unobserved)} of {len(known)} ({listed(unobserved, 8)})"
-            results.append(CheckResult("warning", "rig.toml", message))
-    return results
+        if unobserved and (observed[noun] or noun == "station"):
+            count = f"{len(unobserved)} of {len(known)} ({listed(unobserved, 8)})"
+            yield CheckResult("warning", "rig.toml", f"{noun}s never observed: {count}")
 
 
-def check_truth(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
+def check_truth(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """Holes in the truth, measured tags without truth, and the share of measurements that truth covers."""
     axes = ("x_m", "y_m", "z_m")
     moved = pl.sum_horizontal(*((pl.col(c).shift(-1) - pl.col(c)) ** 2 for c in axes)).sqrt()
-    known = streams(truth.drop_nulls(axes), ("tag",)).with_columns(
-        until=pl.col("t_s").shift(-1).over("stream"), moved=moved
-    )
-    hole = (pl.col("until") - pl.col("t_s") > HOLE_S) & (pl.col("moved") > HOLE_M)
-    known = known.with_columns(since=pl.col("t_s"), hole=hole.fill_null(False))
-    results = []
-    holes = known.filter("hole").with_columns(lasts=pl.col("until") - pl.col("t_s"))
+    lasts = pl.col("t_s").shift(-1).over("stream") - pl.col("t_s")
+    known = streams(truth.drop_nulls(axes), ("tag",)).with_columns(lasts=lasts, since=pl.col("t_s"))
+    known = known.with_columns(hole=((pl.col("lasts") > HOLE_S) & (moved > HOLE_M)).fill_null(False))
+    holes = known.filter("hole")
     if holes.height:
         worst = holes.sort("lasts").row(-1, named=True)
         begin = place_in_time(worst["t_s"], zero_of(first_time(measured)))
@@ -64,81 +59,76 @@ def check_truth(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> li
             f"holes longer than {HOLE_S:g} s with motion: {holes.height}, the longest {worst['lasts']:.3g} s "
             f"after {begin} (tag {worst['tag']}); estimates inside are not scored"
         )
-        results.append(CheckResult("warning", "truth", message))
+        yield CheckResult("warning", "truth", message)
     rows = pl.concat([table.select("t_s", "tag") for table in measured.values()]).sort("t_s")
-    right = known.sort("t_s").select("t_s", "tag", "since", "until", "hole")
+    right = known.sort("t_s").select("t_s", "tag", "since", "lasts", "hole")
     joined = rows.join_asof(right, on="t_s", by="tag", strategy="backward", check_sortedness=False)
-    inside = (pl.col("until").is_not_null() & ~pl.col("hole")) | (pl.col("since") == pl.col("t_s"))
+    inside = (pl.col("lasts").is_not_null() & ~pl.col("hole")) | (pl.col("since") == pl.col("t_s"))
     share = float(joined.select(inside.fill_null(False).mean()).item())
     without = sorted(set(rows["tag"].unique()) - set(known["tag"].unique()))
     if without:
-        results.append(
-            CheckResult("info", "truth", f"measured tags without truth: {len(without)} ({listed(without, 8)})")
-        )
-    apart = check_overlap(truth, measured)
-    if apart or math.isclose(share, 0.0):
-        message = "no measurement lies inside the time span of the truth; expected one clock for all tables"
-        return [*results, *(apart or [CheckResult("error", "truth", message)])]
-    level: Level = "info" if share >= ENOUGH else "warning"
-    return [*results, CheckResult(level, "truth", f"covers {100 * share:.3g} % of the measurements in time")]
+        yield CheckResult("info", "truth", f"measured tags without truth: {len(without)} ({listed(without, 8)})")
+    apart = list(check_overlap(truth, measured))
+    yield from apart
+    if not apart and share == 0.0:
+        yield CheckResult("error", "truth", f"{_OUTSIDE}; expected one clock for all tables")
+    elif not apart:
+        level: Level = "info" if share >= ENOUGH else "warning"
+        yield CheckResult(level, "truth", f"covers {100 * share:.3g} % of the measurements in time")
 
 
-def check_overlap(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
+def check_overlap(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """An error where truth and measurements have no time in common: how far they are apart, and the likely cause."""
-    first, last = (float(x) for x in truth.select(a=pl.col("t_s").min(), b=pl.col("t_s").max()).row(0))
-    starts = [float(table["t_s"].to_numpy().min()) for table in measured.values()]
-    ends = [float(table["t_s"].to_numpy().max()) for table in measured.values()]
-    if first <= max(ends) and last >= min(starts):
-        return []
-    apart = first - min(starts)
-    cause = ""
-    hours = apart / 3600
-    if abs(apart) > 1e8:
+    (first, last), (start, end) = _span({"truth": truth}), _span(measured)
+    if first <= end and last >= start:
+        return
+    half_hours, cause = (first - start) / 1800, ""
+    if abs(first - start) > 1e8:
         cause = "; one of them counts from 1970, the other from its own zero"
-    elif abs(hours) > 0.4 and abs(hours * 2 - round(hours * 2)) < 0.05:
-        cause = f"; {hours:.3g} hours apart, as two time zones"
-    message = (
-        f"no measurement lies inside the time span of the truth, {span(first, last)}; the measurements "
-        f"begin at {moment(min(starts))}{cause}; expected one clock for all tables"
-    )
-    return [CheckResult("error", "truth", message)]
+    elif abs(half_hours) > 0.8 and abs(half_hours - round(half_hours)) < 0.05:
+        cause = f"; {half_hours / 2:.3g} hours apart, as two time zones"
+    message = f"{_OUTSIDE}, {span(first, last)}; the measurements begin at {moment(start)}{cause}"
+    yield CheckResult("error", "truth", f"{message}; expected one clock for all tables")
 
 
-def check_time_base(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
+def _span(tables: Mapping[str, pl.DataFrame]) -> tuple[float, float]:
+    """The first and the last time of all tables, s."""
+    times = [table["t_s"].to_numpy() for table in tables.values()]
+    return min(float(t.min()) for t in times), max(float(t.max()) for t in times)
+
+
+def check_time_base(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """The span of all tables in time; times since 1970, a late start and milliseconds are reported."""
-    first = min(float(table["t_s"].to_numpy().min()) for table in tables.values())
-    last = max(float(table["t_s"].to_numpy().max()) for table in tables.values())
-    for least, unit in _EPOCHS:
-        if first > least:
-            message = (
-                f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds since the start of recording"
-                + ("; `trackwright import --origin start` makes them so" if unit == "seconds" else "")
-            )
-            return [CheckResult("warning" if unit == "seconds" else "error", "t_s", message)]
-    results = []
+    first, last = _span(tables)
+    unit = next((unit for least, unit in _EPOCHS if first > least), None)
+    if unit is not None:
+        message = f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds since the start of recording"
+        message += "; `trackwright import --origin start` makes them so" if unit == "seconds" else ""
+        yield CheckResult("warning" if unit == "seconds" else "error", "t_s", message)
+        return
     if abs(first) > START_S:
-        results.append(CheckResult("warning", "t_s", f"starts at {moment(first)}, expected a start near 0"))
+        yield CheckResult("warning", "t_s", f"starts at {moment(first)}, expected a start near 0")
     steps = [table["t_s"].unique().diff().median() for table in tables.values()]
     shortest = min((float(step) for step in steps if isinstance(step, float)), default=0.0)
     if shortest >= 5 and last - first > 1000:
         message = f"rows {shortest:.4g} s apart over {last - first:.6g} s: looks like milliseconds, expected seconds"
-        results.append(CheckResult("warning", "t_s", message))
-    return [*results, CheckResult("info", "t_s", f"from {span(first, last)}")]
+        yield CheckResult("warning", "t_s", message)
+    yield CheckResult("info", "t_s", f"from {span(first, last)}")
 
 
-def check_rates(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
+def check_rates(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """Rows, rate and gaps of each stream, or of each table if it has many streams; the share of empty cells."""
-    results, zero = [], zero_of(first_time(tables))
+    zero = zero_of(first_time(tables))
     for name, table in tables.items():
         expected = layout(name, table.columns)
         ordered = streams(table.filter(pl.any_horizontal(pl.col(expected.values).is_not_null())), expected.ids)
         if ordered.height == 0:
-            results.append(CheckResult("warning" if name == "truth" else "error", name, "all values are missing"))
+            yield CheckResult("warning" if name == "truth" else "error", name, "all values are missing")
             continue
         empty = {c: table[c].null_count() / table.height for c in expected.values if table[c].null_count()}
         if empty:
             shares = ", ".join(f"{column} {100 * share:.3g} %" for column, share in empty.items())
-            results.append(CheckResult("info", name, f"empty cells: {shares}"))
+            yield CheckResult("info", name, f"empty cells: {shares}")
         gaps = (
             long_gaps(ordered)
             .group_by("stream")
@@ -150,11 +140,10 @@ def check_rates(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
             .join(gaps, on="stream", how="left", maintain_order="left")
         )
         if per_stream.height <= STREAMS_SHOWN:
-            lines = [_stream_line(stream, expected.ids, zero) for stream in per_stream.iter_rows(named=True)]
+            for stream in per_stream.iter_rows(named=True):
+                yield CheckResult("info", name, _stream_line(stream, expected.ids, zero))
         else:
-            lines = [_summary(per_stream, expected.ids, zero)]
-        results += [CheckResult("info", name, line) for line in lines]
-    return results
+            yield CheckResult("info", name, _summary(per_stream, expected.ids, zero))
 
 
 def _stream_line(stream: dict, ids: tuple[str, ...], zero: float) -> str:

@@ -8,9 +8,9 @@ Hegarty, Understanding GPS, chapter 7).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import Literal, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -37,8 +37,7 @@ SHORT = 0.5
 """Share of a tag's ranges shorter than its height above or below the anchors from which the height counts as wrong."""
 
 
-@dataclass(frozen=True)
-class Dilution:
+class Dilution(NamedTuple):
     """At each position (p,): horizontal and vertical dilution with unknown height, and horizontal with known height."""
 
     horizontal: np.ndarray
@@ -70,17 +69,11 @@ def dilution(kind: Kind, rig: Rig, ids: Sequence[Sequence[str]], positions: np.n
         # Whitened: the arrival at the first anchor gives all differences a correlation of ½.
         shared = (1.0 - len(names) ** -0.5) / len(ids)
         jacobian = math.sqrt(2.0) * (jacobian - shared * jacobian.sum(axis=1, keepdims=True))
-    return _dilution(jacobian, 1.0 if kind.unit == "m" else _ONE_DEGREE)
-
-
-def _dilution(jacobian: np.ndarray, sigma: float) -> Dilution:
     information = np.einsum("pki,pkj->pij", jacobian, jacobian)
-    variances = _variances(information)
-    return Dilution(
-        horizontal=sigma * np.sqrt(variances[:, 0] + variances[:, 1]),
-        vertical=sigma * np.sqrt(variances[:, 2]),
-        horizontal_at_height=sigma * np.sqrt(_variances(information[:, :2, :2]).sum(axis=1)),
-    )
+    x, y, z = _variances(information).T
+    flat = _variances(information[:, :2, :2]).sum(axis=1)
+    sigma = 1.0 if kind.unit == "m" else _ONE_DEGREE
+    return Dilution(sigma * np.sqrt(x + y), sigma * np.sqrt(z), sigma * np.sqrt(flat))
 
 
 def _variances(information: np.ndarray) -> np.ndarray:
@@ -101,44 +94,36 @@ def shape(positions: np.ndarray) -> tuple[Literal["point", "line", "plane", "sol
     return ("point", "line", "plane", "solid")[filled], axes[2]
 
 
-def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
+def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """Sensor geometry and the dilution of precision that follows from it."""
-    results = []
-    places, where = _positions(rig, tables)
+    positions, where = _positions(rig, tables)
     known_height = bool(rig.tags) and all(tag.height is not None for tag in rig.tags.values())
-    if (
-        "fixes" in tables
-        and rig.anchors
-        and not any(kind.noun == "anchor" and name in tables for name, kind in KINDS.items())
-    ):
-        results += _flat("anchors", np.stack(list(rig.anchors.values())), known_height)
+    of_anchors = any(kind.noun == "anchor" and name in tables for name, kind in KINDS.items())
+    if "fixes" in tables and rig.anchors and not of_anchors:
+        yield from _flat(np.stack(list(rig.anchors.values())), known_height)
     for name, kind in KINDS.items():
         ids = _observed(tables[name], kind) if name in tables and kind.sensors else []
         known = kind.places(rig)
         used = {key: known[key] for row in ids for key in row}
         if not used:
             continue
-        noun, among = kind.noun, np.stack(list(used.values()))
-        results += _coincident(used) if len(used) > 1 else []
-        if noun == "anchor":
-            results += _flat("anchors", among, known_height, 3 if not kind.difference else 4 if known_height else 5)
+        places = np.stack(list(used.values()))
+        for (one, at), (other, there) in combinations(used.items(), 2):
+            if np.linalg.norm(at - there) < 1e-3:
+                message = f"{one} and {other} have the same position; correct one in rig.toml"
+                yield CheckResult("warning", "rig.toml", message)
+        if kind.noun == "anchor":
+            yield from _flat(places, known_height, 3 if not kind.difference else 4 if known_height else 5)
         elif len(used) == 1:
             message = f"only station {next(iter(used))} is observed: bearings, no position without a known height"
-            results.append(CheckResult("info", name, message))
+            yield CheckResult("info", name, message)
             continue
-        elif len(used) > 2 and shape(among)[0] == "line":
+        elif len(used) > 2 and shape(places)[0] == "line":
             message = "the stations are collinear: positions near their line are weakly determined"
-            results.append(CheckResult("warning", "rig.toml", message))
+            yield CheckResult("warning", "rig.toml", message)
         # An array of phases is as good as the two angles that they give.
         of = KINDS["bearings"] if kind.numbered else kind
-        quantity = kind.columns[0].name.removesuffix("_m").replace("_", " ")
-        unit, limit = (
-            (f"m per m of {quantity} noise", WEAK_RANGES)
-            if kind.unit == "m"
-            else ("m per degree of angle noise", WEAK_ANGLES)
-        )
-        results += _dilution_results(name, dilution(of, rig, ids, places), unit, limit, known_height, where)
-    return results
+        yield _dilution_result(name, of, dilution(of, rig, ids, positions), known_height, where)
 
 
 def _observed(table: pl.DataFrame, kind: Kind) -> list[tuple[str, ...]]:
@@ -153,87 +138,74 @@ def _positions(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> tuple[np.ndarray
         if len(true):
             chosen = true[np.unique(np.linspace(0, len(true) - 1, POINTS).astype(int))]
             return chosen, f"at {len(chosen)} true positions"
-    positions = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
-    centre = np.mean(positions, axis=0) if positions else np.zeros(3)
+    centre = np.mean(rig.places() or [np.zeros(3)], axis=0)
     heights = [tag.height for tag in rig.tags.values() if tag.height is not None]
     if heights:
-        centre = np.array([centre[0], centre[1], np.median(heights)])
+        centre[2] = np.median(heights)
     return centre[None, :], "at the centre of the rig" + (" and the height of the tags" if heights else "")
 
 
-def _coincident(positions: Mapping[str, np.ndarray]) -> list[CheckResult]:
-    keys = list(positions)
-    points = np.stack(list(positions.values()))
-    pairs = zip(*np.triu_indices(len(keys), 1), strict=True)
-    coincident = [f"{keys[i]} and {keys[j]}" for i, j in pairs if np.linalg.norm(points[i] - points[j]) < 1e-3]
-    return [
-        CheckResult("warning", "rig.toml", f"{pair} have the same position; correct one in rig.toml")
-        for pair in coincident
-    ]
-
-
-def _flat(what: str, positions: np.ndarray, known_height: bool, least: int = 3) -> list[CheckResult]:
-    kind, normal = shape(positions)
+def _flat(places: np.ndarray, known_height: bool, least: int = 3) -> Iterator[CheckResult]:
+    """What anchors at these places (n, 3), m, leave undetermined."""
+    dimension, normal = shape(places)
     level: Level = "warning"
-    if len(positions) < least:
-        message = f"{what} observed: {len(positions)}, expected {least} or more for a position"
-    elif kind in ("point", "line"):
-        message = f"the {what} are collinear: positions on a circle around their line cannot be distinguished"
-    elif kind == "plane" and abs(normal[2]) > 0.7:
-        message = f"the {what} are coplanar: the height is weakly determined and may be mirrored at their plane"
+    if len(places) < least:
+        message = f"anchors observed: {len(places)}, expected {least} or more for a position"
+    elif dimension in ("point", "line"):
+        message = "the anchors are collinear: positions on a circle around their line cannot be distinguished"
+    elif dimension == "plane" and abs(normal[2]) > 0.7:
+        message = "the anchors are coplanar: the height is weakly determined and may be mirrored at their plane"
         if known_height:
             level, message = "info", f"{message} (the height of the tags is known)"
-    elif kind == "plane":
-        message = f"the {what} are coplanar in a vertical plane: positions may be mirrored at it"
+    elif dimension == "plane":
+        message = "the anchors are coplanar in a vertical plane: positions may be mirrored at it"
     else:
-        return []
-    return [CheckResult(level, "rig.toml", message)]
+        return
+    yield CheckResult(level, "rig.toml", message)
 
 
-def _dilution_results(
-    table: str, dilution: Dilution, unit: str, limit: float, known_height: bool, where: str
-) -> list[CheckResult]:
+def _dilution_result(table: str, kind: Kind, seen: Dilution, known_height: bool, where: str) -> CheckResult:
     """Median and worst dilution; a warning if the coordinates to be estimated are weakly determined."""
-    estimated = dilution.horizontal_at_height if known_height else dilution.vertical
-    weak = bool(np.median(estimated) > limit or np.median(dilution.horizontal_at_height) > limit)
+    unit, limit = "m per degree of angle noise", WEAK_ANGLES
+    if kind.unit == "m":
+        unit, limit = f"m per m of {kind.columns[0].name.removesuffix('_m').replace('_', ' ')} noise", WEAK_RANGES
+    estimated = (seen.horizontal_at_height, seen.horizontal_at_height if known_height else seen.vertical)
+    weak = any(np.median(values) > limit for values in estimated)
+    shown = [
+        [f"{x:.3g}" if np.isfinite(x) else "undetermined" for x in (np.median(values), np.max(values))]
+        for values in seen
+    ]
+    horizontal, vertical, at_height = (f"{median} ({worst})" for median, worst in shown)
     message = (
-        f"dilution of precision, median (worst): horizontal {_pair(dilution.horizontal)}, "
-        f"vertical {_pair(dilution.vertical)}, horizontal at known height {_pair(dilution.horizontal_at_height)} "
-        f"{unit}, {where}"
+        f"dilution of precision, median (worst): horizontal {horizontal}, vertical {vertical}, horizontal at known "
+        f"height {at_height} {unit}, {where}"
     )
-    remedy = "move or add a sensor" if known_height else "give height_m of the tags, or move or add a sensor"
-    advice = f"; weakly determined: {remedy}" if weak else ""
-    return [CheckResult("warning" if weak else "info", table, message + advice)]
+    if weak:
+        remedy = "move or add a sensor" if known_height else "give height_m of the tags, or move or add a sensor"
+        message += f"; weakly determined: {remedy}"
+    return CheckResult("warning" if weak else "info", table, message)
 
 
-def _pair(values: np.ndarray) -> str:
-    shown = [f"{v:.3g}" if np.isfinite(v) else "undetermined" for v in (np.median(values), np.max(values))]
-    return f"{shown[0]} ({shown[1]})"
-
-
-def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
+def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """An error for each tag of known height that truth or ranges contradict."""
     heights = {tag: known.height for tag, known in rig.tags.items() if known.height is not None}
     if not heights:
-        return []
+        return
     contrary: dict[str, str] = {}
     for name, kind in KINDS.items():
         if name in tables and kind.distance:
             contrary |= _short_distances(rig, tables[name], kind, heights)
     contrary |= _true_heights(tables["truth"], heights) if "truth" in tables else {}
-    return [
-        CheckResult("error", "rig.toml", f"height_m of tag {tag} is {heights[tag]:g}, but {why}")
-        for tag, why in contrary.items()
-    ]
+    for tag, why in contrary.items():
+        yield CheckResult("error", "rig.toml", f"height_m of tag {tag} is {heights[tag]:g}, but {why}")
 
 
-def check_fix_heights(rig: Rig, fixes: TagRows) -> list[CheckResult]:
+def check_fix_heights(rig: Rig, fixes: TagRows) -> Iterator[CheckResult]:
     """A warning for tags whose fixes trackers refuse."""
-    tags = without_height(rig, fixes)
-    if not tags:
-        return []
-    message = f"neither z_m nor height_m in rig.toml: {counted(len(tags), 'tag')} ({listed(map(repr, tags))})"
-    return [CheckResult("warning", "fixes", f"{message}; track refuses them: give height_m under [tags.{tags[0]}]")]
+    if tags := without_height(rig, fixes):
+        message = f"neither z_m nor height_m in rig.toml: {counted(len(tags), 'tag')} ({listed(map(repr, tags))})"
+        fix = f"track refuses them: give height_m under [tags.{tags[0]}]"
+        yield CheckResult("warning", "fixes", f"{message}; {fix}")
 
 
 def without_height(rig: Rig, fixes: TagRows) -> list[str]:

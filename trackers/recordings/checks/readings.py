@@ -7,12 +7,13 @@ differences are multiples; the autocorrelation time of errors, against truth or 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
+from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.columns import stable_order
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, unit_of, wrapped
@@ -137,17 +138,23 @@ def robust_std(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
     )
 
 
-def check_repeats(name: str, read: Readings) -> list[CheckResult]:
-    """The share of a table's readings that repeat the one before, which a filter takes for new ones."""
+def check_readings(recording: RecordingFolder, name: str) -> Iterator[CheckResult]:
+    """Repeats, quantisation steps and the correlation time of the readings of a table."""
+    read, kind = readings(recording, name), KINDS[name]
+    about = about_local_line(read)
     share = repeated_share(read)
-    if not share >= FEW:
-        return []
-    message = (
-        f"repeated readings: {100 * share:.2g} % of the rows equal the row before of the same "
-        f"{' and '.join(KINDS[name].layout(()).ids)}"
-    )
-    level: Level = "warning" if share >= MANY else "info"
-    return [CheckResult(level, name, message + ("; expected one row per measurement" if share >= MANY else ""))]
+    if share >= FEW:
+        message = f"repeated readings: {100 * share:.2g} % of the rows equal the row before of the same "
+        message += " and ".join(kind.layout(()).ids)
+        expected = "; expected one row per measurement" if share >= MANY else ""
+        yield CheckResult("warning" if share >= MANY else "info", name, message + expected)
+    for line in _quantisation(read, robust_std(about)):
+        yield CheckResult("info", name, line)
+    # A local line through an IMU or phases does not follow the motion.
+    if kind.averaged:
+        true = bool(np.isfinite(read.errors).any())
+        for line in _correlations(read, read.errors if true else about, true):
+            yield CheckResult("info", name, line)
 
 
 def repeated_share(read: Readings) -> float:
@@ -168,23 +175,20 @@ def changes(read: Readings) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "
     return stream[1:] == stream[:-1], np.where(np.isnan(moved), np.inf, moved)
 
 
-def check_quantisation(name: str, read: Readings, scatter: np.ndarray) -> list[CheckResult]:
-    """The quantisation steps of a table's columns that are coarse beside the `scatter` (m,) of their readings."""
+def _quantisation(read: Readings, scatter: np.ndarray) -> Iterator[str]:
+    """The quantisation steps of columns that are coarse beside the `scatter` (m,) of their readings."""
     by_step: dict[float, list[str]] = {}
     for k, column in enumerate(read.columns):
         step = quantisation_step(read, k)
         if step is not None and step >= COARSE * scatter[k]:
             by_step.setdefault(float(f"{step:.3g}"), []).append(column)
-    return [CheckResult("info", name, _message(step, columns)) for step, columns in by_step.items()]
-
-
-def _message(step: float, columns: list[str]) -> str:
-    unit = unit_of(columns[0])
-    degrees = f" ({math.degrees(step):.3g}°)" if unit == "rad" else ""
-    return (
-        f"quantised: {', '.join(columns)} in steps of {step:.3g} {unit}{degrees}; "
-        f"their standard deviation is at least step/√12 = {step / math.sqrt(12):.2g} {unit}"
-    )
+    for step, columns in by_step.items():
+        unit = unit_of(columns[0])
+        degrees = f" ({math.degrees(step):.3g}°)" if unit == "rad" else ""
+        yield (
+            f"quantised: {', '.join(columns)} in steps of {step:.3g} {unit}{degrees}; "
+            f"their standard deviation is at least step/√12 = {step / math.sqrt(12):.2g} {unit}"
+        )
 
 
 def quantisation_step(read: Readings, column: int) -> float | None:
@@ -223,28 +227,20 @@ class Correlation(NamedTuple):
     sigma: float
 
 
-def check_correlation(name: str, read: Readings, errors: np.ndarray, true: bool) -> list[CheckResult]:
+def _correlations(read: Readings, errors: np.ndarray, true: bool) -> Iterator[str]:
     """The autocorrelation time of each column's `errors` (N, m): against truth, or about a local line."""
-    results = []
     for k, column in enumerate(read.columns):
-        correlation = autocorrelation(read, errors[:, k])
-        if correlation is None or (not true and not correlation.resolved):
+        found = autocorrelation(read, errors[:, k])
+        if found is None or not (true or found.resolved):
             continue
-        unit = unit_of(column)
         what = f"errors of {column} against truth" if true else f"{column} about a line through {LINE_S:g} s"
-        line = f"{what}: standard deviation {correlation.sigma:.2g} {unit}, {_duration(correlation)}"
-        if correlation.resolved:
-            ratio = 2 * correlation.time / correlation.interval
-            line += f"; effective sample size: 1 in {float(f'{ratio:.2g}'):g} readings"
-            line += "" if true else " at most; slower errors only show against truth"
-        results.append(CheckResult("info", name, line))
-    return results
-
-
-def _duration(correlation: Correlation) -> str:
-    if not correlation.resolved:
-        return f"uncorrelated after {correlation.interval:.2g} s"
-    return f"correlated for {'' if correlation.ended else 'more than '}{correlation.time:.2g} s"
+        lasting = f"uncorrelated after {found.interval:.2g} s"
+        if found.resolved:
+            size = float(f"{2 * found.time / found.interval:.2g}")
+            lasting = f"correlated for {'' if found.ended else 'more than '}{found.time:.2g} s"
+            lasting += f"; effective sample size: 1 in {size:g} readings"
+            lasting += "" if true else " at most; slower errors only show against truth"
+        yield f"{what}: standard deviation {found.sigma:.2g} {unit_of(column)}, {lasting}"
 
 
 def autocorrelation(read: Readings, errors: np.ndarray) -> Correlation | None:
