@@ -225,16 +225,21 @@ def associate(
     """
     longer = len(estimate) > len(truth)
     short, long = (truth, estimate) if longer else (estimate, truth)
-    times = long.times + (offset if longer else -offset)
-    after = np.searchsorted(times, short.times, side="left")
-    candidates = np.clip(np.stack([after - 1, after]), 0, len(times) - 1)
-    # Of poses at one time the first is meant.
-    candidates = np.searchsorted(times, times[candidates], side="left")
-    apart = np.abs(times[candidates] - short.times)
-    nearest = np.where(apart[0] <= apart[1], candidates[0], candidates[1])
-    kept = np.flatnonzero(apart.min(axis=0) <= tolerance)
-    pairs = kept, nearest[kept]
-    return (pairs[1], pairs[0]) if longer else pairs
+    nearest, apart = _nearest(long.times + (offset if longer else -offset), short.times)
+    kept = np.flatnonzero(apart <= tolerance)
+    return (nearest[kept], kept) if longer else (kept, nearest[kept])
+
+
+def _nearest(sorted_: np.ndarray, wanted: np.ndarray, least: np.ndarray | int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Of sorted numbers (n,), from row `least` on, the nearest to each wanted one (k,), and how far away it is.
+
+    Of equal ones the first is meant, of equally near ones the smaller.
+    """
+    after = np.searchsorted(sorted_, wanted, side="left")
+    candidates = np.clip(np.stack([after - 1, after]), least, len(sorted_) - 1)
+    candidates = np.maximum(np.searchsorted(sorted_, sorted_[candidates], side="left"), least)
+    apart = np.abs(sorted_[candidates] - wanted)
+    return np.where(apart[0] <= apart[1], candidates[0], candidates[1]), apart.min(axis=0)
 
 
 def statistics(errors: np.ndarray) -> Statistics:
@@ -254,7 +259,11 @@ def statistics(errors: np.ndarray) -> Statistics:
 
 def absolute_errors(estimate: PoseTrajectory, truth: PoseTrajectory) -> tuple[np.ndarray, np.ndarray | None]:
     """Distances (n,), m, and angles (n,), rad, between poses row by row; no angles without both attitudes."""
-    return np.linalg.norm(estimate.positions - truth.positions, axis=1), _angles(estimate, truth)
+    distances = np.linalg.norm(estimate.positions - truth.positions, axis=1)
+    if estimate.quaternions is None or truth.quaternions is None:
+        return distances, None
+    estimated, true = rotation_matrices(estimate.quaternions), rotation_matrices(truth.quaternions)
+    return distances, _angles_of(np.einsum("nji,njk->nik", estimated, true))
 
 
 def relative_errors(
@@ -306,21 +315,9 @@ def _pairs(poses: PoseTrajectory, step: Step, all_pairs: bool) -> tuple[np.ndarr
 def _all_pairs(along: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
     """From every row the later one whose distance along the trajectory is nearest to `size`, within a tenth of it."""
     rows = np.arange(len(along) - 1)
-    after = np.searchsorted(along, along[:-1] + size, side="left")
-    candidates = np.clip(np.stack([after - 1, after]), rows + 1, len(along) - 1)
-    # Of rows at one place the first is meant.
-    candidates = np.maximum(np.searchsorted(along, along[candidates], side="left"), rows + 1)
-    apart = np.abs(along[candidates] - along[:-1] - size)
-    last = np.where(apart[0] <= apart[1], candidates[0], candidates[1])
-    kept = apart.min(axis=0) <= size * 0.1
+    last, apart = _nearest(along, along[:-1] + size, rows + 1)
+    kept = apart <= size * 0.1
     return rows[kept], last[kept]
-
-
-def _angles(estimate: PoseTrajectory, truth: PoseTrajectory) -> np.ndarray | None:
-    if estimate.quaternions is None or truth.quaternions is None:
-        return None
-    estimated, true = rotation_matrices(estimate.quaternions), rotation_matrices(truth.quaternions)
-    return _angles_of(np.einsum("nji,njk->nik", estimated, true))
 
 
 def _angles_of(rotations: np.ndarray) -> np.ndarray:
@@ -400,7 +397,11 @@ def compare_trajectories(
     similarity = alignment(align, estimate.at_rows(rows), truth.at_rows(true_rows))
     aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)
     planar = not (np.isfinite(estimate.positions).all() and np.isfinite(truth.positions).all())
-    estimated, true = (_flat(t) if planar else t for t in (aligned.at_rows(rows), truth.at_rows(true_rows)))
+    # At height zero where one has none.
+    estimated, true = (
+        replace(t, positions=np.nan_to_num(t.positions) * [1.0, 1.0, not planar])
+        for t in (aligned.at_rows(rows), truth.at_rows(true_rows))
+    )
     distances, angles = absolute_errors(estimated, true)
     relative = {str(step): relative_errors(estimated, true, step, all_pairs) for step in steps}
     by_step = {step: errors for step, errors in relative.items() if errors is not None}
@@ -430,11 +431,6 @@ def _way_to_pairs(estimate: PoseTrajectory, truth: PoseTrajectory, offset: float
     rows, true_rows = associate(estimate, truth, np.inf, offset)
     apart = np.median(np.abs(estimate.times[rows] + offset - truth.times[true_rows]))
     return f"give a larger --time-tolerance: half of the poses have a true one within {apart:.3g} s"
-
-
-def _flat(trajectory: PoseTrajectory) -> PoseTrajectory:
-    """The trajectory at height zero."""
-    return replace(trajectory, positions=np.column_stack([trajectory.positions[:, :2], np.zeros(len(trajectory))]))
 
 
 def _speed_errors(estimated: PoseTrajectory, true: PoseTrajectory, times: np.ndarray) -> Statistics | None:

@@ -48,12 +48,12 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
         raise UnusableInput(f"{path}: {listed(mapping.columns)}: a log has one column, t_s=time, as t_s=time in ms")
     if name == "dwm1001" and mapping.tag is None:
         raise UnusableInput(f"{path}: DWM1001 lines do not name the tag; give it: --tag ID")
-    log, bad, raw = _Log(path, mapping.tag, _Clock(path, asked.interval, time)), [], 0
-    read = {"dwm1001": log.dwm1001, "trek1000": log.trek1000}[name]
-    begins, lines = FORMATS[name].begins, _text(path).rstrip().splitlines()
+    log, bad, raw = _Log(mapping.tag, asked.interval, time), [], 0
+    read, begins = {"dwm1001": log.dwm1001, "trek1000": log.trek1000}[name], FORMATS[name].begins
     assert begins is not None
+    lines = _text(path).rstrip().splitlines()
     for number, line in enumerate(lines, 1):
-        line = line.strip()
+        line, where = line.strip(), f"{path}: line {number}"
         begin = begins.search(line)
         if not line or line.startswith("#") or (begin is None and line.startswith(_SHELL)):
             continue
@@ -63,8 +63,8 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
             continue
         try:
             if begin is None:
-                raise UnusableInput(f"{path}: line {number}: {line[:60]!r}; expected {_EXPECTED[name]}")
-            read(number, body, line[: begin.start()])
+                raise UnusableInput(f"{where}: {line[:60]!r}; expected {_EXPECTED[name]}")
+            read(where, body, line[: begin.start()])
         except UnusableInput as problem:
             if not asked.skip:
                 last = isinstance(problem, _NoSuchLine) and number == len(lines)
@@ -105,29 +105,37 @@ class _NoSuchLine(UnusableInput):
     """A line with readings that has not the form of its command, as one that was cut off."""
 
 
-class _Clock:
-    """The time of each line; times of day go on after midnight."""
+@dataclass
+class _Log:
+    """The rows of a log; `anchors`: the positions, m, that it names. `lines`, `days`, `latest`: of its clock so far."""
 
-    def __init__(self, path: Path, interval: float | None, time: Expression) -> None:
-        self.path, self.interval, self.time = path, interval, time
-        self.rows, self.days, self.latest = 0, 0, -1.0
+    tag: str | None
+    interval: float | None
+    time: Expression
+    ranges: list[tuple[float, str, str, float]] = field(default_factory=list)
+    fixes: list[tuple[float, str, float, float, float]] = field(default_factory=list)
+    anchors: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    lines: int = 0
+    days: int = 0
+    latest: float = -1.0
 
-    def at(self, number: int, prefix: str, device: float | None = None) -> float:
-        """The time, s, of a line with this text before its readings, or else that of the device."""
+    def time_of(self, where: str, prefix: str, device: float | None = None) -> float:
+        """The time, s, of a line with this text before its readings, or else that of the device.
+
+        Times of day go on after midnight.
+        """
         prefix = prefix.strip().removesuffix("dwm>").strip(" \t,;|:[]->")
-        self.rows += 1
+        self.lines += 1
         if not prefix:
             if device is None and self.interval is None:
                 raise UnusableInput(
-                    f"{self.path}: line {number}: no time before the readings; log with time stamps, or give the "
-                    "interval of the lines: --interval 0.1"
+                    f"{where}: no time before the readings; log with time stamps, or give the interval of the lines: "
+                    "--interval 0.1"
                 )
-            return device if device is not None else (self.rows - 1) * float(self.interval or 0.0)
-        day = _CLOCK.fullmatch(prefix)
-        if day is not None:
+            return device if device is not None else (self.lines - 1) * float(self.interval or 0.0)
+        if day := _CLOCK.fullmatch(prefix):
             seconds = int(day[1]) * 3600 + int(day[2]) * 60 + float(day[3].replace(",", "."))
-            if seconds < self.latest - _DAY / 2:
-                self.days += 1
+            self.days += seconds < self.latest - _DAY / 2
             self.latest = seconds
             return seconds + self.days * _DAY
         try:
@@ -135,59 +143,43 @@ class _Clock:
         except ValueError:
             pass
         try:
-            stamp = datetime.fromisoformat(prefix.replace(",", "."))
+            date = datetime.fromisoformat(prefix.replace(",", "."))
         except ValueError:
             raise UnusableInput(
-                f"{self.path}: line {number}: {prefix[:40]!r} before the readings; expected seconds, a date such as "
+                f"{where}: {prefix[:40]!r} before the readings; expected seconds, a date such as "
                 "2026-05-01T12:00:00.25, or a time of day such as 12:00:00.25"
             ) from None
-        return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
+        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
-
-@dataclass
-class _Log:
-    """The rows of a log; `anchors`: the positions, m, that it names."""
-
-    path: Path
-    tag: str | None
-    clock: _Clock
-    ranges: list[tuple[float, str, str, float]] = field(default_factory=list)
-    fixes: list[tuple[float, str, float, float, float]] = field(default_factory=list)
-    anchors: dict[str, tuple[float, ...]] = field(default_factory=dict)
-
-    def dwm1001(self, number: int, body: str, prefix: str) -> None:
+    def dwm1001(self, where: str, body: str, prefix: str) -> None:
         """Adds the readings of a line; raises UnusableInput."""
-        position, command = None, "les"
         if body.startswith("POS"):
-            command = "lep"
-            position = _POS.fullmatch(body)
-            readings, understood = [], position is not None
+            command, readings, position = "lep", [], _POS.fullmatch(body)
+            understood = position is not None
         elif body.startswith("DIST"):
-            command = "lec"
+            command, readings, position = "lec", _LEC.findall(body), _POS.search(body)
             line = _LEC_LINE.fullmatch(body)
-            readings = _LEC.findall(body)
             understood = line is not None and int(line[1]) == len(readings)
-            position = _POS.search(body)
         else:
-            understood, readings = _LES_LINE.fullmatch(body) is not None, _LES.findall(body)
-            position = _ESTIMATE.search(body)
+            command, readings, position = "les", _LES.findall(body), _ESTIMATE.search(body)
+            understood = _LES_LINE.fullmatch(body) is not None
         if not understood:
-            raise _NoSuchLine(f"{self.path}: line {number}: {body[:60]!r}; expected {_EXPECTED[command]}")
-        time = self.clock.at(number, prefix)
+            raise _NoSuchLine(f"{where}: {body[:60]!r}; expected {_EXPECTED[command]}")
+        time = self.time_of(where, prefix)
         for anchor, x, y, z, distance in readings:
-            put(self.anchors, f"{self.path}: line {number}", anchor, (float(x), float(y), float(z)))
+            put(self.anchors, where, anchor, (float(x), float(y), float(z)))
             self.ranges.append((time, str(self.tag), anchor, float(distance)))
         if position is not None:
             x, y, z = (float(position[k]) for k in (1, 2, 3))
             self.fixes.append((time, str(self.tag), x, y, z))
 
-    def trek1000(self, number: int, body: str, prefix: str) -> None:
+    def trek1000(self, where: str, body: str, prefix: str) -> None:
         """Adds the readings of a line; raises UnusableInput."""
         match = _TREK.fullmatch(body)
         if match is None or match[1] != "c":
-            raise _NoSuchLine(f"{self.path}: line {number}: {body[:60]!r}; expected {_EXPECTED['trek1000']}")
+            raise _NoSuchLine(f"{where}: {body[:60]!r}; expected {_EXPECTED['trek1000']}")
         mask, ranges = int(match[2], 16), [int(text, 16) for text in match[3].split()]
-        time = self.clock.at(number, prefix, int(match[6], 16) / 1000)
+        time = self.time_of(where, prefix, int(match[6], 16) / 1000)
         for k, millimetres in enumerate(ranges):
             if mask >> k & 1 and millimetres < 0x8000_0000:
                 self.ranges.append((time, self.tag or match[8], str(k), millimetres / 1000))

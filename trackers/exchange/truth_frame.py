@@ -107,11 +107,11 @@ def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:
     if not (sizes <= view.kind.sizes("large", len(known))[known]).all():
         raise UnusableInput(
             f"--align-truth: no turn about z, shift and difference of clocks up to {LONGEST_S:g} s explains the "
-            f"{view.table}: errors of {typical} are left; check the rig and the tag, or give --transform"
+            f"{view.kind.name}: errors of {typical} are left; check the rig and the tag, or give --transform"
         )
     east, north, up = x[1:4] - _turn(x[0]) @ centre
     yaw = math.degrees(math.remainder(x[0], 2 * math.pi))
-    return Placement(east, north, up, yaw, float(x[4])), f"{view.table} then differ by {typical} typically"
+    return Placement(east, north, up, yaw, float(x[4])), f"{view.kind.name} then differ by {typical} typically"
 
 
 def _turn(yaw: float) -> np.ndarray:

@@ -155,7 +155,7 @@ def changes(view: Compared) -> Iterator[Change]:
         words, cause = f"the truth multiplied by {factor:g}", f"truth in {unit}, expected metres; convert it"
         yield Change(words, cause, {"positions": factor * view.positions})
         if kind.sensors:
-            words = f"the positions of the {view.noun}s multiplied by {factor:g}"
+            words = f"the positions of the {view.kind.noun}s multiplied by {factor:g}"
             cause = f"positions in rig.toml in {unit}, expected metres; convert them"
             yield Change(words, cause, {"places": factor * sensors.places})
     for axes in signed_axes("the truth"):
@@ -227,7 +227,7 @@ def resolving(view: Compared, factor: float | np.ndarray) -> np.ndarray:
 
 def frame_cause(view: Compared, what: str, placement: Float[np.ndarray, " 4"] | None = None) -> str:
     """The cause of another frame, and the fix: where a shift, m, and turn, °, are enough, by import."""
-    other = f"the {view.table}" if view.kind.position else "rig.toml"
+    other = f"the {view.kind.name}" if view.kind.position else "rig.toml"
     if placement is None:
         return f"the truth {what} {other}; bring both into one frame"
     moving = f"--align-truth, which fits the clock as well, or --transform {transform_text(*placement)}"

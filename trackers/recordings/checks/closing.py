@@ -154,7 +154,7 @@ def _grid(
     return tag[order][new], latest
 
 
-def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
+def check_closing(recording: RecordingFolder, table: str) -> Iterator[CheckResult]:
     """An error where readings of one moment contradict each other and one change explains it, as of units or ids.
 
     A warning where they do not without one anchor or station, and where nothing explains it.
@@ -163,27 +163,26 @@ def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
     closes = kind.difference or (len(kind.sensors) == 1 and (kind.angles or kind.distance))
     readings = moments(recording, table) if closes else None
     if readings is None or (before := readings.closing()) <= ONE_LARGE[kind.unit]:
-        return []
+        return
     large = before > LARGE[kind.unit]
-    tried = [(changed.closing(), change, cause) for change, cause, changed in (_changes(readings) if large else ())]
-    least = min(tried, default=(before,))[0]
-    apart = min(_without_each(readings), default=(np.inf, ""))
+    changes = _changes(readings) if large else ()
+    tried = sorted((changed.closing(), words, cause) for words, cause, changed in changes)
+    least = tried[0][0] if tried else before
+    apart, without = min(_without_each(readings), default=(np.inf, ""))
     unit, factor = kind.shown
-    message = f"readings of one moment contradict each other by {significant(factor * before, 2)}{unit}"
-    if apart[0] <= CLEARER * min(before, least):
-        line = f"{message}, and by {significant(factor * apart[0], 2)}{unit} without {kind.noun} {apart[1]}"
+    before_text, apart_text, least_text = (f"{significant(factor * x, 2)}{unit}" for x in (before, apart, least))
+    message = f"readings of one moment contradict each other by {before_text}"
+    if apart <= CLEARER * min(before, least):
         cause = "its place in rig.toml is wrong, or its readings are; measure it again"
-        return [CheckResult("warning", table, f"{line}: {cause}")]
-    if not large:
-        return []
-    if least > min(SMALLER * before, REMAINING[kind.unit]):
-        line = f"{message}, and no change of units, signs or ids explains it; check positions and rotations in rig.toml"
-        return [CheckResult("warning", table, line)] if before > 2 * REMAINING[kind.unit] else []
-    alike = [trial for trial in sorted(tried) if trial[0] <= ALIKE * least][:NAMED]
-    changes = ", or ".join(trial[1] for trial in alike)
-    causes = "; or ".join(dict.fromkeys(trial[2] for trial in alike))
-    line = f"{message}, and by {significant(factor * least, 2)}{unit} with {changes}: {causes}"
-    return [CheckResult("error", table, line)]
+        yield CheckResult("warning", table, f"{message}, and by {apart_text} without {kind.noun} {without}: {cause}")
+    elif large and least <= min(SMALLER * before, REMAINING[kind.unit]):
+        alike = [trial for trial in tried if trial[0] <= ALIKE * least][:NAMED]
+        words = ", or ".join(words for _, words, _ in alike)
+        causes = "; or ".join(dict.fromkeys(cause for _, _, cause in alike))
+        yield CheckResult("error", table, f"{message}, and by {least_text} with {words}: {causes}")
+    elif large and before > 2 * REMAINING[kind.unit]:
+        unexplained = "no change of units, signs or ids explains it; check positions and rotations in rig.toml"
+        yield CheckResult("warning", table, f"{message}, and {unexplained}")
 
 
 def _without_each(readings: Moments) -> Iterator[tuple[float, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,16 +47,6 @@ class Compared(NamedTuple):
     sensors: Sensors
     rotations: Float[np.ndarray, "G 4"]
     paths: TruePaths
-
-    @property
-    def table(self) -> str:
-        """The name of the table."""
-        return self.kind.name
-
-    @property
-    def noun(self) -> str:
-        """What the groups are."""
-        return self.kind.noun
 
     def changed(self, **fields: np.ndarray) -> Compared:
         """The same readings with other fields, of these or of the sensors."""
@@ -162,21 +152,18 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
     known = np.isfinite(view.errors()).any(axis=1)
     enough = np.bincount(view.group[known], minlength=len(ids)) >= LEAST_OF_GROUP
     view = view.of_rows(known & enough[view.group])
-    return _with_used_groups(view, enough) if len(view.group) else None
-
-
-def _with_used_groups(view: Compared, enough: np.ndarray) -> Compared:
-    """Without the groups that have not `enough` readings (G,); the other sensor of a difference stays in any case."""
-    sensors = view.sensors
-    used = enough | (np.bincount(sensors.number.ravel(), minlength=len(enough)) > 0)
+    if not len(view.group):
+        return None
+    # The other sensor of a difference stays in any case.
+    used = enough | (np.bincount(view.sensors.number.ravel(), minlength=len(enough)) > 0)
     number = np.cumsum(used) - 1
-    if view.kind.sensors:
-        others = {name: getattr(sensors, name)[used] for name in ("places", "axes", "antennas", "wavelengths")}
-        view = view.changed(number=number[sensors.number], **others)
-    return view._replace(
-        ids=tuple(key for key, ok in zip(view.ids, used, strict=True) if ok), group=number[view.group],
-        rotations=view.rotations[used] if len(view.rotations) else view.rotations,
-    )  # fmt: skip
+    of_used = {"group": number[view.group]}
+    if kind.sensors:
+        of_used |= {name: getattr(sensors, name)[used] for name in ("places", "axes", "antennas", "wavelengths")}
+        of_used |= {"number": number[view.sensors.number]}
+    if len(rotations):
+        of_used["rotations"] = rotations[used]
+    return view.changed(**of_used)._replace(ids=tuple(compress(ids, used)))
 
 
 def robust_fit(
@@ -186,20 +173,26 @@ def robust_fit(
 
     Levenberg-Marquardt with Cauchy's weights. Derivatives are differences over 1e-6 of each number's unit.
     """
+
+    def known(x: np.ndarray) -> np.ndarray:
+        return np.nan_to_num(errors(x)).ravel()
+
+    def loss(e: np.ndarray, scale: float) -> float:
+        return float(np.log1p((e / (CUT / 3 * scale)) ** 2).sum())
+
     x, damping = np.asarray(start, float), 1e-2
-    e = _finite(errors(x))
+    e = known(x)
     for _ in range(steps):
         scale = max(1.4826 * float(np.median(np.abs(e))), 1e-9)
         weights = 1.0 / (1.0 + (e / (CUT / 3 * scale)) ** 2)
-        J = np.stack([(_finite(errors(x + 1e-6 * unit)) - e) / 1e-6 for unit in np.eye(len(x))], axis=1)
-        normal, gradient = (J.T * weights) @ J, (J.T * weights) @ e
-        loss = _loss(e, scale)
+        J = np.stack([(known(x + 1e-6 * unit) - e) / 1e-6 for unit in np.eye(len(x))], axis=1)
+        normal, gradient, before = (J.T * weights) @ J, (J.T * weights) @ e, loss(e, scale)
         # Damped in proportion to the largest curvature too: a height that is hardly seen would go far in one step.
         ridge = np.diag(np.diag(normal) + 0.1 * np.diag(normal).max() + 1e-12)
         for _ in range(6):
             step = np.linalg.solve(normal + damping * ridge, -gradient)
-            trial = _finite(errors(x + step))
-            if _loss(trial, scale) < loss:
+            trial = known(x + step)
+            if loss(trial, scale) < before:
                 damping = max(damping / 5, 1e-9)
                 break
             damping *= 10
@@ -209,11 +202,3 @@ def robust_fit(
         if np.max(np.abs(step)) < 1e-5:
             break
     return x, float(np.median(np.abs(e)))
-
-
-def _finite(errors: np.ndarray) -> np.ndarray:
-    return np.nan_to_num(errors).ravel()
-
-
-def _loss(errors: np.ndarray, scale: float) -> float:
-    return float(np.log1p((errors / (CUT / 3 * scale)) ** 2).sum())

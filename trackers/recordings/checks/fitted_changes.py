@@ -82,8 +82,9 @@ def _offset(view: Compared) -> Change:
         # Many tags see an anchor in the corner from one side, so that its place is an offset to them.
         subtracted, place = subtracted - offset[view.sensors.number[:, 1]], ", or of another position"
     return Change(
-        f"a constant subtracted from the {view.table}",
-        f"an offset of the {view.table}, as of an antenna delay that is not calibrated{place}; calibrate the anchors",
+        f"a constant subtracted from the {view.kind.name}",
+        f"an offset of the {view.kind.name}, as of an antenna delay that is not calibrated{place}; calibrate the "
+        "anchors",
         {"values": view.values - subtracted}, 1, True, np.abs(offset[:, 0]) >= LEAST_OFFSET_M,
         parts=tuple(f"{x:+.2f} m" for x in offset[:, 0]),
     )  # fmt: skip
@@ -92,8 +93,8 @@ def _offset(view: Compared) -> Change:
 def _scale(view: Compared) -> Change:
     ratio = view.medians(view.values / np.maximum(view.predicted(), 0.1))
     return Change(
-        f"the {view.table} divided by a constant",
-        f"a scale error of the {view.table}; check their unit and the clock of the device",
+        f"the {view.kind.name} divided by a constant",
+        f"a scale error of the {view.kind.name}; check their unit and the clock of the device",
         {"values": view.values / np.where(ratio == 0, 1.0, ratio)[view.group]}, 1, True,
         np.abs(np.log(np.maximum(np.abs(ratio[:, 0]), 1e-6))) > LEAST_SCALE,
         parts=tuple(f"{x:.3f}" for x in ratio[:, 0]),
@@ -315,7 +316,7 @@ def _delayed(view: Compared) -> Iterator[Change]:
     late = "late" if best > 0 else "early"
     yield Change(
         f"the measurements taken {abs(best):.2f} s {'earlier' if best > 0 else 'later'}",
-        f"the {view.table} come {abs(best):.2f} s {late}: their clock and that of the truth differ; "
+        f"the {view.kind.name} come {abs(best):.2f} s {late}: their clock and that of the truth differ; "
         f"import the truth again with --align-truth, or --transform {transform_text(0.0, 0.0, 0.0, 0.0, best)}",
         {"positions": view.later(best).positions}, 1, harmless=-LATENCY_S / 2 < best <= LATENCY_S,
     )  # fmt: skip
@@ -336,8 +337,8 @@ def _swapped_sensors(view: Compared) -> Iterator[Change]:
         order = min(orders, key=lambda order: float(_logs(few.changed(places=sensors.places[order]).sizes()).sum()))
     if (order != np.arange(count)).any():
         yield Change(
-            _exchange(view.noun, view.ids, order),
-            f"the ids of {view.noun}s are mixed up; correct rig.toml or the table",
+            _exchange(view.kind.noun, view.ids, order),
+            f"the ids of {view.kind.noun}s are mixed up; correct rig.toml or the table",
             {"places": sensors.places[order], "axes": sensors.axes[order]}, by_group=True,
             groups=order != np.arange(count), together=True,
         )  # fmt: skip

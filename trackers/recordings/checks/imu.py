@@ -9,6 +9,7 @@ sizes of the specific force do, which follow the vertical acceleration. Without 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -80,23 +81,23 @@ RATE_S = 0.1
 
 def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) -> list[CheckResult]:
     """Signs, axes, mounting and clock of the IMU of the first tags; an attitude of the sensor's own excuses it."""
-    table = tables["imu"]
+    table, results = tables["imu"], list[CheckResult]()
     if set(QUATERNION) <= set(table.columns):
         return []
-    results = []
     for tag in table["tag"].unique(maintain_order=True).head(MOST_TAGS):
-        rows = imu_rows(table, tag)
-        truth = tables["truth"].filter(pl.col("tag") == tag) if against_truth and "truth" in tables else None
-        if rows is not None:
-            of_tag = None if truth is None else _against_attitude(rows, truth)
-            if of_tag is None and truth is not None:
-                of_tag = _against_heights(rows, truth)
-            of_tag = of_tag or [*_by_gravity(rows), *_mounting(rows)]
-            results += [CheckResult(result.level, result.where, f"tag {tag}: {result.message}") for result in of_tag]
+        rows, found = imu_rows(table, tag), None
+        if rows is None:
+            continue
+        if against_truth and "truth" in tables:
+            truth = tables["truth"].filter(pl.col("tag") == tag)
+            found = _against_attitude(rows, truth)
+            found = _against_heights(rows, truth) if found is None else found
+        found = found or [*_by_gravity(rows), *_mounting(rows)]
+        results += [replace(result, message=f"tag {tag}: {result.message}") for result in found]
     return results
 
 
-def _by_gravity(rows: ImuRows) -> list[CheckResult]:
+def _by_gravity(rows: ImuRows) -> Iterator[CheckResult]:
     """An error where gravity turns in body axes otherwise than the turn rates have it, and as others would."""
     t = spaced(rows.times, WINDOW_S / 4)
     half, quarter = WINDOW_S / 2, WINDOW_S / 4
@@ -110,33 +111,29 @@ def _by_gravity(rows: ImuRows) -> list[CheckResult]:
     known &= (np.linalg.norm(turned, axis=1) < 2.0) & (np.linalg.norm(change, axis=1) < 5.0)
     change, middle, turned = change[known], middle[known], turned[known]
     if len(turned) < LEAST_WINDOWS or np.sqrt(np.mean(turned**2)) < LEAST_TURN:
-        return []
+        return
     given = _correlation(change, -np.cross(turned, middle))
     if given > 1.0 - BETTER:
-        return []
+        return
     tried = signed_axes("the turn rates")
     fits = [(_correlation(change, -np.cross(turned @ axes.matrix.T, middle)), axes) for axes in tried]
     best, axes = max(fits, key=lambda fit: fit[0] - SIMPLER * fit[1].changes)
-    if best < FIT or best - given < BETTER:
-        return []
-    also = ", or two axes of both sensors swapped" if axes.signs.prod() < 0 and axes.order == (0, 1, 2) else ""
-    return [
-        CheckResult(
-            "error", "imu", f"turn rates fit the turn of gravity in the acceleration only with {axes.words}{also} "
-            f"(correlation {best:.2f}, {given:.2f} as they are); correct the axes of the gyro or of the accelerometer",
-        )
-    ]  # fmt: skip
+    if best >= FIT and best - given >= BETTER:
+        also = ", or two axes of both sensors swapped" if axes.signs.prod() < 0 and axes.order == (0, 1, 2) else ""
+        message = f"turn rates fit the turn of gravity in the acceleration only with {axes.words}{also} (correlation "
+        message += f"{best:.2f}, {given:.2f} as they are); correct the axes of the gyro or of the accelerometer"
+        yield CheckResult("error", "imu", message)
 
 
-def _mounting(rows: ImuRows) -> list[CheckResult]:
+def _mounting(rows: ImuRows) -> Iterator[CheckResult]:
     """A warning where the mean specific force does not point along z, as that of a level IMU does."""
     mean = rows.pushed[-1] / (rows.times[-1] - rows.times[0])
-    if np.linalg.norm(mean) < 1.0 or mean[2] > TILTED * np.linalg.norm(mean):
-        return []
-    how = "upside down" if -mean[2] > TILTED * np.linalg.norm(mean) else "on its side"
-    x, y, z = (f"{c + 0.0:.1f}" for c in np.round(mean, 1))
-    message = f"mean acceleration is ({x}, {y}, {z}) m/s²: the IMU is {how}, expected z up; turn its axes"
-    return [CheckResult("warning", "imu", message)]
+    size = np.linalg.norm(mean)
+    if size >= 1.0 and mean[2] <= TILTED * size:
+        how = "upside down" if -mean[2] > TILTED * size else "on its side"
+        x, y, z = (f"{c + 0.0:.1f}" for c in np.round(mean, 1))
+        message = f"mean acceleration is ({x}, {y}, {z}) m/s²: the IMU is {how}, expected z up; turn its axes"
+        yield CheckResult("warning", "imu", message)
 
 
 def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult] | None:
@@ -155,14 +152,8 @@ def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult] |
         return [_late(delay, "attitude")]
     later, error = _fine_delay(rows, times, sizes)
     late = [_late(later, "attitude")] if abs(later) > max(FINE_DELAY_S, CERTAIN * error) else []
-    return late + (
-        _other_quaternions(rows, attitude)
-        or [
-            CheckResult("error" if wrong else "warning", "imu", line)
-            for name, measured, true in _vectors(rows, attitude, times, rates)
-            for wrong, line in _axes(name, measured, true)
-        ]
-    )
+    wrong = _other_quaternions(rows, attitude)
+    return late + (wrong or [x for one in _vectors(rows, attitude, times, rates) for x in _axes(*one)])
 
 
 def _against_heights(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
@@ -248,8 +239,8 @@ def _vectors(
         yield "accelerations", force[known], 9.81 * attitude.up(at)[known]
 
 
-def _axes(name: str, measured: np.ndarray, true: np.ndarray) -> Iterator[tuple[bool, str]]:
-    """Other axes of the measured vectors than the true ones, in words, and whether they make a mirrored frame."""
+def _axes(name: str, measured: np.ndarray, true: np.ndarray) -> Iterator[CheckResult]:
+    """Other axes of the measured vectors than the true ones; an error where they make a mirrored frame."""
     given = _error(measured, true)
     error, axes = _best_axes(measured, true, f"the {name}")
     left, _, right = np.linalg.svd(measured.T @ true)
@@ -259,9 +250,11 @@ def _axes(name: str, measured: np.ndarray, true: np.ndarray) -> Iterator[tuple[b
     if given < WORSE * min(error, turned):
         return
     if error < WORSE * turned:
-        yield axes.mirrored, f"{name} fit the truth's attitude only with {axes.words}; correct the axes"
+        message = f"{name} fit the truth's attitude only with {axes.words}; correct the axes"
+        yield CheckResult("error" if axes.mirrored else "warning", "imu", message)
     elif angle > SMALL_TURN and name == "turn rates":
-        yield False, f"axes are turned by {np.degrees(angle):.0f}° against the body axes of the truth's attitude"
+        message = f"axes are turned by {np.degrees(angle):.0f}° against the body axes of the truth's attitude"
+        yield CheckResult("warning", "imu", message)
 
 
 def _other_quaternions(rows: ImuRows, attitude: Attitude) -> list[CheckResult]:

@@ -39,7 +39,7 @@ def check_against_truth(view: Compared) -> list[CheckResult]:
     before = view.sizes()
     large = np.any(before > view.kind.sizes("large", before.shape[1]), axis=1)
     explained = _likely_mistake(view, before, large) if large.any() else _upside_down(view)
-    return [] if explained is None else [CheckResult("error", view.table, explained)]
+    return [] if explained is None else [CheckResult("error", view.kind.name, explained)]
 
 
 def _likely_mistake(view: Compared, before: np.ndarray, large: np.ndarray) -> str | None:
@@ -122,7 +122,7 @@ def _sentence(view: Compared, groups: np.ndarray, change: Change, sizes: np.ndar
     where = ""
     if change.by_group:
         names = [f"{view.ids[k]}{f' ({change.parts[k]})' if change.parts else ''}" for k in chosen]
-        noun = f"{view.noun}s" if len(chosen) > 1 else view.noun
+        noun = f"{view.kind.noun}s" if len(chosen) > 1 else view.kind.noun
         where = f" of {noun} {listed(names, 6)}"
         if len(chosen) == len(groups) and len(chosen) > 1 and not change.parts:
             where = f" of all {len(chosen)} {noun}"

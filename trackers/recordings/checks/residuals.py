@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared, compared
@@ -29,14 +30,13 @@ CORRELATED = 10
 class Residuals(NamedTuple):
     """The errors of one column of a group against truth, in m or rad.
 
-    `rows`: their number. `bias`: their median. `spread`: their robust standard deviation. `slope`: the change of the
-    error per unit of the true value. `delay`: s, by which readings come late. `outliers`: the share beyond `OUTLIER`
-    spreads of the bias. NaN where the readings do not determine a number.
+    `bias`: their median. `spread`: their robust standard deviation. `slope`: the change of the error per unit of the
+    true value. `delay`: s, by which readings come late. `outliers`: the share beyond `OUTLIER` spreads of the bias. NaN
+    where the readings do not determine a number.
     """
 
     group: str
     column: str
-    rows: int
     bias: float
     spread: float
     slope: float
@@ -59,16 +59,20 @@ def residuals(view: Compared) -> list[Residuals]:
         e = errors[view.group == k, c]
         e = e[np.isfinite(e)]
         if len(e):
-            bias = float(np.median(e))
-            spread = 1.4826 * float(np.median(np.abs(e - bias)))
-            outliers = float(np.mean(_outlying(e, bias, spread)))
-            result.append(Residuals(view.ids[k], view.columns[c], len(e), bias, spread, slope, delay, outliers))
+            bias, spread, outlying = _about_median(e)
+            result.append(Residuals(view.ids[k], view.columns[c], bias, spread, slope, delay, float(outlying.mean())))
     return result
 
 
-def _outlying(e: np.ndarray, bias: float, spread: float) -> np.ndarray:
-    outlying: np.ndarray = np.abs(e - bias) > max(OUTLIER * spread, 1e-9)
-    return outlying
+def _about_median(e: Float[np.ndarray, " n"]) -> tuple[float, float, Bool[np.ndarray, " n"]]:
+    """The median of errors, their robust standard deviation, and which of them are outliers."""
+    median = float(np.median(e))
+    spread = 1.4826 * float(np.median(np.abs(e - median)))
+    return median, spread, _outlying(e - median, spread)
+
+
+def _outlying(e: Float[np.ndarray, " n"], spread: float) -> Bool[np.ndarray, " n"]:
+    return np.asarray(np.abs(e) > max(OUTLIER * spread, 1e-9))
 
 
 def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -> tuple[float, float]:
@@ -89,8 +93,7 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
     e, true, rate = e[known], true[known], change[known] / (2 * LAG_S)
     if len(e) < 3 * CORRELATED:
         return math.nan, math.nan
-    middle = float(np.median(e))
-    inside = ~_outlying(e, middle, 1.4826 * float(np.median(np.abs(e - middle))))
+    inside = ~_about_median(e)[2]
     e, true, rate = e[inside], true[inside], rate[inside]
     regressors = np.stack([np.ones(len(e)), true - true.mean(), -rate], axis=1)
     if view.kind.position:
@@ -114,76 +117,69 @@ def delay_against_truth(recording: RecordingFolder, table: str) -> float:
     return float(np.nanmedian(delays)) if 2 * np.isfinite(delays).sum() > len(delays) else math.nan
 
 
-def check_residuals(view: Compared) -> list[CheckResult]:
-    """A line for each anchor, station or tag; the range of their biases where there are many."""
+def check_residuals(view: Compared) -> Iterator[CheckResult]:
+    """A line for each anchor, station or tag; the range of their biases where there are many.
+
+    A warning where the azimuths of all stations are off to one side by more than a station's own error.
+    """
+    entries = [] if view.kind.numbered else residuals(view)
+    turned = np.array([entry.bias for entry in entries if entry.column == "azimuth_rad"])
+    one_side = len(turned) and abs(np.sign(turned).sum()) == len(turned)
+    if one_side and np.abs(turned).min() >= view.kind.columns[0].bias:
+        off = f"azimuths of all stations are off by about {_size(float(np.median(turned)), view, '+')}"
+        fix = "turned against rig.toml; correct rotation_wxyz, or calibrate"
+        yield CheckResult("warning", view.kind.name, f"{off}: {fix}")
+    for line in _lines(entries, view):
+        yield CheckResult("info", view.kind.name, line)
+
+
+def _lines(entries: Sequence[Residuals], view: Compared) -> Iterator[str]:
     if view.kind.numbered:
-        return [CheckResult("info", view.table, line) for line in _of_arrays(view)]
-    entries = residuals(view)
-    if len(view.ids) > SHOWN:
-        lines = [_of_many([entry for entry in entries if entry.column == column], view) for column in view.columns]
+        yield from _of_arrays(view)
+    elif len(view.ids) > SHOWN:
+        yield from (_of_many([entry for entry in entries if entry.column == column], view) for column in view.columns)
     else:
-        of_groups = [[entry for entry in entries if entry.group == name] for name in view.ids]
-        lines = [_line(rows, view) for rows in of_groups if rows]
-    return [*_all_turned(entries, view), *(CheckResult("info", view.table, line) for line in lines)]
+        of_groups = ([entry for entry in entries if entry.group == name] for name in view.ids)
+        yield from (_of_group(group, view) for group in of_groups if group)
 
 
-def _all_turned(entries: Sequence[Residuals], view: Compared) -> list[CheckResult]:
-    """A warning where the azimuths of all stations are off to one side by more than a station's own error."""
-    biases = np.array([entry.bias for entry in entries if entry.column == "azimuth_rad"])
-    if (
-        not len(biases)
-        or np.abs(np.sum(np.sign(biases))) < len(biases)
-        or np.abs(biases).min() < view.kind.columns[0].bias
-    ):
-        return []
-    message = (
-        f"azimuths of all stations are off by about {_size(float(np.median(biases)), view, '+')}: turned against "
-        "rig.toml; correct rotation_wxyz, or calibrate"
-    )
-    return [CheckResult("warning", view.table, message)]
-
-
-def _of_arrays(view: Compared) -> list[str]:
+def _of_arrays(view: Compared) -> Iterator[str]:
     """A line for each station: the offsets of its antennas, and the spread and outliers of its phases about them."""
-    errors, lines = view.errors(), []
-    for k, name in enumerate(view.ids):
+    errors = view.errors()
+    for k, name in enumerate(view.ids[:SHOWN]):
         e = errors[view.group == k]
         e = e[:, np.isfinite(e).any(axis=0)]
         offset = np.nanmedian(e, axis=0)
         about = wrapped(e - offset, view.columns[: e.shape[1]])
         about = about[np.isfinite(about)]
         spread = 1.4826 * float(np.median(np.abs(about)))
-        outliers = float(np.mean(_outlying(about, 0.0, spread)))
-        lines.append(
-            f"{view.noun} {name} against truth: offsets of antennas {offset.min():+.2f} to {offset.max():+.2f} "
-            f"rad, spread {spread:.2f} rad, outliers {100 * outliers:.2g} %"
+        yield (
+            f"{view.kind.noun} {name} against truth: offsets of antennas {offset.min():+.2f} to {offset.max():+.2f} "
+            f"rad, spread {spread:.2f} rad, outliers {100 * _outlying(about, spread).mean():.2g} %"
         )
-    return lines[:SHOWN]
 
 
-def _line(rows: Sequence[Residuals], view: Compared) -> str:
+def _of_group(entries: Sequence[Residuals], view: Compared) -> str:
     parts = []
-    for entry in rows:
-        quantity = entry.column.rpartition("_")[0]
-        name = "" if len(view.columns) == 1 else f"{quantity} "
+    for entry in entries:
+        name = "" if len(view.columns) == 1 else f"{entry.column.rpartition('_')[0]} "
         parts.append(f"{name}bias {_size(entry.bias, view, '+')}, spread {_size(entry.spread, view)}")
         if math.isfinite(entry.slope):
             parts[-1] += f", slope {100 * entry.slope:+.2g} %"
-    delays = [entry.delay for entry in rows if math.isfinite(entry.delay)]
+    delays = [entry.delay for entry in entries if math.isfinite(entry.delay)]
     if delays:
         delay = float(np.median(delays))
         parts.append(f"{'late' if delay > 0 else 'early'} by {abs(delay):.2g} s")
-    parts.append(f"outliers {100 * max(entry.outliers for entry in rows):.2g} %")
-    return f"{view.noun} {rows[0].group} against truth: {'; '.join(parts)}"
+    parts.append(f"outliers {100 * max(entry.outliers for entry in entries):.2g} %")
+    return f"{view.kind.noun} {entries[0].group} against truth: {'; '.join(parts)}"
 
 
-def _of_many(rows: Sequence[Residuals], view: Compared) -> str:
-    bias, spread = (np.array([getattr(entry, name) for entry in rows]) for name in ("bias", "spread"))
-    sizes = (_size(x, view, sign) for x, sign in ((bias.min(), "+"), (bias.max(), "+"), (np.median(spread), "")))
-    low, high, typical = sizes
+def _of_many(entries: Sequence[Residuals], view: Compared) -> str:
+    bias, spread, outliers = np.array([(entry.bias, entry.spread, entry.outliers) for entry in entries]).T
+    biases = f"bias {_size(bias.min(), view, '+')} to {_size(bias.max(), view, '+')}"
     return (
-        f"{rows[0].column} of {len(rows)} {view.noun}s against truth: bias {low} to {high}, median spread {typical}, "
-        f"outliers {100 * float(np.mean([entry.outliers for entry in rows])):.2g} %"
+        f"{entries[0].column} of {len(entries)} {view.kind.noun}s against truth: {biases}, "
+        f"median spread {_size(np.median(spread), view)}, outliers {100 * outliers.mean():.2g} %"
     )
 
 
