@@ -14,7 +14,8 @@ from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.exchange.trajectories import Similarity
 from trackwright.trackers.recordings.checks.changes import transform_text
 from trackwright.trackers.recordings.checks.compared import Compared, compared, robust_fit
-from trackwright.trackers.recordings.checks.imu import imu_rows, spaced, true_attitude
+from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
+from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced, true_attitude
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 
@@ -43,7 +44,7 @@ class Placement(NamedTuple):
 
     def of_table(self, truth: pl.DataFrame) -> pl.DataFrame:
         """The truth, positions and attitudes, in the other frame and on the other clock."""
-        moved = Similarity(_turn(math.radians(self.yaw)), np.array(self[:3])).table(truth)
+        moved = Similarity(about_vertical(math.radians(self.yaw)), np.array(self[:3])).table(truth)
         return moved.with_columns(pl.col("t_s") + self.later)
 
 
@@ -73,7 +74,7 @@ def leaning(recording: RecordingFolder) -> tuple[Similarity, float]:
             continue
         at = spaced(attitude.times, PUSH_S)
         row = np.searchsorted(attitude.times, at).clip(max=len(attitude.times) - 1)
-        force = rows.between(rows.pushed, at - PUSH_S / 2, at + PUSH_S / 2) / PUSH_S
+        force = between(rows.times, rows.pushed, at - PUSH_S / 2, at + PUSH_S / 2) / PUSH_S
         force = np.einsum("nij,nj->ni", rotation_matrices(attitude.quaternions[row]), force)
         x, y, z = force[np.isfinite(force).all(axis=1)].sum(axis=0) / max(np.isfinite(force[:, 0]).sum(), 1)
         size = max(math.hypot(x, y, z), 1e-9)
@@ -109,20 +110,14 @@ def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:
             f"--align-truth: no turn about z, shift and difference of clocks up to {LONGEST_S:g} s explains the "
             f"{view.kind.name}: errors of {typical} are left; check the rig and the tag, or give --transform"
         )
-    east, north, up = x[1:4] - _turn(x[0]) @ centre
+    east, north, up = x[1:4] - about_vertical(x[0]) @ centre
     yaw = math.degrees(math.remainder(x[0], 2 * math.pi))
     return Placement(east, north, up, yaw, float(x[4])), f"{view.kind.name} then differ by {typical} typically"
 
 
-def _turn(yaw: float) -> np.ndarray:
-    """The matrix of a turn about z, rad."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def _errors(view: Compared, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The errors of the readings with the truth turned by x[0], rad, about `centre`, which goes to x[1:4]."""
-    return view._replace(positions=x[1:4] + (view.positions - centre) @ _turn(x[0]).T).errors()
+    return view._replace(positions=x[1:4] + (view.positions - centre) @ about_vertical(x[0]).T).errors()
 
 
 def _searched(view: Compared, centre: np.ndarray) -> np.ndarray:

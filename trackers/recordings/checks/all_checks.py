@@ -20,9 +20,8 @@ from trackwright.trackers.recordings.checks.coverage import (
 )
 from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry, check_heights
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
-from trackwright.trackers.recordings.checks.quality import check_marks, check_quality
 from trackwright.trackers.recordings.checks.readings import check_readings
-from trackwright.trackers.recordings.checks.residuals import check_residuals
+from trackwright.trackers.recordings.checks.residuals import check_marks, check_quality, check_residuals
 from trackwright.trackers.recordings.checks.units import check_units
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS

@@ -146,7 +146,7 @@ def _station_turned(view: Compared) -> Change:
     """Each station turned about the vertical by the angle that makes its errors smallest."""
 
     def turned(yaw: np.ndarray) -> dict[str, np.ndarray]:
-        return {"axes": _about_vertical(yaw) @ view.sensors.axes}
+        return {"axes": about_vertical(yaw) @ view.sensors.axes}
 
     turns = _half_turns(_searched(view, turned, np.radians(np.arange(-180.0, 180.0, 3.0))))
     return Change(
@@ -156,12 +156,11 @@ def _station_turned(view: Compared) -> Change:
     )  # fmt: skip
 
 
-def _about_vertical(yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 3"]:
+def about_vertical(yaw: Float[np.ndarray, "*n"] | float) -> Float[np.ndarray, "*n 3 3"]:
     """The matrices of turns about z, rad."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    matrices = np.tile(np.eye(3), (len(yaw), 1, 1))
-    matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1] = c, -s, s, c
-    return matrices
+    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros(np.shape(yaw))
+    rows = np.array([[c, -s, zero], [s, c, zero], [zero, zero, zero + 1.0]])
+    return np.moveaxis(rows, (0, 1), (-2, -1))
 
 
 def _searched(
@@ -249,7 +248,7 @@ def _turned(view: Compared) -> Iterator[Change]:
 
         def placed(x: np.ndarray, positions: np.ndarray, mirrored: bool = mirrored) -> np.ndarray:
             away = (positions - centre) * np.array([1.0, -1.0 if mirrored else 1.0, 1.0])
-            turned: np.ndarray = x[1:] + away @ _about_vertical(x[:1])[0].T
+            turned: np.ndarray = x[1:] + away @ about_vertical(x[0]).T
             return turned
 
         starts = [np.append(yaw, c) for yaw in np.arange(24) * np.pi / 12 for c in (centre, target)]

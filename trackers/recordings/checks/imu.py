@@ -102,9 +102,9 @@ def _by_gravity(rows: ImuRows) -> Iterator[CheckResult]:
     t = spaced(rows.times, WINDOW_S / 4)
     half, quarter = WINDOW_S / 2, WINDOW_S / 4
     before, middle, after = (
-        rows.between(rows.pushed, at - quarter, at + quarter) / half for at in (t - half, t, t + half)
+        between(rows.times, rows.pushed, at - quarter, at + quarter) / half for at in (t - half, t, t + half)
     )
-    turned = rows.between(rows.turned, t - half, t + half)
+    turned = between(rows.times, rows.turned, t - half, t + half)
     change = after - before
     # Longer turns are no longer small, and knocks are no gravity.
     known = np.isfinite(change).all(axis=1) & np.isfinite(turned).all(axis=1)
@@ -179,7 +179,7 @@ def _late(delay: float, what: str) -> CheckResult:
 
 
 def _measured_rates(rows: ImuRows, times: np.ndarray) -> np.ndarray:
-    return rows.between(rows.turned, times - 0.1, times + 0.1) / 0.2
+    return between(rows.times, rows.turned, times - 0.1, times + 0.1) / 0.2
 
 
 def _delay(
@@ -233,7 +233,7 @@ def _vectors(
     known = np.isfinite(measured).all(axis=1)
     yield "turn rates", measured[known], rates[known]
     at = spaced(times, 0.5)
-    force = rows.between(rows.pushed, at - 0.5, at + 0.5)
+    force = between(rows.times, rows.pushed, at - 0.5, at + 0.5)
     known = np.isfinite(force).all(axis=1)
     if known.sum() >= LEAST_WINDOWS:
         yield "accelerations", force[known], 9.81 * attitude.up(at)[known]
@@ -328,10 +328,6 @@ class ImuRows(NamedTuple):
     pushed: Float[np.ndarray, "N 3"]
     turned: Float[np.ndarray, "N 3"]
     lifted: Float[np.ndarray, "N 1"]
-
-    def between(self, which: Float[np.ndarray, "N k"], start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "n k"]:
-        """As `between`, of one of the integrals."""
-        return between(self.times, which, start, end)
 
 
 def imu_rows(table: pl.DataFrame, tag: str) -> ImuRows | None:

@@ -1,4 +1,7 @@
-"""Bias, spread, slope, delay and outliers of the readings of each anchor, station or tag against truth."""
+"""Bias, spread, slope, delay and outliers of the readings of each anchor, station or tag against truth.
+
+And how the columns of signal quality go with the errors, and with readings that repeat.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
 from jaxtyping import Bool, Float
 
 from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared, compared
+from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, wrapped
 
@@ -25,6 +30,12 @@ LAG_S = 0.1
 
 CORRELATED = 10
 """Readings that weigh as one, for the standard errors of slope and delay: errors last."""
+
+LEAST_RATED = 40
+"""Least number of readings with a true value and a quality."""
+
+MOST_MARKS, MARKED, CERTAIN = 4, 0.1, 5.0
+"""Most values of a column that marks readings; how much more often marked ones repeat, at least, and in deviations."""
 
 
 class Residuals(NamedTuple):
@@ -185,3 +196,61 @@ def _of_many(entries: Sequence[Residuals], view: Compared) -> str:
 
 def _size(x: float, view: Compared, sign: str = "") -> str:
     return f"{np.degrees(x):{sign}.1f}°" if view.kind.unit == "rad" else f"{x:{sign}.2f} m"
+
+
+def check_quality(recording: RecordingFolder, name: str) -> Iterator[CheckResult]:
+    """A line for each column of quality of a table, on how errors go with it; none without truth."""
+    kind = KINDS[name]
+    columns = kind.layout(recording.tables[name].columns).quality
+    if kind.predicted is None or not kind.averaged or "truth" not in recording.tables or not columns:
+        return
+    rows = recording.rows(name)
+    measured = kind.measured(recording.rig, rows).usable
+    errors = measured.errors(recording.paths.at(rows.tags, rows.starts, rows.times)[0])
+    for sensor in np.unique(measured.sensors.number[:, 0]):
+        part = measured.sensors.number[:, 0] == sensor
+        errors[part] -= known_median(errors[part])
+    unit, factor = kind.shown
+    for column, quality in zip(columns, rows.floats(columns).T, strict=True):
+        known = [np.isfinite(quality) & np.isfinite(e) for e in errors.T]
+        parts = [
+            f"{value} {_relation(quality[k], factor * e[k], unit)}"
+            for value, k, e in zip(measured.columns, known, errors.T, strict=True)
+            if k.sum() >= LEAST_RATED and np.ptp(quality[k]) > 0.0
+        ]
+        if parts:
+            what = f"{column} and errors against truth less the median of each {kind.noun}"
+            yield CheckResult("info", name, f"{what}: {'; '.join(parts)}")
+
+
+def check_marks(recording: RecordingFolder, name: str) -> Iterator[CheckResult]:
+    """A warning for each value of a column of quality with which readings repeat the one before more than with others.
+
+    So do exchanges that failed, whose readings are old ones.
+    """
+    table, layout = recording.tables[name], KINDS[name].layout(recording.tables[name].columns)
+    same = pl.all_horizontal(pl.col(value) == pl.col(value).shift() for value in layout.values).over(*layout.ids)
+    repeats = table.select(same.fill_null(False)).to_series().to_numpy()
+    for column in layout.quality:
+        values = table[column].drop_nulls().unique().sort()
+        for value in values if 2 <= len(values) <= MOST_MARKS else ():
+            marked = (table[column] == value).fill_null(False).to_numpy()
+            share, rest = repeats[marked].mean(), repeats[~marked].mean()
+            deviation = np.sqrt(repeats.var() * (1 / marked.sum() + 1 / (~marked).sum()))
+            if share - rest > max(MARKED, CERTAIN * deviation):
+                rows = f"{100 * share:.0f} % of the {marked.sum()} rows with {column} = {value:g} repeat the row before"
+                ask = "exchanges that failed? leave them out by where of a mapping"
+                yield CheckResult("warning", name, f"{rows}, {100 * rest:.0f} % of the others: {ask}")
+
+
+def _relation(quality: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"], unit: str) -> str:
+    # Ties have the mean of their ranks.
+    of_quality, *of_errors = (pl.Series(x).rank().to_numpy() for x in (quality, np.abs(errors), errors))
+    sized, signed = (float(np.corrcoef(of_quality, ranks)[0, 1]) for ranks in of_errors)
+    # A root mean square would be that of a few wild values.
+    low, high = np.quantile(quality, [0.25, 0.75])
+    lowest, highest = (np.quantile(np.abs(errors[part]), 0.6827) for part in (quality <= low, quality >= high))
+    return (
+        f"rank correlation {sized:+.2f} (size), {signed:+.2f} (with sign), 68th percentile of the size "
+        f"{lowest:.2g}{unit} in the lowest quarter, {highest:.2g}{unit} in the highest"
+    )

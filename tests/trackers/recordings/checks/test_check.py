@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +12,8 @@ import pytest
 
 from tests.broken import ANOMALOUS
 from tests.faulty import write_good
+from tests.trackers.recordings.checks.made import Make, only, with_anchors, with_columns, with_rows
 from trackwright.sim import worlds
-from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.checks.check_result import CheckResult, format_results
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
@@ -31,25 +30,12 @@ def good(tmp_path_factory) -> RecordingFolder:
     return read_recording(folder)
 
 
-def _check(
-    folder: RecordingFolder, rig: Rig | None = None, **changes: Callable[[pl.DataFrame], pl.DataFrame | None]
-) -> list[CheckResult]:
-    """The results after changes to some tables; a change that returns None removes the table."""
-    changed = {name: changes.get(name, lambda table: table)(table) for name, table in folder.tables.items()}
-    tables = {name: table for name, table in changed.items() if table is not None}
-    return check(replace(folder, tables=tables, rig=rig or folder.rig))
-
-
 def _messages(results: list[CheckResult], *levels: str) -> list[str]:
     return [f"{finding.where}: {finding.message}" for finding in results if not levels or finding.level in levels]
 
 
 def _has(results: list[CheckResult], level: str, *words: str) -> bool:
     return any(all(word in message for word in words) for message in _messages(results, level))
-
-
-def _drop(table: pl.DataFrame) -> None:
-    return None
 
 
 def test_a_good_recording_has_neither_errors_nor_warnings(good: RecordingFolder):
@@ -68,7 +54,8 @@ def test_many_streams_get_one_summary_line(good: RecordingFolder):
         tags = (table.filter(pl.col("tag") == "T1").with_columns(tag=pl.lit(f"tag {k}")) for k in range(300))
         return pl.concat(tags).sort("t_s", maintain_order=True)
 
-    results = _check(good, rig=replace(good.rig, tags={}), ranges=crowd, truth=crowd)
+    tables = good.tables | {name: crowd(good.tables[name]) for name in ("ranges", "truth")}
+    results = check(replace(good, rig=replace(good.rig, tags={}), tables=tables))
     assert "ranges: 300 tags, 4 anchors: 60000 rows, 10 Hz each" in _messages(results, "info")
     assert len(results) < 40
 
@@ -85,105 +72,63 @@ def test_an_anomaly_is_a_notice_and_reported(tmp_path: Path, name):
 
 
 def test_tables_made_in_memory_are_checked_for_anomalies_too(good: RecordingFolder):
-    results = _check(good, ranges=lambda table: table.filter(~pl.col("t_s").is_between(1.0, 3.0)))
+    results = check(with_rows("ranges", ~pl.col("t_s").is_between(1.0, 3.0))(good))
     assert _has(results, "warning", "ranges", "gaps longer than 1 s: 8")
     assert _has(results, "info", "anchor A1, tag T1", "long gaps: 1, the longest 2.2 s before t_s 3.1")
 
 
-_SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[pl.DataFrame], pl.DataFrame | None]]]] = {
+XYZ = pl.col("x_m", "y_m", "z_m")
+SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], Make]] = {
     "azimuth in degrees": (
-        "error",
-        ("bearings", "azimuth_rad", "degrees"),
-        {"bearings": lambda table: table.with_columns(pl.col("azimuth_rad").degrees())},
+        "error", ("bearings", "azimuth_rad", "degrees"), with_columns("bearings", pl.col("azimuth_rad").degrees())
     ),
-    "phases in degrees": (
-        "error",
-        ("phases", "degrees"),
-        {"phases": lambda table: table.with_columns(pl.col("^phase_.*$").degrees())},
-    ),
-    "ranges in millimetres": (
-        "error",
-        ("ranges", "millimetres"),
-        {"ranges": lambda table: table.with_columns(pl.col("range_m") * 1000)},
-    ),
-    "ranges in centimetres": (
-        "error",
-        ("ranges", "centimetres"),
-        {"ranges": lambda table: table.with_columns(pl.col("range_m") * 100)},
-    ),
-    "fixes in millimetres": (
-        "error",
-        ("fixes", "millimetres"),
-        {"fixes": lambda table: table.with_columns(pl.col("x_m", "y_m", "z_m") * 1000)},
-    ),
+    "phases in degrees": ("error", ("phases", "degrees"), with_columns("phases", pl.col("^phase_.*$").degrees())),
+    "ranges in millimetres": ("error", ("ranges", "millimetres"), with_columns("ranges", pl.col("range_m") * 1000)),
+    "ranges in centimetres": ("error", ("ranges", "centimetres"), with_columns("ranges", pl.col("range_m") * 100)),
+    "fixes in millimetres": ("error", ("fixes", "millimetres"), with_columns("fixes", XYZ * 1000)),
     "fixes without a height": (
         "warning",
         ("fixes: neither z_m nor height_m in rig.toml: 1 tag ('T2'); track refuses them", "under [tags.T2]"),
-        {"fixes": lambda table: table.with_columns(z_m=pl.lit(None, pl.Float64))},
+        with_columns("fixes", z_m=pl.lit(None, pl.Float64)),
     ),
-    "truth in millimetres": (
-        "error",
-        ("truth", "millimetres"),
-        {"truth": lambda table: table.with_columns(pl.col("x_m", "y_m", "z_m") * 1000)},
-    ),
-    "acceleration in g": (
-        "error",
-        ("imu", "multiples of g"),
-        {"imu": lambda table: table.with_columns(pl.col("^accel.*$") / 9.81)},
-    ),
-    "acceleration without gravity": (
-        "error",
-        ("imu", "with gravity"),
-        {"imu": lambda table: table.with_columns(pl.col("accel_z_mps2") - 9.81)},
-    ),
+    "truth in millimetres": ("error", ("truth", "millimetres"), with_columns("truth", XYZ * 1000)),
+    "acceleration in g": ("error", ("imu", "multiples of g"), with_columns("imu", pl.col("^accel.*$") / 9.81)),
+    "acceleration without gravity": ("error", ("imu", "with gravity"), with_columns("imu", pl.col("accel_z_mps2") - 9.81)),
     "gravity beside quaternion columns": (
-        "warning",
-        ("imu", "quaternion columns"),
-        {"imu": lambda table: table.with_columns(qw=pl.lit(1.0), qx=pl.lit(0.0), qy=pl.lit(0.0), qz=pl.lit(0.0))},
+        "warning", ("imu", "quaternion columns"),
+        with_columns("imu", qw=pl.lit(1.0), qx=pl.lit(0.0), qy=pl.lit(0.0), qz=pl.lit(0.0)),
     ),
-    "turn rates in degrees": (
-        "error",
-        ("imu", "degrees per second"),
-        {"imu": lambda table: table.with_columns(pl.col("^gyro.*$") * 0 + 150)},
-    ),
+    "turn rates in degrees": ("error", ("imu", "degrees per second"), with_columns("imu", pl.col("^gyro.*$") * 0 + 150)),
     "a table without a value": (
-        "error",
-        ("ranges", "all values are missing"),
-        {"ranges": lambda table: table.with_columns(range_m=pl.lit(None, pl.Float64))},
+        "error", ("ranges", "all values are missing"), with_columns("ranges", range_m=pl.lit(None, pl.Float64))
     ),
     "an anchor without measurements": (
-        "warning",
-        ("anchors never observed: 1 of 4 (A3)",),
-        {"ranges": lambda table: table.filter(pl.col("anchor") != "A3")},
+        "warning", ("anchors never observed: 1 of 4 (A3)",), with_rows("ranges", pl.col("anchor") != "A3")
     ),
     "truth of another time": (
-        "error",
-        ("truth", "no measurement lies inside"),
-        {"truth": lambda table: table.with_columns(pl.col("t_s") + 40)},
+        "error", ("truth", "no measurement lies inside"), with_columns("truth", pl.col("t_s") + 40)
     ),
-    "truth of a part": (
-        "warning",
-        ("truth", "covers 20 %"),
-        {"truth": lambda table: table.filter(pl.col("t_s") < 0.95)},
-    ),
+    "truth of a part": ("warning", ("truth", "covers 20 %"), with_rows("truth", pl.col("t_s") < 0.95)),
     "a hole in the truth": (
-        "warning",
-        ("truth", "holes longer than 1 s with motion: 2, the longest 2.2 s after t_s 0.9"),
-        {"truth": lambda table: table.filter(~pl.col("t_s").is_between(0.95, 3.05))},
+        "warning", ("truth", "holes longer than 1 s with motion: 2, the longest 2.2 s after t_s 0.9"),
+        with_rows("truth", ~pl.col("t_s").is_between(0.95, 3.05)),
     ),
-}
+    "no measurements": ("error", ("no measurements",), only("truth")),
+    "one station": (
+        "info", ("bearings", "no position without a known height"), with_rows("bearings", pl.col("station") == "S1")
+    ),
+    "anchors in millimetres": (
+        "error", ("rig.toml", "anchors", "millimetres"),
+        with_anchors(lambda anchors: {key: 1000 * np.array(place) for key, place in anchors.items()}),
+    ),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", _SUSPICIOUS)
-def test_a_suspicious_table_is_reported(good: RecordingFolder, name):
-    level, words, changes = _SUSPICIOUS[name]
-    results = _check(good, **changes)
+@pytest.mark.parametrize("name", SUSPICIOUS)
+def test_a_suspicious_recording_is_reported(good: RecordingFolder, name):
+    level, words, make = SUSPICIOUS[name]
+    results = check(make(good))
     assert _has(results, level, *words), format_results(results)
-
-
-def test_truth_without_measurements_is_an_error(good: RecordingFolder):
-    only = {name: _drop for name in good.tables if name != "truth"}
-    assert _has(_check(good, **only), "error", "no measurements")
 
 
 @pytest.mark.parametrize(
@@ -198,25 +143,15 @@ def test_truth_without_measurements_is_an_error(good: RecordingFolder):
     ],
 )
 def test_a_strange_time_base_is_found(good: RecordingFolder, scale, shift, level, word):
-    move = {name: lambda table: table.with_columns(pl.col("t_s") * scale + shift) for name in good.tables}
-    assert _has(_check(good, **move), level, "t_s", word)
+    tables = {name: table.with_columns(pl.col("t_s") * scale + shift) for name, table in good.tables.items()}
+    assert _has(check(replace(good, tables=tables)), level, "t_s", word)
 
 
 def test_a_still_truth_has_no_holes(good: RecordingFolder):
-    ends = _check(
-        good, truth=lambda t: t.filter(pl.col("t_s").is_in([0.0, 4.9])).with_columns(x_m=1.0, y_m=1.0, z_m=1.0)
-    )
+    still = with_columns("truth", x_m=pl.lit(1.0), y_m=pl.lit(1.0), z_m=pl.lit(1.0))(good)
+    ends = check(with_rows("truth", pl.col("t_s").is_in([0.0, 4.9]))(still))
     assert not any("holes" in message for message in _messages(ends))
     assert "truth: covers 100 % of the measurements in time" in _messages(ends, "info")
-
-
-def test_anchors_in_millimetres_are_found(good: RecordingFolder):
-    rig = replace(good.rig, anchors={key: position * 1000 for key, position in good.rig.anchors.items()})
-    assert _has(_check(good, rig), "error", "rig.toml", "anchors", "millimetres")
-
-
-def _with_anchors(rig: Rig, positions: list[list[float]]) -> Rig:
-    return replace(rig, anchors={key: np.array(p, float) for key, p in zip(rig.anchors, positions, strict=True)})
 
 
 @pytest.mark.parametrize(
@@ -229,16 +164,13 @@ def _with_anchors(rig: Rig, positions: list[list[float]]) -> Rig:
     ],
 )
 def test_weak_geometry_is_reported(good: RecordingFolder, positions, word):
-    assert _has(_check(good, _with_anchors(good.rig, positions)), "warning", "rig.toml", word)
-
-
-def test_a_single_station_gives_bearings_but_no_position(good: RecordingFolder):
-    results = _check(good, bearings=lambda table: table.filter(pl.col("station") == "S1"))
-    assert _has(results, "info", "bearings", "no position without a known height")
+    made = with_anchors(lambda anchors: dict(zip(anchors, np.array(positions, float), strict=True)))(good)
+    assert _has(check(made), "warning", "rig.toml", word)
 
 
 def test_without_truth_dilution_is_evaluated_at_the_centre_of_the_rig(good: RecordingFolder):
-    assert any("at the centre of the rig and the height of the tags" in m for m in _messages(_check(good, truth=_drop)))
+    blind = only(*(name for name in good.tables if name != "truth"))(good)
+    assert any("at the centre of the rig and the height of the tags" in message for message in _messages(check(blind)))
 
 
 def test_results_are_formatted_as_aligned_lines_with_the_most_severe_first():
@@ -277,7 +209,7 @@ def test_every_real_recording_reads_and_no_mistake_is_named_in_it(nth):
 def test_odometry_in_other_units_is_named(column, factor, words):
     folder = worlds.body(n=1, tags=1, odometry=True, rows=50).folder()
     assert [result for result in check(folder) if result.level == "error"] == []
-    results = _check(folder, odometry=lambda table: table.with_columns(pl.col(column) * factor))
+    results = check(with_columns("odometry", pl.col(column) * factor)(folder))
     (found,) = [result for result in results if result.level == "error"]
     assert found.where == "odometry"
     assert words in found.message

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -10,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.trackers.recordings.checks.made import with_columns
+from tests.trackers.recordings.checks.made import Make, only, with_anchors, with_columns
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
 from trackwright.trackers.recordings.checks import closing
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
@@ -56,18 +55,12 @@ def _hall() -> RecordingFolder:
     return RecordingFolder("hall", None, Rig("hall", anchors, stations, {"T": Tag(height=1.1)}), tables)
 
 
-def _height(height: float | None) -> Callable[[RecordingFolder], RecordingFolder]:
+def _height(height: float | None) -> Make:
     return lambda folder: replace(folder, rig=replace(folder.rig, tags={"T": Tag(height=height)}))
 
 
-def _anchor(name: str, place: tuple[float, float, float]) -> Callable[[RecordingFolder], RecordingFolder]:
-    return lambda folder: replace(
-        folder, rig=replace(folder.rig, anchors=dict(folder.rig.anchors) | {name: np.array(place)})
-    )
-
-
-def _only(*tables: str) -> Callable[[RecordingFolder], RecordingFolder]:
-    return lambda folder: replace(folder, tables={name: folder.tables[name] for name in tables})
+def _anchor(name: str, place: tuple[float, float, float]) -> Make:
+    return with_anchors(lambda _: {name: np.array(place)})
 
 
 def _lines(folder: RecordingFolder, *levels: str) -> list[str]:
@@ -77,7 +70,7 @@ def _lines(folder: RecordingFolder, *levels: str) -> list[str]:
 @pytest.mark.parametrize("height", [1.1, None])
 @pytest.mark.parametrize("tables", [("ranges", "bearings", "truth"), ("ranges", "bearings")])
 def test_no_mistake_is_named_in_the_hall(tables, height):
-    lines = _lines(_height(height)(_only(*tables)(_hall())), "error", "warning")
+    lines = _lines(_height(height)(only(*tables)(_hall())), "error", "warning")
     assert [line for line in lines if "weakly determined" not in line] == []
 
 
@@ -99,13 +92,13 @@ def test_a_mistake_is_named_with_truth(name):
 
 
 def test_the_truth_with_z_down_is_named_where_the_height_is_not_known():
-    folder = _height(None)(with_columns("truth", z_m=-pl.col("z_m"))(_only("ranges", "truth")(_hall())))
+    folder = _height(None)(with_columns("truth", z_m=-pl.col("z_m"))(only("ranges", "truth")(_hall())))
     (error,) = quick_check(folder)
     assert "with the sign of z of the truth flipped: z of the truth points down" in error.message
 
 
 def test_a_height_above_all_ranges_is_named_without_truth():
-    (error,) = quick_check(_height(17.0)(_only("ranges")(_hall())))
+    (error,) = quick_check(_height(17.0)(only("ranges")(_hall())))
     assert "height_m of tag T is 17, but 100 % of its ranges are shorter" in error.message
 
 
@@ -121,10 +114,7 @@ def test_stations_all_turned_by_ten_degrees_are_a_warning():
     assert warning.startswith("bearings: azimuths of all stations are off by about +10.")
 
 
-def _swapped(folder: RecordingFolder) -> RecordingFolder:
-    return _anchor("A2", ANCHORS["A4"])(_anchor("A4", ANCHORS["A2"])(folder))
-
-
+_swapped = with_anchors(lambda anchors: {"A2": anchors["A4"], "A4": anchors["A2"]})
 A, E = pl.col("azimuth_rad"), pl.col("elevation_rad")
 ALONE = {
     "anchors swapped": ("ranges", ("anchors A2 and A4 swapped", "ids of anchors"), _swapped),
@@ -145,7 +135,7 @@ ALONE = {
 @pytest.mark.parametrize("name", ALONE)
 def test_a_mistake_is_named_without_truth_by_readings_that_contradict_each_other(name):
     table, words, make = ALONE[name]
-    (error,) = quick_check(make(_only("ranges", "bearings")(_hall())))
+    (error,) = quick_check(make(only("ranges", "bearings")(_hall())))
     assert (error.level, error.where) == ("error", table)
     assert all(word in error.message for word in words), error.message
     assert "e+" not in error.message
@@ -158,17 +148,17 @@ def test_changes_that_explain_contradictions_alike_have_the_causes_of_all(monkey
         "_changes",
         lambda found: [(words, cause, one) for words, _, one in changes(found) for cause in ("one cause", "another")],
     )
-    (error,) = quick_check(_swapped(_only("ranges")(_hall())))
+    (error,) = quick_check(_swapped(only("ranges")(_hall())))
     assert error.message.endswith(": another; or one cause")
 
 
 def test_swapped_anchors_are_named_without_truth_and_without_the_height():
-    (error,) = quick_check(_swapped(_height(None)(_only("ranges")(_hall()))))
+    (error,) = quick_check(_swapped(_height(None)(only("ranges")(_hall()))))
     assert "anchors A2 and A4 swapped" in error.message
 
 
 def test_contradictions_that_no_change_explains_are_a_warning():
-    two = _anchor("A1", (9.0, 9.0, 2.7))(_anchor("A5", (3.0, 2.0, 2.7))(_only("ranges")(_hall())))
+    two = _anchor("A1", (9.0, 9.0, 2.7))(_anchor("A5", (3.0, 2.0, 2.7))(only("ranges")(_hall())))
     (found,) = quick_check(two)
     assert found.level == "warning"
     assert "no change of units, signs or ids explains it" in found.message
@@ -179,22 +169,19 @@ def test_an_anchor_that_stands_elsewhere_is_named_without_truth(name, height):
     # Across the line of sight a shift hardly changes a range.
     away = np.array(ANCHORS[name]) - np.array([6.0, 4.0, 2.7])
     moved = np.array(ANCHORS[name]) + 1.2 * away / np.linalg.norm(away)
-    (found,) = quick_check(_anchor(name, tuple(moved))(_height(height)(_only("ranges")(_hall()))))
+    (found,) = quick_check(_anchor(name, tuple(moved))(_height(height)(only("ranges")(_hall()))))
     assert found.level == "warning"
     assert f"without anchor {name}: its place in rig.toml is wrong" in found.message
 
 
 def test_an_anchor_behind_a_wall_is_a_warning_and_no_error():
     far = pl.when(pl.col("anchor") == "A3").then(pl.col("range_m") + 1.0).otherwise(pl.col("range_m"))
-    (found,) = quick_check(with_columns("ranges", range_m=far)(_only("ranges")(_hall())))
+    (found,) = quick_check(with_columns("ranges", range_m=far)(only("ranges")(_hall())))
     assert (found.level, "without anchor A3" in found.message) == ("warning", True)
 
 
 def test_anchors_at_one_place_explain_nothing():
-    folder = _only("ranges")(_hall())
-    for anchor in ANCHORS:
-        folder = _anchor(anchor, (1.0, 1.0, 1.0))(folder)
-    assert moments(folder, "ranges") is None
+    assert moments(with_anchors(lambda anchors: dict.fromkeys(anchors, np.ones(3)))(_hall()), "ranges") is None
 
 
 def test_ranges_close_to_zero_where_they_are_exact_and_bearings_likewise():

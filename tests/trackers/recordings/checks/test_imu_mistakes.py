@@ -11,7 +11,7 @@ import pytest
 
 from trackwright.sim import worlds
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
-from trackwright.trackers.recordings.checks.imu import check_imu, imu_rows, true_attitude
+from trackwright.trackers.recordings.checks.imu import between, check_imu, imu_rows, true_attitude
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 ACCEL, GYRO = ([f"{name}_{axis}_{unit}" for axis in "xyz"] for name, unit in (("accel", "mps2"), ("gyro", "radps")))
@@ -106,7 +106,7 @@ def test_rates_of_the_true_attitude_are_those_of_a_steady_turn():
 def test_no_window_lies_across_a_gap():
     t = np.concatenate([0.1 * np.arange(20), 5 + 0.1 * np.arange(20)])
     rows = imu_rows(pl.DataFrame({"t_s": t, "tag": "T"} | dict.fromkeys((*ACCEL, *GYRO), 2.0)), "T")
-    found = rows.between(rows.turned, np.array([0.5, 1.5, 5.5]), np.array([1.0, 5.5, 6.0]))
+    found = between(rows.times, rows.turned, np.array([0.5, 1.5, 5.5]), np.array([1.0, 5.5, 6.0]))
     np.testing.assert_allclose(found, [[1.0] * 3, [np.nan] * 3, [1.0] * 3])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,10 +11,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.trackers.recordings.checks.made import about_z, with_columns
-from trackwright.trackers.core.model.rig import Rig, Station
+from tests.trackers.recordings.checks.made import Make, about_z, rotated, with_anchors, with_columns
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 
 class Mistake(NamedTuple):
@@ -22,56 +21,28 @@ class Mistake(NamedTuple):
 
     recording: str
     words: tuple[str, ...]
-    make: Callable[[RecordingFolder], RecordingFolder]
+    make: Make
 
 
-def _rig(change: Callable[[Rig], Mapping[str, Any]]) -> Callable[[RecordingFolder], RecordingFolder]:
-    return lambda folder: replace(folder, rig=replace(folder.rig, **change(folder.rig)))
-
-
-def _anchors(change: Callable[[dict[str, np.ndarray]], Any]) -> Callable[[RecordingFolder], RecordingFolder]:
-    def changed(rig: Rig) -> Mapping[str, Any]:
-        anchors = {key: np.array(place, float) for key, place in rig.anchors.items()}
-        return {"anchors": change(anchors) or anchors}
-
-    return _rig(changed)
-
-
-def _stations(change: Callable[[dict[str, Station]], Any]) -> Callable[[RecordingFolder], RecordingFolder]:
-    def changed(rig: Rig) -> Mapping[str, Any]:
-        stations = dict(rig.stations)
-        change(stations)
-        return {"stations": stations}
-
-    return _rig(changed)
-
-
-def _swapped(things: dict[str, Any], first: int, second: int) -> None:
+def _swapped(things: dict[str, Any], first: int, second: int) -> dict[str, Any]:
     names = list(things)
-    things[names[first]], things[names[second]] = things[names[second]], things[names[first]]
+    return {names[first]: things[names[second]], names[second]: things[names[first]]}
 
 
-def _moved(anchors: dict[str, np.ndarray], number: int, by: tuple[float, float, float]) -> None:
-    anchors[list(anchors)[number]] += by
+def _nth(number: int, change: Callable[[np.ndarray], np.ndarray]) -> Make:
+    """Another place of one anchor."""
+    return with_anchors(lambda anchors: {list(anchors)[number]: change(list(anchors.values())[number])})
 
 
-def _flipped_x(anchors: dict[str, np.ndarray], number: int) -> None:
-    anchors[list(anchors)[number]] *= np.array([-1.0, 1.0, 1.0])
+def _all_anchors(change: Callable[[np.ndarray], np.ndarray]) -> Make:
+    return with_anchors(lambda anchors: {key: change(np.array(place)) for key, place in anchors.items()})
 
 
 def _cycled(things: dict[str, Any]) -> dict[str, Any]:
     return dict(zip(things, np.roll(np.stack(list(things.values())), 1, axis=0), strict=True))
 
 
-def _quaternion(
-    stations: dict[str, Station], change: Callable[[np.ndarray], np.ndarray], only: int | None = None
-) -> None:
-    for number, (key, station) in enumerate(stations.items()):
-        if only is None or number == only:
-            stations[key] = replace(station, rotation=change(np.asarray(station.rotation, float)))
-
-
-def _turned(degrees: float) -> Callable[[RecordingFolder], RecordingFolder]:
+def _turned(degrees: float) -> Make:
     c, s = float(np.cos(np.radians(degrees))), float(np.sin(np.radians(degrees)))
     return with_columns("truth", x_m=c * X - s * Y, y_m=s * X + c * Y)
 
@@ -92,23 +63,23 @@ MISTAKES = {
         with_columns("ranges", range_m=pl.when(pl.col("anchor") == "3").then(RANGE + 2.5).otherwise(RANGE)),
     ),
     "two anchors swapped": Mistake(
-        "iasl-drone-1", ("swapped", "ids of anchors"), _anchors(lambda anchors: _swapped(anchors, 1, 6))
+        "iasl-drone-1", ("swapped", "ids of anchors"), with_anchors(lambda anchors: _swapped(anchors, 1, 6))
     ),
-    "anchors named one too high": Mistake("starloc-2d-s5", ("ids of anchors",), _anchors(_cycled)),
+    "anchors named one too high": Mistake("starloc-2d-s5", ("ids of anchors",), with_anchors(_cycled)),
     "an anchor at a wrong place": Mistake(
-        "starloc-fast-s1", ("wrong position",), _anchors(lambda anchors: _moved(anchors, 2, (1.5, -1.0, 0.0)))
+        "starloc-fast-s1", ("wrong position",), _nth(2, lambda place: place + [1.5, -1.0, 0.0])
     ),
     "the sign of an anchor's x": Mistake(
         "rcv-drone-3", ("x in rig.toml has the wrong sign",),
-        _anchors(lambda anchors: _flipped_x(anchors, 0)),
+        _nth(0, lambda place: place * [-1.0, 1.0, 1.0]),
     ),
     "anchors in millimetres": Mistake(
         "labyrinth", ("rig.toml", "millimetres"),
-        _anchors(lambda anchors: {key: 1000 * place for key, place in anchors.items()}),
+        _all_anchors(lambda place: 1000 * place),
     ),
     "anchors in feet": Mistake(
         "lias-planar-fast", ("rig.toml in feet",),
-        _anchors(lambda anchors: {key: place / 0.3048 for key, place in anchors.items()}),
+        _all_anchors(lambda place: place / 0.3048),
     ),
     "x and y of the truth swapped": Mistake("rcv-drone-3", ("x and y of the truth swapped",), with_columns("truth", x_m=Y, y_m=X)),
     "y of the truth flipped": Mistake("tiers-1tag-01", ("sign of y of the truth flipped",), with_columns("truth", y_m=-Y)),
@@ -136,17 +107,20 @@ MISTAKES = {
         "ble51-walk-u3-r1", ("degrees",), with_columns("bearings", azimuth_rad=AZIMUTH.degrees(), elevation_rad=ELEVATION.degrees())
     ),
     "two stations swapped": Mistake(
-        "ble51-walk-u3-r2", ("swapped", "ids of stations"), _stations(lambda stations: _swapped(stations, 0, 1))
+        "ble51-walk-u3-r2", ("swapped", "ids of stations"),
+        lambda folder: replace(
+            folder, rig=replace(folder.rig, stations={**folder.rig.stations, **_swapped(dict(folder.rig.stations), 0, 1)})
+        ),
     ),
     "quaternions as x, y, z, w": Mistake(
-        "ble51-walk-u2-r2", ("x, y, z, w",), _stations(lambda stations: _quaternion(stations, lambda q: np.roll(q, -1)))
+        "ble51-walk-u2-r2", ("x, y, z, w",), rotated(lambda q: np.roll(q, -1))
     ),
     "quaternions inverted": Mistake(
-        "ble51-walk-u1-r1", ("inverted",), _stations(lambda stations: _quaternion(stations, lambda q: q * [1, -1, -1, -1]))
+        "ble51-walk-u1-r1", ("inverted",), rotated(lambda q: q * [1, -1, -1, -1])
     ),
     "one station turned": Mistake(
         "ble51-walk-u3-r1", ("another orientation",),
-        _stations(lambda stations: _quaternion(stations, lambda q: about_z(q, 90.0), 2)),
+        rotated(lambda q: about_z(q, 90.0), ("6503",)),
     ),
 }  # fmt: skip
 QUICK = (

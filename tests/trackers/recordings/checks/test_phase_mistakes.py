@@ -9,11 +9,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.trackers.recordings.checks.made import about_z, with_columns
+from tests.trackers.recordings.checks.made import Make, about_z, rotated, with_columns, with_stations
 from trackwright.sim import worlds
-from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
+from trackwright.trackers.recordings.folder import read_recording
 
 SIGMA_P = 0.3
 PHASES = [f"phase_{k}_rad" for k in range(1, 9)]
@@ -24,30 +23,20 @@ def sound():
     return worlds.station(n=2, seed=2, rows=80, sigma_p=SIGMA_P).folder()
 
 
-def _each(change: Callable[[pl.Expr], pl.Expr]) -> Callable[[RecordingFolder], RecordingFolder]:
+def _each(change: Callable[[pl.Expr], pl.Expr]) -> Make:
     return with_columns("phases", **{name: change(pl.col(name)) for name in PHASES})
 
 
-def _columns(order: list[str]) -> Callable[[RecordingFolder], RecordingFolder]:
+def _columns(order: list[str]) -> Make:
     return with_columns("phases", **{name: pl.col(other) for name, other in zip(PHASES, order, strict=True)})
 
 
-def _stations(
-    change: Callable[[Station], Station], only: tuple[str, ...] = ("1", "2", "3")
-) -> Callable[[RecordingFolder], RecordingFolder]:
-    def made(folder: RecordingFolder) -> RecordingFolder:
-        stations = {key: change(s) if key in only else s for key, s in folder.rig.stations.items()}
-        return replace(folder, rig=replace(folder.rig, stations=stations))
-
-    return made
+def _wavelength(factor: float) -> Make:
+    return with_stations(lambda station: replace(station, wavelength=factor * station.wavelength))
 
 
-def _antennas(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Station], Station]:
-    return lambda station: replace(station, antennas=change(np.asarray(station.antennas)))
-
-
-def _rotation(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Station], Station]:
-    return lambda station: replace(station, rotation=change(np.asarray(station.rotation)))
+def _antennas(factor: float | list[float]) -> Make:
+    return with_stations(lambda station: replace(station, antennas=np.multiply(station.antennas, factor)))
 
 
 SWAPPED = [PHASES[{1: 4, 4: 1}.get(k, k)] for k in range(8)]
@@ -58,17 +47,14 @@ MISTAKES = {
     "two antennas swapped": (_columns(SWAPPED), "phases 2 and 5 exchanged"),
     "the antennas in reverse order": (_columns(PHASES[::-1]), "antennas in reverse order"),
     "the antennas counted from another one": (_columns([*PHASES[1:], PHASES[0]]), "phase_1_rad as that of antenna 2"),
-    "a wavelength 1.3 times too long": (_stations(lambda s: replace(s, wavelength=1.3 * s.wavelength)), "wavelength_m"),
-    "half the wavelength": (_stations(lambda s: replace(s, wavelength=0.5 * s.wavelength)), "another wavelength"),
-    "the wavelength in millimetres": (
-        _stations(lambda s: replace(s, wavelength=1000 * s.wavelength)),
-        "wavelength_m in millimetres",
-    ),
-    "antennas in centimetres": (_stations(_antennas(lambda a: 100 * a)), "antennas_m in centimetres"),
-    "antennas seen from behind": (_stations(_antennas(lambda a: a * [-1.0, 1.0])), "x of antennas_m flipped"),
-    "quaternions as x, y, z, w": (_stations(_rotation(lambda q: np.roll(q, -1))), "x, y, z, w"),
-    "quaternions inverted": (_stations(_rotation(lambda q: q * [1, -1, -1, -1]), ("2", "3")), "inverted"),
-    "one station turned": (_stations(_rotation(lambda q: about_z(q, 40.0)), ("2",)), "station 2 (by -40°)"),
+    "a wavelength 1.3 times too long": (_wavelength(1.3), "wavelength_m"),
+    "half the wavelength": (_wavelength(0.5), "another wavelength"),
+    "the wavelength in millimetres": (_wavelength(1000), "wavelength_m in millimetres"),
+    "antennas in centimetres": (_antennas(100), "antennas_m in centimetres"),
+    "antennas seen from behind": (_antennas([-1.0, 1.0]), "x of antennas_m flipped"),
+    "quaternions as x, y, z, w": (rotated(lambda q: np.roll(q, -1)), "x, y, z, w"),
+    "quaternions inverted": (rotated(lambda q: q * [1, -1, -1, -1], ("2", "3")), "inverted"),
+    "one station turned": (rotated(lambda q: about_z(q, 40.0), ("2",)), "station 2 (by -40°)"),
     "truth of another origin": (with_columns("truth", x_m=pl.col("x_m") + 1.5), "truth shifted by (-1.5"),
 }
 
@@ -114,8 +100,8 @@ def test_a_station_that_gives_angles_and_missing_phases_are_left_out(sound):
         (_columns(SWAPPED), "phases 2 and 5 exchanged"),
         (_columns(PHASES[::-1]), "antennas in reverse order"),
         (_each(lambda phase: phase.degrees()), "degrees"),
-        (_stations(lambda s: replace(s, wavelength=1000 * s.wavelength), ("RX",)), "wavelength_m in millimetres"),
-        (_stations(_antennas(lambda a: a * [-1.0, 1.0]), ("RX",)), "x of antennas_m flipped"),
+        (_wavelength(1000), "wavelength_m in millimetres"),
+        (_antennas([-1.0, 1.0]), "x of antennas_m flipped"),
     ],
     ids=["sound", "swapped", "reversed", "degrees", "wavelength", "mirrored"],
 )

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.trackers.recordings.checks.made import with_columns
+from tests.trackers.recordings.checks.made import only, with_anchors, with_columns
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.differences import CORNERS, simulate_differences
 from trackwright.sim.ranging import chamber
@@ -35,7 +35,7 @@ VALUE = pl.col("range_difference_m")
 
 
 def _table(*changes):
-    return replace(FOLDER, tables={**FOLDER.tables, "tdoa": FOLDER.tables["tdoa"].with_columns(*changes)})
+    return with_columns("tdoa", *changes)(FOLDER)
 
 
 def _swapped(first, second):
@@ -45,7 +45,7 @@ def _swapped(first, second):
 
 
 def _rig(change):
-    return replace(FOLDER, rig=replace(FOLDER.rig, anchors=change(dict(FOLDER.rig.anchors))))
+    return with_anchors(change)(FOLDER)
 
 
 def _late(**by):
@@ -62,13 +62,13 @@ def _errors(folder):
 
 def test_a_good_recording_has_no_errors():
     assert _errors(FOLDER) == []
-    assert _errors(replace(FOLDER, tables={"tdoa": FOLDER.tables["tdoa"]})) == []
+    assert _errors(only("tdoa")(FOLDER)) == []
 
 
 EVERYWHERE = {
     "the sign of the tdoa flipped": _table(-VALUE),
     "anchors A2 and A7 swapped": _swapped("A2", "A7"),
-    "anchors A3 and A4 swapped": _rig(lambda anchors: anchors | {"A3": anchors["A4"], "A4": anchors["A3"]}),
+    "anchors A3 and A4 swapped": _rig(lambda anchors: {"A3": anchors["A4"], "A4": anchors["A3"]}),
     "nanoseconds or feet": _table(VALUE / 0.299792458),
     "centimetres or millimetres, or other anchors": _table(VALUE * 100),
     "looks like seconds": _table(VALUE / 299792458),
@@ -79,9 +79,7 @@ AGAINST_TRUTH = {
     "the positions of the anchors multiplied by 0.001": _rig(lambda a: {k: 1000 * v for k, v in a.items()}),
     "the sign of z of the truth flipped": _rig(lambda a: {k: v * [1, 1, -1] for k, v in a.items()}),
     "x and y of the truth swapped": _rig(lambda a: {k: v[[1, 0, 2]] for k, v in a.items()}),
-    "the truth shifted by (2.00": replace(
-        FOLDER, tables={**FOLDER.tables, "truth": FOLDER.tables["truth"].with_columns(pl.col("x_m") - 2)}
-    ),
+    "the truth shifted by (2.00": with_columns("truth", pl.col("x_m") - 2)(FOLDER),
 }
 
 
@@ -94,17 +92,13 @@ def test_a_mistake_is_named_against_truth(words):
 @pytest.mark.parametrize("words", EVERYWHERE)
 def test_a_mistake_is_named_without_truth(words):
     folder = EVERYWHERE[words]
-    errors = _errors(replace(folder, tables={"tdoa": folder.tables["tdoa"]}))
+    errors = _errors(only("tdoa")(folder))
     assert any(words in message for message in errors), errors
 
 
 def test_an_anchor_at_a_wrong_place_is_named_without_truth():
-    moved = _rig(lambda anchors: anchors | {"A6": anchors["A6"] + [1.5, 0.0, 0.0]})
-    (warning,) = [
-        result.message
-        for result in check(replace(moved, tables={"tdoa": moved.tables["tdoa"]}))
-        if "contradict each other" in result.message
-    ]
+    moved = _rig(lambda anchors: {"A6": anchors["A6"] + [1.5, 0.0, 0.0]})
+    (warning,) = [result.message for result in check(only("tdoa")(moved)) if "contradict each other" in result.message]
     assert "without anchor A6: its place in rig.toml is wrong" in warning
 
 
@@ -129,23 +123,17 @@ def test_gaps_are_those_of_the_tag_whichever_anchors_it_hears():
     assert notice.startswith("tdoa: gaps longer than 1 s: 1, the longest 7.1 s before t_s 17.1 (tag ")
 
 
-def _anchors(change):
-    return lambda folder: replace(
-        folder, rig=replace(folder.rig, anchors=folder.rig.anchors | change(folder.rig.anchors))
-    )
-
-
 X = pl.col("x_m")
 ON_FLIGHTS = {
     "the sign": (with_columns("tdoa", range_difference_m=-VALUE), "with the wrong sign", "with the wrong sign"),
     "nanoseconds": (with_columns("tdoa", range_difference_m=VALUE / 0.2998), "are nanoseconds", "are nanoseconds"),
     "centimetres": (with_columns("tdoa", range_difference_m=VALUE * 100), "centimetres", "centimetres"),
     "two anchors swapped": (
-        _anchors(lambda a: {"1": a["6"], "6": a["1"]}), "of anchors 1, 6 are", "anchors 1 and 6 swapped",
+        with_anchors(lambda a: {"1": a["6"], "6": a["1"]}), "of anchors 1, 6 are", "anchors 1 and 6 swapped",
     ),
-    "one anchor twice": (_anchors(lambda a: {"3": a["2"]}), "of anchor 3 (at (3.", "have the same position"),
-    "an anchor moved": (_anchors(lambda a: {"5": a["5"] + [1.5, -1, 0]}), "of anchor 5 (", "without anchor 5"),
-    "x of an anchor": (_anchors(lambda a: {"6": a["6"] * [-1, 1, 1]}), "of anchor 6 (at (3.", "without anchor 6"),
+    "one anchor twice": (with_anchors(lambda a: {"3": a["2"]}), "of anchor 3 (at (3.", "have the same position"),
+    "an anchor moved": (with_anchors(lambda a: {"5": a["5"] + [1.5, -1, 0]}), "of anchor 5 (", "without anchor 5"),
+    "x of an anchor": (with_anchors(lambda a: {"6": a["6"] * [-1, 1, 1]}), "of anchor 6 (at (3.", "without anchor 6"),
     "a late anchor": (with_columns("tdoa", range_difference_m=VALUE + _late(**{"2": 2.0})), "of anchor 2 (+", "without anchor 2"),
     "a late clock": (with_columns("truth", t_s=pl.col("t_s") - 5), "5.0", None),
     "x and y of the truth": (with_columns("truth", x_m=pl.col("y_m"), y_m=X), "x and y of the truth swapped", None),
@@ -158,10 +146,10 @@ ON_FLIGHTS = {
 @pytest.mark.parametrize("flight", ["util-c1-t1-tdoa2", "util-c1-t1-tdoa3", "util-c4-t5-tdoa2"])
 def test_mistakes_on_real_flights_are_named(flights, flight):
     good = read_recording(flights / flight)
-    assert _errors(good) == _errors(replace(good, tables={"tdoa": good.tables["tdoa"]})) == []
+    assert _errors(good) == _errors(only("tdoa")(good)) == []
     for name, (make, *words) in ON_FLIGHTS.items():
         made = make(good)
-        for folder, word in zip((made, replace(made, tables={"tdoa": made.tables["tdoa"]})), words, strict=True):
+        for folder, word in zip((made, only("tdoa")(made)), words, strict=True):
             messages = [result.message for result in check(folder) if result.level != "info"]
             assert word is None or any(word in message for message in messages), (name, messages)
 
