@@ -14,6 +14,7 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.exchange.formats import beginning_of
 from trackwright.trackers.exchange.mapping import numbers_of
 from trackwright.trackers.exchange.pose_errors import (
     Alignment,
@@ -24,7 +25,6 @@ from trackwright.trackers.exchange.pose_errors import (
 )
 from trackwright.trackers.exchange.trajectories import Kind, read_trajectory, trajectory_of_table
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.input_file import beginning
 from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 from trackwright.trackers.recordings.tracks_table import is_bearing
 
@@ -77,15 +77,7 @@ def assigned(tracks: pl.DataFrame, truths: dict[str, pl.DataFrame], tag: str | N
 def _is_table(path: Path) -> bool:
     """Whether the file is a table with a head, and not a list of poses."""
     name = path.name.lower()
-    if not name.endswith(SUFFIXES):
-        return False
-    if name.endswith(".csv"):
-        try:
-            head = beginning(path, 1000).partition(b"\n")[0]
-        except OSError as error:
-            raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
-        return b"t_s" in head
-    return True
+    return name.endswith(SUFFIXES) and (not name.endswith(".csv") or "t_s" in beginning_of(path).partition("\n")[0])
 
 
 def _table(file: TableFile) -> pl.DataFrame:

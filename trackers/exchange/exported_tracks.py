@@ -14,9 +14,9 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.exchange.ros_reader import rosbags_module
-from trackwright.trackers.exchange.trajectories import PoseTrajectory, quaternions_of, trajectory_of_table
+from trackwright.trackers.exchange.trajectories import PoseTrajectory, quaternions_of, trajectory_of_table, usable_rows
 from trackwright.trackers.recordings.atomic import beside
-from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing
+from trackwright.trackers.recordings.tracks_table import is_bearing
 
 _TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _FRAME = "world"
@@ -47,16 +47,13 @@ def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
     """
     if is_bearing(table):
         raise UnusableInput("the tracks hold bearings, no positions; --format csv writes them")
-    usable = pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite()).fill_null(False)
-    if "status" in table.columns:
-        usable &= ~pl.col("status").is_in(NO_ESTIMATE).fill_null(False)
-    kept = table.filter(usable)
     tracks = []
-    for (recording, tag), rows in kept.partition_by(["recording", "tag"], as_dict=True, maintain_order=True).items():
-        rows = rows.sort("t_s", maintain_order=True)
-        given = covariances(rows) if "std_x_m" in rows.columns else None
-        poses = trajectory_of_table(rows, f"tag {tag} of '{recording}'")
-        tracks.append(ExportedTrack(str(recording), str(tag), poses, given))
+    for (recording, tag), rows in table.partition_by(["recording", "tag"], as_dict=True, maintain_order=True).items():
+        rows = usable_rows(rows)
+        if rows.height:
+            given = covariances(rows) if "std_x_m" in rows.columns else None
+            poses = trajectory_of_table(rows, f"tag {tag} of '{recording}'")
+            tracks.append(ExportedTrack(str(recording), str(tag), poses, given))
     if not tracks:
         raise UnusableInput("no track holds an estimate; run `trackwright check` on the recording")
     return tracks

@@ -76,9 +76,9 @@ def format_of(path: Path) -> str:
     ending = path.name.lower()
     named = next((name for name, entry in FORMATS.items() if ending.endswith(entry.endings)), None)
     # EuRoC's own files are called data.csv.
-    if named is not None and not (named == "csv" and _beginning(path).startswith("#timestamp")):
+    if named is not None and not (named == "csv" and beginning_of(path).startswith("#timestamp")):
         return named
-    begin = _beginning(path)
+    begin = beginning_of(path)
     for name, entry in FORMATS.items():
         if entry.begins is not None and entry.begins.search(begin):
             return name
@@ -86,7 +86,8 @@ def format_of(path: Path) -> str:
     raise UnusableInput(f"{path}: no format is recognised; expected {words}; --format names one, or your own")
 
 
-def _beginning(path: Path) -> str:
+def beginning_of(path: Path) -> str:
+    """The first lines of a file; raises UnusableInput for one that cannot be read."""
     from trackwright.trackers.recordings.input_file import beginning
 
     try:

@@ -15,7 +15,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.recordings.input_file import beginning
+from trackwright.trackers.exchange.formats import beginning_of
 from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
 from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file
 
@@ -288,7 +288,7 @@ def _separator_of(path: Path, decimal: str) -> str:
     """A semicolon or tab where the header has one and no comma, or numbers have decimal commas; else a comma."""
     if path.name.lower().endswith((".gz", ".parquet")):
         return ","
-    head = beginning(path, 20_000).decode("utf-8-sig", errors="replace").partition("\n")[0]
+    head = beginning_of(path).partition("\n")[0]
     return next((mark for mark in ";\t" if mark in head and (decimal == "," or "," not in head)), ",")
 
 

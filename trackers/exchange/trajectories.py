@@ -15,7 +15,7 @@ from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.evaluation.scoring import covariances
-from trackwright.trackers.exchange.formats import FORMATS
+from trackwright.trackers.exchange.formats import FORMATS, beginning_of
 from trackwright.trackers.exchange.mapping import Asked, Source
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.columns import float_column
@@ -68,15 +68,13 @@ class PoseTrajectory:
         if not (np.isfinite(self.times).all() and np.isfinite(self.positions[:, :2]).all()):
             raise UnusableInput(f"{self.name}: a time or position is not finite; leave such poses out")
         if self.quaternions is not None:
-            largest = np.abs(self.quaternions).max(axis=1)
-            usable = (largest > 0) & np.isfinite(largest)
+            sizes = np.linalg.norm(self.quaternions, axis=1, keepdims=True)
+            usable = (sizes > 0) & np.isfinite(sizes)
             if not usable.all():
                 row = int(np.argmin(usable))
-                what = "a zero quaternion" if largest[row] == 0 else "a quaternion that is not finite"
+                what = "a zero quaternion" if sizes[row] == 0 else "a quaternion that is not finite"
                 raise UnusableInput(f"{self.name}: pose {row + 1} has {what}, expected a unit quaternion")
-            # Powers of two keep all digits, and the squares of any number finite.
-            scaled = np.ldexp(self.quaternions, -np.frexp(largest)[1][:, None])
-            object.__setattr__(self, "quaternions", scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
+            object.__setattr__(self, "quaternions", self.quaternions / sizes)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -99,24 +97,25 @@ class PoseTrajectory:
         return pl.DataFrame(columns).with_columns(pl.col(AXES).fill_nan(None))
 
 
+def usable_rows(table: pl.DataFrame) -> pl.DataFrame:
+    """The rows with an estimate, by `status`, time and position, in the order of time."""
+    usable = pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite()).fill_null(False)
+    if "status" in table.columns:
+        usable &= ~pl.col("status").is_in(NO_ESTIMATE).fill_null(False)
+    return table.filter(usable).sort("t_s", maintain_order=True)
+
+
 def trajectory_of_table(table: pl.DataFrame, name: str) -> PoseTrajectory:
     """The poses of a table with columns t_s, x_m, y_m and optionally z_m and qw, qx, qy, qz, of one tag.
 
-    Rows without an estimate (by `status`, time or position) are left out; a row without attitude leaves all without.
-    Raises UnusableInput if nothing remains.
+    Rows without an estimate are left out; a row without attitude leaves all without. Raises UnusableInput if nothing
+    remains.
     """
-    columns = [float_column(table, column) for column in ("t_s", *AXES)]
-    usable = np.isfinite(columns[0]) & np.isfinite(columns[1]) & np.isfinite(columns[2])
-    if "status" in table.columns:
-        usable &= ~table["status"].is_in(NO_ESTIMATE).fill_null(False).to_numpy()
-    quaternions = np.stack([float_column(table, column) for column in QUATERNION], axis=1)[usable]
-    order = np.argsort(columns[0][usable], kind="stable")
-    return PoseTrajectory(
-        times=columns[0][usable][order],
-        positions=np.stack(columns[1:], axis=1)[usable][order],
-        quaternions=quaternions[order] if np.isfinite(quaternions).all() and len(quaternions) else None,
-        name=name,
-    )
+    rows = usable_rows(table)
+    times, *places = (float_column(rows, column) for column in ("t_s", *AXES))
+    quaternions = np.stack([float_column(rows, column) for column in QUATERNION], axis=1)
+    attitude = quaternions if np.isfinite(quaternions).all() and len(quaternions) else None
+    return PoseTrajectory(times, np.stack(places, axis=1), attitude, name)
 
 
 def quaternions_of(matrices: np.ndarray) -> np.ndarray:
@@ -195,18 +194,16 @@ class Similarity:
 
 
 def kind_of(path: Path | str) -> Kind:
-    """The format of a trajectory file by its name, or else by the length of its first line of numbers.
+    """The format of a trajectory file by its name, or else by its first line of numbers.
 
     Raises UnusableInput for a file that can't be read and for one of no known format.
     """
     path = Path(path)
     suffix = path.suffix.lower().removeprefix(".")
-    if suffix in get_args(Kind):
-        return suffix  # type: ignore[return-value]
-    first = next((line for _, line in _lines(path)), "")
+    begin = "" if suffix in get_args(Kind) else beginning_of(path)
     for kind in get_args(Kind):
         begins = FORMATS[kind].begins
-        if begins is not None and begins.search(first):
+        if kind == suffix or (begins is not None and begins.search(begin)):
             return kind  # type: ignore[no-any-return]
     raise UnusableInput(
         f"{path}: no trajectory format is recognised; expected lines of {'; or '.join(_COLUMNS.values())}; "
@@ -249,10 +246,10 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
         notices.append(f"rows earlier than the previous row: {int((np.diff(stamps) < 0).sum())}; sorted")
         order = np.argsort(stamps, kind="stable")
         stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
-    if (quaternions == _IDENTITY).all():
+    attitude = None if (quaternions == _IDENTITY).all() else quaternions
+    if attitude is None:
         notices.append("every quaternion is the identity; read as positions without attitude")
-        return PoseTrajectory(stamps, positions, None, path.name, tuple(notices))
-    return PoseTrajectory(stamps, positions, quaternions, path.name, tuple(notices))
+    return PoseTrajectory(stamps, positions, attitude, path.name, tuple(notices))
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:

@@ -16,6 +16,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.exchange.imported import import_frames
 from trackwright.trackers.exchange.mapping import TableMapping, columns_of, mapped_table, parsed
 from trackwright.trackers.exchange.mapping_file import read_mapping
+from trackwright.trackers.recordings.kinds import layout
 from trackwright.trackers.recordings.table_file import TableFile, read_table_file
 
 RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7": np.array([0.0, 4, 2])})
@@ -43,22 +44,13 @@ RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7"
     ],
 )
 def test_an_expression_is_the_arithmetic_it_says(target, text, value, expected):
-    tables = {
-        "range_m": "ranges",
-        "azimuth_rad": "bearings",
-        "accel_x_mps2": "imu",
-        "gyro_x_radps": "imu",
-        "speed_mps": "odometry",
-        "t_s": "fixes",
-    }
-    table = tables[target]
-    values = {"ranges": ["range_m"], "bearings": ["azimuth_rad", "elevation_rad"], "fixes": ["x_m", "y_m", "z_m"]}
-    values["odometry"] = ["speed_mps", "yaw_rate_radps"]
-    axes = [f"{kind}_{a}_{unit}" for kind, unit in (("accel", "mps2"), ("gyro", "radps")) for a in "xyz"]
-    entries = dict.fromkeys(values.get(table, axes), "d") | {"t_s": "t"} | {target: text}
-    entries |= {"ranges": {"anchor": "'A1'"}, "bearings": {"station": "'S'"}}.get(table, {})
+    table = next(
+        name for name in ("ranges", "bearings", "imu", "odometry") if target in ("t_s", *layout(name, ()).values)
+    )
+    ids, values = layout(table, ())[:2]
+    entries = {"t_s": "t"} | dict.fromkeys(ids, "'A1'") | dict.fromkeys(values, "d") | {target: text}
     frame = pl.DataFrame({"t": [1.0], "d": [value]})
-    mapping = TableMapping(table, columns_of([f"{k}={v}" for k, v in entries.items()]), tag="T")
+    mapping = TableMapping(table, columns_of([f"{k}={v}" for k, v in entries.items()]))
     found, _ = mapped_table(TableFile(Path("x.csv"), frame), mapping)
     assert found[target][0] == pytest.approx(expected)
 
@@ -88,15 +80,8 @@ def test_a_name_may_hold_blanks_and_signs():
 
 
 def test_dates_become_seconds_since_1970():
-    frame = pl.DataFrame(
-        {
-            "when": ["2026-05-01T12:00:00.25", "2026-05-01 12:00:01"],
-            "tag": ["a", "a"],
-            "x_m": [1.0, 2],
-            "y_m": [0.0, 0],
-            "z_m": [0.0, 0],
-        }
-    )
+    dates = ["2026-05-01T12:00:00.25", "2026-05-01 12:00:01"]
+    frame = pl.DataFrame({"when": dates, "tag": "a", "x_m": 1.0, "y_m": 0.0, "z_m": 0.0})
     table, _ = mapped_table(TableFile(Path("x"), frame), TableMapping("fixes", columns_of(["t_s=when in iso"])))
     expected = datetime(2026, 5, 1, 12, 0, 0, 250_000, tzinfo=UTC).timestamp()
     assert table["t_s"].to_list() == [expected, expected + 0.75]
@@ -213,16 +198,14 @@ def test_frames_that_are_no_tables_are_refused(frames, rig, words):
 
 
 @pytest.mark.parametrize(
-    ("drop", "tag", "words"),
+    ("columns", "tag", "words"),
     [
-        ("distance_mm", "T1", r"add columns=\{'ranges': \['range_m="),
-        (None, None, "give tag='ID'$"),
+        ([], "T1", r"add columns=\{'ranges': \['range_m="),
+        (["range_m=distance_mm in mm"], None, "give tag='ID'$"),
     ],
 )
-def test_frames_are_refused_in_words_of_python(drop, tag, words):
+def test_frames_are_refused_in_words_of_python(columns, tag, words):
     frame = pl.DataFrame({"t_s": [0.0], "anchor": ["A1"], "distance_mm": [900.0]})
-    frame = frame if drop is None else frame.drop(drop).with_columns(other=pl.lit(1.0))
-    columns = {"ranges": ["range_m=distance_mm in mm"]} if drop is None else {}
     with pytest.raises(UnusableInput, match=words) as refused:
-        import_frames({"ranges": frame}, RIG, columns, tag=tag)
+        import_frames({"ranges": frame}, RIG, {"ranges": columns}, tag=tag)
     assert "--" not in str(refused.value)

@@ -7,7 +7,7 @@ import pytest
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.exchange.formats import format_of
 from trackwright.trackers.exchange.imported import read_source
-from trackwright.trackers.exchange.mapping import Asked, TableMapping, columns_of
+from trackwright.trackers.exchange.mapping import Asked, TableMapping
 
 # Output of the DWM1001's shell, commands les, lec and lep, as public code quotes it.
 LES = (
@@ -27,40 +27,25 @@ TREK = (
 )
 
 
-def _log(tmp_path, text, kind="dwm1001", tag="T", columns=(), **options):
+def _log(tmp_path, text, kind="dwm1001", tag="T", **options):
     path = tmp_path / "log.txt"
     path.write_text(text)
-    return read_source(path, kind, Asked([TableMapping("ranges", columns_of(columns), tag=tag)], **options))
+    return read_source(path, kind, Asked([TableMapping("ranges", tag=tag)], **options))
 
 
 def test_the_lines_of_the_dwm1001_guide_are_ranges_fixes_and_anchors(tmp_path):
     log = _log(tmp_path, f"dwm> les\n0.1 {LES}\n0.2 {LEC}\n0.3 {LEP}\n")
-    tables = log.tables
-    assert tables["ranges"].row(0) == (0.1, "T", "1151", 6.48)
-    assert tables["ranges"].row(7) == (0.2, "T", "1150", 3.19)
-    assert len(tables["ranges"]) == 8
-    assert tables["fixes"].rows() == [
-        (0.1, "T", 2.57, 1.98, 1.68),
-        (0.2, "T", 2.55, 2.01, 1.71),
-        (0.3, "T", 2.57, 2.0, 1.67),
-    ]
-    assert log.anchors == {
-        "1151": (5.0, 8.0, 2.25),
-        "0CA8": (0.0, 8.0, 2.25),
-        "111C": (5.0, 0.0, 2.25),
-        "1150": (0.0, 0.0, 2.25),
-    }
+    ranges, fixes = (log.tables[name].rows() for name in ("ranges", "fixes"))
+    assert (len(ranges), ranges[0], ranges[7]) == (8, (0.1, "T", "1151", 6.48), (0.2, "T", "1150", 3.19))
+    assert fixes == [(0.1, "T", 2.57, 1.98, 1.68), (0.2, "T", 2.55, 2.01, 1.71), (0.3, "T", 2.57, 2.0, 1.67)]
+    places = {"1151": (5.0, 8.0), "0CA8": (0.0, 8.0), "111C": (5.0, 0.0), "1150": (0.0, 0.0)}
+    assert log.anchors == {anchor: (*place, 2.25) for anchor, place in places.items()}
 
 
 def test_the_lines_of_the_trek1000_manual_are_corrected_ranges_in_metres(tmp_path):
     log = _log(tmp_path, TREK, "trek1000", None)
-    time = 0x24C24 / 1000
-    assert log.tables["ranges"].rows() == [
-        (time, "0", "0", 1.635),
-        (time, "0", "1", 1.443),
-        (time, "0", "2", 1.298),
-        (time, "0", "3", 1.227),
-    ]
+    rows = enumerate((1.635, 1.443, 1.298, 1.227))
+    assert log.tables["ranges"].rows() == [(0x24C24 / 1000, "0", f"{k}", distance) for k, distance in rows]
     assert log.notices == ["2 lines of raw (mr) and anchor (ma) ranges left out; mc lines are used"]
 
 
@@ -83,11 +68,6 @@ def test_ranges_that_the_mask_of_trek1000_leaves_out_are_left_out(tmp_path):
 def test_the_time_before_a_line_is_its_time(tmp_path, prefixes, times):
     log = _log(tmp_path, "".join(f"{prefix}{LEP}\n" for prefix in prefixes))
     assert log.tables["fixes"]["t_s"].to_list() == pytest.approx(times, abs=1e-6)
-
-
-def test_a_number_before_a_line_may_have_a_unit(tmp_path):
-    log = _log(tmp_path, f"1500 {LEP}\n2500 {LEP}\n", columns=["t_s=time in ms"])
-    assert log.tables["fixes"]["t_s"].to_list() == [1.5, 2.5]
 
 
 def test_a_log_without_times_needs_an_interval(tmp_path):

@@ -6,7 +6,7 @@ A stream is the rows of one sensor and one tag in one table; order, gaps and out
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ _LEAST_JUMP = {"m": 1.0, "mps": 5.0, "mps2": 20.0, "radps": 5.0}
 """Least jumps of outliers by unit: smaller ones are within reach of a person, cart or drone between two rows."""
 
 
-def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
+def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> Iterator[str]:
     """A line for each kind of anomaly in each table, and one for all outliers; empty for a clean recording."""
     kinds = table_kinds()
     layouts = {name: kinds[name].layout(table.columns) for name, table in tables.items()}
@@ -36,37 +36,37 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
         for name, table in tables.items()
     }
     tags = {name: table["tag"].unique(maintain_order=True) for name, table in present.items()}
-    lines, outliers = _never_observed(tags, rig), list[str]()
-    zero = zero_of(first_time(tables))
+    observed = {tag for name, tags_of_table in tags.items() if name != "truth" for tag in tags_of_table}
+    unobserved = [tag for tag in rig.tags if tag not in observed]
+    if unobserved and observed:
+        count = f"{len(unobserved)} of {len(rig.tags)} ({listed(map(repr, unobserved))})"
+        yield f"rig.toml: tags never observed: {count}"
+    outliers, zero = list[str](), zero_of(first_time(tables))
     for name, table in tables.items():
         expected, whole = layouts[name], present[name]
         if rig.tags:
             of_all = tags[name] if len(whole) == len(table) else table["tag"].unique(maintain_order=True)
             unknown = [tag for tag in of_all if tag not in rig.tags]
             if unknown:
-                lines.append(f"{name}: tags that are not in rig.toml: {len(unknown)} ({listed(map(repr, unknown))})")
-        lines += _impossible(kinds[name], table, expected.values)
+                yield f"{name}: tags that are not in rig.toml: {len(unknown)} ({listed(map(repr, unknown))})"
+        yield from _impossible(kinds[name], table, expected.values)
         compared = [column for column in expected.values if _least_jump(column) is not None]
         # Ordering ids and the phases of many antennas takes as long as reading them.
         ordered = streams(whole, expected.ids, ["row", "t_s", *compared], tags[name])
         if (ordered["dt"] == 0).any():
-            lines += _duplicates(name, streams(whole, expected.ids), expected.values)
+            yield from _duplicates(name, streams(whole, expected.ids), expected.values)
         if name != "truth":
             # Which anchors a message has in common changes from one to the next.
             of_gaps = expected.ids[:1] if kinds[name].difference else expected.ids
             by_gaps = ordered if of_gaps == expected.ids else streams(whole, of_gaps, ["row", "t_s"], tags[name])
-            lines += _gaps(name, by_gaps, whole.select(of_gaps), zero)
-            outliers += _outliers(name, ordered, whole.select(expected.ids), expected.values, zero)
-    return [*lines, "; ".join(outliers)] if outliers else lines
-
-
-def _never_observed(tags: Mapping[str, pl.Series], rig: Rig) -> list[str]:
-    """Tags of the rig without a value in any table of measurements; `tags`: those with a value, by table."""
-    observed = {tag for name, tags_of_table in tags.items() if name != "truth" for tag in tags_of_table}
-    unobserved = [tag for tag in rig.tags if tag not in observed]
-    if not unobserved or not observed:
-        return []
-    return [f"rig.toml: tags never observed: {len(unobserved)} of {len(rig.tags)} ({listed(map(repr, unobserved))})"]
+            gaps = long_gaps(by_gaps)
+            if gaps.height:
+                longest = gaps.row(int(gaps["dt"].arg_max() or 0), named=True)
+                place = _place(longest, whole.select(of_gaps), zero)
+                yield f"{name}: gaps longer than 1 s: {gaps.height}, the longest {longest['dt']:.3g} s before {place}"
+            outliers += _outliers(name, ordered, whole.select(expected.ids), compared, zero)
+    if outliers:
+        yield "; ".join(outliers)
 
 
 def streams(
@@ -98,23 +98,14 @@ def long_gaps(ordered: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def _duplicates(name: str, ordered: pl.DataFrame, values: tuple[str, ...]) -> list[str]:
+def _duplicates(name: str, ordered: pl.DataFrame, values: tuple[str, ...]) -> Iterator[str]:
     repeated = ordered.filter((pl.col("dt") == 0) | (pl.col("dt").shift(-1) == 0))
     exact = repeated.height - repeated.n_unique(subset=["stream", "t_s", *values])
     times = repeated.height - repeated.n_unique(subset=["stream", "t_s"]) - exact
-    lines = [f"{name}: duplicate rows: {exact}; kept"] if exact else []
+    if exact:
+        yield f"{name}: duplicate rows: {exact}; kept"
     if times:
-        lines.append(f"{name}: rows with the time of another row of the same sensor and tag: {times}; kept")
-    return lines
-
-
-def _gaps(name: str, ordered: pl.DataFrame, ids: pl.DataFrame, zero: float) -> list[str]:
-    gaps = long_gaps(ordered)
-    if gaps.height == 0:
-        return []
-    longest = gaps.row(int(gaps["dt"].arg_max() or 0), named=True)
-    example = f"the longest {longest['dt']:.3g} s before {_place(longest, ids, zero)}"
-    return [f"{name}: gaps longer than 1 s: {gaps.height}, {example}"]
+        yield f"{name}: rows with the time of another row of the same sensor and tag: {times}; kept"
 
 
 def _place(row: Mapping[str, Any], ids: pl.DataFrame, zero: float) -> str:
@@ -123,25 +114,21 @@ def _place(row: Mapping[str, Any], ids: pl.DataFrame, zero: float) -> str:
     return f"{place_in_time(row['t_s'], zero)} ({of})"
 
 
-def _impossible(kind: Kind, table: pl.DataFrame, values: tuple[str, ...]) -> list[str]:
-    lines = []
-    for name_of in values:
-        column = kind.column(name_of)
+def _impossible(kind: Kind, table: pl.DataFrame, values: tuple[str, ...]) -> Iterator[str]:
+    for name in values:
+        column = kind.column(name)
         if column.unit == "rad":
-            beyond = int((table[name_of].abs() > column.bound + _ANGLE_SLACK).sum())
+            beyond = int((table[name].abs() > column.bound + _ANGLE_SLACK).sum())
             if beyond:
                 bounds = "±π/2" if column.bound < math.pi else "±π"
-                lines.append(f"{kind.name}: values of {name_of} beyond {bounds}: {beyond}; degrees, or not wrapped")
-        elif column.positive:
-            negative = int((table[name_of] < 0).sum())
-            if negative:
-                lines.append(f"{kind.name}: negative values of {name_of}: {negative}")
+                yield f"{kind.name}: values of {name} beyond {bounds}: {beyond}; degrees, or not wrapped"
+        elif column.positive and (negative := int((table[name] < 0).sum())):
+            yield f"{kind.name}: negative values of {name}: {negative}"
     if set(QUATERNION) <= set(table.columns):
         norm = pl.sum_horizontal(pl.col(QUATERNION) ** 2, ignore_nulls=False).sqrt()
         uneven = int(table.select((norm - 1).abs() > 0.01).to_series().sum())
         if uneven:
-            lines.append(f"{kind.name}: quaternions more than 1 % from unit length: {uneven}")
-    return lines
+            yield f"{kind.name}: quaternions more than 1 % from unit length: {uneven}"
 
 
 def _least_jump(column: str) -> float | None:
@@ -149,14 +136,12 @@ def _least_jump(column: str) -> float | None:
     return _LEAST_JUMP.get(column.rpartition("_")[2])
 
 
-def _outliers(name: str, ordered: pl.DataFrame, ids: pl.DataFrame, values: tuple[str, ...], zero: float) -> list[str]:
+def _outliers(
+    name: str, ordered: pl.DataFrame, ids: pl.DataFrame, columns: Sequence[str], zero: float
+) -> Iterator[str]:
     """Values far from both neighbours in their stream, or above 100 times its median: spikes, unlike motion."""
-    lines = []
-    for column in values:
-        least = _least_jump(column)
-        if least is None:
-            continue
-        x = pl.col(column)
+    for column in columns:
+        x, least = pl.col(column), _least_jump(column)
         present = ordered.select("stream", "row", "t_s", column).drop_nulls()
         spike = pl.lit(False)
         for reach in (1, 2):  # 2 finds two adjacent outliers
@@ -176,5 +161,4 @@ def _outliers(name: str, ordered: pl.DataFrame, ids: pl.DataFrame, values: tuple
         if outliers.height:
             worst = outliers.row(int((outliers[column].abs() - outliers["typical"]).abs().arg_max() or 0), named=True)
             example = f"the worst {worst[column]:.4g} at {_place(worst, ids, zero)}"
-            lines.append(f"{name}: outliers of {column}: {outliers.height}, {example}")
-    return lines
+            yield f"{name}: outliers of {column}: {outliers.height}, {example}"

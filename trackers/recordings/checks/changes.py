@@ -253,11 +253,6 @@ class SignedAxes(NamedTuple):
         matrix: np.ndarray = self.signs[:, None] * np.eye(3)[list(self.order)]
         return matrix
 
-    @property
-    def mirrored(self) -> bool:
-        """Whether they are left-handed."""
-        return bool(np.linalg.det(self.matrix) < 0)
-
 
 def signed_axes(of: str) -> Iterator[SignedAxes]:
     """All 48 axes, as they are first; the words name the changes of what they are `of`."""

@@ -251,7 +251,7 @@ def _axes(name: str, measured: np.ndarray, true: np.ndarray) -> Iterator[CheckRe
         return
     if error < WORSE * turned:
         message = f"{name} fit the truth's attitude only with {axes.words}; correct the axes"
-        yield CheckResult("error" if axes.mirrored else "warning", "imu", message)
+        yield CheckResult("error" if np.linalg.det(axes.matrix) < 0 else "warning", "imu", message)
     elif angle > SMALL_TURN and name == "turn rates":
         message = f"axes are turned by {np.degrees(angle):.0f}° against the body axes of the truth's attitude"
         yield CheckResult("warning", "imu", message)
