@@ -111,20 +111,15 @@ def parsed(target: str, text: str) -> Expression:
             raise UnusableInput(f"{target}={text}: a division by zero")
         factor = 1.0 / factor
     shift = float(match["shift"] or 0.0) * (-1.0 if match["sign"] == "-" else 1.0)
-    scale = _scale(target, name, match["unit"]) if match["unit"] else 1.0
+    scales, unit = UNITS.get(name.rpartition("_")[2], {}), match["unit"]
+    if unit and unit not in scales:
+        fitting = ", ".join(scales) or "none: it has no unit"
+        raise UnusableInput(f"{target}: unit {unit!r} does not fit {name}; expected one of {fitting}")
+    scale = scales[unit] if unit else 1.0
     source, root = match["source"].strip(), False
     if source.startswith("sqrt(") and source.endswith(")"):
         source, root = source[5:-1].strip(), True
-    return Expression(text, source.strip("`"), factor * scale, shift * scale, root, match["unit"] == "iso")
-
-
-def _scale(target: str, name: str, unit: str) -> float:
-    units = UNITS.get(name.rpartition("_")[2], {})
-    if unit not in units:
-        raise UnusableInput(
-            f"{target}: unit {unit!r} does not fit {name}; expected one of {', '.join(units) or 'none: it has no unit'}"
-        )
-    return units[unit]
+    return Expression(text, source.strip("`"), factor * scale, shift * scale, root, unit == "iso")
 
 
 def columns_of(entries: Sequence[str]) -> dict[str, Expression]:
