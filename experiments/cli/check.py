@@ -32,8 +32,8 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
     from trackwright.trackers.recordings.atomic import json_text
+    from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
-    from trackwright.trackers.recordings.checks.check_result import format_results
     from trackwright.trackers.recordings.folder import read_recording
 
     run_tracker_files(tracker)

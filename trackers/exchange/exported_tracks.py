@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.scoring import covariances
@@ -20,8 +21,6 @@ from trackwright.trackers.recordings.tracks_table import is_bearing
 
 _TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _FRAME = "world"
-_QUANTILE_95 = 7.814727903251178
-"""95 % quantile of χ² with 3 degrees of freedom."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,4 +154,4 @@ def _ellipsoids(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Half axes (n, 3), m, and attitudes (n, 4) x, y, z, w of the 95 % ellipsoids; an unknown variance counts as 0."""
     values, axes = np.linalg.eigh(np.nan_to_num(covariances))
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-    return np.sqrt(np.maximum(values, 0.0) * _QUANTILE_95), np.roll(quaternions_of(axes), -1, axis=1)
+    return np.sqrt(np.maximum(values, 0.0) * chi_square_quantile(0.95, 3)), np.roll(quaternions_of(axes), -1, axis=1)

@@ -97,17 +97,6 @@ def test_a_table_with_standard_deviations_gets_its_nees(beginnings, truth, tmp_p
     assert overall["rmse_m"] == pytest.approx(0.1)
 
 
-def test_covariances_turn_with_the_track(beginnings, truth, tmp_path):
-    turned = truth.select(
-        "t_s", x_m=-pl.col("y_m"), y_m=pl.col("x_m"), z_m="z_m", std_x_m=0.1, std_y_m=0.3, std_z_m=0.2
-    )
-    turned.write_csv(tmp_path / "own.csv")
-    arguments = ("--truth", beginnings / "good", "--tag", "T1", "--align", "se2", "--out", tmp_path / "out")
-    assert trackwright("evaluate", tmp_path / "own.csv", *arguments).code == 0
-    row = pl.read_parquet(tmp_path / "out" / "tracks.parquet").row(0, named=True)
-    assert (row["std_x_m"], row["std_y_m"], row["std_z_m"]) == pytest.approx((0.3, 0.1, 0.2))
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from trackwright.trackers.recordings.checks import LEVELS, CheckResult
 from trackwright.trackers.recordings.checks.anomalies import anomalies
-from trackwright.trackers.recordings.checks.check_result import LEVELS, CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared, compared
 from trackwright.trackers.recordings.checks.coverage import (
     check_ids,

@@ -11,8 +11,8 @@ from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S, moment, place
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.wording import counted
+from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.checks.anomalies import long_gaps, streams
-from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
 from trackwright.trackers.recordings.kinds import first_time, layout
 
 ENOUGH = 0.5

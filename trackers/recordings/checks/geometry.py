@@ -18,7 +18,7 @@ import polars as pl
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
+from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 

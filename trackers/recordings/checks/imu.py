@@ -17,8 +17,8 @@ import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.changes import SignedAxes, signed_axes
-from trackwright.trackers.recordings.checks.check_result import CheckResult
 from trackwright.trackers.recordings.kinds import QUATERNION, layout
 
 MOST_TAGS = 12

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from numpy.polynomial import chebyshev
 
 from trackwright.trackers.core.model.rig import rotation_matrices
-from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.imu import (
     GAP_S,
     LEAST_DELAY_S,

@@ -14,7 +14,7 @@ import numpy as np
 
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import significant
-from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared
 from trackwright.trackers.recordings.checks.readings import known_median
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.columns import stable_order
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, unit_of, wrapped

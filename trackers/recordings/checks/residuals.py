@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 from jaxtyping import Bool, Float
 
-from trackwright.trackers.recordings.checks.check_result import CheckResult
+from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared, compared
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder

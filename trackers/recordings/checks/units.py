@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.checks.check_result import CheckResult, Level
+from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.columns import TableRows
 from trackwright.trackers.recordings.kinds import KINDS, QUATERNION, Column, Kind, table_kinds
 

@@ -14,8 +14,8 @@ from tests.broken import ANOMALOUS
 from tests.faulty import write_good
 from tests.trackers.recordings.checks.made import Make, only, with_anchors, with_columns, with_rows
 from trackwright.sim import worlds
+from trackwright.trackers.recordings.checks import CheckResult, format_results
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
-from trackwright.trackers.recordings.checks.check_result import CheckResult, format_results
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 
 RECORDINGS = Path(
