@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
@@ -336,10 +336,10 @@ def _part(
         expressions |= {name: Expression(repr(one), constant=one) for name, one in zip(ids[1:], each, strict=True)}
     known = ("t_s", *ids, *wanted.values, *wanted.optional)
     # Signal quality may have any name that is not like one of the others.
-    quality = [name for name in expressions if name in wanted.quality and not _near(name, known, 0.75)]
+    quality = [name for name in expressions if name in wanted.quality and not get_close_matches(name, known, 1, 0.75)]
     unknown = [name for name in expressions if name not in (*known, *quality)]
     if unknown:
-        near = _near(unknown[0], known, 0.5)
+        near = get_close_matches(unknown[0], known, 1, 0.5)
         raise UnusableInput(
             f"{mapping.table}: has no column {unknown[0]}; expected {near[0] if near else listed(known, 12)}; rename it"
         )
@@ -361,10 +361,6 @@ def _part(
     )
 
 
-def _near(name: str, known: Sequence[str], least: float) -> list[str]:
-    return difflib.get_close_matches(name, known, 1, least)
-
-
 def _missing(file: TableFile, table: str, name: str) -> str:
     columns = file.frame.columns
     standard = {"t_s", "tag", *layout(table, columns).values}
@@ -373,7 +369,7 @@ def _missing(file: TableFile, table: str, name: str) -> str:
         unmapped += "; expected a column, an empty one where no height is measured"
     if name == "tag":
         return f"{unmapped}; give --tag ID"
-    near = difflib.get_close_matches(name.rpartition("_")[0] or name, [c for c in columns if c not in standard], 1, 0.3)
+    near = get_close_matches(name.rpartition("_")[0] or name, [c for c in columns if c not in standard], 1, 0.3)
     source = near[0] if near else "COLUMN"
     unit = _UNIT_IN_NAME.search(source)
     example = f"{name}={source}" + (f" in {(unit[1] or unit[2]).lower()}" if unit and "_" in name else "")
@@ -385,7 +381,7 @@ def _source(file: TableFile, name: str, expression: Expression) -> str:
     for column in (expression.text.strip("`"), expression.source):
         if column in file.frame.columns:
             return column
-    near = difflib.get_close_matches(expression.source, file.frame.columns, 1, 0.5)
+    near = get_close_matches(expression.source, file.frame.columns, 1, 0.5)
     raise UnusableInput(
         f"{file.path}: {name}={expression.text}: no column {expression.source!r}; "
         + (f"expected {near[0]!r}?" if near else f"found {listed(map(repr, file.frame.columns), 12)}")
