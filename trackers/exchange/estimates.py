@@ -137,10 +137,10 @@ def compare_tracks(
         compared.append(ComparedTrack(str(recording), str(tag), errors))
     if not compared:
         known = [f"{name}: {listed(sorted(truth['tag'].unique().cast(pl.String)))}" for name, truth in truths.items()]
+        recordings, tags = (listed(tracks[name].unique(maintain_order=True)) for name in ("recording", "tag"))
         raise UnusableInput(
-            f"no track has a truth: tracks of {listed(tracks['recording'].unique())}, tags "
-            f"{listed(tracks['tag'].unique())}; truth of {listed(known) or 'no recording'}; give the --truth of "
-            "the same recording and tag"
+            f"no track has a truth: tracks of {recordings}, tags {tags}; truth of {listed(known) or 'no recording'}; "
+            "give the --truth of the same recording and tag"
         )
     return pl.concat(moved), compared
 

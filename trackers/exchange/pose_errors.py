@@ -397,11 +397,10 @@ def compare_trajectories(
     similarity = alignment(align, estimate.at_rows(rows), truth.at_rows(true_rows))
     aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)
     planar = not (np.isfinite(estimate.positions).all() and np.isfinite(truth.positions).all())
-    # At height zero where one has none.
-    estimated, true = (
-        replace(t, positions=np.nan_to_num(t.positions) * [1.0, 1.0, not planar])
-        for t in (aligned.at_rows(rows), truth.at_rows(true_rows))
-    )
+    estimated, true = aligned.at_rows(rows), truth.at_rows(true_rows)
+    if planar:
+        in_plane = [1.0, 1.0, 0.0]
+        estimated, true = (replace(t, positions=np.nan_to_num(t.positions * in_plane)) for t in (estimated, true))
     distances, angles = absolute_errors(estimated, true)
     relative = {str(step): relative_errors(estimated, true, step, all_pairs) for step in steps}
     by_step = {step: errors for step, errors in relative.items() if errors is not None}

@@ -89,9 +89,8 @@ def test_starloc_has_true_places_of_tags_beside_raw_ranges(tmp_path):
         for tag, way in ways.items()
     ]
     _csv(tmp_path / "loop-2d_s5" / "uwb.csv", header, rows)
-    _agrees(
-        _imported(tmp_path, "loop-2d_s5", "starloc", *_anchors(tmp_path / "uwb_markers_v3.csv", "{},{},{},{}\n")), 12
-    )
+    rig = _anchors(tmp_path / "uwb_markers_v3.csv", "{},{},{},{}\n")
+    _agrees(_imported(tmp_path, "loop-2d_s5", "starloc", *rig), 12)
 
 
 def test_miluv_has_tags_on_robots_in_folders(tmp_path):
@@ -125,15 +124,12 @@ def test_a_log_of_cfclient_has_a_column_for_each_anchor_or_pair(tmp_path, preset
     values = far[:, :4] if twr else far[:, 1:] - far[:, :4]
     rows = [(f"{1000 * t:.0f}", *row) for t, row in zip(T, values, strict=True)]
     _csv(tmp_path / "lps.csv", "Timestamp," + ",".join(names), rows)
-    recording = _imported(
-        tmp_path, "lps.csv", preset, *_anchors(tmp_path / "lps.yaml", "{}:\n  x: {}\n  y: {}\n  z: {}\n")
-    )
+    rig = _anchors(tmp_path / "lps.yaml", "{}:\n  x: {}\n  y: {}\n  z: {}\n")
+    recording = _imported(tmp_path, "lps.csv", preset, *rig)
     tum = "".join(f"{t} {p[0]} {p[1]} {p[2]} 0 0 0 1\n" for t, p in zip(T, BODY, strict=True))
     (tmp_path / "way.tum").write_text(tum)
-    assert (
-        trackwright("import", tmp_path / "way.tum", "--table", "truth", "--tag", "cf", "--out", tmp_path / "t").code
-        == 0
-    )
+    arguments = ("--table", "truth", "--tag", "cf", "--out", tmp_path / "t")
+    assert trackwright("import", tmp_path / "way.tum", *arguments).code == 0
     _agrees(recording, 24, read_recording(tmp_path / "t"))
 
 
@@ -180,14 +176,8 @@ def _xyz(*place):
 
 
 def test_util_bags_have_units_of_the_crazyflie(tmp_path):
-    messages = [
-        (
-            0.2,
-            "/imu_data",
-            "sensor_msgs/msg/Imu",
-            {"linear_acceleration": _xyz(0, 0, 1), "angular_velocity": _xyz(180, 0, 0)},
-        )
-    ]
+    felt = {"linear_acceleration": _xyz(0, 0, 1), "angular_velocity": _xyz(180, 0, 0)}
+    messages = [(0.2, "/imu_data", "sensor_msgs/msg/Imu", felt)]
     for t, p, (a, b, d) in zip(T, POSES, _differences(_tag(*OF_UTIL)), strict=True):
         pose = {"pose": {"pose": {"position": _xyz(*p[:3]), "orientation": _xyz(*p[3:])}}}
         messages.append((t, "/pose_data", "geometry_msgs/msg/PoseWithCovarianceStamped", pose))

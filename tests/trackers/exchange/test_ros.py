@@ -158,17 +158,8 @@ def test_a_broken_bag_is_refused_wherever_it_is_broken(bags, tmp_path, name):
 
 
 def test_what_we_export_as_a_bag_is_imported_again(tmp_path):
-    tracks = pl.DataFrame(
-        {
-            "recording": ["r"] * 3,
-            "tag": ["T"] * 3,
-            "t_s": [0.0, 0.1, 0.2],
-            "x_m": [1.0, 2.0, 3.0],
-            "y_m": [0.0] * 3,
-            "z_m": [0.5] * 3,
-        }
-    )
-    tracks.write_parquet(tmp_path / "tracks.parquet")
+    columns = {"recording": "r", "tag": "T", "t_s": [0.0, 0.1, 0.2], "x_m": [1.0, 2.0, 3.0], "y_m": 0.0, "z_m": 0.5}
+    pl.DataFrame(columns).write_parquet(tmp_path / "tracks.parquet")
     assert trackwright("export", tmp_path, "--format", "ros2", "--out", tmp_path / "bag").code == 0
     said = trackwright(
         "import", tmp_path / "bag", "--table", "fixes", "--topic", "/r/T", "--tag", "T", "--out", tmp_path / "back"

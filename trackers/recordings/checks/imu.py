@@ -17,7 +17,7 @@ import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.model.rig import rotation_matrices
-from trackwright.trackers.recordings.checks import CheckResult
+from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.checks.changes import SignedAxes, signed_axes
 from trackwright.trackers.recordings.kinds import QUATERNION, layout
 
@@ -171,11 +171,14 @@ def _against_heights(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
 
 
 def _late(delay: float, what: str) -> CheckResult:
-    message = (
-        f"comes {abs(delay):.2f} s {'late' if delay > 0 else 'early'} against the truth's {what}: their clocks differ; "
-        "shift one table"
-    )
-    return CheckResult("error" if abs(delay) > LATENCY_S else "warning", "imu", message)
+    level: Level = "error" if abs(delay) > LATENCY_S else "warning"
+    return CheckResult(level, "imu", late_in_words(delay, f"the truth's {what}", 2))
+
+
+def late_in_words(delay: float, against: str, digits: int) -> str:
+    """That an IMU comes so many seconds late, and what to do."""
+    when = f"{abs(delay):.{digits}f} s {'late' if delay > 0 else 'early'}"
+    return f"comes {when} against {against}: their clocks differ; shift one table"
 
 
 def _measured_rates(rows: ImuRows, times: np.ndarray) -> np.ndarray:

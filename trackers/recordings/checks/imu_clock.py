@@ -23,6 +23,7 @@ from trackwright.trackers.recordings.checks.imu import (
     LONGEST_DELAY_S,
     MOST_ROWS,
     integral,
+    late_in_words,
     lowest,
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -79,12 +80,10 @@ def check_imu_clock(recording: RecordingFolder) -> list[CheckResult]:
         return [CheckResult("error", "rig.toml", f"{message}; negate y and z of all positions, as of truth and fixes")]
     delays = [(tag, delay_of(up)) for tag, up in parts.items() if not known]
     return [
-        CheckResult(
-            "warning", "imu", f"tag {tag}: comes {abs(delay):.1f} s {'late' if delay > 0 else 'early'} against the "
-            "motion in the ranges: their clocks differ; shift one table",
-        )
-        for tag, delay in delays if delay is not None and abs(delay) >= 2 * LEAST_DELAY_S
-    ]  # fmt: skip
+        CheckResult("warning", "imu", f"tag {tag}: {late_in_words(delay, 'the motion in the ranges', 1)}")
+        for tag, delay in delays
+        if delay is not None and abs(delay) >= 2 * LEAST_DELAY_S
+    ]
 
 
 def _fits_better(parts: Sequence[Window], others: Sequence[Window]) -> bool:
