@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from trackwright.experiments.pages.charts.plotly_figure import plotly_figure
-from trackwright.experiments.pages.reports.packing import script_json
+from trackwright.experiments.pages.reports.pages import script_json
 from trackwright.trackers.recordings.atomic import atomic_write
 
 BLACK = "#000000"

@@ -13,7 +13,7 @@ import polars as pl
 
 from trackwright.experiments.pages.charts.floor import ellipse_rows
 from trackwright.experiments.pages.charts.style import broken_at_gaps
-from trackwright.experiments.pages.reports.packing import drawn_rows
+from trackwright.experiments.pages.reports.pages import drawn_rows
 from trackwright.experiments.text.tables import rendered, ruled_table, terminal_width
 from trackwright.experiments.text.wording import SHOWN, fixed, length_unit
 from trackwright.trackers.core.model.rig import Rig

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -339,6 +338,7 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
     stations, anchors, differences, _, lasting = report.tables()
     text = page(
         "calibration.html",
+        command,
         title=f"Calibration on {counted(len(calibration.recordings), 'recording')}",
         recordings=calibration.recordings,
         stations=stations,
@@ -351,6 +351,5 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
         several=len(calibration.recordings) > 1,
         most=SHOWN if max(len(report.stations) // 2, len(report.anchors), len(report.differences)) > SHOWN else None,
         out=str(out),
-        words=shlex.join(["trackwright", *command[1:]]),
     )
     return write_page(out.with_suffix(".html"), text)

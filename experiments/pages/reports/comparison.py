@@ -6,13 +6,13 @@ Differences are significant at 5 % for the whole table: p-values are adjusted fo
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from rich.console import RenderableType
 
+from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
 from trackwright.experiments.text.evaluation_text import COLUMNS, cells, title_of
 from trackwright.experiments.text.expectations import Value, with_interval
@@ -271,15 +271,12 @@ def write_comparison(
 
     `playback`: the name of a page beside it that plays the runs back.
     """
-    # jinja takes a while to import, which a comparison without a page need not wait for.
-    from trackwright.experiments.pages.reports.pages import page, write_page
-
     text = page(
         "comparison.html",
+        command,
         title=" and ".join(runs) if len(runs) == 2 else f"{len(runs)} runs: {', '.join(runs)}",
         tables=tables,
         charts=charts,
         playback=playback,
-        words=shlex.join(["trackwright", *command[1:]]),
     )
     return write_page(path, text)

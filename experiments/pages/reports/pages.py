@@ -1,20 +1,26 @@
-"""HTML pages from the templates of `pages/templates`: each one self-contained file."""
+"""HTML pages from the templates of `pages/templates`, each one self-contained file, and the data inside them."""
 
 from __future__ import annotations
 
+import base64
+import json
 import re
+import shlex
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+import numpy as np
 from markupsafe import Markup
 
-from trackwright.experiments.pages.reports.packing import plotting_script
 from trackwright.experiments.text.wording import duration, number
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.atomic import atomic_write
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 CHART = '<img src="data:image/svg+xml;base64,'
 """How an image of a chart begins in a page."""
@@ -23,10 +29,14 @@ WIDE = 132
 """Characters a line of a table from which intervals are put below their values instead of beside them."""
 
 
-def page(template: str, **content: Any) -> str:
-    """The page of a template; all text is escaped. Its charts can be zoomed and moved, and show their numbers."""
+def page(template: str, command: Sequence[str] = (), **content: Any) -> str:
+    """The page of a template; all text is escaped. Its charts can be zoomed and moved, and show their numbers.
+
+    `command`: the arguments of the program that writes it, the first one its path.
+    """
     environment = _environment()
-    text = environment.get_template(template).render(**content)
+    words = shlex.join(["trackwright", *command[1:]])
+    text = environment.get_template(template).render(words=words, **content)
     if CHART not in text:
         return text
     scripts = environment.get_template("moving.html").render()
@@ -55,11 +65,64 @@ def _thousands(count: int) -> str:
 
 
 def _environment() -> Environment:
+    # It takes a while to import, which a run without a page need not wait for.
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     made = Environment(
         loader=PackageLoader("trackwright.experiments.pages"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     made.filters |= {"cell": _cell, "is_wide": _is_wide, "thousands": _thousands, "number": number, "listed": listed,
                      "counted": counted, "duration": duration}  # fmt: skip
-    made.globals["plotting_script"] = lambda: Markup(plotting_script())
+    made.globals["plotting_script"] = _plotting_script
     return made
+
+
+def _plotting_script() -> Markup:
+    """The source of plotly.js in the installed package `plotly`, which takes half a second to import and is not."""
+    spec = find_spec("plotly")
+    assert spec is not None
+    assert spec.origin is not None
+    return Markup((Path(spec.origin).parent / "package_data" / "plotly.min.js").read_text(encoding="utf-8"))
+
+
+def packed(values: np.ndarray, kind: str = "f4") -> dict[str, str]:
+    """An array (n,) as plotly.js takes typed arrays: its kind, as `f4`, and its bytes in base64."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        array = np.ascontiguousarray(values, np.dtype(kind).newbyteorder("<"))
+    return {"dtype": kind, "bdata": base64.b64encode(array.tobytes()).decode("ascii")}
+
+
+def rounded(value: float | None, digits: int = 4) -> float | None:
+    """The number with so many significant digits; None for one that is not finite, which JSON does not have."""
+    return None if value is None or not np.isfinite(value) else float(f"{value:.{digits}g}")
+
+
+def script_json(content: Any) -> str:
+    """The content as JSON for a `<script type="application/json">`, which a `</script>` in a text does not end."""
+    return json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+
+
+def drawn_tracks(worst_first: list[int], most: int) -> list[int]:
+    """The numbers of the tracks that are drawn, ascending: all, or evenly over the ranks from the worst to the best."""
+    if len(worst_first) <= most:
+        return sorted(worst_first)
+    return sorted({worst_first[k] for k in np.linspace(0, len(worst_first) - 1, most).round().astype(int)})
+
+
+def drawn_rows(lengths: np.ndarray, weight: np.ndarray, most: int) -> np.ndarray:
+    """The rows that are drawn, ascending: all, or the first, the last and those with the largest weight of each block.
+
+    Blocks of equal length; `lengths` (g,): rows of each track; `weight` (n,): the size of the error, NaN as zero. About
+    `most` rows, two of each block at least.
+    """
+    n = int(lengths.sum())
+    if n <= most:
+        return np.arange(n)
+    size = -(-2 * n // max(most - 2 * len(lengths), 2))
+    first = np.cumsum(lengths) - lengths
+    within = np.arange(n) - np.repeat(first, lengths)
+    begins = np.flatnonzero(within % size == 0)
+    block = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, n)))
+    order = np.lexsort((-np.nan_to_num(weight), block))
+    return np.unique(np.concatenate([begins, order[begins], first + lengths - 1]))

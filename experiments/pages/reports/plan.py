@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,8 +16,7 @@ from rich.table import Table
 
 from trackwright.experiments.pages.charts.floor import bound_map
 from trackwright.experiments.pages.charts.style import write_panels
-from trackwright.experiments.pages.reports.packing import script_json
-from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.pages.reports.pages import page, script_json, write_page
 from trackwright.experiments.pages.reports.plan_accuracy import UNLIMITED, FloorMap, Placement, floor_of, minimised
 from trackwright.experiments.text.tables import rendered, ruled_table
 from trackwright.trackers.core.model.rig import Rig
@@ -135,9 +133,9 @@ def write_plan(
 
     `floor`: its grid and height are the page's. `proposed`: anchors (3,), m, with which the page opens.
     """
+    data = Markup(script_json(plan_data(rig, floor, proposed)))
     text = page(
-        "plan.html", title=rig.name, data=Markup(script_json(plan_data(rig, floor, proposed))), sigmas=floor.sigmas,
-        height=floor.height, anchors=len(rig.anchors), stations=len(rig.stations), quantities=QUANTITIES,
-        opened=minimised(height_known), words=shlex.join(["trackwright", *command[1:]]),
+        "plan.html", command, title=rig.name, data=data, sigmas=floor.sigmas, height=floor.height,
+        anchors=len(rig.anchors), stations=len(rig.stations), quantities=QUANTITIES, opened=minimised(height_known),
     )  # fmt: skip
     return write_page(path, text)

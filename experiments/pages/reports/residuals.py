@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.pages.reports.packing import packed, rounded
+from trackwright.experiments.pages.reports.pages import packed, rounded
 from trackwright.experiments.pages.scored_tracks import ScoredRecording
 from trackwright.trackers.recordings.columns import TagRows, float_column
 from trackwright.trackers.recordings.folder import RecordingFolder

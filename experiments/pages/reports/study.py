@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -61,6 +60,7 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
     more = len(study.conditions) > SHOWN_CONDITIONS
     return page(
         "study.html",
+        command,
         # A hyphen between numbers stays: "figures-6-7" are Figures 6-7.
         title=re.sub(r"-(?!\d)|(?<!\d)-", " ", study.name).capitalize(),
         about=study.about,
@@ -77,7 +77,6 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
         metrics=_metrics(results, units),
         ratios=_ratios(results),
         settings=_settings(study),
-        words=shlex.join(["trackwright", *command[1:]]),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -83,6 +82,7 @@ def write_survey_report(out: Path, survey: Survey, command: Sequence[str]) -> tu
     )
     text = page(
         "survey.html",
+        command,
         title=f"Survey of {survey.rig.name}",
         survey=survey,
         chart_of=Chart("survey", "Anchors with 95 % ellipses over the walks", partial(_plan, survey=survey), 7.0, None),
@@ -90,7 +90,6 @@ def write_survey_report(out: Path, survey: Survey, command: Sequence[str]) -> tu
         rows=survey_rows(survey),
         reading=_reading(survey),
         out=str(out),
-        words=shlex.join(["trackwright", *command[1:]]),
     )
     return figure, write_page(out.with_suffix(".html"), text)
 

@@ -11,16 +11,14 @@ import numpy as np
 import polars as pl
 from markupsafe import Markup
 
-from trackwright.experiments.pages.reports.packing import (
-    MOST_EVENTS,
-    MOST_POINTS,
-    MOST_ROWS,
-    MOST_TRACKS,
+from trackwright.experiments.pages.reports.pages import (
     drawn_rows,
     drawn_tracks,
     packed,
+    page,
     rounded,
     script_json,
+    write_page,
 )
 from trackwright.experiments.pages.reports.residuals import page_residuals
 from trackwright.experiments.pages.scored_tracks import Component, ScoredRecording, ScoredTracks
@@ -39,6 +37,9 @@ PAGE = "report.html"
 SCRIPTS = ("data", "formats", "colours", "plan", "polar", "overlay", "series", "charts", "playback", "main")
 """The page's own scripts, in the order in which they need each other."""
 
+MOST_ROWS, MOST_TRACKS, MOST_POINTS, MOST_EVENTS = 25_000, 300, 12_000, 1_000
+"""The most estimates, tracks, residuals and events of a page, over all its recordings."""
+
 MOST_RECORDINGS = 60
 """The most recordings of a page; the terminal's table has all."""
 
@@ -48,16 +49,11 @@ MOST_LISTED = 40
 
 def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str, kind: str = "track") -> None:
     """Writes the page, whole or not at all. `runs`: those of `run_data`, one for each tracker; `kind`: who wrote it."""
-    # jinja takes a while to import, which a run without a page need not wait for.
-    from trackwright.experiments.pages.reports.pages import write_page
-
     write_page(path, track_page(runs, command, kind))
 
 
 def track_page(runs: Sequence[Mapping[str, Any]], command: str = "", kind: str = "track") -> str:
     """The text of the page; arguments as of `write_track_page`."""
-    from trackwright.experiments.pages.reports.pages import page
-
     names = list(dict.fromkeys(recording["name"] for run in runs for recording in run["recordings"]))
     return page(
         "track.html",

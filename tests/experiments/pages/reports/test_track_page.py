@@ -14,7 +14,7 @@ import trackwright as tw
 from tests.experiments.pages.reports.small_tracks import BIAS, NASTY, TAGS, small_bearings, small_tracks
 from trackwright.experiments.pages.charts import style
 from trackwright.experiments.pages.charts.figures import plot_tracks
-from trackwright.experiments.pages.reports.packing import drawn_rows, drawn_tracks, packed, script_json
+from trackwright.experiments.pages.reports.pages import drawn_rows, drawn_tracks, packed, script_json
 from trackwright.experiments.pages.reports.track import error_map, run_data, track_page
 from trackwright.experiments.pages.scored_tracks import IN_PLANE, ScoredTracks, drawn_of
 from trackwright.trackers.evaluation.association import associate_truth
