@@ -1,12 +1,10 @@
 from trackwright.sim.agv import Route as Route
 from trackwright.sim.agv import simulate_agv as simulate_agv
 from trackwright.sim.corruptions import Corruption as Corruption
-from trackwright.sim.corruptions import constant_offsets as constant_offsets
 from trackwright.sim.corruptions import correlated_noise as correlated_noise
 from trackwright.sim.corruptions import corrupted as corrupted
 from trackwright.sim.corruptions import delayed as delayed
 from trackwright.sim.corruptions import drop_outs as drop_outs
-from trackwright.sim.corruptions import first_order_lag as first_order_lag
 from trackwright.sim.corruptions import gauss_markov as gauss_markov
 from trackwright.sim.corruptions import lose_station as lose_station
 from trackwright.sim.corruptions import mask_antenna as mask_antenna
@@ -86,13 +84,11 @@ __all__ = [
     "drop_outs",
     "mask_antenna",
     "lose_station",
-    "constant_offsets",
     "antenna_biases",
     "obstruction",
     "round_robin",
     "correlated_noise",
     "delayed",
-    "first_order_lag",
     "mirrored_heights",
     # a world by name
     "SimulatedWorld",

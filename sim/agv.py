@@ -18,6 +18,9 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 LARGEST_SPEED, LARGEST_ACCELERATION = 2.0, 2.0
 """Limits of the paper's vehicle, m/s and m/s²."""
 
+TAG_HEIGHT, RATE_HZ = 1.2, 10.0
+"""Of the vehicles: height of the tag, m, and fixes per second."""
+
 ANCHOR_HEIGHT = 2.5
 """Height of all anchors, m; heights are ambiguous by their mirror image at this plane."""
 
@@ -124,15 +127,13 @@ def simulate_agv(
     *,
     route: Route = Route(),
     speed: float = 0.5,
-    height: float = 1.2,
     rows: int = 2000,
-    rate_hz: float = 10.0,
     errors: Mapping[str, Corruption] = FIX_ERRORS,
 ) -> SimulatedFixes:
     """Vehicles at rest at a random position on the route that accelerate at 1 m/s² and keep `speed`, also in corners.
 
-    `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. `height`: of the
-    tag, m. Raises ValueError for a speed or corners beyond the limits of the paper's vehicle.
+    `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. Raises
+    ValueError for a speed or corners beyond the limits of the paper's vehicle.
     """
     sideways = speed**2 / route.radius
     if not (0 < speed <= LARGEST_SPEED and sideways <= LARGEST_ACCELERATION):
@@ -142,7 +143,7 @@ def simulate_agv(
         )
     ids = trajectory_ids(n)
     keys = trajectory_keys(seed, ids)
-    times = np.arange(rows) / rate_hz
+    times = np.arange(rows) / RATE_HZ
     # ½ t² until t = `speed`, when 1 m/s² has led to `speed`; constant speed from there.
     covered = np.where(times < speed, 0.5 * times**2, speed * times - 0.5 * speed**2)
 
@@ -150,7 +151,7 @@ def simulate_agv(
         start = uniforms(stream(keys, "start"), (1,)).astype(float) * route.length
         floor = route.at(start + covered)
         positions = np.empty((*floor.shape[:-1], 3))
-        positions[..., :2], positions[..., 2] = floor, height
+        positions[..., :2], positions[..., 2] = floor, TAG_HEIGHT
         return positions, *corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
 
     positions, fixes, seen = in_blocks(driven, keys)

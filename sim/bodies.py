@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trackwright.sim.corruptions import Corruption, Times, corrupted
 from trackwright.sim.imu import white_density
 from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
-from trackwright.sim.paths import PathFunction, hand_motion
+from trackwright.sim.paths import hand_motion
 from trackwright.sim.ranging import distances_to
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.core.model.rig import Rig, Tag
@@ -22,19 +22,19 @@ from trackwright.trackers.recordings.kinds import QUATERNION
 OFFSETS = np.array([[0.0, 0.0, 0.0], [0.5, 0.25, 0.0], [0.5, -0.25, 0.0]])
 """Places of the tags on a trolley, m, ahead and to the left of the middle of its axle."""
 
-CENTRE, RADIUS, WANDER = np.array([2.5, 2.5, 1.0]), 1.2, np.array([0.5, 0.5, 0.0])
-"""Of the trolleys' rounds in the chamber, m; the height is that of the tags."""
+CENTRE, RADIUS, WANDER, SPEED = np.array([2.5, 2.5, 1.0]), 1.2, np.array([0.5, 0.5, 0.0]), 0.5
+"""Of the trolleys' rounds in the chamber, m and m/s; the height is that of the tags."""
 
 
-def rounds(keys: Keys, times: Times, *, speed: float = 0.5) -> Float[np.ndarray, "n T 3"]:
-    """Paths (n, T, 3), m, round the middle of the chamber at about `speed` m/s, either way.
+def rounds(keys: Keys, times: Times) -> Float[np.ndarray, "n T 3"]:
+    """Paths (n, T, 3), m, round the middle of the chamber at about 0.5 m/s, either way.
 
     A smooth random motion is added, a fifth as fast, so that a trolley neither stops nor turns on the spot.
     """
     start, way = uniforms(stream(keys, "round"), (2,)).astype(float).T[..., None]
-    angle = 2 * np.pi * start + np.where(way < 0.5, -1.0, 1.0) * (speed / RADIUS) * times
+    angle = 2 * np.pi * start + np.where(way < 0.5, -1.0, 1.0) * (SPEED / RADIUS) * times
     circle = RADIUS * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
-    return circle + hand_motion(keys, times, np.stack([CENTRE - WANDER, CENTRE + WANDER]), speed=speed / 5)
+    return circle + hand_motion(keys, times, np.stack([CENTRE - WANDER, CENTRE + WANDER]), speed=SPEED / 5)
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,6 @@ def _by_tag(values: Shaped[np.ndarray, "n T tags m"]) -> Shaped[np.ndarray, "n_t
 
 def simulate_bodies(
     rig: Rig,
-    path: PathFunction = rounds,
     n: int | Sequence[int] | np.ndarray = 1,
     seed: int = 0,
     *,
@@ -97,15 +96,15 @@ def simulate_bodies(
 ) -> SimulatedBodies:
     """Trolleys, `n` or those of the ids `n`, whose `tags` range to all anchors at `n_points` times.
 
-    `path`: of the middle of the axle; the trolley looks along it. `of_anchors`: corruptions (n, T, A), m, of the ranges
-    of all tags alike; `of_ranges`: of each tag (n, T, tags·A). `wheels`: white errors of the speed, m/s per √Hz, and of
-    the turning rate, rad/s per √Hz; None for no odometry. A trajectory depends on the seed and its id alone.
+    The middle of the axle goes its `rounds`; the trolley looks along them. `of_anchors`: corruptions (n, T, A), m, of
+    the ranges of all tags alike; `of_ranges`: of each tag (n, T, tags·A). `wheels`: white errors of the speed, m/s per
+    √Hz, and of the turning rate, rad/s per √Hz; None: no odometry. A trajectory depends on the seed and its id alone.
     """
     ids = trajectory_ids(n)
     times, anchors = np.arange(n_points) / rate_hz, np.stack(list(rig.anchors.values()))
 
     def ranged(keys: Keys) -> tuple[np.ndarray, ...]:
-        axle = path(stream(keys, "path"), times)
+        axle = rounds(stream(keys, "path"), times)
         along = np.gradient(axle, times, axis=1)
         headings = np.unwrap(np.arctan2(along[..., 1], along[..., 0]), axis=1)
         cosine, sine = np.cos(headings)[..., None], np.sin(headings)[..., None]

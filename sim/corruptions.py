@@ -5,7 +5,7 @@ values (n, T, stations, antennas) and booleans of the same shape. White noise, G
 (n, T, ...), in the unit of the values; the caller wraps phases after all corruptions. The functions below make
 corruptions. `corrupted` applies several by name; each draws from the random stream of its name, so that adding one
 leaves the noise of the others as it is. Of fixes (n, T, 3), m, those that act on the true path (`delayed`,
-`first_order_lag`, `mirrored_heights`) belong before those that add noise.
+`mirrored_heights`) belong before those that add noise.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from jaxtyping import Bool, Float, Real
+from jaxtyping import Bool, Float
 
 from trackwright.sim.keys import Keys, normals, stream, uniforms
 
@@ -126,15 +126,6 @@ def in_bursts(
     return lasts
 
 
-def constant_offsets(offsets: Real[np.ndarray, "*stations antennas"]) -> Corruption:
-    """Constant offsets (antennas,) or (stations, antennas), as of an uncalibrated array."""
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        return values + np.asarray(offsets, values.dtype), seen
-
-    return corrupt
-
-
 def mask_antenna(station: int, antenna: int) -> Corruption:
     """An antenna without measurements. `station` and `antenna` count from 0 in the rig's order."""
 
@@ -178,7 +169,8 @@ def correlated_noise(covariance: Float[np.ndarray, "i j"]) -> Corruption:
 
 def delayed(seconds: float) -> Corruption:
     """A pure delay of the fixes by `seconds`; before its first time the tag is taken to be at rest."""
-    _not_negative("the latency of fixes", seconds)
+    if not 0 <= seconds < np.inf:
+        raise ValueError(f"the latency of fixes is {seconds} s: expected 0 or more, finite")
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         then = times - seconds
@@ -187,53 +179,21 @@ def delayed(seconds: float) -> Corruption:
     return corrupt
 
 
-def first_order_lag(tau: float) -> Corruption:
-    """Smoothing by the device: a first-order lag with time constant `tau`, s, exact for straight motion between rows.
-
-    At constant speed it equals a delay by `tau`. Four DWM1001 anchors have such a lag, not a pure delay.
-    """
-    _not_negative("the time constant of a lag", tau)
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        if tau == 0:
-            return values, seen
-        shown = values.copy()
-        steps = np.diff(times) / tau
-        kept = np.exp(-steps)
-        ramp = np.where(steps > 0, -np.expm1(-steps) / np.where(steps > 0, steps, 1.0), 1.0)
-        for k in range(len(steps)):
-            before, after = values[:, k], values[:, k + 1]
-            shown[:, k + 1] = kept[k] * shown[:, k] + (ramp[k] - kept[k]) * before + (1 - ramp[k]) * after
-        return shown, seen
-
-    return corrupt
-
-
 def mirrored_heights(plane: float, share: float, mean_length_s: float) -> Corruption:
-    """Heights mirrored at the anchors' plane at height `plane`, m, for a `share` of the time.
+    """Heights mirrored at the anchors' plane at height `plane`, m: in bursts as of `in_bursts`.
 
-    A two-state Markov process in continuous time, stationary from the first row; `mean_length_s` s at a stretch on
-    average. Raises ValueError unless 0 ≤ share < 1 and the length is positive.
+    Raises ValueError unless 0 ≤ share < 1 and the length is positive.
     """
     if not (0 <= share < 1 and mean_length_s > 0):
         raise ValueError(f"share = {share}, mean length {mean_length_s} s: expected 0 to below 1 and a positive length")
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        draws = uniforms(stream(keys, "mirror"), values.shape[1:2])
-        flipped = draws < share
-        kept = np.exp(-np.diff(times) / (mean_length_s * (1 - share)))
-        for k in range(len(kept)):
-            flipped[:, k + 1] = draws[:, k + 1] < share * (1 - kept[k]) + kept[k] * flipped[:, k]
+        flipped = in_bursts(stream(keys, "mirror"), times, 1, share, mean_length_s)[..., 0]
         out = values.copy()
         out[..., 2] = np.where(flipped, 2 * plane - values[..., 2], values[..., 2])
         return out, seen
 
     return corrupt
-
-
-def _not_negative(what: str, seconds: float) -> None:
-    if not (seconds >= 0 and np.isfinite(seconds)):
-        raise ValueError(f"{what} is {seconds} s: expected 0 or more, finite")
 
 
 def _positive(what: str, number: float) -> None:

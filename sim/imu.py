@@ -36,19 +36,17 @@ Vectors = Float[np.ndarray, "n T 3"]
 Attitudes = Float[np.ndarray, "n T 4"]
 
 
-def swinging(keys: Keys, times: Times, *, tilt: float = 0.15, turn: float = 1.5, period_s: float = 6.0) -> Attitudes:
+def swinging(keys: Keys, times: Times) -> Attitudes:
     """Attitudes (n, T, 4), w x y z, body to room, of a hand-held body: smooth random yaw, pitch and roll.
 
-    `tilt`: standard deviation of pitch and roll, rad. `turn`: standard deviation of the yaw about its random mean, rad.
-    `period_s`: shortest period of the oscillations. Raises ValueError for a period that isn't positive.
+    Standard deviations are 1.5 rad of the yaw about its random mean, 0.15 rad of pitch and roll; the shortest period of
+    the oscillations is 6 s.
     """
-    if not period_s > 0:
-        raise ValueError(f"period {period_s} s: expected a positive number")
-    omega = 2 * np.pi / period_s * (np.arange(_WAVES) + 0.5) / _WAVES
+    omega = 2 * np.pi / 6.0 * (np.arange(_WAVES) + 0.5) / _WAVES
     t = np.asarray(times, float)
     waves = np.concatenate([np.cos(t[:, None] * omega), np.sin(t[:, None] * omega)], axis=1)
     weights = normals(stream(keys, "swinging"), (2 * _WAVES, 3)).astype(float) / np.sqrt(_WAVES)
-    yaw, pitch, roll = np.moveaxis(np.matmul(waves, weights) * [turn, tilt, tilt], -1, 0)
+    yaw, pitch, roll = np.moveaxis(np.matmul(waves, weights) * [1.5, 0.15, 0.15], -1, 0)
     yaw = yaw + 2 * np.pi * normals(stream(keys, "yaw"), (1,)).astype(float)
     (cy, cp, cr), (sy, sp, sr) = ([f(angle / 2) for angle in (yaw, pitch, roll)] for f in (np.cos, np.sin))
     quaternion = (
@@ -231,7 +229,6 @@ def simulate_uwb_imu(
     *,
     rate_hz: float = 40.0,
     n_points: int = 800,
-    samples: int = 3,
     protocol: Protocol | None = None,
     corruptions: Mapping[str, Corruption] = MappingProxyType({"turn": round_robin()}),
     accel: Mapping[str, Corruption] = MEMS_ACCEL,
@@ -241,15 +238,15 @@ def simulate_uwb_imu(
 ) -> SimulatedUwbImu:
     """Tags, each with an IMU, on smooth paths; by default one anchor's range at a time.
 
-    `n`, `rate_hz`, `n_points`, `protocol` and `corruptions` as for `simulate_ranges`. `samples`: IMU samples per row
-    of ranges. `accel`, `gyro`: corruptions of the IMU by name, in order. `gap_s`: start and end, s, of a gap in the
-    IMU's samples. `attitude`: the body's attitudes (n, T, 4) as a function of (keys, times).
+    `n`, `rate_hz`, `n_points`, `protocol` and `corruptions` as for `simulate_ranges`. There are three IMU
+    samples per row of ranges. `accel`, `gyro`: corruptions of the IMU by name, in order. `gap_s`: start and end, s, of
+    a gap in the IMU's samples. `attitude`: the body's attitudes (n, T, 4) as a function of (keys, times).
     """
     ranges = simulate_ranges(
         rig, path, n, seed, rate_hz=rate_hz, n_points=n_points, protocol=protocol, corruptions=corruptions
     )
     keys = trajectory_keys(seed, ranges.ids)
-    times = np.arange((n_points - 1) * samples + 1) / (rate_hz * samples)
+    times = np.arange((n_points - 1) * 3 + 1) / (rate_hz * 3)
     (positions,) = in_blocks(lambda keys: (path(stream(keys, "path"), times),), keys, size=32)
     seen = np.ones((len(ranges.ids), len(times)), bool)
     if gap_s is not None:

@@ -38,10 +38,10 @@ def constant_speed(keys: Keys, lengths: Lengths, speed: float) -> tuple[Duration
     return travel, np.zeros_like(travel)
 
 
-def halts(keys: Keys, lengths: Lengths, speed: float, halt_s: float = 5.0) -> tuple[Durations, Durations]:
-    """Situation 2: the same speed on all segments, and a halt of `halt_s` s where two segments meet."""
+def halts(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
+    """Situation 2: the same speed on all segments, and a halt of 5 s where two segments meet."""
     travel, rest = constant_speed(keys, lengths, speed)
-    rest[:, :-1] = halt_s
+    rest[:, :-1] = 5.0
     return travel, rest
 
 

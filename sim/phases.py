@@ -145,12 +145,10 @@ def signal_phases(
     radar: Radar,
     *,
     reflectors: Sequence[Reflector] = (),
-    offsets: Float[np.ndarray, "*stations antennas"] | None = None,
 ) -> Float[np.ndarray, "n T n_stations antennas"]:
     """Phases (n, T, stations, antennas), rad in (-pi, pi], from sampled signals of beacons at positions (n, T, 3), m.
 
-    `offsets`: constant uncalibrated phase offsets, (antennas,) or (stations, antennas), rad. Holds all n × T × stations
-    × antennas signals in memory. Raises ValueError for stations as `sim.phases.spherical_phases`.
+    Holds all n × T × stations × antennas signals in memory. Raises ValueError for stations as `spherical_phases`.
     """
     antennas, wavelengths = antenna_arrays(stations)
     positions = np.asarray(positions, float)
@@ -159,8 +157,6 @@ def signal_phases(
     earliest, latest = radar.sync_s
     sync = earliest + (latest - earliest) * uniforms(stream(keys, "sync"), rows[1:]).astype(float)
     common = 2 * np.pi * uniforms(stream(keys, "common phase"), rows[1:]).astype(float)[..., None]
-    if offsets is not None:
-        common = common - np.broadcast_to(np.asarray(offsets, float), antennas.shape[:2])
 
     # Time and carrier phase are counted from the middle of the ramp. The spectrum of a window centred at zero is real,
     # so that the phase at the peak is that of the carrier, whatever the bin. Counted from the start of the ramp, the

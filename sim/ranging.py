@@ -74,11 +74,11 @@ def two_way_ranges(keys: Keys, distances: Ranges, protocol: Protocol) -> Ranges:
     return double_sided(total, wait, second_total, second_wait)
 
 
-def antenna_biases(sigma: float, mean: float = 0.0) -> Corruption:
-    """A constant bias of each anchor's ranges, m, normal about `mean`: uncalibrated antenna delays."""
+def antenna_biases(sigma: float) -> Corruption:
+    """A constant bias of each anchor's ranges, m, normal with mean zero: uncalibrated antenna delays."""
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        biases = mean + sigma * normals(keys, (values.shape[2],))
+        biases = sigma * normals(keys, (values.shape[2],))
         return values + biases[:, None, :].astype(values.dtype), seen
 
     return corrupt

@@ -1,9 +1,9 @@
-"""Named worlds: the paper's work station, and thousands of trajectories of phases in it with their truth."""
+"""Phases at the stations of a rig, as the paper's work station, and angles at stations beside ranges, with truth."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int
 
 from trackwright.sim.corruptions import Corruption, corrupted, white_noise
-from trackwright.sim.keys import stream, trajectory_ids, trajectory_keys, uniforms
+from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
 from trackwright.sim.paths import PATHS, WORK_VOLUME, PathFunction
 from trackwright.sim.phases import (
     Radar,
@@ -22,6 +22,7 @@ from trackwright.sim.phases import (
     spherical_phases,
     wrapped,
 )
+from trackwright.sim.ranging import SimulatedRanges
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackwright.trackers.core.model.rig import Rig, Station
@@ -178,3 +179,63 @@ def _path_of(path: str | PathFunction) -> PathFunction:
     if path not in PATHS:
         raise ValueError(f"path '{path}' is unknown; known: {', '.join(PATHS)}; or give a function (keys, times)")
     return PATHS[path]
+
+
+def with_stations(rig: Rig, centre: Float[np.ndarray, " 3"], count: int) -> Rig:
+    """The rig with stations at its first `count` anchors, by their names, that face `centre`, m."""
+    places = list(rig.anchors.items())[:count]
+    return replace(rig, stations={name: Station(p, facing(p, centre, (0.0, 0.0, 1.0))) for name, p in places})
+
+
+@dataclass(frozen=True)
+class SimulatedFusion:
+    """Ranges of n tags at T times, and azimuth and elevation at S stations of the same rig.
+
+    `angles` (n, T, 2·S) rad, of each station in the order of `rig.stations`, where `seen`.
+    """
+
+    ranges: SimulatedRanges
+    angles: Float[np.ndarray, "n T angles"]
+    seen: Bool[np.ndarray, "n T angles"]
+
+    @property
+    def ids(self) -> Int[np.ndarray, " n"]:
+        """The trajectory ids."""
+        return self.ranges.ids
+
+    def rows(self) -> ArrayRows:
+        """A row per azimuth and elevation of a station."""
+        tag, row, station = np.nonzero(self.seen[..., ::2])
+        values = np.stack([self.angles[tag, row, 2 * station + k] for k in range(2)], axis=1)
+        return ArrayRows.of_entries(
+            tag,
+            self.ids,
+            self.ranges.times[row],
+            {("azimuth_rad", "elevation_rad"): values.astype(float)},
+            {"station": (station, list(self.ranges.rig.stations))},
+        )
+
+    def folder(self, name: str) -> RecordingFolder:
+        """The recording folder: a row per range and per pair of angles, and truth in space."""
+        measured = self.ranges
+        truth = ArrayRows.regular(measured.times, self.ids, {AXES: measured.positions})
+        tables = {"ranges": measured.rows(), "bearings": self.rows(), "truth": truth}
+        return folder_of(name, tables, self.ids, anchors=measured.rig.anchors, stations=measured.rig.stations)
+
+
+def simulate_fusion(
+    ranges: SimulatedRanges, seed: int, corruptions: Mapping[str, Corruption] = MappingProxyType({})
+) -> SimulatedFusion:
+    """The ranges with the angles at the stations of their rig; `seed`: that of the ranges.
+
+    `corruptions`: of the angles (n, T, 2·S), rad, by name, which is the random stream, in order.
+    """
+    stations = list(ranges.rig.stations.values())
+
+    def measured(keys: Keys, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        angles = np.concatenate([station.angles(positions) for station in stations], axis=2)
+        keys = stream(stream(keys, "angles"), "corruptions")
+        return corrupted(corruptions, keys, ranges.times, angles, np.ones(angles.shape, bool))
+
+    angles, seen = in_blocks(measured, trajectory_keys(seed, ranges.ids), ranges.positions, size=32)
+    return SimulatedFusion(ranges, angles, seen)

@@ -254,8 +254,8 @@ def fusion(
         lost: share of the ranges and of the angles that are missing.
     """
     from trackwright.sim import corruptions
-    from trackwright.sim.fusion import simulate_fusion, with_stations
     from trackwright.sim.ranging import WALK_VOLUME, chamber, simulate_ranges
+    from trackwright.sim.stations import simulate_fusion, with_stations
 
     rig = with_stations(chamber(), WALK_VOLUME.mean(axis=0), stations)
     errors = _errors_of_anchors(bias, 0.0, hidden, sigma_r, lost)

@@ -5,7 +5,7 @@ import pytest
 
 from tests.oracles import distances_to_path
 from trackwright.sim.agv import Route, simulate_agv
-from trackwright.sim.corruptions import correlated_noise, delayed, first_order_lag, mirrored_heights
+from trackwright.sim.corruptions import correlated_noise, delayed, mirrored_heights
 from trackwright.sim.keys import trajectory_keys
 from trackwright.trackers.mhk.tracker import STILL
 
@@ -53,11 +53,6 @@ def test_speeds_beyond_the_limits_of_the_vehicle_are_refused():
         Route(4.0, 2.0, 1.5)
 
 
-def test_a_vehicle_does_not_depend_on_the_others():
-    together, alone = simulate_agv(5, rows=100), simulate_agv([3], rows=100)
-    np.testing.assert_array_equal(together.fixes[3], alone.fixes[0])
-
-
 def test_noise_has_the_papers_covariance():
     noise = _apply(correlated_noise(STILL), np.zeros((50, 400, 3)), 50)
     found = np.cov(noise.reshape(-1, 3).T)
@@ -70,29 +65,11 @@ def test_a_delayed_fix_is_the_earlier_position():
     np.testing.assert_allclose(_apply(delayed(0.4))[0, 4:], STRAIGHT[0, :-4], atol=1e-12)
 
 
-def test_a_first_order_lag_delays_uniform_motion_by_its_time_constant():
-    shown = _apply(first_order_lag(0.4))
-    np.testing.assert_allclose(shown[0, 100:], STRAIGHT[0, 100:] - 0.4 * np.array([0.5, -0.2, 0.1]), atol=1e-9)
-    np.testing.assert_array_equal(_apply(first_order_lag(0.0)), STRAIGHT)
-
-
-def test_mirrored_heights_have_the_stated_share_and_mean_length():
-    values = np.tile([0.0, 0.0, 1.0], (200, 400, 1))
-    z = _apply(mirrored_heights(1.5, 0.3, 2.0), values, 200)[..., 2]
-    assert set(np.unique(z)) == {1.0, 2.0}
-    flipped = z == 2.0
-    # 200 tags of 40 s with stretches of some seconds: about 2,800 independent looks.
-    assert flipped.mean() == pytest.approx(0.3, abs=0.04)
-    stretches = flipped[:, :-1].sum() / (flipped[:, :-1] & ~flipped[:, 1:]).sum()
-    assert stretches * 0.1 == pytest.approx(2.0, rel=0.15)
-
-
 @pytest.mark.parametrize(
     "make",
     [
         lambda: correlated_noise(-np.eye(3)),
         lambda: delayed(-1.0),
-        lambda: first_order_lag(np.inf),
         lambda: mirrored_heights(1, 1, 1),
     ],
 )

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from trackwright.sim.corruptions import (
-    constant_offsets,
     corrupted,
     drop_outs,
     gauss_markov,
@@ -93,12 +92,6 @@ def test_a_lost_station_has_no_measurements_from_its_start_until_before_its_end(
     assert seen.sum() == seen.size - N * 10 * ANTENNAS
     _, seen = lose_station(0)(KEYS, TIMES, CLEAN, SEEN)
     assert not seen[:, :, 0].any()
-
-
-def test_every_antenna_has_its_own_constant_offset():
-    offsets = np.arange(STATIONS * ANTENNAS).reshape(STATIONS, ANTENNAS)
-    values, _ = constant_offsets(offsets)(KEYS, TIMES, CLEAN, SEEN)
-    np.testing.assert_array_equal(values, np.broadcast_to(offsets, CLEAN.shape))
 
 
 def test_adding_a_corruption_changes_no_noise_of_another():

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from trackwright.sim.keys import trajectory_keys
-from trackwright.sim.paths import WORK_VOLUME, hand_motion, helix, straight_lines_with_halts
+from trackwright.sim.paths import WORK_VOLUME, hand_motion, helix, point_to_point, straight_lines_with_halts
 
 ELSEWHERE = np.array([[2.0, -1.0, 0.8], [3.5, 0.5, 1.0]])
 KEYS, TIMES = trajectory_keys(0, np.arange(100)), np.arange(200) / 10
+POINTS = np.array([[0.0, 0.0, 0.1], [0.3, 0.0, 0.1], [0.0, 0.3, 0.1], [0.3, 0.3, 0.1]])
+MOMENTS = np.arange(0, 20, 0.05)
 EVERY_PATH = {
     "helix": helix,
     "varied helix": partial(helix, varied=True),
@@ -17,6 +19,9 @@ EVERY_PATH = {
     "hurried hand": partial(hand_motion, speed=3.0),
     "lines": straight_lines_with_halts,
     "fast lines": partial(straight_lines_with_halts, speed=2.0, halt_s=0.1),
+    "point to point": lambda keys, times, volume=None: point_to_point(
+        keys, times, POINTS if volume is None else volume
+    ),
 }
 
 
@@ -108,3 +113,44 @@ def test_invalid_paths_are_refused():
         hand_motion(KEYS, TIMES, speed=0.0)
     with pytest.raises(ValueError, match="positive"):
         straight_lines_with_halts(KEYS, TIMES, halt_s=0.0)
+
+
+@pytest.fixture(scope="module")
+def paths():
+    """Twenty paths over four points, one second at rest on each."""
+    return point_to_point(trajectory_keys(3, np.arange(20)), MOMENTS, POINTS, speed=0.3, rest_s=1.0)
+
+
+def _nearest(paths):
+    apart = np.linalg.norm(paths[:, :, None] - POINTS, axis=-1)
+    return apart.argmin(axis=-1), apart.min(axis=-1)
+
+
+def test_a_path_rests_at_the_points_and_reaches_all_of_them(paths):
+    at, off = _nearest(paths)
+    # A second at rest, then 1 s for the sides and 1.4 s for the diagonals.
+    assert 0.4 < np.mean(off < 1e-9) < 0.65
+    assert set(at[off < 1e-9]) == {0, 1, 2, 3}
+
+
+def test_no_point_follows_itself(paths):
+    at, off = _nearest(paths)
+    for row, still in zip(at, off < 1e-9, strict=True):
+        begun = np.flatnonzero(still & ~np.append(False, still[:-1]))
+        assert np.all(np.diff(row[begun]) != 0)
+
+
+def test_motions_have_the_speed_profile_of_minimum_jerk(paths):
+    speed = np.linalg.norm(np.diff(paths, axis=1), axis=-1) / 0.05
+    # Minimum jerk: 15/8 of the mean speed in the middle, zero at the ends.
+    assert speed.max() == pytest.approx(0.3 * 15 / 8, rel=0.02)
+    # The largest acceleration is 10/√3 of distance over time squared, largest for the shortest distance, 0.3 m in 1 s.
+    assert np.abs(np.diff(speed, axis=1)).max() / 0.05 < 10 / np.sqrt(3) * 0.3
+
+
+def test_a_single_point_and_speeds_that_are_not_positive_are_refused():
+    keys = trajectory_keys(0, np.arange(1))
+    with pytest.raises(ValueError, match="2 points"):
+        point_to_point(keys, MOMENTS, POINTS[:1])
+    with pytest.raises(ValueError, match="positive"):
+        point_to_point(keys, MOMENTS, POINTS, speed=0.0)

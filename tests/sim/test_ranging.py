@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from trackwright.sim.corruptions import drop_outs
 from trackwright.sim.imu import level, simulate_uwb_imu
 from trackwright.sim.keys import trajectory_keys
 from trackwright.sim.ranging import (
     CHAMBER,
     Protocol,
-    antenna_biases,
     chamber,
     obstruction,
     on_anchors,
@@ -83,14 +81,6 @@ def test_round_robin_leaves_one_anchor_per_row_in_turn():
     _, seen = round_robin()(KEYS, TIMES, DISTANCES, np.ones(DISTANCES.shape, bool))
     assert (seen.sum(axis=2) == 1).all()
     assert np.argmax(seen[0], axis=1)[:6].tolist() == [0, 1, 2, 3, 0, 1]
-
-
-def test_a_tag_depends_on_the_seed_and_its_id_alone():
-    pieces = {"bias": antenna_biases(0.1), "obstruction": obstruction(0.2, 1.0, 0.3, 0.2), "lost": drop_outs(0.1, 0.5)}
-    many = simulate_ranges(chamber(), n=4, seed=3, n_points=30, corruptions=pieces)
-    one = simulate_ranges(chamber(), n=[2], seed=3, n_points=30, corruptions=pieces)
-    np.testing.assert_array_equal(one.ranges[0], many.ranges[2])
-    np.testing.assert_array_equal(one.positions[0], many.positions[2])
 
 
 def test_the_folder_has_the_seen_ranges_and_gives_the_rows_of_a_tracker():

@@ -88,13 +88,6 @@ def test_signals_have_an_unknown_common_phase_in_every_row():
     assert np.abs(np.exp(1j * common).mean()) < 4 / 30
 
 
-def test_uncalibrated_offsets_appear_with_their_sign():
-    offsets = np.linspace(-1.0, 1.0, 24).reshape(3, 8)
-    moved = signal_phases(KEYS, STATIONS, POSITIONS, QUIET, offsets=offsets)
-    expected = np.broadcast_to(offsets - offsets.mean(axis=1, keepdims=True), CLEAN.shape)
-    np.testing.assert_allclose(_deviations(moved), expected, atol=2 * IMAGE_LEAKAGE)
-
-
 def test_a_reflector_near_the_beacon_adds_its_mirror_image_to_the_wave():
     floor = Reflector(np.array([0.0, 0.0, -0.01]), np.array([0.0, 0.0, 2.0]), gain=0.3)
     near = POSITIONS * [1, 1, 0.1]

@@ -150,7 +150,7 @@ def test_a_track_starts_on_the_side_of_its_first_fix(climbing):
 @pytest.mark.slow
 def test_a_track_is_robust_to_heights_mirrored_for_seconds():
     errors = {"mirror": mirrored_heights(2.5, 0.3, 3.0), "noise": correlated_noise(STILL)}
-    world = simulate_agv([0, 1, 2], rows=400, height=1.2, errors=errors)
+    world = simulate_agv([0, 1, 2], rows=400, errors=errors)
     assert not (world.fixes[:, 0, 2] > 2.5).any()  # every track starts on the true side
     trajectories = list(mirror_trajectories(world.folder("flips"), True))
     tracker = mirror_tracker(offset=0.0, shrink=1.0, sigma_vertical=0.1, sigma_z=0.3)
