@@ -19,7 +19,7 @@ import numpy as np
 
 from trackwright.experiments.jobs.run import Store, written
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig
-from trackwright.experiments.monte_carlo.results import ChunkTotals, Results, Totals
+from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import json_text, remove_abandoned
 from trackwright.trackers.recordings.input_file import file_bytes, read_arrays
@@ -113,19 +113,17 @@ class ChunkStore(Store[Part, bytes, Path]):
 
     def results(self, runs: Mapping[int, int]) -> Results:
         """The results of the stored chunks; `runs`: number of runs by index of the condition."""
-        totals: dict[tuple[int, str], Totals] = {}
+        totals = {(index, name): Totals(count) for index, count in runs.items() for name in self.study.trackers}
         for index in runs:
-            sums = {name: ChunkTotals(runs[index]) for name in self.study.trackers}
             for chunk in range(-(-runs[index] // self.study.chunk)):
                 path = self.path((index, chunk))
                 try:
                     arrays = read_arrays(path)
-                    for k, name in enumerate(sums):
+                    for k, name in enumerate(self.study.trackers):
                         of_tracker = {n.partition("/")[2]: x for n, x in arrays.items() if n.startswith(f"{k}/")}
-                        sums[name].add(chunk * self.study.chunk, expanded(of_tracker))
+                        totals[index, name].add(chunk * self.study.chunk, expanded(of_tracker))
                 except (ValueError, LookupError, TypeError) as error:
                     raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
-            totals |= {(index, name): chunk_totals.totals() for name, chunk_totals in sums.items()}
         return Results(self.study, totals, runs)
 
 

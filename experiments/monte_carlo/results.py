@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,19 +22,57 @@ from trackwright.trackers.evaluation.scores import BINS, EDGES, Scores
 BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 
 
-class Totals(NamedTuple):
-    """Totals of a condition and tracker.
+class Totals:
+    """The totals of a condition and tracker over the chunks that are added in order, in blocks of trajectories.
 
-    `scores`: of blocks of trajectories, `measures`: name -> (n,) of all trajectories, `bounds` (2,) m, `us_per_row`.
-    `seconds`: computing time of the chunks for all trackers, compiling included; only in the totals of a condition's
-    first tracker.
+    `measures`: name -> (n,) of all trajectories, `bounds` (2,) m, `us_per_row`. `seconds`: computing time of the chunks
+    for all trackers, compiling included; only in the totals of a condition's first tracker.
     """
 
-    scores: Scores
-    measures: dict[str, np.ndarray]
-    bounds: np.ndarray
-    us_per_row: float
-    seconds: float
+    def __init__(self, runs: int):
+        self.blocks, self.runs = min(runs, BLOCKS), runs
+        self.sums: dict[str, np.ndarray] = {}
+        self.largest: dict[str, np.ndarray] = {}
+        self.histograms: dict[str, np.ndarray] = {}
+        self.measures: dict[str, np.ndarray] = {}
+        self.bounds, self.us_per_row, self.seconds = np.full(2, np.nan), np.nan, 0.0
+
+    @property
+    def scores(self) -> Scores:
+        """Sums and histograms of the blocks."""
+        return Scores(self.sums, self.largest, self.histograms)
+
+    def add(self, start: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Add a chunk whose first trajectory is `start`; trajectories beyond the last run are left out."""
+        stop = min(start + len(arrays["sum n"]), self.runs)
+        # As slices, each trajectory of another block: adding to repeated indices takes ten times as long.
+        for first in range(start - start % self.blocks, stop, self.blocks):
+            begin, end = max(start, first), min(stop, first + self.blocks)
+            self._add_to_blocks(slice(begin - first, end - first), slice(begin - start, end - start), arrays)
+        for name, values in arrays.items():
+            what, _, rest = name.partition(" ")
+            if what == "measure":
+                self.measures.setdefault(rest, np.full(self.runs, np.nan))[start:stop] = values[: stop - start]
+            elif name == "bounds":
+                self.bounds = values
+            elif name == "us_per_row":
+                self.us_per_row = float(values)
+            elif name == "seconds":
+                self.seconds += float(values)
+
+    def _add_to_blocks(self, blocks: slice, which: slice, arrays: Mapping[str, np.ndarray]) -> None:
+        """Add the trajectories `which` of a chunk to as many blocks."""
+        for name, values in arrays.items():
+            what, _, rest = name.partition(" ")
+            if what == "sum":
+                self.sums.setdefault(rest, np.zeros(self.blocks))[blocks] += values[which]
+            elif what == "largest":
+                top = self.largest.setdefault(rest, np.full(self.blocks, np.nan))[blocks]
+                np.fmax(top, values[which], out=top)
+            elif what == "cells":
+                table = self.histograms.setdefault(rest, np.zeros((self.blocks, BINS)))
+                part = slice(*np.searchsorted(values, [which.start * BINS, which.stop * BINS]))
+                table.reshape(-1)[values[part] + (blocks.start - which.start) * BINS] += arrays[f"counts {rest}"][part]
 
 
 CONSTANT = ("bound_m", "bound_3d_m", "us_per_row")
@@ -166,52 +204,3 @@ def _interval(value: Any, replicates: np.ndarray) -> Value:
         return Value(float(value) if np.isfinite(value) else np.nan, np.nan, np.nan)
     low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Value(float(value), float(low), float(high))
-
-
-class ChunkTotals:
-    """Adds up the chunks of a condition and tracker, in order, into blocks."""
-
-    def __init__(self, runs: int):
-        self.blocks, self.runs = min(runs, BLOCKS), runs
-        self.sums: dict[str, np.ndarray] = {}
-        self.largest: dict[str, np.ndarray] = {}
-        self.histograms: dict[str, np.ndarray] = {}
-        self.measures: dict[str, np.ndarray] = {}
-        self.bounds, self.us_per_row, self.seconds = np.full(2, np.nan), np.nan, 0.0
-
-    def add(self, start: int, arrays: Mapping[str, np.ndarray]) -> None:
-        """Add a chunk whose first trajectory is `start`; trajectories beyond the last run are left out."""
-        stop = min(start + len(arrays["sum n"]), self.runs)
-        # As slices, each trajectory of another block: adding to repeated indices takes ten times as long.
-        for first in range(start - start % self.blocks, stop, self.blocks):
-            begin, end = max(start, first), min(stop, first + self.blocks)
-            self._add_to_blocks(slice(begin - first, end - first), slice(begin - start, end - start), arrays)
-        for name, values in arrays.items():
-            what, _, rest = name.partition(" ")
-            if what == "measure":
-                self.measures.setdefault(rest, np.full(self.runs, np.nan))[start:stop] = values[: stop - start]
-            elif name == "bounds":
-                self.bounds = values
-            elif name == "us_per_row":
-                self.us_per_row = float(values)
-            elif name == "seconds":
-                self.seconds += float(values)
-
-    def _add_to_blocks(self, blocks: slice, which: slice, arrays: Mapping[str, np.ndarray]) -> None:
-        """Add the trajectories `which` of a chunk to as many blocks."""
-        for name, values in arrays.items():
-            what, _, rest = name.partition(" ")
-            if what == "sum":
-                self.sums.setdefault(rest, np.zeros(self.blocks))[blocks] += values[which]
-            elif what == "largest":
-                top = self.largest.setdefault(rest, np.full(self.blocks, np.nan))[blocks]
-                np.fmax(top, values[which], out=top)
-            elif what == "cells":
-                table = self.histograms.setdefault(rest, np.zeros((self.blocks, BINS)))
-                part = slice(*np.searchsorted(values, [which.start * BINS, which.stop * BINS]))
-                table.reshape(-1)[values[part] + (blocks.start - which.start) * BINS] += arrays[f"counts {rest}"][part]
-
-    def totals(self) -> Totals:
-        """The totals of the chunks added so far."""
-        scores = Scores(self.sums, self.largest, self.histograms)
-        return Totals(scores, self.measures, self.bounds, self.us_per_row, self.seconds)

@@ -15,7 +15,7 @@ import trackwright as tw
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.monte_carlo.errors import scored
-from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
+from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.baselines.switching import mirror_tracker
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.filters.ekf import Gaussian
@@ -148,9 +148,9 @@ def test_studies_do_not_depend_on_the_order_of_the_fields(folder, specs):
     study = Study("order", "", {"hall": world}, trackers, runs=len(IDS))
     results = {}
     for name, runs in tracked_runs(study, "hall", IDS).items():
-        totals = ChunkTotals(len(IDS))
+        totals = Totals(len(IDS))
         totals.add(0, scored(runs))
-        results[name] = Results(study, {(0, name): totals.totals()}, {0: len(IDS)})
+        results[name] = Results(study, {(0, name): totals}, {0: len(IDS)})
     for metric, expected, within in (("nees_mean", 2.0, 0.6), ("nees_3d_mean", 3.0, 0.8), ("coverage_95", 0.95, 0.04)):
         one, other = (results[name].at(metric, study.conditions[0], name).value for name in specs)
         assert other == pytest.approx(one, rel=1e-7), metric

@@ -14,7 +14,7 @@ from tests.tuning.worlds import line_tracker, walks
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.monte_carlo.errors import scored
-from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
+from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Tag
@@ -68,9 +68,9 @@ def test_a_study_judges_truth_without_heights_as_evaluate_does(height):
         "floor", "", {"hall": World(lambda ids, seed: folder)}, {"mean": TrackerConfig("moving-average")}, runs=1
     )
     runs = tracked_runs(study, "hall", np.array(["1"]))["mean"]
-    totals = ChunkTotals(1)
+    totals = Totals(1)
     totals.add(0, scored(runs))
-    results = Results(study, {(0, "mean"): totals.totals()}, {0: 1})
+    results = Results(study, {(0, "mean"): totals}, {0: 1})
     evaluation = tw.evaluate(tw.build("moving-average", folder).run(folder), folder)
     assert int(runs.known.sum()) == evaluation["n"] == ROWS
     assert results.at("rmse_m", study.conditions[0], "mean").value == pytest.approx(evaluation["rmse_m"], rel=1e-9)

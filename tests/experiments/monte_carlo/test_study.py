@@ -1,3 +1,4 @@
+import copy
 import dataclasses
 import json
 import re
@@ -11,7 +12,7 @@ from trackwright.experiments.monte_carlo import chunk as one_chunk
 from trackwright.experiments.monte_carlo import errors
 from trackwright.experiments.monte_carlo.chunk_store import compact, expanded
 from trackwright.experiments.monte_carlo.errors import Masked, TrackedRuns, scored
-from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
+from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.experiments.pages.reports.study_text import to_json, to_text
@@ -45,9 +46,9 @@ def _normal_tracked(seed, n=7, rows=50):
 
 
 def _results_of(kept, runs, study=SMALL):
-    totals = ChunkTotals(runs)
+    totals = Totals(runs)
     totals.add(0, kept)
-    return Results(study, {(0, "kalman"): totals.totals()}, {0: runs})
+    return Results(study, {(0, "kalman"): totals}, {0: runs})
 
 
 def test_metrics_of_accumulators_equal_those_of_all_rows():
@@ -86,7 +87,7 @@ def test_scores_do_not_depend_on_the_trajectories_that_are_scored_together():
 def test_chunks_are_added_to_the_blocks_of_their_trajectories_in_order():
     rng, runs = np.random.default_rng(8), 1300
     chunks = [rng.lognormal(size=(700, 6)) for _ in range(2)]
-    totals = ChunkTotals(runs)
+    totals = Totals(runs)
     sums, largest, histogram = np.zeros((512, 3)), np.full(512, np.nan), np.zeros((512, BINS))
     names = ("n m", "sum m", "squares m")
     for start, sizes in zip((0, 700), chunks, strict=True):
@@ -98,7 +99,7 @@ def test_chunks_are_added_to_the_blocks_of_their_trajectories_in_order():
             sums[block] += [kept[f"sum {name}"][k] for name in names]
             largest[block] = np.fmax(largest[block], kept["largest m"][k])
             histogram[block] += dense[k]
-    found = totals.totals().scores
+    found = totals.scores
     np.testing.assert_array_equal(np.stack([found[name] for name in names], axis=-1), sums)
     np.testing.assert_array_equal(found.largest["m"], largest)
     np.testing.assert_array_equal(found.histograms["m"], histogram)
@@ -186,7 +187,9 @@ def test_a_paired_difference_has_a_narrower_interval_than_an_unpaired_one(whole)
 
 def test_trackers_without_a_bound_are_named(whole):
     study, runs = whole[1].study, whole[1].runs
-    bounded = {k: t._replace(bounds=np.ones(2)) if k[1] == "kalman" else t for k, t in whole[1].totals.items()}
+    bounded = {key: copy.copy(totals) for key, totals in whole[1].totals.items()}
+    for index, _ in bounded:
+        bounded[index, "kalman"].bounds = np.ones(2)
     said = "\nNo bound of window, stiffer: only extended Kalman filters whose state is position and velocity"
     assert said in to_text(Results(study, bounded, runs), [])
     assert "No bound" not in to_text(Results(dataclasses.replace(study, metrics=("rmse_m",)), bounded, runs), [])

@@ -10,7 +10,7 @@ import trackwright as tw
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.monte_carlo.errors import scored
-from trackwright.experiments.monte_carlo.results import ChunkTotals, Results
+from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.data.estimates import STEP_COLUMNS, Estimates, Status
 from trackwright.trackers.core.model.algebra import Vector
@@ -93,9 +93,9 @@ def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
     tracker, ids = tw.build("uwb", one_noisy).with_error_levels(False), np.array(["a", "b"])
     for name, every in (("uwb", None), ("slow", 0.7)):
         evaluation = tw.evaluate(tracker.run(one_noisy), one_noisy, every)
-        totals = ChunkTotals(2)
+        totals = Totals(2)
         totals.add(0, scored(tracked_runs(study, "hall", ids)[name]))
-        results = Results(study, {(0, name): totals.totals()}, {0: 2})
+        results = Results(study, {(0, name): totals}, {0: 2})
         for metric in ("nis_ratio", "rmse_m", "rmse_3d_m", "nees_mean", "coverage_95"):
             found = results.at(metric, study.conditions[0], name).value
             assert found == pytest.approx(evaluation[metric], rel=1e-9), (name, metric)
