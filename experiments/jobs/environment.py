@@ -12,7 +12,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-# jax and the packages that import it are imported in functions: in a worker after the XLA flags are set.
+from trackwright.trackers.core.errors import UnusableInput
+
+# jax and the modules that import it are imported in functions: in a worker after the XLA flags are set.
 
 PACKAGES = ("jax", "jaxlib", "numpy")
 SOURCES = ("trackers", "sim", "tuning", "experiments")
@@ -39,8 +41,6 @@ def environment() -> dict[str, Any]:
 
 def require_same(expected: Mapping[str, Any], actual: Any, worker: str) -> None:
     """Refuse a worker whose environment differs from the caller's."""
-    from trackwright.trackers.core.errors import UnusableInput
-
     if isinstance(actual, BaseException):
         raise UnusableInput(
             f"{worker}: cannot import trackwright ({type(actual).__name__}: {actual}); expected the caller's packages; "

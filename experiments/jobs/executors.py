@@ -24,8 +24,11 @@ from threading import Event, Thread
 from typing import Any
 
 from trackwright.experiments.jobs.environment import environment, require_same
+from trackwright.experiments.text.terminal import notice
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.programs.freed_memory import keep
 
-# jax and the packages that import it are imported in functions: in a worker after the XLA flags are set.
+# jax and the modules that import it are imported in functions: in a worker after the XLA flags are set.
 
 AT_ONCE = 256
 """Parts given to a cluster at once, at least: finished ones are held in memory until the caller has stored them."""
@@ -90,9 +93,6 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     UnusableInput for another text, where no scheduler answers, for workers with other versions, and where the cluster
     is lost.
     """
-    from trackwright.experiments.text.terminal import notice
-    from trackwright.trackers.core.errors import UnusableInput
-
     local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
     if not local and not re.fullmatch(r"[a-z]+://\S+", cluster):
         raise UnusableInput(f"--cluster {cluster}: expected local:N, as local:4, or an address, as tcp://HOST:8786")
@@ -119,8 +119,6 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
 
 
 def _distributed() -> Any:
-    from trackwright.trackers.core.errors import UnusableInput
-
     try:
         import distributed
     except ImportError as error:
@@ -136,8 +134,6 @@ def _distributed() -> Any:
 @contextmanager
 def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[Any]:
     """A client of a scheduler, or of worker processes of its own."""
-    from trackwright.trackers.core.errors import UnusableInput
-
     if processes is None:
         try:
             client = distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False)
@@ -167,8 +163,6 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
 
 def _notice_empty(client: Any, cluster: str) -> Callable[[], None]:
     """Says once that a cluster has had no workers for `GONE_S`, and once that it has some again."""
-    from trackwright.experiments.text.terminal import notice
-
     since, said = math.inf, False
 
     def look() -> None:
@@ -253,8 +247,6 @@ def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
 
 def _prepared(flags: str) -> dict[str, Any]:
     """In a worker: its environment, with these XLA flags where jax is not imported yet; freed memory is kept."""
-    from trackwright.trackers.programs.freed_memory import keep
-
     keep()
     if "jax" not in sys.modules:
         os.environ["XLA_FLAGS"] = flags
@@ -264,7 +256,6 @@ def _prepared(flags: str) -> dict[str, Any]:
 @functools.cache
 def _keep_programs() -> None:
     """Keep compiled programs in the worker's cache directory, where it has one of its own."""
-    from trackwright.trackers.core.errors import UnusableInput
     from trackwright.trackers.programs.program_cache import cache_programs
 
     with suppress(UnusableInput):

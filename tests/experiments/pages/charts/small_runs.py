@@ -1,9 +1,13 @@
-"""Runs whose errors are known, without a tracker, for figures of a comparison."""
+"""Runs whose errors are known, without a tracker, for figures of a comparison; and the data of a page's chart."""
 
 from __future__ import annotations
 
+import base64
+import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -32,3 +36,9 @@ def small_run(name: str, shifts: Mapping[str, float]) -> TrackRun:
     )
     association = associate_truth(table, dict.fromkeys(shifts, truth))
     return TrackRun(name, Path(name), False, {}, folders, association, errors_by_track(association, score(association)))
+
+
+def chart_data(address: str) -> Any:
+    """What an image of a page holds for plotly.js."""
+    text = base64.b64decode(address.partition(",")[2]).decode()
+    return json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])

@@ -1,12 +1,8 @@
 """The figures of a comparison: of many recordings the worst, the median and the best have floor plans."""
 
-import base64
-import json
-import re
-
 import numpy as np
 
-from tests.experiments.pages.charts.small_runs import ANCHORS, small_run
+from tests.experiments.pages.charts.small_runs import ANCHORS, chart_data, small_run
 from trackwright.experiments.pages.charts import comparison
 
 
@@ -27,15 +23,10 @@ def test_few_recordings_all_have_floor_plans():
     assert comparison._planned([small_run("uwb", {"a": 0.2, "b": 0.9})]) == {"a": "", "b": ""}
 
 
-def _chart(address):
-    text = base64.b64decode(address.partition(",")[2]).decode()
-    return json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])
-
-
 def test_floor_plans_of_the_page_have_names_a_legend_and_the_shape_of_the_floor():
     runs = [small_run("uwb", {"a": 0.2}), small_run("median", {"a": 0.5})]
     charts = comparison.comparison_charts(runs, [])
-    plans = [_chart(chart.address) for chart in charts if "Floor plan" in chart.title]
+    plans = [chart_data(chart.address) for chart in charts if "Floor plan" in chart.title]
     assert len(plans) == 2
     for plan in plans:
         named = {trace["name"]: trace for trace in plan["data"] if trace["showlegend"]}
@@ -54,7 +45,7 @@ def test_the_tail_of_one_run_does_not_set_the_axis_of_errors():
     (tail,) = bad.errors.values()
     tail.error[-1] = 50.0
     for runs in ([good, bad], [bad, good]):
-        distributions, violins = (_chart(one.address) for one in comparison.comparison_charts(runs, [])[:2])
+        distributions, violins = (chart_data(one.address) for one in comparison.comparison_charts(runs, [])[:2])
         assert distributions["layout"]["xaxis"]["range"][1] < 25  # cm
         assert violins["layout"]["yaxis"]["range"][1] < 25
         assert {trace["name"] for trace in distributions["data"]} == {"good", "bad, 3.3 % beyond"}

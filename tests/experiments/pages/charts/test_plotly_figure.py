@@ -1,14 +1,11 @@
 """A chart as data for plotly.js: the numbers, names and scales that matplotlib drew."""
 
-import base64
-import json
-import re
-
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from tests.experiments.pages.charts.small_runs import chart_data
 from trackwright.experiments.pages.charts.plotly_figure import plotly_figure
 from trackwright.experiments.pages.charts.style import svg, svg_address
 
@@ -127,8 +124,7 @@ def test_an_image_of_a_page_holds_its_data_and_a_file_does_not():
     def draw(figure):
         figure.subplots().plot(X, X, label="</metadata> & <script>")
 
-    text = base64.b64decode(svg_address(draw).partition(",")[2]).decode()
-    data = json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])
+    data = chart_data(svg_address(draw))
     assert data["data"][0]["y"] == X.tolist()
     assert data["data"][0]["name"] == "&lt;/metadata&gt; &amp; &lt;script&gt;"
     assert "<metadata" not in svg(draw)

@@ -1,36 +1,19 @@
 """The table of recordings before and after tuning, against the evaluation of the tracks."""
 
 import numpy as np
-import polars as pl
 import pytest
 
 import trackwright as tw
-from tests.experiments.pages.reports.tuning_report_data import report_data
+from tests.experiments.pages.reports.tuning_report_data import report_data, walk
 from trackwright.experiments.pages.reports.before_after import compare, tracked
 from trackwright.experiments.pages.reports.tuning import tuning_page
-from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.folder import RecordingFolder
 
 SIGMAS = "sensors.fixes.sigma_*"
 
 
-def _walk(name, seed, rows, truth=True):
-    """Fixes of a tag that walks at random at a known height, with errors of 0.25 m."""
-    rng = np.random.default_rng(seed)
-    place = np.cumsum(0.1 * rng.normal(size=(rows, 3)), axis=0) + [2.0, 3.0, 1.0]
-    tables = {
-        kind: pl.DataFrame(
-            {"t_s": np.arange(rows) * 0.2, "tag": "7"} | {f"{a}_m": values[:, k] for k, a in enumerate("xyz")}
-        )
-        for kind, values in (("fixes", place + 0.25 * rng.normal(size=place.shape)), ("truth", place))
-        if truth or kind == "fixes"
-    }
-    return RecordingFolder(name, None, Rig(name), tables)
-
-
 @pytest.fixture(scope="module")
 def walks():
-    folders = [_walk("short", 1, 100), _walk("long", 2, 400)]
+    folders = [walk("short", 1, 100), walk("long", 2, 400)]
     named = tw.build("fix-kf", folders, free_height=True)
     return folders, (named.with_values({SIGMAS: 0.05}), named.with_values({SIGMAS: 0.25}))
 
@@ -67,7 +50,7 @@ def test_the_figures_are_those_of_evaluate_and_recordings_have_the_same_say(walk
 
 def test_a_recording_without_truth_has_no_errors(walks):
     folders, trackers = walks
-    own = [folders[0], _walk("blind", 3, 100, truth=False)]
+    own = [folders[0], walk("blind", 3, 100, truth=False)]
     found = compare(_both(trackers, own), own, 2, "recordings tuned on")
     blind = next(row for row in found.rows if row[0] == "blind")
     assert blind[1:4] == ("– → –",) * 3

@@ -1,7 +1,5 @@
 """The tracks that a tuning report shows before and after, against the estimates and the evaluation of both."""
 
-import base64
-import json
 import re
 from dataclasses import replace
 
@@ -12,36 +10,25 @@ from scipy import stats
 
 import trackwright as tw
 from tests.browser import chromium, watched
-from tests.experiments.pages.reports.tuning_report_data import report_data
+from tests.experiments.pages.charts.small_runs import chart_data
+from tests.experiments.pages.reports.tuning_report_data import report_data, walk
 from trackwright.experiments.pages.charts.tuning import plan_chart
 from trackwright.experiments.pages.reports.before_after import MOST_PLANS, MOST_POINTS, track_changes, tracked
 from trackwright.experiments.pages.reports.tuning import tuning_page, write_tuning_report
 from trackwright.sim import worlds
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.folder import RecordingFolder
 
-SIGMAS = "sensors.fixes.sigma_*"
+LEVELS = "sensors.fixes.sigma_*"
+SIGMAS = tuple(0.1 * (1 + tag) for tag in range(7))
+"""Errors of tags, m, the larger the higher their number."""
 
-
-def _walk(name, seed, rows=60, tags=1, truth=True, hole=0.0):
-    """Fixes of tags that walk at random, the more erroneous the higher their number, with a hole in the middle."""
-    rng = np.random.default_rng(seed)
-    tables = {"fixes": [], "truth": []}
-    for tag in range(tags):
-        place = np.cumsum(0.1 * rng.normal(size=(rows, 3)), axis=0) + [2.0, 3.0, 1.0]
-        read = place + 0.1 * (1 + tag) * rng.normal(size=place.shape)
-        times = np.arange(rows) * 0.2 + hole * (np.arange(rows) >= rows // 2)
-        for kind, values in (("fixes", read), ("truth", place)):
-            tables[kind].append(pl.DataFrame({"t_s": times, "tag": f"t{tag}"}
-                                             | {f"{a}_m": values[:, k] for k, a in enumerate("xyz")}))  # fmt: skip
-    kept = {kind: pl.concat(parts).sort("t_s", "tag") for kind, parts in tables.items() if truth or kind == "fixes"}
-    return RecordingFolder(name, None, Rig(name, anchors={"A": np.array([0.0, 0.0, 2.0])}), kept)
+ONE = SIGMAS[:1]
 
 
 def _run(folders, held_out=()):
     """The tracks of both sets of noise levels, and what the page shows of them."""
     named = tw.build("fix-kf", folders, free_height=True)
-    trackers = [named.with_values({SIGMAS: sigma}) for sigma in (0.02, 0.3)]
+    trackers = [named.with_values({LEVELS: sigma}) for sigma in (0.02, 0.3)]
     sides = [tracked(tracker, folders) for tracker in trackers]
     return trackers, track_changes(*sides, folders, held_out)
 
@@ -53,7 +40,7 @@ def _metrics(tracker, folders):
 
 @pytest.fixture(scope="module")
 def three():
-    folders = [_walk("a", 1), _walk("b", 2, hole=30.0), _walk("c", 3, tags=2)]
+    folders = [walk("a", 1, sigmas=ONE), walk("b", 2, sigmas=ONE, hole=30.0), walk("c", 3, sigmas=SIGMAS[:2])]
     return folders, *_run(folders, {"b"})
 
 
@@ -107,8 +94,7 @@ def _traces(change):
 
 
 def _chart(change):
-    text = base64.b64decode(plan_chart(change).address.partition(",")[2]).decode()
-    chart = json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])
+    chart = chart_data(plan_chart(change).address)
     assert chart["layout"]["yaxis"]["scaleanchor"] == "x"
     return chart
 
@@ -162,7 +148,7 @@ def test_the_plans_are_drawn_in_a_browser(three, tmp_path, width):
 
 
 def test_of_many_tags_the_worst_the_median_and_the_best_are_shown():
-    folders = [_walk("hall", 4, tags=7)]
+    folders = [walk("hall", 4, sigmas=SIGMAS[:7])]
     trackers, found = _run(folders)
     ranked = sorted(_metrics(trackers[1], folders).values(), key=lambda t: -t["rmse_m"])
     assert [t.tag for t in found.shown] == [ranked[k]["tag"] for k in (0, 3, 6)]
@@ -173,7 +159,7 @@ def test_of_many_tags_the_worst_the_median_and_the_best_are_shown():
 
 
 def test_of_many_recordings_those_that_moved_most_are_shown_in_their_order_and_held_out_ones_first():
-    folders = [_walk(f"r{k}", k, tags=1 + (k == 2)) for k in range(MOST_PLANS + 2)]
+    folders = [walk(f"r{k}", k, sigmas=SIGMAS[: 1 + (k == 2)]) for k in range(MOST_PLANS + 2)]
     trackers, found = _run(folders, {"r5"})
     old, new = (tracker.run(folders).table for tracker in trackers)
     square = (old["x_m"] - new["x_m"]) ** 2 + (old["y_m"] - new["y_m"]) ** 2
@@ -188,7 +174,7 @@ def test_of_many_recordings_those_that_moved_most_are_shown_in_their_order_and_h
 
 
 def test_without_truth_there_are_paths_and_no_errors():
-    _, found = _run([_walk("blind", 5, tags=5, truth=False)])
+    _, found = _run([walk("blind", 5, sigmas=SIGMAS[:5], truth=False)])
     assert len(found.shown) == 3
     assert found.shown[0].why == "largest change, of 5 tags"
     assert all(t.rmse == "" and len(t.truth) == 0 and len(t.before.path) for t in found.shown)
@@ -196,7 +182,7 @@ def test_without_truth_there_are_paths_and_no_errors():
 
 
 def test_a_long_track_keeps_its_ends_and_its_largest_error():
-    folders = [_walk("long", 6, rows=6000)]
+    folders = [walk("long", 6, rows=6000, sigmas=ONE)]
     trackers, found = _run(folders)
     rows = trackers[1].run(folders).table
     path = found.shown[0].after.path

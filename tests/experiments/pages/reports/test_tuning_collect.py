@@ -7,10 +7,10 @@ import polars as pl
 import pytest
 
 import trackwright as tw
+from tests.experiments.pages.reports.tuning_report_data import walk
 from trackwright.experiments.pages.reports.tuning import tuning_page
 from trackwright.experiments.pages.reports.tuning_data import _parameters, collect
 from trackwright.trackers.catalogue import spec_of
-from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.data import FitData, fit_data
@@ -23,23 +23,9 @@ PATTERNS = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
 NLL = "nll"
 
 
-def _walk(name, seed, rows=64):
-    """Fixes of a tag at a known height that walks at random, with its truth."""
-    rng = np.random.default_rng(seed)
-    times = np.arange(rows) * 0.2
-    place = np.cumsum(0.1 * rng.normal(size=(rows, 3)), axis=0) + [2.0, 3.0, 1.0]
-    read = place + 0.25 * rng.normal(size=place.shape)
-    ids = {"t_s": times, "tag": ["7"] * rows}
-    tables = {
-        kind: pl.DataFrame(ids | {f"{a}_m": values[:, k] for k, a in enumerate("xyz")})
-        for kind, values in (("fixes", read), ("truth", place))
-    }
-    return RecordingFolder(name, None, Rig(name), tables)
-
-
 @pytest.fixture(scope="module")
 def run():
-    (group,) = spec_of("fix-kf").batches([_walk(name, k) for k, name in enumerate("abcd")], "fix-kf", False)
+    (group,) = spec_of("fix-kf").batches([walk(name, k, rows=64) for k, name in enumerate("abcd")], "fix-kf", False)
     training, held_out = group.trajectories[:2], group.trajectories[2:]
     rows = [batch for _, batch in batches(training)]
     result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, FitOptions(steps=6, starts=2))
@@ -70,7 +56,7 @@ def test_the_metrics_of_the_objective_are_those_of_the_fit(run):
 
 def test_the_errors_row_by_row_have_the_rmse_of_the_table(run):
     _, data = run
-    assert [e.name for e in data.errors] == ["c, tag 7", "d, tag 7"]
+    assert [e.name for e in data.errors] == ["c, tag t0", "d, tag t0"]
     for side, which in enumerate(("before", "after")):
         pooled = np.concatenate([getattr(e, which) for e in data.errors])
         known = pooled[np.isfinite(pooled)]

@@ -1,6 +1,11 @@
-"""Made-up data of a tuning report, with everything that the report shows."""
+"""Made-up data of a tuning report, with everything that the report shows; and recordings to tune on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
+import polars as pl
 
 from trackwright.experiments.pages.reports.tuning_data import (
     ErrorTrack,
@@ -9,6 +14,8 @@ from trackwright.experiments.pages.reports.tuning_data import (
     TunedParameter,
     TuningReportData,
 )
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.diagnostics import Innovations
 from trackwright.tuning.sweeping import Surface
 
@@ -68,3 +75,19 @@ def report_data(**changes) -> TuningReportData:
         provenance=(("trackwright", "0.1.0"), ("created", "2026-01-02 03:04 UTC")),
     )  # fmt: skip
     return TuningReportData(**(vars(made) | changes))
+
+
+def walk(
+    name: str, seed: int, rows: int = 60, sigmas: Sequence[float] = (0.25,), truth: bool = True, hole: float = 0.0
+) -> RecordingFolder:
+    """Fixes of tags t0, t1, … that walk at random at a known height, with errors `sigmas`, m, and a hole, s, half-way."""
+    rng = np.random.default_rng(seed)
+    tables: dict[str, list[pl.DataFrame]] = {"fixes": [], "truth": []}
+    times = np.arange(rows) * 0.2 + hole * (np.arange(rows) >= rows // 2)
+    for tag, sigma in enumerate(sigmas):
+        place = np.cumsum(0.1 * rng.normal(size=(rows, 3)), axis=0) + [2.0, 3.0, 1.0]
+        for kind, values in (("fixes", place + sigma * rng.normal(size=place.shape)), ("truth", place)):
+            columns = {"t_s": times, "tag": f"t{tag}"} | {f"{a}_m": values[:, k] for k, a in enumerate("xyz")}
+            tables[kind].append(pl.DataFrame(columns))
+    kept = {kind: pl.concat(parts).sort("t_s", "tag") for kind, parts in tables.items() if truth or kind == "fixes"}
+    return RecordingFolder(name, None, Rig(name, anchors={"A": np.array([0.0, 0.0, 2.0])}), kept)
