@@ -87,7 +87,10 @@ class ScoredRecording:
     @property
     def in_plane(self) -> bool:
         """Whether the estimates are angles in the plane of a flat array."""
-        return self.angles and in_one_plane(float_column(self.association.rows, "azimuth_rad"))
+        azimuth = float_column(self.association.rows, "azimuth_rad")
+        # In the plane of an array each azimuth is ± 90°; without angles none is known.
+        known = azimuth[np.isfinite(azimuth)]
+        return bool(len(known)) and bool(in_plane(known).all())
 
     def sigmas(self) -> np.ndarray:
         """The reported standard deviations, with shape and unit of `errors`; NaN for a known height."""
@@ -108,7 +111,8 @@ class ScoredRecording:
                 Component(a, "m", v, e, s) for a, v, e, s in zip("xyz", values, self.errors.T, sigmas.T, strict=True)
             ]
             return components if np.isfinite(sigmas[:, 2]).any() else components[:2]
-        angles, errors, names = directions(rows), self.errors, ["azimuth", "elevation"]
+        names, errors = ["azimuth", "elevation"], self.errors
+        angles = np.stack([float_column(rows, f"{name}_rad") for name in names], axis=1)
         if self.in_plane:
             angle = in_the_plane(angles)
             turned = angle - in_the_plane(angles - errors)
@@ -266,17 +270,6 @@ def drawn_of(rmse: np.ndarray, angles: bool, most: int = DRAWN) -> dict[int, str
     unit, scale = ("°", 180 / np.pi) if angles else length_unit(float(rmse[ranked[0]]))
     chosen = {"worst": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "best": ranked[-1]}
     return {k: f"{word} of {len(ranked)}, RMSE {scale * rmse[k]:.3g} {unit}" for word, k in chosen.items()}
-
-
-def directions(rows: pl.DataFrame) -> np.ndarray:
-    """The azimuth and elevation (n, 2), rad, of the rows."""
-    return np.stack([float_column(rows, "azimuth_rad"), float_column(rows, "elevation_rad")], axis=1)
-
-
-def in_one_plane(azimuth: np.ndarray) -> bool:
-    """Whether directions with these azimuths (n,), rad, lie in the plane of the array, where each azimuth is ± 90°."""
-    known = azimuth[np.isfinite(azimuth)]
-    return bool(len(known)) and bool(in_plane(known).all())
 
 
 def in_the_plane(angles: np.ndarray) -> np.ndarray:

@@ -15,9 +15,9 @@ from trackwright.experiments.monte_carlo.results import Results
 from trackwright.experiments.pages.charts.study import SHOWN_CONDITIONS, distribution_charts, metric_chart
 from trackwright.experiments.pages.charts.style import Chart
 from trackwright.experiments.pages.reports.pages import page, write_page
-from trackwright.experiments.pages.reports.study_text import headline_of
+from trackwright.experiments.pages.reports.study_text import conclusion_rows, headline_of, main_units
 from trackwright.experiments.text.expectations import Conclusion, ExpectedResult, ratio_text, with_interval
-from trackwright.experiments.text.wording import Unit, heading, units_of, yes_no
+from trackwright.experiments.text.wording import Unit, heading, yes_no
 
 REPORT = "report.html"
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
@@ -55,7 +55,7 @@ def write_study_report(
 
 def study_page(results: Results, expected: Expected, pictures: Sequence[Path], command: Sequence[str]) -> str:
     """The report as HTML."""
-    study, units = results.study, _units(results)
+    study, units = results.study, main_units(results)
     charts, distributions = study_charts(results)
     more = len(study.conditions) > SHOWN_CONDITIONS
     return page(
@@ -65,9 +65,7 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
         title=re.sub(r"-(?!\d)|(?<!\d)-", " ", study.name).capitalize(),
         about=study.about,
         expected=_expected([c for c in expected if isinstance(c, ExpectedResult)]),
-        conclusions=[
-            [c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)
-        ],
+        conclusions=conclusion_rows(expected),
         counts=headline_of(expected),
         pictures=[_picture(path) for path in pictures],
         charts=charts,
@@ -82,18 +80,13 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
 
 def study_charts(results: Results) -> tuple[list[Chart], list[Chart]]:
     """The charts of the first metrics, and of the distributions of errors."""
-    metrics, units = results.main_metrics(), _units(results)
+    metrics, units = results.main_metrics(), main_units(results)
     drawn = [m for m in results.study.metrics if m != "us_per_row"][:MOST_CHARTS]
     bounds = {m: metrics[BOUNDS[m]] for m in drawn if BOUNDS.get(m) in metrics}
     drawn = [m for m in drawn if m not in {BOUNDS[error] for error in bounds}]
     drawings = (metric_chart(results, m, metrics[m], units[m], bounds.get(m)) for m in drawn)
     lengths = next((unit for metric, unit in units.items() if metric.endswith("_m")), None)
     return [chart for chart in drawings if chart is not None], distribution_charts(results, lengths)
-
-
-def _units(results: Results) -> dict[str, Unit]:
-    """The units of the metrics on the page."""
-    return units_of({m: [v.value for v in values.values()] for m, values in results.main_metrics().items()})
 
 
 def _expected(results: Sequence[ExpectedResult]) -> Table:

@@ -28,8 +28,7 @@ WIDTH = 160
 
 def to_text(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
     """The main metrics of every condition and tracker, and the expected results beside ours."""
-    shown = results.main_metrics()
-    units = units_of({f: [v.value for v in values.values()] for f, values in shown.items()})
+    shown, units = results.main_metrics(), main_units(results)
     tables = [
         _table(results.study, heading(metric, units[metric]), values, units[metric]) for metric, values in shown.items()
     ]
@@ -37,6 +36,11 @@ def to_text(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -
     text = rendered(terminal_width(WIDTH), *tables, *reproduced)
     text += f"\n{without}\n" if (without := results.without_bound()) else ""
     return f"{text}\n{headline_of(expected)}\n" if reproduced else text
+
+
+def main_units(results: Results) -> dict[str, Unit]:
+    """The units of the main metrics."""
+    return units_of({m: [v.value for v in values.values()] for m, values in results.main_metrics().items()})
 
 
 def headline_of(expected: Sequence[ExpectedResult | Conclusion]) -> str:
@@ -63,8 +67,13 @@ def _expected(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
 
 
 def _conclusions(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
-    rows = [[c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
+    rows = conclusion_rows(expected)
     return ruled_table("Conclusions", ("conclusion", "origin", "holds", "evidence"), 4, rows) if rows else None
+
+
+def conclusion_rows(expected: Sequence[ExpectedResult | Conclusion]) -> list[list[str]]:
+    """Of each conclusion its statement, origin, whether it holds and the evidence."""
+    return [[c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
 
 
 def to_json(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
