@@ -27,7 +27,6 @@ from trackwright.sim.paths import point_to_point as point_to_point
 from trackwright.sim.paths import straight_lines_with_halts as straight_lines_with_halts
 from trackwright.sim.phases import Radar as Radar
 from trackwright.sim.phases import Reflector as Reflector
-from trackwright.sim.phases import phase_sigma as phase_sigma
 from trackwright.sim.phases import plane_phases as plane_phases
 from trackwright.sim.phases import signal_phases as signal_phases
 from trackwright.sim.phases import spherical_phases as spherical_phases
@@ -72,7 +71,6 @@ __all__ = [
     "spherical_phases",
     "plane_phases",
     "signal_phases",
-    "phase_sigma",
     "Radar",
     "Reflector",
     # what goes wrong

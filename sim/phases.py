@@ -104,8 +104,14 @@ class Radar:
 
     @property
     def sigma_p(self) -> float:
-        """The phase noise, rad, that has the same standard deviation at the phase level."""
-        return phase_sigma(self.snr, self.n_samples)
+        """Standard deviation, rad, of the phase at the FFT's peak of N samples of a real tone in white noise.
+
+        Amplitude A and noise sigma make a sample's snr A² / (2 sigma²). The peak is N A / 2 times sinc(d) with the tone
+        d bins from the bin's middle; noise there has the standard deviation sigma sqrt(N / 2) across it. The quotient
+        is 1 / (sqrt(N snr) sinc(d)). Coarse synchronisation makes d uniform on +-1/2, and the mean of 1 / sinc² is
+        2 ln 2. A small-angle approximation: valid well below 1 rad.
+        """
+        return float(np.sqrt(2 * np.log(2) / (self.n_samples * self.snr)))
 
 
 @dataclass(frozen=True)
@@ -125,17 +131,6 @@ class Reflector:
         normal = np.asarray(self.normal, float) / np.linalg.norm(self.normal)
         height = ((positions - self.point) * normal).sum(axis=-1, keepdims=True)
         return positions - 2 * height * normal
-
-
-def phase_sigma(snr: float, n_samples: int) -> float:
-    """Standard deviation, rad, of the phase at the FFT's peak of N samples of a real tone in white noise.
-
-    Amplitude A and noise sigma make a sample's snr A² / (2 sigma²). The peak is N A / 2 times sinc(d) with the tone d
-    bins from the bin's middle; noise there has the standard deviation sigma sqrt(N / 2) across it. The quotient is
-    1 / (sqrt(N snr) sinc(d)). Coarse synchronisation makes d uniform on +-1/2, and the mean of 1 / sinc² is 2 ln 2.
-    A small-angle approximation: valid well below 1 rad.
-    """
-    return float(np.sqrt(2 * np.log(2) / (n_samples * snr)))
 
 
 def signal_phases(

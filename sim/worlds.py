@@ -103,13 +103,10 @@ def station(
     from trackwright.sim.stations import simulate_phases, work_station
 
     rig = work_station()
-    errors: dict[str, Corruption] = {}
-    if gauss_markov > 0:
-        errors["gauss-markov"] = corruptions.gauss_markov(gauss_markov, 1.0)
-    if outliers > 0:
-        errors["outliers"] = corruptions.outliers(outliers, np.pi)
-    if drop_outs > 0:
-        errors["drop-outs"] = corruptions.drop_outs(drop_outs)
+    errors = _present(
+        {"gauss-markov": (corruptions.gauss_markov, gauss_markov, 1.0),
+         "outliers": (corruptions.outliers, outliers, np.pi), "drop-outs": (corruptions.drop_outs, drop_outs)}
+    )  # fmt: skip
     stations = list(rig.stations)
     if lost_station is not None:
         if lost_station not in stations:
@@ -260,13 +257,10 @@ def fusion(
     rig = with_stations(chamber(), WALK_VOLUME.mean(axis=0), stations)
     errors = _errors_of_anchors(bias, 0.0, hidden, sigma_r, lost)
     ranged = simulate_ranges(rig, n=_ids(n, ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=errors)
-    of_angles: dict[str, Corruption] = {}
-    if bias_angle > 0:
-        of_angles["drift"] = corruptions.gauss_markov(bias_angle, 5.0)
-    if sigma_angle > 0:
-        of_angles["white"] = corruptions.white_noise(sigma_angle)
-    if lost > 0:
-        of_angles["lost"] = corruptions.drop_outs(lost)
+    of_angles = _present(
+        {"drift": (corruptions.gauss_markov, bias_angle, 5.0), "white": (corruptions.white_noise, sigma_angle),
+         "lost": (corruptions.drop_outs, lost)}
+    )  # fmt: skip
     return SimulatedWorld(f"simulated-fusion-{seed}", simulate_fusion(ranged, seed, of_angles))
 
 
@@ -275,18 +269,16 @@ def _errors_of_anchors(bias: float, drift: float, hidden: float, sigma: float, l
     from trackwright.sim import corruptions
     from trackwright.sim.ranging import antenna_biases, obstruction
 
-    errors: dict[str, Corruption] = {}
-    if bias > 0:
-        errors["biases"] = antenna_biases(bias)
-    if drift > 0:
-        errors["drift"] = corruptions.gauss_markov(drift, 10.0)
-    if hidden > 0:
-        errors["hidden"] = obstruction(hidden, 2.0, 0.3, 0.3)
-    if sigma > 0:
-        errors["white"] = corruptions.white_noise(sigma)
-    if lost > 0:
-        errors["lost"] = corruptions.drop_outs(lost)
-    return errors
+    return _present(
+        {"biases": (antenna_biases, bias), "drift": (corruptions.gauss_markov, drift, 10.0),
+         "hidden": (obstruction, hidden, 2.0, 0.3, 0.3), "white": (corruptions.white_noise, sigma),
+         "lost": (corruptions.drop_outs, lost)}
+    )  # fmt: skip
+
+
+def _present(levels: Mapping[str, tuple[Any, ...]]) -> dict[str, Corruption]:
+    """The corruptions by name, each given as its maker, its level and further numbers, whose level is above zero."""
+    return {name: make(level, *more) for name, (make, level, *more) in levels.items() if level > 0}
 
 
 @checked

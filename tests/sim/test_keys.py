@@ -7,15 +7,6 @@ import pytest
 from trackwright.sim.keys import in_blocks, normals, stream, trajectory_keys, uniforms
 
 
-@pytest.mark.parametrize("draw", [normals, uniforms])
-def test_a_trajectory_draws_the_same_numbers_in_any_batch(draw):
-    together = draw(trajectory_keys(7, np.arange(8)), (5, 3))
-    alone = draw(trajectory_keys(7, [5]), (5, 3))
-    shuffled = draw(trajectory_keys(7, np.arange(8)[::-1]), (5, 3))
-    assert np.array_equal(alone[0], together[5])
-    assert np.array_equal(shuffled[::-1], together)
-
-
 def test_seed_id_and_stream_each_give_other_numbers():
     draws = [
         normals(keys, (15,))[0]

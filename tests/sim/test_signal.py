@@ -5,7 +5,7 @@ import pytest
 
 from trackwright.sim.keys import trajectory_keys
 from trackwright.sim.paths import hand_motion
-from trackwright.sim.phases import Radar, Reflector, phase_sigma, signal_phases, spherical_phases, wrapped
+from trackwright.sim.phases import Radar, Reflector, signal_phases, spherical_phases, wrapped
 from trackwright.sim.stations import work_station
 
 STATIONS = list(work_station().stations.values())
@@ -69,11 +69,6 @@ def test_signal_level_and_phase_level_agree_in_spread(snr, noisy):
     # 6,300 independent deviations of 900 rows whose tone sits at its own place in the bin (a variance spread by 31 %):
     # the variance has a standard error of 2 %, the standard deviation of 1 %; three of them.
     assert np.sqrt(variance) == pytest.approx(radar.sigma_p, rel=0.03)
-
-
-def test_the_predicted_spread_falls_with_the_root_of_samples_and_snr():
-    assert phase_sigma(1.0, 512) == pytest.approx(np.sqrt(2 * np.log(2) / 512))
-    assert phase_sigma(4.0, 2048) == pytest.approx(phase_sigma(1.0, 512) / 4)
 
 
 def test_the_peak_phase_has_no_leakage_bias_between_antennas():
