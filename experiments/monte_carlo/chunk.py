@@ -52,8 +52,7 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
 
 def tracked_runs(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, TrackedRuns]:
     """The estimates of every tracker of a study for the trajectories with these ids, at a point of the grid."""
-    (condition,) = [c for c in study.conditions if c.world == world and point.items() <= c.point.items()]
-    prepared = _prepared(study, condition, ids)[1]
+    prepared = _prepared(study, study.condition(world, **point), ids)[1]
     return {name: _track(prepared[name], ids, study, c)[0].runs(0, len(ids)) for name, c in study.trackers.items()}
 
 

@@ -127,6 +127,16 @@ class Study:
         """Number of chunks of each condition."""
         return math.ceil(self.runs / self.chunk)
 
+    def condition(self, world: str, **point: Any) -> Condition:
+        """The condition of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
+
+        Raises KeyError where no condition or more than one agrees with it.
+        """
+        matches = [c for c in self.conditions if c.world == world and point.items() <= c.point.items()]
+        if len(matches) != 1:
+            raise KeyError(f"{len(matches)} conditions have world '{world}' and {point}; expected one")
+        return matches[0]
+
     def numbers(self, condition: Condition) -> dict[str, Any]:
         """The parameters of the world in a condition."""
         varied = {k.removeprefix(WORLD): v for k, v in condition.numbers.items() if k.startswith(WORLD)}

@@ -86,19 +86,9 @@ class Results:
         self.study, self.totals, self.runs = study, totals, runs
         self._metrics: dict[tuple[int, str], dict[str, tuple[Any, np.ndarray]]] = {}
 
-    def condition(self, world: str, **point: Any) -> Condition:
-        """The condition of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
-
-        Raises KeyError where no condition or more than one agrees with it.
-        """
-        matches = [c for c in self.study.conditions if c.world == world and point.items() <= c.point.items()]
-        if len(matches) != 1:
-            raise KeyError(f"{len(matches)} conditions have world '{world}' and {point}; expected one")
-        return matches[0]
-
     def value(self, metric: str, world: str, tracker: str, **point: Any) -> Value:
         """A metric, or the mean of a measure, with its interval; NaN where no trajectory has it."""
-        return self.at(metric, self.condition(world, **point), tracker)
+        return self.at(metric, self.study.condition(world, **point), tracker)
 
     def at(self, metric: str, condition: Condition, tracker: str) -> Value:
         """The same, by condition."""
@@ -106,11 +96,11 @@ class Results:
 
     def difference(self, metric: str, world: str, tracker: str, other: str, **point: Any) -> Value:
         """A tracker's metric minus another's, paired."""
-        return self.compared(np.subtract, metric, self.condition(world, **point), tracker, other)
+        return self.compared(np.subtract, metric, self.study.condition(world, **point), tracker, other)
 
     def ratio(self, metric: str, world: str, tracker: str, other: str, **point: Any) -> Value:
         """A tracker's metric over another's, paired."""
-        return self.compared(np.divide, metric, self.condition(world, **point), tracker, other)
+        return self.compared(np.divide, metric, self.study.condition(world, **point), tracker, other)
 
     def compared(
         self, how: Callable[[Any, Any], Any], metric: str, condition: Condition, tracker: str, other: str
@@ -121,7 +111,9 @@ class Results:
 
     def average(self, metric: str, pairs: Sequence[tuple[str, str]], **point: Any) -> Value:
         """The mean of a metric over pairs of world and tracker, all resampled together."""
-        replicates = [self._replicated(metric, self.condition(world, **point), tracker) for world, tracker in pairs]
+        replicates = [
+            self._replicated(metric, self.study.condition(world, **point), tracker) for world, tracker in pairs
+        ]
         return _interval(np.mean([d[0] for d in replicates]), np.mean([d[1] for d in replicates], axis=0))
 
     def main_metrics(self) -> dict[str, dict[tuple[int, str], Value]]:
@@ -150,11 +142,11 @@ class Results:
 
     def numbers(self, measure: str, world: str, tracker: str, **point: Any) -> np.ndarray:
         """A measure's numbers (n,), one per trajectory."""
-        return self.totals[self.condition(world, **point).index, tracker].measures[measure]
+        return self.totals[self.study.condition(world, **point).index, tracker].measures[measure]
 
     def cdf(self, world: str, tracker: str, kind: str = "m", **point: Any) -> tuple[np.ndarray, np.ndarray]:
         """Cumulative distribution of errors: error, m or rad, and the share of rows with at most that error."""
-        histogram = self.totals[self.condition(world, **point).index, tracker].scores.histograms[kind].sum(axis=0)
+        histogram = self.totals[self.study.condition(world, **point).index, tracker].scores.histograms[kind].sum(axis=0)
         return EDGES, np.cumsum(histogram) / max(histogram.sum(), 1)
 
     def _replicated(self, metric: str, condition: Condition, tracker: str) -> tuple[Any, np.ndarray]:

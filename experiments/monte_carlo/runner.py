@@ -105,7 +105,9 @@ def _run_until(
         enough *= 2
 
 
-def run_missing(store: ChunkStore, parts: Sequence[Part], advance: Advance, executor: Executor | None = None) -> None:
+def run_missing(
+    store: ChunkStore, parts: Sequence[Part], advance: Advance = _no_progress, executor: Executor | None = None
+) -> None:
     """Run those of the chunks that are not in the store, on the executor or as many in parallel as the host allows."""
     study, missing = store.study, [part for part in parts if store.kept(part) is None]
     advance(len(parts) - len(missing))

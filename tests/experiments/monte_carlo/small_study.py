@@ -1,5 +1,6 @@
 """A study of a few seconds, in Python and in TOML, and the command line for it."""
 
+import json
 import os
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import sys
 import numpy as np
 
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
+from trackwright.experiments.pages.reports.study_text import to_json
 from trackwright.sim.worlds import WORLDS
 
 SMALL = Study(
@@ -22,10 +24,6 @@ SMALL = Study(
     measures={"last_m": lambda run: np.linalg.norm((run.estimates - run.truth)[:, -1, :2], axis=-1)},
     metrics=("rmse_m", "bound_m", "last_m"),
 )
-
-
-def no_progress(done, now=""):
-    """No progress bar."""
 
 
 TOML = """
@@ -48,3 +46,8 @@ def study_command(*words, devices=None):
         [sys.executable, "-m", "trackwright.experiments", "study", *map(str, words)],
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
+
+
+def sha(results):
+    """The digest of all metrics."""
+    return json.loads(to_json(results, []))["sha256"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor
@@ -11,22 +10,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.experiments.monte_carlo.small_study import SMALL, no_progress
+from tests.experiments.monte_carlo.small_study import SMALL, sha
 from trackwright.experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
 from trackwright.experiments.monte_carlo.runner import run_missing, run_study
-from trackwright.experiments.pages.reports.study_text import to_json
 from trackwright.trackers.core.errors import UnusableInput
-
-
-def _sha(results):
-    return json.loads(to_json(results, []))["sha256"]
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """The folder of a finished study, and the digest of its results."""
     folder = tmp_path_factory.mktemp("whole") / "out"
-    return folder, _sha(run_study(SMALL, folder))
+    return folder, sha(run_study(SMALL, folder))
 
 
 @pytest.fixture
@@ -41,16 +35,16 @@ def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, 
     backwards = ChunkStore(tmp_path / "backwards", SMALL).open()
     for condition in reversed(SMALL.conditions):
         for chunk in reversed(range(SMALL.chunks)):
-            run_missing(backwards, [(condition.index, chunk)], no_progress)
-    assert _sha(backwards.results({c.index: SMALL.runs for c in SMALL.conditions})) == whole[1]
+            run_missing(backwards, [(condition.index, chunk)])
+    assert sha(backwards.results({c.index: SMALL.runs for c in SMALL.conditions})) == whole[1]
     parts = [tmp_path / f"part-{k}" for k in (1, 2)]
     for k, part in enumerate(parts, start=1):
-        assert run_study(SMALL, part, (k, 2), None, no_progress) is None
+        assert run_study(SMALL, part, (k, 2)) is None
     # What a killed process was writing is no chunk.
     (parts[0] / "chunks" / ".trackwright-01234567-0000-000000.npz").write_bytes(b"half")
     assert merge_shards(parts, tmp_path / "merged") == 4
     assert not [*(tmp_path / "merged" / "chunks").glob(".*")]
-    assert _sha(run_study(SMALL, tmp_path / "merged")) == whole[1]
+    assert sha(run_study(SMALL, tmp_path / "merged")) == whole[1]
 
 
 @pytest.mark.parametrize("kept", [0, 0.99])
@@ -58,7 +52,7 @@ def test_a_truncated_chunk_is_computed_again_to_the_same_bits(whole, finished, k
     folder, (path, *others) = finished
     before, made = path.read_bytes(), {one: one.stat().st_mtime_ns for one in others}
     path.write_bytes(before[: int(kept * len(before))])
-    assert _sha(run_study(SMALL, folder)) == whole[1]
+    assert sha(run_study(SMALL, folder)) == whole[1]
     assert len(path.read_bytes()) > 0.9 * len(before)
     assert {one: one.stat().st_mtime_ns for one in others} == made
 
@@ -77,13 +71,13 @@ def test_a_clock_that_is_set_back_or_forth_costs_no_chunk(whole, finished, monke
     for year in (0, 4e9):
         for path in finished[0].rglob("*"):
             os.utime(path, (year, year))
-        assert _sha(run_study(SMALL, finished[0])) == whole[1]
+        assert sha(run_study(SMALL, finished[0])) == whole[1]
 
 
 def test_two_callers_on_one_folder_end_with_the_same_bits(whole, tmp_path):
     with ThreadPoolExecutor(2) as callers:
         found = [*callers.map(lambda _: run_study(SMALL, tmp_path), range(2))]
-    assert [*map(_sha, found)] == [whole[1]] * 2
+    assert [*map(sha, found)] == [whole[1]] * 2
     assert not [path.name for path in tmp_path.rglob(".*")]
 
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.experiments.monte_carlo.small_study import SMALL, TOML
+from tests.experiments.monte_carlo.small_study import SMALL, TOML, sha
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor
 from trackwright.experiments.monte_carlo.chunk_store import identity
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
-from trackwright.experiments.monte_carlo.sources import PortableStudy, load_study
-from trackwright.experiments.pages.reports.study_text import to_json
+from trackwright.experiments.monte_carlo.sources import PortableStudy, available_studies, load_study
 from trackwright.trackers.core.errors import UnusableInput
 
 MINE = "from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
@@ -30,10 +28,6 @@ STUDY = Study(
     metrics=("rmse_m", "bound_m", "last_m"),
 )
 """
-
-
-def _sha(results):
-    return json.loads(to_json(results, []))["sha256"]
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +52,7 @@ def shas(folder, tmp_path_factory):
     out = tmp_path_factory.mktemp("threads")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        return [_sha(run_study(load_study(name), out / name)) for name in ("study.py", "small.toml")]
+        return [sha(run_study(load_study(name), out / name)) for name in ("study.py", "small.toml")]
 
 
 @pytest.fixture
@@ -74,6 +68,13 @@ def test_a_study_is_built_again_from_text_and_numbers_far_from_its_files(studies
     again = portable.study()
     assert (again.name, again.runs, again.seed, again.source) == ("mine", 7, 3, PYTHON)
     assert again.trackers["mine"].spec.table == "fixes"
+
+
+@pytest.mark.parametrize("name", available_studies())
+def test_every_name_on_the_list_is_a_study_with_expected_results(name):
+    study = load_study(name)
+    assert study.name == name
+    assert study.expected is not None
 
 
 def test_a_study_by_name_travels_as_its_name():
@@ -94,7 +95,7 @@ def test_a_study_without_a_declaration_or_changed_in_memory_is_refused(studies):
 def test_worker_processes_give_the_bits_of_threads(studies, shas, tmp_path):
     pytest.importorskip("distributed")
     with cluster_executor("local:2") as workers:
-        found = [_sha(run_study(study, tmp_path / study.name, executor=workers)) for study in studies]
+        found = [sha(run_study(study, tmp_path / study.name, executor=workers)) for study in studies]
     assert found == shas
 
 
@@ -105,7 +106,7 @@ def test_a_condition_ends_early_elsewhere_as_on_threads(studies, elsewhere, tmp_
     here, there = (run_study(study, tmp_path / f"{x is None}", until=stop, executor=x) for x in (None, elsewhere))
     assert there.runs == here.runs
     assert min(there.runs.values()) < study.runs
-    assert _sha(there) == _sha(here)
+    assert sha(there) == sha(here)
 
 
 @pytest.mark.parametrize("where", ["threads", "elsewhere"])
@@ -122,5 +123,5 @@ def test_a_study_interrupted_by_ctrl_c_continues_from_its_store(studies, shas, e
         run_study(study, tmp_path, advance=interrupted, executor=executor)
     stored = {path: path.stat().st_mtime_ns for path in (tmp_path / "chunks").glob("*.npz")}
     assert 2 <= len(stored) < len(study.conditions) * study.chunks
-    assert _sha(run_study(study, tmp_path, executor=executor)) == shas[1]
+    assert sha(run_study(study, tmp_path, executor=executor)) == shas[1]
     assert {path: path.stat().st_mtime_ns for path in stored} == stored
