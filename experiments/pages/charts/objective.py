@@ -63,6 +63,10 @@ def draw_curve(
             grid, low, high, color=SKY, alpha=0.35, linewidth=0, label="± standard deviation over repeats"
         )
     axes.plot(grid, values, color=INK, linewidth=1.4, marker="o" if len(grid) <= 40 else "", markersize=3.5)
+    _mark(axes, best)
+
+
+def _mark(axes: Axes, best: tuple[float, float]) -> None:
     axes.plot(
         *best, "o", color=VERMILION, markersize=8, markeredgecolor="white", markeredgewidth=1.3, clip_on=False, zorder=5
     )
@@ -97,9 +101,7 @@ def draw_contours(
             linewidth=1.2 if first else 0.6, alpha=1.0 if first else 0.5,
             label={0: "best start" if len(paths) > 1 else "optimiser steps", 1: "other starts"}.get(k),
         )  # fmt: skip
-    axes.plot(
-        *best, "o", color=VERMILION, markersize=8, markeredgecolor="white", markeredgewidth=1.3, clip_on=False, zorder=5
-    )
+    _mark(axes, best)
     axes.grid(visible=False)
     if paths:
         handles = (x[::-1] for x in axes.get_legend_handles_labels())

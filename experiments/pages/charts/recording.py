@@ -11,12 +11,17 @@ from inspect import isfunction
 from itertools import pairwise
 
 import numpy as np
-import polars as pl
 from matplotlib.axes import Axes
 
-from trackwright.experiments.pages.charts.distributions import Curve, draw_coverage, draw_distributions, levels_of
+from trackwright.experiments.pages.charts.distributions import (
+    Curve,
+    draw_coverage,
+    draw_distributions,
+    draw_nis,
+    law_of,
+    levels_of,
+)
 from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, ellipse_rows, natural, plan_corners
-from trackwright.experiments.pages.charts.innovations import draw_nis, law_of
 from trackwright.experiments.pages.charts.over_time import (
     draw_angle,
     draw_band,
@@ -342,14 +347,11 @@ def _truth_of(scored: ScoredRecording) -> dict[str, np.ndarray]:
     association, paths = scored.association, {}
     for begin, end in pairwise(association.starts):
         tag, known = str(association.rows["tag"][int(begin)]), association.scored[begin:end]
-        times, path = scored.times[begin:end][known], association.truth[begin:end][known, :2]
-        if "truth" in scored.folder.tables:
-            table = scored.folder.tables["truth"].filter(pl.col("tag").cast(pl.String) == tag).sort("t_s")
-            times, path = float_column(table, "t_s"), np.stack([float_column(table, f"{a}_m") for a in "xy"], axis=1)
-            there = np.isfinite(path).all(axis=1)
-            times, path = times[there], path[there]
+        times, path = scored.times[begin:end][known], association.truth[begin:end][known]
+        if tag in scored.folder.paths.number:
+            times, path = scored.folder.paths.of_tag(tag)
         if len(path):
-            paths[tag] = broken_at_gaps(times, path)[1]
+            paths[tag] = broken_at_gaps(times, path[:, :2])[1]
     return paths
 
 

@@ -10,9 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
+from trackwright.experiments.pages.charts.distributions import (
+    Curve,
+    draw_autocorrelation,
+    draw_distributions,
+    draw_nis,
+    draw_probabilities,
+)
 from trackwright.experiments.pages.charts.floor import AROUND, PlanPath, draw_plan, plan_corners
-from trackwright.experiments.pages.charts.innovations import draw_autocorrelation, draw_nis, draw_probabilities
 from trackwright.experiments.pages.charts.objective import draw_contours, draw_curve, named, scale_axis
 from trackwright.experiments.pages.charts.style import (
     BEFORE,

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import polars as pl
 
 from trackwright.experiments.pages.charts.floor import ellipse_rows
 from trackwright.experiments.pages.charts.style import broken_at_gaps
@@ -302,9 +301,8 @@ def _path(times: np.ndarray, positions: np.ndarray, truth: np.ndarray) -> np.nda
 
 def _truth(folder: RecordingFolder, tag: str, start: float, stop: float) -> np.ndarray:
     """The true path of a tag between two times."""
-    if "truth" not in folder.tables:
+    if tag not in folder.paths.number:
         return np.zeros((0, 2))
-    rows = folder.tables["truth"].filter(pl.col("tag").cast(pl.String) == tag, pl.col("t_s").is_between(start, stop))
-    rows = rows.sort("t_s")
-    positions = np.stack([float_column(rows, "x_m"), float_column(rows, "y_m")], axis=1)
-    return _path(float_column(rows, "t_s"), positions, positions)
+    times, positions = folder.paths.of_tag(tag)
+    part = (times >= start) & (times <= stop)
+    return _path(times[part], positions[part, :2], positions[part, :2])

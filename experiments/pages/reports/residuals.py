@@ -41,8 +41,11 @@ class Channel(NamedTuple):
     against_name: str
 
 
-def channels_of(recording: ScoredRecording) -> tuple[list[str], list[Channel]]:
-    """The tags of the tables, and the residuals of each kind of readings; without estimates that are bearings."""
+def page_residuals(recording: ScoredRecording, most: int) -> dict[str, Any]:
+    """The residuals as the page holds them: quantiles of all, and at most about `most` of them over time.
+
+    Without estimates that are bearings.
+    """
     tags: list[str] = []
     channels: list[Channel] = []
     for table, kind in KINDS.items():
@@ -53,13 +56,8 @@ def channels_of(recording: ScoredRecording) -> tuple[list[str], list[Channel]]:
         number = rows.of_each(np.array([tags.index(tag) for tag in rows.tags]))
         estimated = _estimated(recording, rows)
         true, _ = recording.folder.paths.at(rows.tags, rows.starts, rows.times)
-        channels += _channels(recording.folder, kind, rows, number, estimated, true)
-    return tags, [channel for channel in channels if np.isfinite([channel.estimated, channel.true]).any()]
-
-
-def page_residuals(recording: ScoredRecording, most: int) -> dict[str, Any]:
-    """The residuals as the page holds them: quantiles of all, and at most about `most` of them over time."""
-    tags, channels = channels_of(recording)
+        found = _channels(recording.folder, kind, rows, number, estimated, true)
+        channels += [channel for channel in found if np.isfinite([channel.estimated, channel.true]).any()]
     step = max(1, -(-sum(len(c.times) for c in channels) // most)) if channels else 1
     start = float(np.min(recording.times, initial=np.inf)) if len(recording.times) else 0.0
     return {

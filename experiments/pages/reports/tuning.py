@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -141,7 +141,6 @@ FAR = 0.1
 """Distance of NIS or NEES from its distribution (`tuning.pit_uniformity`) above which covariances are misleading."""
 
 ADVICE = "Do not use such values as measurements: freeze or tie these parameters, or record more motion."
-SHAPES = ("nis-shape", "nees-shape")
 
 
 @dataclass(frozen=True)
@@ -197,19 +196,24 @@ def _change(metric: MetricChange, pair: tuple[float, float]) -> str:
     return f"{uncapitalised(metric.title)} changed from {number(pair[0])} to {number(pair[1])}{unit}{change}"
 
 
+def _shapes(data: TuningReportData) -> Iterator[tuple[str, MetricChange]]:
+    """NIS and NEES, where they are known, with the distances from their distributions."""
+    for quantity in ("NIS", "NEES"):
+        metric = data.metric(f"{quantity.lower()}-shape")
+        if metric is not None:
+            yield quantity, metric
+
+
 def _inconsistent(data: TuningReportData) -> list[str]:
     """Warnings where NIS or NEES is far from its distribution, also where it was before."""
     warnings = []
-    for key in SHAPES:
-        metric = data.metric(key)
-        if metric is None:
-            continue
+    for quantity, metric in _shapes(data):
         held_out = math.isfinite(metric.held_out[1])
         value = (metric.held_out if held_out else metric.training)[1]
         if value > FAR:
             where = "held-out recordings" if held_out else "the recordings tuned on"
             warnings.append(
-                f"{key.removesuffix('-shape').upper()} is far from its distribution on {where} (distance "
+                f"{quantity} is far from its distribution on {where} (distance "
                 f"{number(value)}; below {FAR} is acceptable): the reported covariances are wrong there."
             )
     return warnings
@@ -225,17 +229,13 @@ def _worse(data: TuningReportData) -> list[str]:
     if rmse is not None and is_worse(rmse, rmse.held_out):
         more = f"more than {100 * WORSE:.0f} % worse"
         warnings.append(f"Held-out {_change(rmse, rmse.held_out)}: {more}. {_why(data)}")
-    for key in SHAPES:
-        metric = data.metric(key)
-        if metric is None:
-            continue
+    for quantity, metric in _shapes(data):
         where = [
             name
             for name, pair in (("the recordings tuned on", metric.training), ("held-out recordings", metric.held_out))
             if is_worse(metric, pair)
         ]
         if where:
-            quantity = key.removesuffix("-shape").upper()
             warnings.append(
                 f"{quantity} is further from its distribution than before on {' and '.join(where)}: the reported "
                 "covariances are less reliable than the old ones."

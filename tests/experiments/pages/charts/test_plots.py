@@ -11,10 +11,17 @@ from matplotlib.image import imread
 from tests.experiments.pages.charts.small_runs import chart_data
 from tests.experiments.pages.reports.small_tracks import small_bearings, small_tracks
 from trackwright.experiments.pages.charts import style
-from trackwright.experiments.pages.charts.distributions import Curve, draw_coverage, levels_of, observed_shares
+from trackwright.experiments.pages.charts.distributions import (
+    Curve,
+    draw_autocorrelation,
+    draw_coverage,
+    draw_nis,
+    law_of,
+    levels_of,
+    observed_shares,
+)
 from trackwright.experiments.pages.charts.figures import plot_tracks
 from trackwright.experiments.pages.charts.floor import TRUTH
-from trackwright.experiments.pages.charts.innovations import draw_autocorrelation, draw_nis, law_of
 from trackwright.experiments.pages.charts.objective import sweep_plot
 from trackwright.experiments.pages.charts.over_time import (
     draw_angle,

@@ -6,6 +6,7 @@ import pytest
 
 from tests.browser import chromium, watched
 from tests.experiments.pages.reports.small_tracks import NASTY, TAGS, small_bearings, small_tracks
+from tests.experiments.pages.reports.test_track_page import NO_EVENTS
 from trackwright.experiments.pages.plot import Playback
 from trackwright.experiments.pages.reports.track import run_data, track_page, write_track_page
 from trackwright.trackers.evaluation.evaluate import evaluate
@@ -100,9 +101,6 @@ def test_slider_keys_and_hover_show_what_the_table_holds(browser, tmp_path):
     assert page.locator("#ticks i").count() == 1
     assert page.title() == "hall · trackwright track"
     assert errors == []
-
-
-NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
 
 
 def test_the_tracker_is_chosen_and_the_moment_and_the_tag_stay(browser, tmp_path):
