@@ -32,6 +32,9 @@ GRAVITY = 9.81
 
 _WAVES = 8
 
+SAMPLES = 3
+"""Samples of an IMU for each row of ranges."""
+
 Vectors = Float[np.ndarray, "n T 3"]
 Attitudes = Float[np.ndarray, "n T 4"]
 
@@ -107,7 +110,6 @@ def _in_body_each(
 
 def constant_bias(sigma: float) -> Corruption:
     """A constant bias of every axis, normal with standard deviation `sigma` in the unit of the values."""
-    _not_negative("a bias", sigma)
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         return values + sigma * normals(keys, (1, values.shape[2])).astype(float), seen
@@ -117,7 +119,6 @@ def constant_bias(sigma: float) -> Corruption:
 
 def random_walk(sigma: float) -> Corruption:
     """A random-walk bias of every axis, zero at first; `sigma`: its standard deviation after 1 s."""
-    _not_negative("a random walk", sigma)
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         steps = np.sqrt(np.diff(times, prepend=times[:1]))[:, None]
@@ -128,7 +129,6 @@ def random_walk(sigma: float) -> Corruption:
 
 def white_density(sigma: float) -> Corruption:
     """White noise of density `sigma` (unit per √Hz), independent of the sampling rate."""
-    _not_negative("a noise density", sigma)
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         dt = np.diff(times)
@@ -136,11 +136,6 @@ def white_density(sigma: float) -> Corruption:
         return values + sigma * normals(keys, values.shape[1:]).astype(float) / roots, seen
 
     return corrupt
-
-
-def _not_negative(what: str, sigma: float) -> None:
-    if not sigma >= 0:
-        raise ValueError(f"the sigma of {what} is {sigma}: expected 0 or more")
 
 
 MEMS_ACCEL: Mapping[str, Corruption] = MappingProxyType(
@@ -186,25 +181,10 @@ class SimulatedUwbImu:
         """The samples of the IMUs, zero where not `seen`, and the true attitudes at their times."""
         return self.sample()
 
-    @property
-    def accel(self) -> Float[np.ndarray, "n S 3"]:
-        """Specific forces, m/s², zero where not `seen`."""
-        return self.samples.accel
-
-    @property
-    def gyro(self) -> Float[np.ndarray, "n S 3"]:
-        """Angular rates, rad/s, zero where not `seen`."""
-        return self.samples.gyro
-
-    @property
-    def attitudes(self) -> Float[np.ndarray, "n S 4"]:
-        """The true attitudes."""
-        return self.samples.attitudes
-
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder of the ranges, with IMU samples, and truth with attitudes at the samples' times."""
         ranges = self.ranges.folder(name)
-        true = OnDemand({AXES: lambda: self.positions, QUATERNION: lambda: self.attitudes})
+        true = OnDemand({AXES: lambda: self.positions, QUATERNION: lambda: self.samples.attitudes})
         tables: dict[str, Callable[[], ArrayRows]] = {
             "ranges": self.ranges.rows,
             "truth": lambda: ArrayRows.regular(self.times, self.ids, true),
@@ -217,7 +197,7 @@ class SimulatedUwbImu:
         accel, gyro = (
             tuple(f"{what}_{axis}_{unit}" for axis in "xyz") for what, unit in (("accel", "mps2"), ("gyro", "radps"))
         )
-        columns = {accel: self.accel[self.seen], gyro: self.gyro[self.seen]}
+        columns = {accel: self.samples.accel[self.seen], gyro: self.samples.gyro[self.seen]}
         return ArrayRows.of_entries(tag, self.ids, self.times[row], columns)
 
 
@@ -238,15 +218,15 @@ def simulate_uwb_imu(
 ) -> SimulatedUwbImu:
     """Tags, each with an IMU, on smooth paths; by default one anchor's range at a time.
 
-    `n`, `rate_hz`, `n_points`, `protocol` and `corruptions` as for `simulate_ranges`. There are three IMU
-    samples per row of ranges. `accel`, `gyro`: corruptions of the IMU by name, in order. `gap_s`: start and end, s, of
+    `n`, `rate_hz`, `n_points`, `protocol` and `corruptions` as for `simulate_ranges`. There are `SAMPLES` of
+    the IMU per row of ranges. `accel`, `gyro`: corruptions of the IMU by name, in order. `gap_s`: start and end, s, of
     a gap in the IMU's samples. `attitude`: the body's attitudes (n, T, 4) as a function of (keys, times).
     """
     ranges = simulate_ranges(
         rig, path, n, seed, rate_hz=rate_hz, n_points=n_points, protocol=protocol, corruptions=corruptions
     )
     keys = trajectory_keys(seed, ranges.ids)
-    times = np.arange((n_points - 1) * 3 + 1) / (rate_hz * 3)
+    times = np.arange((n_points - 1) * SAMPLES + 1) / (rate_hz * SAMPLES)
     (positions,) = in_blocks(lambda keys: (path(stream(keys, "path"), times),), keys, size=32)
     seen = np.ones((len(ranges.ids), len(times)), bool)
     if gap_s is not None:

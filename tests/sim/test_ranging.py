@@ -113,8 +113,8 @@ def test_a_level_body_at_rest_measures_gravity_alone():
         return np.ones((len(keys), len(times), 3))
 
     world = simulate_uwb_imu(chamber(), rest, 2, n_points=4, accel={}, gyro={}, attitude=level)
-    np.testing.assert_allclose(world.accel, np.tile([0.0, 0.0, 9.81], (2, 10, 1)), atol=1e-9)
-    np.testing.assert_allclose(world.gyro, 0.0, atol=1e-12)
+    np.testing.assert_allclose(world.samples.accel, np.tile([0.0, 0.0, 9.81], (2, 10, 1)), atol=1e-9)
+    np.testing.assert_allclose(world.samples.gyro, 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -138,8 +138,8 @@ def test_the_ideal_imu_reads_circle_and_gravity():
 @pytest.mark.slow
 def test_a_body_depends_on_seed_and_id_alone():
     many, one = (simulate_uwb_imu(chamber(), n=ids, seed=4, n_points=20) for ids in ([5, 6, 7], [6]))
-    np.testing.assert_array_equal(many.accel[1], one.accel[0])
-    np.testing.assert_array_equal(many.attitudes[1], one.attitudes[0])
+    np.testing.assert_array_equal(many.samples.accel[1], one.samples.accel[0])
+    np.testing.assert_array_equal(many.samples.attitudes[1], one.samples.attitudes[0])
     assert np.allclose(np.linalg.norm(swinging(trajectory_keys(0, [1]), one.times), axis=-1), 1)
 
 
