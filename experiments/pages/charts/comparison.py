@@ -115,12 +115,7 @@ def _draw_distributions(axes: Axes, runs: Sequence[TrackRun], furthest: float, u
 
 
 def _draw_violins(axes: Axes, runs: Sequence[TrackRun], furthest: float, unit: Unit) -> None:
-    _violins(axes, [unit.factor * all_errors(run) for run in runs], [run.name for run in runs], furthest)
-    axes.set(ylabel=_quantity(runs, unit), xlabel="box: quartiles, whiskers: 5 and 95 %, point: RMSE")
-    axes.set_title("Errors by run")
-
-
-def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], furthest: float) -> None:
+    errors = [unit.factor * all_errors(run) for run in runs]
     places, colours = np.arange(len(errors)), _colours(len(errors))
     thinned = [e[np.linspace(0, len(e) - 1, min(len(e), MOST_POINTS)).astype(int)] for e in errors]
     spread = [k for k, e in enumerate(thinned) if np.ptp(e) > 0]
@@ -132,28 +127,22 @@ def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], fur
     axes.boxplot(thinned, positions=places, widths=0.2, whis=(5, 95), showfliers=False, medianprops=black)
     for place, error, colour in zip(places, errors, colours, strict=True):
         axes.plot(place, np.sqrt(np.mean(error**2)), "o", color=colour, markeredgecolor="white", markersize=6, zorder=5)
-    axes.set_xticks(places, [literal(name) for name in names], rotation=20 if len(errors) > 3 else 0)
+    axes.set_xticks(places, [literal(run.name) for run in runs], rotation=20 if len(errors) > 3 else 0)
     axes.set(ylim=(0, 1.02 * furthest), xlim=(-0.7, len(errors) - 0.3))
+    axes.set(ylabel=_quantity(runs, unit), xlabel="box: quartiles, whiskers: 5 and 95 %, point: RMSE")
+    axes.set_title("Errors by run")
     plain(axes, "y")
 
 
 def _planned(runs: Sequence[TrackRun]) -> dict[str, str]:
-    """The recordings with floor plans, and why these."""
-    names = _common(runs)
+    """The recordings of all runs with floor plans, and why these."""
+    recordings = [dict.fromkeys(key[0] for key in run.errors) for run in runs]
+    names = [name for name in recordings[0] if all(name in of_run for of_run in recordings)] if runs else []
     if not names:
         return {}
     errors = [np.concatenate([e.error for key, e in runs[0].errors.items() if key[0] == name]) for name in names]
     chosen = drawn_of(np.array([np.sqrt(np.mean(e**2)) for e in errors]), False, MOST_PLANS)
     return {names[k]: f"{why} by {runs[0].name}" if why else "" for k, why in chosen.items()}
-
-
-def _common(runs: Sequence[TrackRun]) -> list[str]:
-    """The recordings that all runs have."""
-    return [name for name in _recordings(runs[0]) if all(name in _recordings(run) for run in runs)] if runs else []
-
-
-def _recordings(run: TrackRun) -> list[str]:
-    return list(dict.fromkeys(key[0] for key in run.errors))
 
 
 def _draw_plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str, legend: bool) -> None:
