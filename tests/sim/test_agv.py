@@ -66,12 +66,7 @@ def test_a_delayed_fix_is_the_earlier_position():
 
 
 @pytest.mark.parametrize(
-    "make",
-    [
-        lambda: correlated_noise(-np.eye(3)),
-        lambda: delayed(-1.0),
-        lambda: mirrored_heights(1, 1, 1),
-    ],
+    "make", [lambda: correlated_noise(-np.eye(3)), lambda: delayed(-1.0), lambda: mirrored_heights(1, 1, 1)]
 )
 def test_invalid_corruptions_of_fixes_are_refused(make):
     with pytest.raises(ValueError, match="expected"):

@@ -9,15 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
-from trackwright.experiments.pages.charts.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    SKY,
-    VERMILION,
-    broken_at_gaps,
-    legend_above,
-)
+from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREY, SKY, VERMILION, broken_at_gaps, legend_above
 from trackwright.trackers.evaluation.statements import LIMITS
 from trackwright.tuning.diagnostics import nis_band
 

@@ -30,14 +30,7 @@ from trackwright.experiments.pages.charts.over_time import (
     draw_rmse,
     half_heights,
 )
-from trackwright.experiments.pages.charts.style import (
-    BLUE,
-    GREY,
-    LINES,
-    broken_at_gaps,
-    legend_above,
-    literal,
-)
+from trackwright.experiments.pages.charts.style import BLUE, GREY, LINES, broken_at_gaps, legend_above, literal
 from trackwright.experiments.pages.scored_tracks import (
     AnyEstimates,
     AnyRecording,

@@ -17,15 +17,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, short
 from trackwright.experiments.monte_carlo.results import Results
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
-from trackwright.experiments.pages.charts.style import (
-    HEIGHT,
-    INK,
-    LINES,
-    Chart,
-    literal,
-    plain,
-    write_panels,
-)
+from trackwright.experiments.pages.charts.style import HEIGHT, INK, LINES, Chart, literal, plain, write_panels
 from trackwright.experiments.text.expectations import Value
 from trackwright.experiments.text.wording import Unit, heading, unit_of
 from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS

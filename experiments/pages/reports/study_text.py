@@ -127,12 +127,7 @@ def _all_metrics(results: Results) -> list[dict[str, Any]]:
 
 def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:
     if isinstance(claim, Conclusion):
-        return {
-            "says": claim.statement,
-            "holds": claim.holds,
-            "evidence": claim.evidence,
-            "origin": claim.origin.value,
-        }
+        return {"says": claim.statement, "holds": claim.holds, "evidence": claim.evidence, "origin": claim.origin.value}
     ours: Value = claim.ours
     return {
         "figure": claim.quantity,

@@ -30,12 +30,7 @@ from trackwright.experiments.pages.charts.over_time import (
     half_heights,
     inflation,
 )
-from trackwright.experiments.pages.charts.recording import (
-    bearing_over_time,
-    coverage,
-    error_cdf,
-    floor_plan,
-)
+from trackwright.experiments.pages.charts.recording import bearing_over_time, coverage, error_cdf, floor_plan
 from trackwright.experiments.pages.charts.style import (
     BLACK,
     BLUE,

@@ -141,10 +141,7 @@ def _with_metric(key, **changes):
         ({"metrics": _with_metric("nis-shape", held_out=(0.1, 0.2))}, ("NIS", "on held-out recordings")),
         ({"metrics": _with_metric("nll", training=(0.1, 0.2))}, ("objective itself got worse",)),
         ({}, ("do not determine start.sigma_start", "freeze or tie")),
-        (
-            {"issues": ("a and b are not determined one by one",)},
-            ("a and b are not", "freeze or tie"),
-        ),
+        ({"issues": ("a and b are not determined one by one",)}, ("a and b are not", "freeze or tie")),
     ],
 )
 def test_what_got_worse_is_said_in_words(changes, words):
@@ -185,12 +182,7 @@ def test_a_run_without_truth_held_out_recordings_starts_or_intervals_has_a_page_
 
 
 def test_numbers_are_short_and_changes_have_a_sign():
-    assert [number(v) for v in (0.123456, -2.0, float("nan"), 1.5e-7)] == [
-        "0.1235",
-        "−2",
-        "–",
-        "1.5·10⁻⁷",
-    ]
+    assert [number(v) for v in (0.123456, -2.0, float("nan"), 1.5e-7)] == ["0.1235", "−2", "–", "1.5·10⁻⁷"]
     assert [percent_change(*p) for p in ((2.0, 1.0), (1.0, 1.013), (0.0, 1.0), (float("nan"), 1.0))] == [
         "−50 %",
         "+1.3 %",
