@@ -24,9 +24,9 @@ def _study(folder, rmse, width=0.02, tracker="direct"):
     return folder
 
 
-def _evaluation(folder, rmse):
+def _evaluation(folder, rmse, **more):
     folder.mkdir()
-    figures = {"rmse_m": rmse, "n": 100, "nees_mean": None}
+    figures = {"rmse_m": rmse, "n": 100, "nees_mean": None} | more
     content = {"overall": figures, "recordings": [{"recording": "walk", **figures}]}
     (folder / "evaluation.json").write_text(json.dumps(content))
     return folder
@@ -39,12 +39,8 @@ def _contrasts(*folders):
 
 @pytest.mark.parametrize(("spatial_nees", "there"), [(None, False), (1.0, True)])
 def test_errors_in_3d_have_a_column_only_where_the_height_is_estimated(tmp_path, spatial_nees, there):
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        figures = {"n": 9, "rmse_m": 0.2, "rmse_3d_m": 0.2, "nees_ratio": 1.1, "nees_3d_ratio": spatial_nees}
-        content = {"overall": figures, "recordings": [{"recording": "walk", **figures}]}
-        (tmp_path / name / "evaluation.json").write_text(json.dumps(content))
-    table = comparison(read_runs([tmp_path / "a", tmp_path / "b"])[0])[0][0]
+    more = {"rmse_3d_m": 0.2, "nees_ratio": 1.1, "nees_3d_ratio": spatial_nees}
+    table = comparison(read_runs([_evaluation(tmp_path / name, 0.2, **more) for name in "ab"])[0])[0][0]
     assert ("3-D RMSE" in table.head) == there
     assert ("3-D" in table.title) == there
 
