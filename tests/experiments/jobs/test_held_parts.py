@@ -69,8 +69,7 @@ def test_evaluations_on_workers_have_the_bits_of_those_here_and_send_only_what_i
     mine, other = here.evaluate(vector), there.evaluate(vector)
     for name in ("values", "gradients", "terms", "term_gradients"):
         np.testing.assert_array_equal(getattr(mine, name), getattr(other, name))
-    (chunk,) = workers.client.results
-    numbers = sum(x.size for found in chunk for x in found)
+    numbers = sum(x.size for chunk in workers.client.results for found in chunk for x in found)
     assert numbers == mine.terms.size + mine.term_gradients.size
     assert numbers < sum(np.size(x) for x in data.rows()[0].readings["fixes"]) / 10
 
