@@ -18,8 +18,7 @@ from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, w
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.kinds import table_kinds
-from trackwright.trackers.recordings.reading_grids import above_rounding
-from trackwright.trackers.recordings.repeats import counted_once
+from trackwright.trackers.recordings.reading_grids import above_rounding, counted_once
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackwright.trackers.recordings.tracks import Tracks, track
 

@@ -1,20 +1,34 @@
-"""Steps and repetitions of the readings of a tracker: the rounding that limits its noise levels from below."""
+"""Steps and repetitions of the readings of a tracker.
+
+Rounding limits its noise levels from below. Readings that a source repeats until it has a new one are given to trackers
+once. A coarse grid repeats readings by chance, which are new ones. The chance is bounded by the changes after a clear
+change, when the tag or its readings move: of a log-concave distribution of the change, in steps, P(0) ≤ P(1)²/P(2).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 
 import numpy as np
+import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.tunable import Scale, tunables, with_values
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.recordings.checks.readings import Readings, quantisation_step, readings, repeated_share
+from trackwright.trackers.recordings.checks.readings import (
+    LEAST_PAIRS,
+    MANY,
+    Readings,
+    changes,
+    quantisation_step,
+    readings,
+    repeated_share,
+)
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, wrapped
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
@@ -31,6 +45,12 @@ MOST_FOLDERS = 20
 
 MOST_SOURCES = 64
 """Stations or anchors that readings of a channel are told apart by."""
+
+HELD = 0.5
+"""Least share of the repeats that chance does not explain where a source repeats its readings."""
+
+CLEAR = 1.5
+"""Least size of a clear change, in steps."""
 
 
 @dataclass(frozen=True)
@@ -196,3 +216,51 @@ def _sources(inputs: Float[np.ndarray, "n i"]) -> np.ndarray:
     """A number for each different row of inputs; one for all where there are too many, as with moving inputs."""
     different, index = np.unique(inputs, axis=0, return_inverse=True)
     return index.ravel() if len(different) <= MOST_SOURCES else np.zeros(len(inputs), int)
+
+
+def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[RecordingFolder, list[str]]:
+    """The recording without the values that a source only repeats in the tables of these names, and a line for each.
+
+    Rows stay, without a value. A recording with an interval of averages, zero included, is as it is.
+    """
+    tables, lines = dict[str, pl.DataFrame](), list[str]()
+    for name, kind in KINDS.items():
+        if folder.average_s is not None or not kind.averaged or name not in names or name not in folder.tables:
+            continue
+        if not source_repeats(readings(folder, name, errors=False)):
+            continue
+        table, layout = folder.tables[name], kind.layout(folder.tables[name].columns)
+        values = [pl.col(column) for column in layout.values]
+        same = pl.all_horizontal(x.eq_missing(x.forward_fill().shift().over(layout.ids)) for x in values)
+        held = table.select(same & pl.any_horizontal(x.is_not_null() for x in values)).to_series()
+        tables[name] = table.with_columns(pl.when(~held).then(x) for x in values)
+        lines.append(
+            f"{folder.name}: {name}: {held.sum()} of {table.height} rows repeat the value before of the same "
+            f"{' and '.join(layout.ids)}, more than by chance; each value is used once (every row: --average 0)"
+        )
+    return (replace(folder, tables={**folder.tables, **tables}) if tables else folder), lines
+
+
+def source_repeats(read: Readings) -> bool:
+    """Whether readings repeat the one before so often that most repeats are no new readings."""
+    if not repeated_share(read) >= MANY:
+        return False
+    follows, moved = changes(read)
+    steps = np.array([quantisation_step(read, k) or 0.0 for k in range(len(read.columns))])
+    clear = (np.abs(moved) > CLEAR * steps).any(axis=1)
+    # A change follows the one before where the rows of both have a predecessor in one stream.
+    after = np.flatnonzero(follows[1:] & follows[:-1] & clear[:-1]) + 1
+    if len(after) < LEAST_PAIRS:
+        return False
+    share = float(np.mean((moved[after] == 0.0).all(axis=1)))
+    # All columns repeat at most as often as each of them.
+    chance = min((chance_of_repeat(moved[after, k], step) for k, step in enumerate(steps)), default=0.0)
+    return share >= MANY and share - chance > HELD * share
+
+
+def chance_of_repeat(moved: np.ndarray, step: float) -> float:
+    """A bound of the probability that a change (n,) in steps of `step` is zero by chance; 0 without steps."""
+    if step == 0.0:
+        return 0.0
+    one, two = (np.count_nonzero(np.round(np.abs(moved) / step) == k) / 2 for k in (1, 2))
+    return one**2 / max(two, 1.0) / len(moved)

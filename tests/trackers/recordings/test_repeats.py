@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 import trackwright as tw
 from trackwright.trackers.recordings.checks.readings import Readings
-from trackwright.trackers.recordings.repeats import chance_of_repeat, counted_once, source_repeats
+from trackwright.trackers.recordings.reading_grids import chance_of_repeat, counted_once, source_repeats
 
 IDS = ["tag", "anchor"]
 NAMES = ["ranges"]
