@@ -19,7 +19,7 @@ Importing it adds to XLA_FLAGS the options with which filters compile and run fa
 from importlib.metadata import PackageNotFoundError, version
 
 from trackwright.trackers.core.on_demand import names_on_demand
-from trackwright.trackers.programs.xla_flags import set_flags
+from trackwright.trackers.programs.process_settings import set_flags
 
 set_flags()
 

@@ -101,13 +101,12 @@ def truth(recording: Path, /, *, out: Folder) -> int:
     """
     started = datetime.now(UTC)
     from trackwright.experiments.cli.console import read_with_notices
-    from trackwright.experiments.cli.runtime import keep_programs
+    from trackwright.experiments.cli.runtime import keep_programs, write_manifest
     from trackwright.trackers.recordings.folder import write_recording
 
     (folder,) = read_with_notices((recording,))
     keep_programs()
     # jax takes a second to import, which the help and a refused recording need not wait for.
-    from trackwright.experiments.cli.manifest import write_manifest
     from trackwright.trackers.line.rows import fit_path_truth
 
     fitted, knot_times = fit_path_truth(folder)

@@ -1,16 +1,25 @@
-"""Process settings for speed: garbage collection, memory given back, compiled programs kept."""
+"""What begins and ends a run: garbage collected less often, memory given back, programs kept; the manifest."""
 
 from __future__ import annotations
 
 import atexit
 import gc
 import os
+import platform
 import warnings
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
 
 # Our own modules are imported in functions: Ctrl-C is answered in a line within `main` alone, which imports this first.
 
 COLLECT_AFTER = 500_000
 """Allocations between garbage collections: imports and tracing make many lasting objects, 300,000 before a track."""
+
+PACKAGES = ("jax", "jaxlib", "numpy")
+"""Those whose versions a manifest names, beside our own."""
 
 
 def settle_memory() -> None:
@@ -38,3 +47,40 @@ def keep_programs() -> None:
     store = store_in_use()
     if store is not None:
         traced_programs.use(store)
+
+
+def write_manifest(
+    out_dir: Path | str,
+    command: Sequence[str],
+    config: Mapping[str, Any],
+    started: datetime,
+    seeds: Sequence[int] = (),
+    chunk: int | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> Path:
+    """Writes `manifest.json` at the end of a run and returns its path.
+
+    `started`: with its time zone. `chunk`: trajectories per chunk, on which bit-identity depends. `extra`: further
+    entries. Raises UnusableInput if the folder cannot be written to.
+    """
+    import jax
+
+    from trackwright import __version__
+    from trackwright.trackers.recordings.atomic import atomic_write, config_hash, json_text
+
+    versions = {"trackwright": __version__, **{name: version(name) for name in PACKAGES}}
+    manifest = {
+        "command": list(command),
+        "config": config,
+        "config_sha256": config_hash(config),
+        "seeds": list(seeds),
+        "chunk": chunk,
+        "versions": versions | {"python": platform.python_version()},
+        "device": jax.devices()[0].device_kind,
+        "platform": jax.default_backend(),
+        "n_devices": jax.device_count(),
+        "started": started.astimezone(UTC).isoformat(timespec="milliseconds"),
+        "ended": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        **(extra or {}),
+    }
+    return atomic_write(Path(out_dir) / "manifest.json", lambda path: path.write_text(json_text(manifest), "utf-8"))

@@ -31,7 +31,7 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
     def simulate(out: Path, **given: Any) -> int:
         numbers = {p.name: given.get(p.name, p.default) for p in options[1:]}
         started = datetime.now(UTC)
-        from trackwright.experiments.cli.manifest import write_manifest
+        from trackwright.experiments.cli.runtime import write_manifest
         from trackwright.trackers.core.wording import counted
         from trackwright.trackers.recordings.folder import write_recording
 

@@ -54,8 +54,7 @@ def study(
     if out is not None:
         require_output(out)
     from trackwright.experiments.cli.console import output_folder
-    from trackwright.experiments.cli.manifest import write_manifest
-    from trackwright.experiments.cli.runtime import keep_programs
+    from trackwright.experiments.cli.runtime import keep_programs, write_manifest
     from trackwright.experiments.jobs.executors import cluster_executor
     from trackwright.experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
     from trackwright.experiments.monte_carlo.declaration import checked

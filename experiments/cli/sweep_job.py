@@ -13,8 +13,8 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.cli.console import output_folder
-from trackwright.experiments.cli.manifest import write_manifest
 from trackwright.experiments.cli.options import SweepOptions
+from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tuning_job import tracker_for_folders
 from trackwright.experiments.pages.charts.objective import sweep_plot
 from trackwright.experiments.text.terminal import Begin

@@ -16,8 +16,8 @@ import polars as pl
 
 from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.console import notice_unused_calibration, output_folder
-from trackwright.experiments.cli.manifest import write_manifest
 from trackwright.experiments.cli.options import TrackOptions
+from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.text.evaluation_text import to_json, to_text
@@ -33,7 +33,7 @@ from trackwright.trackers.evaluation.association import Association, associate_t
 from trackwright.trackers.evaluation.evaluate import evaluate_association
 from trackwright.trackers.evaluation.events import EVENTS, events_of
 from trackwright.trackers.evaluation.residuals import residual_ratios
-from trackwright.trackers.programs.freed_memory import give_back
+from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.checks.residuals import delay_against_truth
 from trackwright.trackers.recordings.folder import RecordingFolder

@@ -15,8 +15,8 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.cli.console import FoldersInTurn
-from trackwright.experiments.cli.manifest import write_manifest
 from trackwright.experiments.cli.options import TuneOptions
+from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
 from trackwright.experiments.pages.charts.tuning import tuning_trace
 from trackwright.experiments.pages.reports.before_after import (

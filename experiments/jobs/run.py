@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from trackwright.experiments.jobs.executors import AT_ONCE
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.programs.freed_memory import give_back
+from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.recordings.atomic import atomic_write
 
 WAKE_S = 0.25

@@ -21,7 +21,7 @@ from trackwright.experiments.monte_carlo.declaration import Condition, Study
 from trackwright.experiments.monte_carlo.results import NAMES, Results
 from trackwright.experiments.monte_carlo.sources import PortableStudy
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.programs.freed_memory import keep
+from trackwright.trackers.programs.process_settings import keep
 
 CHUNKS_PER_DEVICE = 4
 """Chunks for which another device is used: every device compiles the trackers again."""

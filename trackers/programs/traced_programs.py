@@ -27,7 +27,7 @@ import jax
 from jax._src.config import trace_context
 from jax.experimental import serialize_executable
 
-from trackwright.trackers.programs.freed_memory import give_back
+from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.programs.program_cache import ProgramStore, compiling_anew, processor
 
 OURS = ("trackers", "tuning")

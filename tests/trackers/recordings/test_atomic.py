@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from trackwright.experiments.cli.manifest import write_manifest
+from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write, config_hash, json_text
 
