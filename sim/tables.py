@@ -13,9 +13,8 @@ from jaxtyping import Float, Int, Shaped
 
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import TagRows
-from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.folder import RecordingFolder, Tables
 from trackwright.trackers.recordings.kinds import table_kinds
-from trackwright.trackers.recordings.tables_by_tag import Tables
 from trackwright.trackers.recordings.truth import TruePaths
 
 

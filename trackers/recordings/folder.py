@@ -9,7 +9,7 @@ import difflib
 import gzip
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -23,12 +23,11 @@ from trackwright.trackers.core.errors import UnusableInput, has_control, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.checks.anomalies import anomalies
-from trackwright.trackers.recordings.columns import TagRows
-from trackwright.trackers.recordings.kinds import KINDS, table_kinds
+from trackwright.trackers.recordings.columns import TableRows, TagRows
+from trackwright.trackers.recordings.kinds import KINDS, Layout, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackwright.trackers.recordings.table_file import SUFFIXES
 from trackwright.trackers.recordings.tables import read_table
-from trackwright.trackers.recordings.tables_by_tag import Tables, averaged
 from trackwright.trackers.recordings.truth import TruePaths
 
 if TYPE_CHECKING:
@@ -41,6 +40,50 @@ _SHOWN_IDS = 4
 _OTHER_DATA = (
     ".txt", ".tsv", ".dat", ".json", ".xlsx", ".zip", ".bz2", ".xz", ".zst", ".feather", ".npz", ".mat", ".pq",
 )  # fmt: skip
+
+
+class Tables(Mapping[str, pl.DataFrame]):
+    """The tables of a recording by name; their rows by tag and the true paths are made once."""
+
+    def __init__(self, frames: Mapping[str, pl.DataFrame]) -> None:
+        self._frames = {name: _in_seconds(frame) for name, frame in frames.items()}
+        self._rows: dict[tuple[str, float], TagRows] = {}
+        self._paths: TruePaths | None = None
+
+    def __getitem__(self, name: str) -> pl.DataFrame:
+        return self._frames[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in list(self)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._frames)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __or__(self, other: Mapping[str, pl.DataFrame]) -> dict[str, pl.DataFrame]:
+        return {**self, **other}
+
+    def rows(self, name: str, interval: float = 0.0) -> TagRows:
+        """The rows of the table by tag, averaged over intervals of so many seconds where it has readings."""
+        key = name, interval if table_kinds()[name].averaged else 0.0
+        if key not in self._rows:
+            self._rows[key] = TableRows(averaged(self[name], name, interval) if key[1] else self[name])
+        return self._rows[key]
+
+    def paths(self, recording: str) -> TruePaths:
+        """The true paths of the tags, none without a truth table; `recording`: the name for messages."""
+        if self._paths is None:
+            self._paths = TruePaths.of_table(self["truth"], recording) if "truth" in self else TruePaths.none()
+        return self._paths
+
+
+def _in_seconds(frame: pl.DataFrame) -> pl.DataFrame:
+    """The table with time stamps as seconds; a cast of them to numbers would count their unit."""
+    if not frame.schema.get("t_s", pl.Float64()).is_temporal():
+        return frame
+    return frame.with_columns(t_s=seconds(frame["t_s"].to_numpy()))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,7 +146,7 @@ class RecordingFolder:
     def averaged(self, interval: float) -> RecordingFolder:
         """This recording with one range, fix or bearing per tag, anchor or station, and interval of so many s.
 
-        The columns are those of `averaging.averaged`. With zero every reading stays, for trackers that average of
+        The columns are those of `averaged`. With zero every reading stays, for trackers that average of
         themselves, too. Raises UnusableInput for a negative interval.
         """
         if not 0 <= interval < math.inf:
@@ -153,6 +196,40 @@ class RecordingFolder:
         ]
         caption = f"recording {self.name}: {len(self.rig.anchors)} anchors, {len(self.rig.stations)} stations"
         return html_table(caption, ("table", "rows", "tags", "from", "to"), rows)
+
+
+def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
+    """A table with one row for each tag, anchor or station, and interval of so many s; other tables unchanged.
+
+    Values are means, of angles circular ones, of those present, at the mean of the times, and so is signal quality. The
+    errors of an interval count as one: a reported standard deviation is the root mean square.
+    """
+    kind = table_kinds()[name]
+    if not kind.averaged:
+        return table
+    columns = kind.layout(table.columns)
+    means = [_mean(column).alias(column) for column in columns.values]
+    means += [pl.col(column).mean() for column in columns.quality]
+    stds = [s for s in map(std_column, columns.values) if s in table.columns]
+    squares = [pl.col(std).pow(2).mean().sqrt().alias(std) for std in stds]
+    rows = table.filter(pl.any_horizontal(pl.col(columns.values).is_not_null()))
+    # No column has an empty name.
+    groups = rows.group_by((pl.col("t_s") / interval).floor().alias(""), *columns.ids)
+    averages = groups.agg(pl.col("t_s").mean(), *means, *squares).sort("t_s", *columns.ids)
+    return averages.select(_ordered(table, columns))
+
+
+def _mean(column: str) -> pl.Expr:
+    """The mean of a column, of an angle the direction of the mean vector."""
+    value = pl.col(column)
+    if not column.endswith("_rad"):
+        return value.mean()
+    return pl.when(value.count() > 0).then(pl.arctan2(value.sin().mean(), value.cos().mean()))
+
+
+def _ordered(table: pl.DataFrame, columns: Layout) -> list[str]:
+    """The columns of the format, in the order of the table."""
+    return [c for c in table.columns if c in ("t_s", *chain(*columns))]
 
 
 def _counted(ids: Iterable[str]) -> str:

@@ -22,7 +22,7 @@ from trackwright.sim import SimulatedWorld, worlds
 from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import tunables
-from trackwright.trackers.core.run.crlb import posterior_bound
+from trackwright.trackers.evaluation.bounds import posterior_bound
 
 TAGS, SETTLED = 32, 80
 """Trajectories, and rows until the start is forgotten."""

@@ -18,8 +18,8 @@ from trackwright.trackers.core.data.consistency import consistency, nees
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.crlb import posterior_bound
 from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.evaluation.bounds import posterior_bound
 
 RUNS, ROWS, SIGMA_A, SIGMA_P = 1000, 40, 0.3, 0.2
 # A prior for which no phase difference is off by half a turn; beyond, an ambiguous lobe is equally valid.

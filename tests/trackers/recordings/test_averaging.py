@@ -10,8 +10,7 @@ import pytest
 
 from tests.faulty import write_good
 from tests.in_process import PLAIN, trackwright
-from trackwright.trackers.recordings.folder import read_recording
-from trackwright.trackers.recordings.tables_by_tag import averaged
+from trackwright.trackers.recordings.folder import averaged, read_recording
 
 
 def _ranges(seed=0, rows=400):

@@ -19,8 +19,8 @@ from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, ConstantVelocity, Kinematic, Placed
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.crlb import NoBoundError, posterior_bound
 from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.evaluation.bounds import NoBoundError, posterior_bound
 
 ROWS, SIGMA_A, SIGMA = 12, 0.4, 0.3
 
