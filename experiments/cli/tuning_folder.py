@@ -34,7 +34,6 @@ from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.calibration import identity
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.data import FitData
@@ -136,7 +135,11 @@ def _write_run(
         objective += " + prior"
     intervals = intervals_of(result, options.intervals)
     calibration, average = options.used.calibration, options.used.average
-    calibration_id = None if calibration is None else identity(calibration)
+    calibration_id = None
+    if calibration is not None:
+        from trackwright.trackers.recordings.calibration import identity
+
+        calibration_id = identity(calibration)
     content = tuned_content(fitted.named.name, objective, result, intervals, calibration_id)
     if refused:
         (out / "tuned.toml").unlink(missing_ok=True)

@@ -8,25 +8,22 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from trackwright.experiments.cli.console import FoldersInTurn, notice_unused_calibration, output_folder
 from trackwright.experiments.cli.options import TrackerOptions, TuneOptions
-from trackwright.experiments.jobs.executors import cluster_client
-from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
 from trackwright.experiments.pages.reports.before_after import MOST_PLANS
 from trackwright.experiments.pages.reports.tuning_data import recording_names
 from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.tunable import tunables
-from trackwright.trackers.recordings.calibration import Calibration, read_calibration
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.trajectories import Trajectory, mapped
 from trackwright.tuning import checkpoint
 from trackwright.tuning.batches import Weigh
-from trackwright.tuning.calibrating import by_halves, by_others
 from trackwright.tuning.data import FitData, fit_data, fit_segments, judged_dimensions, segments_data
 from trackwright.tuning.fitting import FitOptions, FitResult, Place, fit
 from trackwright.tuning.guessing import first_guess
@@ -43,6 +40,11 @@ from trackwright.tuning.parameters import (
 )
 from trackwright.tuning.parts import Keep, LocalParts
 from trackwright.tuning.priors import Prior, parse_prior, require_fitting
+
+# What a cluster or a calibration needs is imported where one is given.
+if TYPE_CHECKING:
+    from trackwright.experiments.jobs.held_parts import FitWorkers
+    from trackwright.trackers.recordings.calibration import Calibration
 
 PARTS = ".tune-parts"
 """The folder of the rows, in that of the results, while the command runs."""
@@ -100,7 +102,11 @@ def fit_folders(
     for text in cautions(data.tracker, select_parameters(data.tracker, tune, options.freeze), data.objective):
         notice(f"notice: {text}")
     output_folder(options.out)
-    keep = LocalParts if workers is None else partial(HeldParts, workers, named)
+    keep: Keep = LocalParts
+    if workers is not None:
+        from trackwright.experiments.jobs.held_parts import HeldParts
+
+        keep = partial(HeldParts, workers, named)
     result = _fitted(data, tune, options, bounds, priors, begin, by_default, keep)
     if not isinstance(folders, FoldersInTurn):
         shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
@@ -150,6 +156,9 @@ def fit_workers(cluster: str | None, out: Path) -> Iterator[FitWorkers | None]:
     if cluster is None:
         yield None
         return
+    from trackwright.experiments.jobs.executors import cluster_client
+    from trackwright.experiments.jobs.held_parts import FitWorkers
+
     folder = output_folder(out) / PARTS
     shutil.rmtree(folder, ignore_errors=True)
     try:
@@ -207,6 +216,8 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
     These are calibrated on the others among them, or, if there are none, each half on the other half: a fit with the
     file's calibration would see errors smaller than those of new recordings.
     """
+    from trackwright.trackers.recordings.calibration import read_calibration
+
     whole = read_calibration(file)
     seen = [folder for folder in folders if folder.name in whole.recordings]
     parts = [_without_itself(folder, seen, file) if folder in seen else [folder] for folder in folders]
@@ -225,6 +236,8 @@ def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
 
 def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], file: Path) -> list[RecordingFolder]:
     """The recording calibrated on the others of `seen`, or its halves; as it is, with a notice, without truth."""
+    from trackwright.tuning.calibrating import by_halves, by_others
+
     path = folder.path or folder.name
     try:
         if len(seen) > 1:
