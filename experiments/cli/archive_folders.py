@@ -51,18 +51,13 @@ def recordings_under(path: Path) -> list[Path]:
         path, onerror=lambda error: recordings.append(Path(error.filename)), followlinks=True
     ):
         real = os.path.realpath(root)
-        if real in seen or is_recording(files):
+        if real in seen or any(name == RIG_FILE or is_table(name) for name in files):
             folders.clear()
             if real not in seen:
                 recordings.append(Path(root))
         seen.add(real)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
     return sorted(recordings) or [path]
-
-
-def is_recording(files: Sequence[str]) -> bool:
-    """Whether a folder with these files is meant as a recording."""
-    return any(name == RIG_FILE or is_table(name) for name in files)
 
 
 def is_table(name: str) -> bool:

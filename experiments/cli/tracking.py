@@ -91,12 +91,11 @@ def tracked_by(
     for name in names:
         spec, runs[name] = spec_of(name), []
         for folder in folders:
-            missing = spec.missing(folder)
-            if missing is None:
+            line = spec.refusal(folder, name)
+            if line is None:
                 runs[name].append(folder)
             else:
-                where, tables = folder.path or folder.name, ", ".join(folder.tables)
-                refused.append(f"{where}: tracker '{name}' needs {missing}; its tables: {tables}")
+                refused.append(line)
     if not names:
         for folder in folders:
             try:

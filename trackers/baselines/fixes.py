@@ -8,7 +8,6 @@ from trackwright.trackers.core.model.motion import ConstantVelocity, GroundMotio
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart
-from trackwright.trackers.parts.singer import Singer
 
 if TYPE_CHECKING:
     from trackwright.trackers.parts.walls import Walls
@@ -44,6 +43,8 @@ def singer_tracker(
 
     `sigma_a` m/s² and `tau` s: standard deviation and time constant of the acceleration; the sensor's sigmas m.
     """
+    from trackwright.trackers.parts.singer import Singer
+
     n = 2 if planar else 3
     sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, n, n)

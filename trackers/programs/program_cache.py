@@ -58,7 +58,7 @@ def cache_programs(directory: str | Path | None = None, report: Callable[[str], 
         _require_private(path)
     if present != str(folder):
         jax_cache.reset_cache()
-        jax_cache.get_file_cache = _Ours(ProgramStore(folder, report))  # type: ignore[assignment]
+        jax_cache.get_file_cache = ProgramStore(folder, report)  # type: ignore[assignment]
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     return folder
@@ -132,6 +132,10 @@ class ProgramStore(CacheInterface):
         self.writable = True
         self.written = 0
 
+    def __call__(self, path: str) -> tuple[ProgramStore, str]:
+        """In place of jax's function that opens a cache directory."""
+        return self, path
+
     def get(self, key: str) -> bytes | None:
         """The program, None where it is missing or damaged."""
         if getattr(_bypassed, "now", False):
@@ -171,18 +175,8 @@ class ProgramStore(CacheInterface):
 
 def store_in_use() -> ProgramStore | None:
     """The store of `cache_programs`, None where jax has another cache or none."""
-    ours, present = jax_cache.get_file_cache, jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    return ours.store if isinstance(ours, _Ours) and str(ours.store._path) == present else None
-
-
-class _Ours:
-    """Replacement of jax's function that opens a cache directory: it returns the store."""
-
-    def __init__(self, store: ProgramStore) -> None:
-        self.store = store
-
-    def __call__(self, path: str) -> tuple[ProgramStore, str]:
-        return self.store, path
+    store, present = jax_cache.get_file_cache, jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    return store if isinstance(store, ProgramStore) and str(store._path) == present else None
 
 
 def remove_oldest(root: Path, limit: int = LIMIT_BYTES) -> None:

@@ -80,12 +80,13 @@ class TracedPrograms:
         if self._users_files():
             return None
         kinds = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) if eqx.is_array(x) else x for x in leaves]
+        made_of = io.BytesIO()
         try:
             # The objects, not jax's structure of them: that compares some static fields by identity.
-            made_of = _pickled((function, jax.tree_util.tree_unflatten(structure, kinds)))
+            _KeyPickler(made_of, protocol=5).dump((function, jax.tree_util.tree_unflatten(structure, kinds)))
         except (pickle.PicklingError, TypeError, AttributeError):
             return None
-        return b"".join((self.base, _text(trace_context()).encode(), made_of))
+        return b"".join((self.base, _text(trace_context()).encode(), made_of.getvalue()))
 
     def _users_files(self) -> bool:
         """Whether files of users were imported."""
@@ -162,12 +163,6 @@ class _KeyPickler(pickle.Pickler):
 def _text(settings: Any) -> str:
     """The settings of jax as text, without addresses."""
     return re.sub(r" at 0x[0-9a-f]+", "", repr(settings))
-
-
-def _pickled(tree: Any) -> bytes:
-    buffer = io.BytesIO()
-    _KeyPickler(buffer, protocol=5).dump(tree)
-    return buffer.getvalue()
 
 
 def _base() -> bytes:

@@ -75,6 +75,13 @@ class TrackerSpec:
             return self.lacks(folder)
         return None if self.table in folder.tables else f"a {self.table} table, found no such table"
 
+    def refusal(self, folder: RecordingFolder, name: str) -> str | None:
+        """Why the tracker, of this name, does not run on the folder, in one line; None where it fits."""
+        missing = self.missing(folder)
+        if missing is None:
+            return None
+        return f"{folder.path or folder.name}: tracker '{name}' needs {missing}; its tables: {', '.join(folder.tables)}"
+
     def batches(self, folders: Sequence[RecordingFolder], name: str, free_height: bool = False) -> list[TrackerBatch]:
         """The trajectories of all folders, batched where one tracker serves them.
 
@@ -82,12 +89,9 @@ class TrackerSpec:
         """
         grouped: dict[tuple[bool, Hashable], list[Trajectories]] = defaultdict(list)
         for folder in folders:
-            missing = self.missing(folder)
-            if missing is not None:
-                raise UnusableInput(
-                    f"{folder.path or folder.name}: tracker '{name}' needs {missing}; its tables: "
-                    f"{', '.join(folder.tables)}"
-                )
+            refused = self.refusal(folder, name)
+            if refused is not None:
+                raise UnusableInput(refused)
             trajectories = self.trajectories(folder, free_height)
             if isinstance(trajectories, Trajectories):
                 for key, part in self._parts(trajectories, free_height):

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.trackers.core.data.recording import Columns, Readings, Recording
+from trackwright.trackers.core.data.recording import Columns, Readings, Recording, each_array
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import Kind, std_column
@@ -157,15 +157,10 @@ def segments(trajectory: Trajectory, rows: int) -> list[Trajectory]:
 def cut(recording: Recording, start: int, stop: int) -> Recording:
     """The rows start … stop − 1 of a recording."""
     part = slice(start, stop)
-    readings = {
-        name: Readings(r.values[part], r.seen[part], None if r.reported is None else r.reported[part])
-        for name, r in recording.readings.items()
-    }
-    inputs = {name: x[part] for name, x in recording.inputs.items()}
-    truth = {name: (values[part], known[part]) for name, (values, known) in recording.truth.items()}
     # Segments of one trajectory draw different random numbers.
     segment_id = None if recording.id is None else (recording.id + int(start)) % 2**64
-    return Recording(recording.times[part], readings, inputs, truth, recording.name, segment_id)
+    rows = each_array(recording, lambda x: x[part])
+    return Recording(recording.times[part], *rows, recording.name, segment_id)
 
 
 def trajectory_ids(folder: str, tags: Sequence[str], stations: Sequence[str]) -> list[int]:
@@ -238,10 +233,5 @@ def mapped(trajectories: Sequence[Trajectory], path: Path) -> list[Trajectory]:
 
 def _with_arrays(recording: Recording, function: Callable[[np.ndarray], np.ndarray]) -> Recording:
     """The recording with `function` of each of its arrays, in an order of their own."""
-    readings = {
-        name: Readings(function(r.values), function(r.seen), None if r.reported is None else function(r.reported))
-        for name, r in recording.readings.items()
-    }
-    inputs = {name: function(x) for name, x in recording.inputs.items()}
-    truth = {name: (function(values), function(known)) for name, (values, known) in recording.truth.items()}
+    readings, inputs, truth = each_array(recording, function)
     return replace(recording, times=function(recording.times), readings=readings, inputs=inputs, truth=truth)

@@ -6,7 +6,7 @@ Batches are batch-last, so that inside a filter step each number is one contiguo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -164,11 +164,8 @@ class Columns:
         first, lengths = self.starts[:-1][numbers], np.diff(self.starts)[numbers]
         starts = np.concatenate([[0], np.cumsum(lengths)])
         rows = np.arange(starts[-1]) + np.repeat(first - starts[:-1], lengths)
-        readings = {k: Readings(r.values[rows], r.seen[rows], _reported(r)[rows]) for k, r in self.readings.items()}
-        truth = {name: (values[rows], known[rows]) for name, (values, known) in self.truth.items()}
-        inputs = {name: x[rows] for name, x in self.inputs.items()}
         names, ids = [self.names[k] for k in numbers], [self.ids[k] for k in numbers]
-        return Columns(starts, self.times[rows], readings, inputs, truth, names, ids)
+        return Columns(starts, self.times[rows], *each_array(self, lambda x: x[rows]), names, ids)
 
     def __len__(self) -> int:
         return len(self.starts) - 1
@@ -193,10 +190,8 @@ class Columns:
     def recording(self, number: int) -> Recording:
         """One of the recordings; its arrays are views of the columns."""
         part = slice(self.starts[number], self.starts[number + 1])
-        readings = {k: Readings(r.values[part], r.seen[part], _reported(r)[part]) for k, r in self.readings.items()}
-        inputs = {name: x[part] for name, x in self.inputs.items()}
-        truth = {name: (values[part], known[part]) for name, (values, known) in self.truth.items()}
-        return Recording(self.times[part], readings, inputs, truth, self.names[number], self.ids[number])
+        rows = each_array(self, lambda x: x[part])
+        return Recording(self.times[part], *rows, self.names[number], self.ids[number])
 
     def batch(
         self, rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0, truth: bool = True
@@ -235,6 +230,18 @@ class Columns:
             truth={k: (pile(x, dtype), pile(known, bool)) for k, (x, known) in self.truth.items() if truth},
             key=trajectory_key_data(seed, [k if ident is None else ident for k, ident in enumerate(self.ids)]),
         )
+
+
+def each_array(
+    rows: Recording | Columns, function: Callable[[np.ndarray], np.ndarray]
+) -> tuple[dict[str, Readings], dict[str, np.ndarray], dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """The readings, inputs and truth of rows with `function` of each of their arrays."""
+    readings = {
+        name: Readings(function(r.values), function(r.seen), function(_reported(r)))
+        for name, r in rows.readings.items()
+    }
+    inputs = {name: function(x) for name, x in rows.inputs.items()}
+    return readings, inputs, {name: (function(x), function(known)) for name, (x, known) in rows.truth.items()}
 
 
 def _joined_rows(parts: Sequence[Recording] | Sequence[Columns], names: Sequence[str]) -> tuple[Any, Any, Any, Any]:
