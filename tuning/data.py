@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import batches
-from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
+from trackwright.trackers.recordings.trajectories import Trajectory, segments, with_floor_truth
 from trackwright.tuning.batches import AnyBatch, Unstacked, Weigh, trajectory_weights, unstacked
 from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.objectives import (
@@ -59,7 +59,7 @@ class FitData:
 
     def rows(self, held_out: bool = False) -> list[Batch]:
         """The rows of the trajectories to fit to, or of those held out, in batches."""
-        return [batch for _, batch in (self._held_out_groups if held_out else self._training_groups)]
+        return self._rows[held_out]
 
     def batches(self, held_out: bool = False) -> Sequence[AnyBatch]:
         """The batches of `rows` as a fit takes them, `stacked` or not."""
@@ -78,12 +78,8 @@ class FitData:
         return unstacked(self.held_out if held_out else self.training)
 
     @cached_property
-    def _training_groups(self) -> list[tuple[Trajectories, Batch]]:
-        return batches(self.training)
-
-    @cached_property
-    def _held_out_groups(self) -> list[tuple[Trajectories, Batch]]:
-        return batches(self.held_out) if self.held_out else []
+    def _rows(self) -> list[list[Batch]]:
+        return [[batch for _, batch in batches(part)] if part else [] for part in (self.training, self.held_out)]
 
 
 def fit_data(

@@ -63,23 +63,23 @@ def noise_levels(tracker: AbstractTracker) -> tuple[str, ...]:
     determine. Raises UnusableInput for a tracker without noise levels.
     """
     nodes = tunables(tracker)
-    names = tuple(name for name, node in nodes.items() if role_of(node) is not None or _is_sigma(name.split(".")))
+    names = []
+    for name, node in nodes.items():
+        *parts, last = name.split(".")
+        if role_of(node) is not None or (last.startswith("sigma_") and not {"start", "filter"} & {*parts}):
+            names.append(name)
     if not names:
         raise UnusableInput(
             "this tracker has no noise level of motion or sensors to tune; name what to tune by --tune; it has: "
             f"{', '.join(nodes) or 'no tunable'}"
         )
-    return names
+    return tuple(names)
 
 
 def tuned_by_default(tracker: AbstractTracker, needs_truth: bool) -> tuple[str, ...]:
     """The `noise_levels`, and latencies for an objective that `needs_truth`: no likelihood determines those."""
     latencies = [name for name in tunables(tracker) if needs_truth and name.endswith(".latency")]
     return (*noise_levels(tracker), *latencies)
-
-
-def _is_sigma(parts: Sequence[str]) -> bool:
-    return parts[-1].startswith("sigma_") and not {"start", "filter"} & {*parts}
 
 
 def select_parameters(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -58,10 +59,6 @@ class Point(eqx.Module):
         parts = zip(self.names, self.examples, self.labels, strict=True)
         return with_parameters(self.tracker, [Parameter(*part) for part in parts], vector)
 
-    def estimating(self, tracker: AbstractTracker) -> AbstractTracker:
-        """The tracker with no more in its estimates than the objective needs, where they are those of positions."""
-        return tracker.for_positions() if self.objective.of_position else tracker
-
     def map_vectors(self, function: Callable[[Float[Array, " p"]], Any]) -> Any:
         """`function` of every vector, results stacked along a new first axis."""
         if len(self.vectors) == 1:
@@ -85,8 +82,13 @@ def plain_rows(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"]]:
 
 def rows_of_runs(pairs: Sequence[tuple[Point, Batch]]) -> list[tuple[Float[np.ndarray, "1 k T B"]]]:
     """`plain_rows` of points with one vector each, by the program with which `AbstractTracker.run` tracks the batch."""
-    models = [(point.estimating(point.tracker_at(np.asarray(point.vectors[0]))), None) for point, _ in pairs]
-    runs = run_chunks(outputs, [(model, b._replace(truth={})) for model, (_, b) in zip(models, pairs, strict=True)])
+    tracked = []
+    for point, batch in pairs:
+        tracker = point.tracker_at(np.asarray(point.vectors[0]))
+        # Estimates have no more than the objective needs.
+        tracker = tracker.for_positions() if point.objective.of_position else tracker
+        tracked.append(((tracker, None), batch._replace(truth={})))
+    runs = run_chunks(outputs, tracked)
     return [
         (np.asarray(called(_scored, point.objective, (run, batch)))[None],)
         for (run, _), (point, batch) in zip(runs, pairs, strict=True)
@@ -187,7 +189,9 @@ def on_chunks(point: Point, chunks: Sequence[Batch], computation: Computation) -
     if computation.realisation:
         chunks = [fresh_keys(chunk, computation.realisation) for chunk in chunks]
     points = [point.at(block) for block in computation.blocks]
-    results = iter(_results(computation.function, [(point, chunk) for chunk in chunks for point in points]))
+    # Values of rows are computed by the program that tracks recordings.
+    run = rows_of_runs if computation.function is plain_rows else partial(run_chunks, computation.function)
+    results = iter(run([(point, chunk) for chunk in chunks for point in points]))
     return [[computation.reduced(next(results), chunk) for _ in points] for chunk in chunks]
 
 
@@ -195,11 +199,6 @@ def on_chunk(point: Point, piece: Batch, computation: Computation) -> list[Any]:
     """The results of one chunk, which another process holds with its point: block by block, in one thread."""
     (chunk,) = placed([piece])
     return [on_chunks(point, [chunk], computation._replace(blocks=[block]))[0][0] for block in computation.blocks]
-
-
-def _results(function: Function, pairs: Sequence[tuple[Point, Batch]]) -> list[Any]:
-    """`function(point, chunk)` of each pair; values of rows by the program that tracks recordings."""
-    return rows_of_runs(pairs) if function is plain_rows else run_chunks(function, pairs)
 
 
 def fresh_keys(part: Batch, realisation: int) -> Batch:

@@ -13,6 +13,7 @@ from tests.tuning.worlds import line_tracker, walks
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.batches import Pieces, lengths_of
 from trackwright.tuning.checkpoint import fingerprint
 from trackwright.tuning.data import fit_data
@@ -113,7 +114,7 @@ def test_rows_stacked_piece_by_piece_are_those_of_whole_batches(data, monkeypatc
         _assert_equal(piece, other)
     for mine, other in zip(whole.weights(), lazy.weights(), strict=True):
         np.testing.assert_array_equal(mine, other)
-    names = [[t.folder.name for t in own] for own, _ in whole._training_groups]
+    names = [[t.folder.name for t in own] for own, _ in batches(whole.training)]
     assert whole.recordings() == lazy.recordings() == names
     _assert_equal(*(sample_segments(own.batches(), 4) for own in (whole, lazy)))
     marks = {fingerprint({"a": 1}, own.batches(), np.zeros(2)) for own in (whole, lazy)}
