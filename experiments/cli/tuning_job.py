@@ -32,6 +32,7 @@ from trackwright.tuning.intervals import require_possible
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from trackwright.tuning.parameters import (
+    Parameter,
     flatten,
     parse_bounds,
     require_start_within,
@@ -97,9 +98,9 @@ def fit_folders(
     tune = options.tune
     tune = tuned_by_default(data.tracker, data.objective.needs_truth) if tune is None else tune
     options = replace(options, tracker=named.name, objective=data.named, tune=tune)
-    bounds, priors = checked_options(data, tune, options)
+    parameters, bounds, priors = checked_options(data, tune, options)
     require_possible(options.intervals, data.objective, len(data.training))
-    for text in cautions(data.tracker, select_parameters(data.tracker, tune, options.freeze), data.objective):
+    for text in cautions(data.tracker, parameters, data.objective):
         notice(f"notice: {text}")
     output_folder(options.out)
     keep: Keep = LocalParts
@@ -107,7 +108,7 @@ def fit_folders(
         from trackwright.experiments.jobs.held_parts import HeldParts
 
         keep = partial(HeldParts, workers, named)
-    result = _fitted(data, tune, options, bounds, priors, begin, by_default, keep)
+    result = _fitted(data, parameters, options, bounds, priors, begin, by_default, keep)
     if not isinstance(folders, FoldersInTurn):
         shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
         return Fitted(options, named, data, result, data, shown, others)
@@ -130,8 +131,8 @@ def tracker_for_folders(folders: Sequence[RecordingFolder], options: TrackerOpti
 
 def checked_options(
     data: FitData, tune: Sequence[str], options: TuneOptions
-) -> tuple[dict[str, tuple[float, float]], list[Prior]]:
-    """Bounds and priors of the options; raises UnusableInput for those that don't fit the tracker's tunables."""
+) -> tuple[list[Parameter], dict[str, tuple[float, float]], list[Prior]]:
+    """Parameters, bounds and priors of the options; raises UnusableInput where the tracker's tunables don't fit."""
     freeze, bound, prior = options.freeze, options.bound, options.prior
     option = f"--tune {' '.join(tune)}" + (f" --freeze {' '.join(freeze)}" if freeze else "")
     try:
@@ -144,7 +145,7 @@ def checked_options(
         require_fitting(priors, parameters, data.objective.is_likelihood)
     except ValueError as error:
         raise UnusableInput(f"{option}: {error}") from error
-    return bounds, priors
+    return parameters, bounds, priors
 
 
 @contextmanager
@@ -254,7 +255,7 @@ def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], fi
 
 def _fitted(
     data: FitData,
-    tune: Sequence[str],
+    parameters: Sequence[Parameter],
     options: TuneOptions,
     bounds: Mapping[str, tuple[float, float]],
     priors: Sequence[Prior],
@@ -284,8 +285,8 @@ def _fitted(
         notice(f"objective: {data.named}, since {why}; choose another with --objective")
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
-    steps, starts, freeze = options.steps, options.starts, options.freeze
-    tuned = {name for p in select_parameters(data.tracker, tune, freeze) for name in p.names}
+    steps, starts = options.steps, options.starts
+    tuned = {name for parameter in parameters for name in parameter.names}
     kept = [name for name in tunables(data.tracker) if name not in tuned]
     begin("searching for starts" if starts > 1 else "first evaluation")
     advance: Advance | None = None
@@ -305,9 +306,9 @@ def _fitted(
             data.tracker,
             data,
             data.objective,
-            tune,
+            options.tune,
             FitOptions(
-                frozen=freeze,
+                frozen=options.freeze,
                 bounds=bounds,
                 optimiser=OPTIMISERS[options.optimiser](steps),
                 steps=steps,

@@ -53,7 +53,7 @@ def test_of_a_linear_model_it_is_the_textbook_bound_over_the_span_of_the_truth(p
     np.testing.assert_allclose(found, np.stack([horizontal, horizontal, height], axis=1), rtol=1e-9)
 
 
-def test_there_is_none_without_truth_for_anfor_another_folder():
+def test_there_is_none_without_truth_nor_for_another_folder():
     batch = _batch(False)
     assert bounds_of(FOLDER, [_batch(False, np.zeros(ROWS, bool))]) is None
     assert bounds_of(RecordingFolder("other", Path("other"), Rig("other"), {}), [batch]) is None
