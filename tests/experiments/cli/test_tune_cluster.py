@@ -10,9 +10,11 @@ import pytest
 from tests.held_here import client_here
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli import tuning_job
+from trackwright.experiments.jobs import executors
 from trackwright.sim import worlds
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import write_recording
+from trackwright.tuning.fitting import fit
 
 FIT = (
     "--tracker",
@@ -43,7 +45,7 @@ def paths(tmp_path_factory):
 @pytest.fixture
 def elsewhere(monkeypatch):
     """Clusters whose calls are made in this process."""
-    monkeypatch.setattr(tuning_job, "cluster_client", client_here)
+    monkeypatch.setattr(executors, "cluster_client", client_here)
 
 
 def _both(tmp_path, *words):
@@ -78,7 +80,8 @@ def test_a_report_of_a_fit_on_a_cluster_shows_a_part_of_many_recordings(paths, e
         True,
     ]
     assert all(" tuned on 10 recordings" in page for page in pages)
-    assert "8 of 10 recordings tuned on, before → after" in there.out
+    known = "8 of 10 recordings tuned on, each with values fitted to the others, before → after"
+    assert known in " ".join(there.out.split())
 
 
 @pytest.mark.slow
@@ -87,17 +90,21 @@ def test_a_fit_interrupted_on_a_cluster_is_resumed_with_the_same_bits_there_or_h
 ):
     run = ("tune", *paths[:2], *FIT, "--steps", 2, "--starts", 1, "--no-report")
     assert trackwright(*run, "--out", tmp_path / "whole").code == 0
-    report = tuning_job._Steps.report
 
-    def interrupted(self, state):
-        report(self, state)
-        if int(state.number) == 1:
-            raise KeyboardInterrupt
+    def interrupted(*arguments):
+        *others, place = arguments
+
+        def report(state):
+            place.report(state)
+            if int(state.number) == 1:
+                raise KeyboardInterrupt
+
+        return fit(*others, dataclasses.replace(place, report=report))
 
     for again in ("--cluster", "x:1"), ():
         out = ("--out", tmp_path / f"again-{len(again)}")
         with monkeypatch.context() as patched:
-            patched.setattr(tuning_job._Steps, "report", interrupted)
+            patched.setattr(tuning_job, "fit", interrupted)
             assert trackwright(*run, *out, "--cluster", "x:1").code == 130
         assert trackwright(*run, *out, *again, "--resume").code == 0
         for name in ("tuned.toml", "trace.csv"):
