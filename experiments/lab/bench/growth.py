@@ -19,6 +19,7 @@ from trackwright.experiments.lab.bench.loops import filtered, model_of, with_fil
 from trackwright.experiments.lab.bench.timing import apart, cold_and_warm
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.track_loss import kidnapped_walk
+from trackwright.experiments.lab.verify.worlds import NEVER_LOST
 from trackwright.sim import worlds
 from trackwright.trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_tracker
 from trackwright.trackers.baselines.fixes import fix_tracker
@@ -29,7 +30,6 @@ from trackwright.trackers.core.model.motion import ConstantVelocity
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.smoother import Smoothed
-from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
@@ -113,7 +113,7 @@ def ranging(anchors: int, slots: int, biases: int, trajectories: int) -> tuple[T
         DriftingBiases(biases, 1.0, 1.0, 5.0, 0.03, 1000.0, 100.0),
         {RANGES: RangeSensor(slots, anchors, 0.1, 3.0, 3.0)},
         BiasedStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(0.03, "m"), True, biases),
-        track_loss=TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf),
+        track_loss=NEVER_LOST,
     )
     return tracker, recordings
 

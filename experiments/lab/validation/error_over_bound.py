@@ -17,7 +17,8 @@ import numpy as np
 
 import trackwright as tw
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
-from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, own_world
+from trackwright.experiments.lab.validation.own_worlds import own_world
+from trackwright.experiments.lab.verify.worlds import NEVER_LOST
 from trackwright.sim import SimulatedWorld, worlds
 from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.model.state import component_names

@@ -18,15 +18,12 @@ from trackwright.trackers.core.model.algebra import Vector, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
 from trackwright.trackers.core.model.state import retract
-from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.fixes import FloorFixes
 from trackwright.trackers.parts.fixes import AbstractFixSensor
 from trackwright.trackers.parts.ranges import RangeSensor
 from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter, with_yaw_added
-
-NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 
 
 def own_world(

@@ -13,13 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 import trackwright as tw
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
-from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, own_world
+from trackwright.experiments.lab.validation.own_worlds import own_world
+from trackwright.experiments.lab.verify.worlds import NEVER_LOST, KnownStart
 from trackwright.experiments.text.terminal import progress
 from trackwright.sim import work_station
 from trackwright.trackers.aoa.beam import Beam
@@ -52,25 +51,6 @@ def recovery(*systems: str, output: Output = DEFAULTS) -> int:
     return int(not all(row["good"] == "yes" for row in rows))
 
 
-class Known(tw.AbstractStart):
-    """Start at the first row, with the distribution from which the world draws its states."""
-
-    state: Any = eqx.field(static=True)
-    mean: tuple[float, ...] = eqx.field(static=True)
-    deviations: tuple[float, ...] = eqx.field(static=True)
-
-    def can_start(self, row: Any) -> Any:
-        return row.valid
-
-    def candidate(self, sensors: Any, row: Any) -> Any:
-        return row.dt
-
-    def belief(self, candidate: Any, row: Any) -> tw.Gaussian:
-        zero = jnp.zeros_like(row.dt)
-        variances = [zero + d * d for d in self.deviations]
-        return tw.Gaussian(self.state([zero + m for m in self.mean]), tw.diagonal(variances, zero))
-
-
 @dataclass(frozen=True)
 class System:
     """A tracker with the true parameters, and the tunables to fit.
@@ -100,7 +80,7 @@ class System:
 def beams() -> System:
     """A: azimuth and elevation from the phases of eight antennas with an unknown common phase."""
     # Within one lobe of the array: a start in another lobe would violate the model.
-    start = Known(lambda x: Beam(*x), (0.0,) * 4, (0.01, 0.01, 0.05, 0.05))
+    start = KnownStart(lambda x: Beam(*x), (0.0,) * 4, (0.01, 0.01, 0.05, 0.05))
     tracker = replace(tw.beam_tracker(work_station().stations["1"], "1", 0.15, 0.2), start=start, track_loss=NEVER_LOST)
     return System(tracker, ("motion.sigma_a", "sensors.*.sigma_p"), 8, 16, 60, 0.05)
 
@@ -109,7 +89,7 @@ def carts() -> System:
     """B: a cart on a bent line, by the grid filter; a coarser grid would bias the noise of the fixes low."""
     line = tw.Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]])
     tracker = tw.line_grid_tracker(tw.line.LineMotion(line, 0.04), {FIXES: FloorFixes(0.3)}, 0.03, 0.6, 32)
-    start = Known(lambda x: PathState(*x), (0.5, 0.15), (0.15, 0.03))
+    start = KnownStart(lambda x: PathState(*x), (0.5, 0.15), (0.15, 0.03))
     known = replace(tracker, start=start, track_loss=NEVER_LOST)
     return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), 2, 16, 32, 0.5)
 
@@ -121,7 +101,7 @@ def ranges() -> System:
     # This many degrees of freedom make Student's t normal, and a skew of 1 makes it symmetric.
     sensor = RangeSensor(count, count, 0.1, positive_skew=1.0, dof=1e4)
     # A spread of half a metre would make the linearisation error 3 cm, which the fit takes for noise.
-    start = Known(_moving, (4.0, 3.0, 1.2, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1, 0.3, 0.3, 0.1))
+    start = KnownStart(_moving, (4.0, 3.0, 1.2, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1, 0.3, 0.3, 0.1))
     tracker = tw.Tracker(tw.ConstantVelocity(0.5, 3), {RANGES: sensor}, start, track_loss=NEVER_LOST)
     inputs = {"anchors": anchors.ravel(), "anchor": np.arange(count, dtype=float), "height": np.zeros(())}
     return System(tracker, ("motion.sigma_a", "sensors.*.sigma_r"), count, 8, 60, 0.1, inputs)
@@ -129,7 +109,7 @@ def ranges() -> System:
 
 def fixes() -> System:
     """D: fixes with correlated errors, as MH-K fuses them."""
-    fusion, start = tw.mhk_tracker(sigma_a=0.8).fusion, Known(_moving, (0.0,) * 6, (0.5,) * 6)
+    fusion, start = tw.mhk_tracker(sigma_a=0.8).fusion, KnownStart(_moving, (0.0,) * 6, (0.5,) * 6)
     tracker = tw.Tracker(fusion.motion, {FIXES: fusion.sensors[FIXES]}, start, track_loss=NEVER_LOST)
     return System(tracker, ("motion.sigma_a", "sensors.fixes.covariance"), 3, 8, 60, 0.1)
 

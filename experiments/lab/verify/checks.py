@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.experiments.lab.verify import oracles
-from trackwright.experiments.lab.verify.check_result import MAX_STANDARD_ERRORS, CheckResult, random_check
 from trackwright.experiments.lab.verify.marginal_score import marginal_scores
 from trackwright.experiments.lab.verify.worlds import (
     CORRIDOR_TUNABLES,
@@ -27,7 +27,8 @@ from trackwright.experiments.lab.verify.worlds import (
     halt_tracker,
     score_form,
 )
-from trackwright.experiments.lab.verify.wrong_estimators import Naive, Reparameterised
+from trackwright.experiments.lab.verify.wrong_estimators import NAIVE, REPARAMETERISED
+from trackwright.experiments.text.tables import aligned
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter
@@ -42,6 +43,72 @@ from trackwright.trackers.parts.fixes import FIXES
 from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
+
+MAX_STANDARD_ERRORS = 4.0
+"""Allowed deviation of a mean, in standard errors: of a hundred correct means, one exceeds it in 160 runs."""
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """An estimated quantity of a world beside the oracle's value.
+
+    `mean` may deviate by `allowed`. `error`: its standard error; `spread`: standard deviation of one estimate; both
+    NaN for deterministic estimators. `seconds`: per gradient. `biased`: the estimator is known to be wrong here, so
+    that the deviation must exceed `allowed`.
+    """
+
+    world: str
+    quantity: str
+    estimator: str
+    oracle: float
+    mean: float
+    allowed: float
+    error: float = math.nan
+    spread: float = math.nan
+    seconds: float = math.nan
+    biased: bool = False
+
+    @property
+    def passed(self) -> bool:
+        """Whether the mean is finite, and deviates by no more than allowed, or by more if biased."""
+        return (abs(self.mean - self.oracle) <= self.allowed) != self.biased and math.isfinite(self.mean)
+
+    @property
+    def outcome(self) -> str:
+        """The result in words."""
+        if self.biased:
+            return "fails as expected" if self.passed else "PASSES UNEXPECTEDLY"
+        return "pass" if self.passed else "FAIL"
+
+
+def random_check(
+    world: str,
+    quantity: str,
+    estimator: str,
+    oracle: float,
+    estimates: np.ndarray,
+    seconds: float = math.nan,
+    biased: bool = False,
+) -> CheckResult:
+    """The check of independent estimates (n,), whose mean may be `MAX_STANDARD_ERRORS` standard errors off."""
+    spread = float(np.std(estimates, ddof=1))
+    error = spread / math.sqrt(len(estimates))
+    mean, allowed = float(np.mean(estimates)), MAX_STANDARD_ERRORS * error
+    return CheckResult(world, quantity, estimator, oracle, mean, allowed, error, spread, seconds, biased)
+
+
+HEADER = ("world", "quantity", "estimator", "oracle", "mean", "bias", "± error", "allowed", "spread", "ms", "result")
+
+
+def table(results: Sequence[CheckResult]) -> str:
+    """All results as text, one line each; `error` is the mean's standard error, `ms` the time of one gradient."""
+    rows: list[tuple[str, ...]] = [HEADER]
+    for r in results:
+        numbers = [r.oracle, r.mean, r.mean - r.oracle, r.error, r.allowed, r.spread, 1e3 * r.seconds]
+        shown = ["-" if math.isnan(x) else f"{x:.4g}" for x in numbers]
+        rows.append((r.world, r.quantity, r.estimator, *shown, r.outcome))
+    return f"{aligned(rows, range(3, 10))}\n{sum(r.passed for r in results)} of {len(results)} checks passed"
+
 
 MAX_BATCH = 64
 """Trajectories of 2,000 particles per chunk, which fit the cache; more in proportion for fewer particles."""
@@ -77,8 +144,8 @@ def gradients(tracker: AbstractTracker, batch: Batch, patterns: str | Sequence[s
 def marginal_gradients(tracker: Tracker, batch: Batch, patterns: str | Sequence[str]) -> Gradients:
     """The same by the marginal score; the time includes compiling."""
     started = time.perf_counter()
-    marginal = marginal_scores(tracker, batch, patterns)
-    return Gradients(marginal.values, marginal.scores.T, (time.perf_counter() - started) / batch.size)
+    values, scores = marginal_scores(tracker, batch, patterns)
+    return Gradients(values, scores.T, (time.perf_counter() - started) / batch.size)
 
 
 SINGLE_PRECISION = 1e-4
@@ -87,17 +154,14 @@ SINGLE_PRECISION = 1e-4
 GRID_CELLS = 5e-3
 """The same for the grid filter, whose discretisation error is quadratic in the cell size."""
 
-PARAMETERS = {"sigma_a": 1.0, "sigma_fix": 0.3, "sigma_position": 1.0, "sigma_velocity": 1.0, "latency": 0.1}
-"""Parameters of the Kalman filter's check: m/s² per √Hz, m, m, m/s, s."""
-
-ORACLE_NAMES = {
-    "motion.sigma_a": "sigma_a",
-    "sensors.fixes.sigma_horizontal": "sigma_fix",
-    "start.sigma_position": "sigma_position",
-    "start.sigma_velocity": "sigma_velocity",
-    "sensors.fixes.latency": "latency",
+PARAMETERS = {
+    "motion.sigma_a": 1.0,
+    "sensors.fixes.sigma_horizontal": 0.3,
+    "start.sigma_position": 1.0,
+    "start.sigma_velocity": 1.0,
+    oracles.LATENCY: 0.1,
 }
-"""The oracle's parameter of each of the tracker's tunables."""
+"""Tunables of the Kalman filter's check: m/s² per √Hz, m, m, m/s, s."""
 
 
 def kalman_checks() -> list[CheckResult]:
@@ -107,14 +171,11 @@ def kalman_checks() -> list[CheckResult]:
     readings = Readings(np.hstack([values, missing]), np.hstack([seen, missing > 0]), np.zeros((len(times), 3)))
     batch = stack([Recording(times, {FIXES: readings}, {"height": np.zeros(len(times))})])
     new: dict[str, Any] = {
-        name: Real(PARAMETERS[key], "s", typical=1.0) if key == "latency" else Scale(PARAMETERS[key])
-        for name, key in ORACLE_NAMES.items()
+        name: Real(x, "s", typical=1.0) if name == oracles.LATENCY else Scale(x) for name, x in PARAMETERS.items()
     }
-    result = gradients(replaced(fix_tracker(dof=None, planar=True), new), batch, list(ORACLE_NAMES))
-    gradient = oracles.kalman_gradient(PARAMETERS)
-    exact = [gradient[key] for key in ORACLE_NAMES.values()]
-    value = oracles.kalman_log_likelihood(PARAMETERS)
-    return _deterministic("fixes", "Kalman filter", list(ORACLE_NAMES), value, exact, result, SINGLE_PRECISION)
+    result = gradients(replaced(fix_tracker(dof=None, planar=True), new), batch, list(PARAMETERS))
+    value, exact = oracles.kalman_log_likelihood(PARAMETERS), oracles.kalman_gradient(PARAMETERS)
+    return _deterministic("fixes", "Kalman filter", list(PARAMETERS), value, exact, result, SINGLE_PRECISION)
 
 
 def chain_checks() -> list[CheckResult]:
@@ -230,8 +291,8 @@ def corridor_marginal_checks() -> list[CheckResult]:
 def corridor_wrong_checks() -> list[CheckResult]:
     """Two common derivatives, both biased by the walls."""
     exact = oracles.corridor_gradient(corridor_fixes(CORRIDOR_ROWS))[:1]
-    naive = _in_corridor(CORRIDOR_ROWS, Naive, PARTICLES, KEYS)
-    pathwise = _in_corridor(CORRIDOR_ROWS, Reparameterised, PARTICLES, KEYS)
+    naive = _in_corridor(CORRIDOR_ROWS, NAIVE, PARTICLES, KEYS)
+    pathwise = _in_corridor(CORRIDOR_ROWS, REPARAMETERISED, PARTICLES, KEYS)
     return [
         *_gradients(CORRIDOR, "naive", exact, naive, biased=True),
         *_gradients(CORRIDOR, "reparameterised", exact, pathwise, biased=True),
@@ -251,8 +312,8 @@ def halt_wrong_checks() -> list[CheckResult]:
     """The same two at the halt; the clamp at zero speed is continuous and does not bias the reparameterised one."""
     exact = oracles.halt_gradient()[:1]
     return [
-        *_gradients("halt", "naive", exact, _at_halt(Naive, PARTICLES, KEYS), biased=True),
-        *_gradients("halt", "reparameterised", exact, _at_halt(Reparameterised, PARTICLES, KEYS)),
+        *_gradients("halt", "naive", exact, _at_halt(NAIVE, PARTICLES, KEYS), biased=True),
+        *_gradients("halt", "reparameterised", exact, _at_halt(REPARAMETERISED, PARTICLES, KEYS)),
     ]
 
 

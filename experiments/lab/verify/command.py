@@ -17,8 +17,7 @@ def verify(*, json: bool = False) -> int:
         json: print JSON instead of a table.
     """
     from trackwright.experiments.cli.runtime import keep_programs
-    from trackwright.experiments.lab.verify.check_result import table
-    from trackwright.experiments.lab.verify.checks import CHECKS
+    from trackwright.experiments.lab.verify.checks import CHECKS, table
     from trackwright.experiments.text.terminal import progress
     from trackwright.trackers.recordings.atomic import json_text
 

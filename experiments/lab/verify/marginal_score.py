@@ -21,11 +21,12 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, Particles, particle_residuals
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.filters.particle.score import normal_log_density
-from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
+from trackwright.trackers.core.model.algebra import Scalar, Vector, total, triangle
+from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.linearise import linearise
 from trackwright.trackers.core.model.motion import AbstractMotion
-from trackwright.trackers.core.model.sensor import LOG_2PI, Reading, Row
+from trackwright.trackers.core.model.sensor import Reading, Row
 from trackwright.trackers.core.model.state import State, component_names, dimension, local
 from trackwright.trackers.core.model.tunable import freeze
 from trackwright.trackers.core.run.chunks import as_dtype
@@ -41,13 +42,6 @@ Model = Callable[[Float[Array, " p"]], Tracker]
 """The tracker with the parameters of an unconstrained vector."""
 
 
-class MarginalScores(NamedTuple):
-    """log L of n trajectories (n,) and its derivatives (n, p) with respect to the unconstrained parameters."""
-
-    values: Float[np.ndarray, " n"]
-    scores: Float[np.ndarray, "n p"]
-
-
 class Carry(NamedTuple):
     """Carry of the scan: the belief, T of every particle (p, N), whether the track has started, and log L."""
 
@@ -57,7 +51,9 @@ class Carry(NamedTuple):
     value: Scalar
 
 
-def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -> MarginalScores:
+def marginal_scores(
+    tracker: Tracker, batch: Batch, tune: str | Sequence[str]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n p"]]:
     """log L and its gradient with respect to the tunables matching the patterns, by the tracker's own particles.
 
     A track starts once and is never lost. Raises ValueError for a tracker without particles, for a motion whose noise
@@ -75,13 +71,14 @@ def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -
         return _of_trajectory(lambda v: freeze(with_parameters(model, parameters, v)), vector, trajectory)
 
     trajectories = jax.tree_util.tree_map(lambda x: jnp.moveaxis(jnp.asarray(x), -1, 0), batch)
-    values, scores = jax.jit(lambda trajectories: jax.lax.map(one, trajectories, batch_size=n_workers))(trajectories)
-    if not np.all(np.isfinite(values)) or not np.all(np.isfinite(scores)):
-        trajectory = int(np.argmin(np.isfinite(np.asarray(values)) & np.isfinite(np.asarray(scores)).all(axis=1)))
+    run = jax.jit(lambda trajectories: jax.lax.map(one, trajectories, batch_size=n_workers))
+    values, scores = map(np.asarray, run(trajectories))
+    finite = np.isfinite(values) & np.isfinite(scores).all(axis=1)
+    if not finite.all():
         raise ValueError(
-            f"the score of trajectory {trajectory} is not finite: its particles died out, or it never started"
+            f"the score of trajectory {np.argmin(finite)} is not finite: its particles died out, or it never started"
         )
-    return MarginalScores(np.asarray(values), np.asarray(scores))
+    return values, scores
 
 
 def _of_trajectory(
@@ -155,20 +152,21 @@ def _row(model: Model, vector: Float[Array, " p"], carried: Carry, row: Row) -> 
 
 
 def _pairs(tracker: Tracker, before: State, after: State, row: Row) -> Float[Array, "N N"]:
-    """log p (N, N) of every state after (rows) given every state before; for dt = 0 a state stays the same."""
+    """log p (N, N), up to a constant, of every state after (rows) given every state before; for dt = 0 it stays."""
     particle_filter, motion = tracker.filter, tracker.motion
     assert isinstance(particle_filter, AbstractParticleFilter)
     potential = particle_filter.bootstrap.potential
 
-    def density(old: State, new: State) -> Float[Array, ""]:
-        moved = transition_log_density(motion, old, new, row.inputs, jnp.where(row.dt > 0, row.dt, 1.0))
+    def densities(old: State) -> Float[Array, " N"]:
+        moved = normal_log_density(_transition(motion, old, row.inputs, jnp.where(row.dt > 0, row.dt, 1.0)), after)
         if potential is not None:
-            moved = moved + potential.log_weight(motion.view(old), motion.view(new))
-        leaves = zip(jax.tree_util.tree_leaves(old), jax.tree_util.tree_leaves(new), strict=True)
-        same = jnp.all(jnp.stack([jnp.all(a == b) for a, b in leaves]))
+            view = jax.vmap(motion.view, in_axes=-1, out_axes=-1)(after)
+            moved = moved + jax.vmap(potential.log_weight, in_axes=(None, -1))(motion.view(old), view)
+        leaves = zip(jax.tree_util.tree_leaves(old), jax.tree_util.tree_leaves(after), strict=True)
+        same = jnp.all(jnp.stack([a == b for a, b in leaves]), axis=0)
         return jnp.where(row.dt > 0, moved, jnp.where(same, 0.0, LOG_ZERO))
 
-    return jax.vmap(lambda new: jax.vmap(lambda old: density(old, new), in_axes=-1)(before), in_axes=-1)(after)
+    return jax.vmap(densities, in_axes=-1, out_axes=-1)(before)
 
 
 def _select(condition: Bool[Array, ""], yes: Carry, no: Carry) -> Carry:
@@ -204,15 +202,10 @@ def check_transition_density(motion: AbstractMotion, state: State, inputs: Input
         )
 
 
-def transition_log_density(motion: AbstractMotion, before: State, after: State, inputs: Inputs, dt: Scalar) -> Scalar:
-    """log p(after | before) of a motion that passes `check_transition_density`: N(after; step without noise, GGᵀ)."""
+def _transition(motion: AbstractMotion, before: State, inputs: Inputs, dt: Scalar) -> Gaussian:
+    """The next state of a motion that passes `check_transition_density`: the step without noise, and GGᵀ."""
     zeros = [jnp.zeros_like(dt)] * motion.noise_dimension
     predicted = motion.step(before, inputs, dt, Vector.of(zeros))
-    n = dimension(predicted)
     _, G = linearise(lambda *w: local(predicted, motion.step(before, inputs, dt, Vector.of(w))), zeros)
-    cov = {(i, j): total(g * G[j][k] for k, g in G[i].items() if k in G[j]) for i, j in triangle(n)}
-    cov = {pair: c + jnp.zeros_like(dt) for pair, c in cov.items()}
-    L = cholesky(cov, range(n), 0.0)
-    whitened = solve_lower(L, local(predicted, after))
-    scale = total(jnp.log(jnp.where(L[i, i] > 0, L[i, i], 1.0)) for i in range(n))
-    return -scale - 0.5 * total(x * x for x in whitened) - 0.5 * n * LOG_2PI
+    pairs = triangle(dimension(predicted))
+    return Gaussian(predicted, tuple(total(g * G[j][k] for k, g in G[i].items() if k in G[j]) for i, j in pairs))

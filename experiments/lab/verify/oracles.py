@@ -36,6 +36,8 @@ HALT_POINTS, HALT_DOMAIN = (192, 64), (12.0, 3.0)
 QUADRATURE_STEP, EXACT_STEP = 1e-4, 1e-5
 """Steps of the central differences by log parameters; their truncation error is about 1e-8 of the derivative."""
 
+LATENCY = "sensors.fixes.latency"
+
 CHAIN_PROBABILITIES = np.array([0.45, 0.35, 0.2])
 """Probability of each state of the chain when its state is drawn."""
 
@@ -149,8 +151,7 @@ def kalman_log_likelihood(parameters: Mapping[str, float]) -> float:
     """log L of all fixes after the first, which starts the track, as the density of one normal vector.
 
     Motion with white acceleration noise has a closed-form covariance between any two rows; there is no recursion and
-    no Jacobian. `parameters`: `sigma_a` m/s² per √Hz, `sigma_fix` m, `sigma_position` m, `sigma_velocity` m/s,
-    `latency` s.
+    no Jacobian. `parameters`: by the names of the tracker's tunables.
     """
     times, values, seen = kalman_fixes()
     value = 0.0
@@ -163,31 +164,31 @@ def kalman_log_likelihood(parameters: Mapping[str, float]) -> float:
     return float(value)
 
 
-def kalman_gradient(parameters: Mapping[str, float]) -> dict[str, float]:
+def kalman_gradient(parameters: Mapping[str, float]) -> list[float]:
     """d log L by the logarithm of each parameter; by the latency itself."""
-    gradient = {}
+    gradient = []
     for name, at in parameters.items():
-        ends = [at + s * EXACT_STEP if name == "latency" else at * math.exp(s * EXACT_STEP) for s in (1, -1)]
+        ends = [at + s * EXACT_STEP if name == LATENCY else at * math.exp(s * EXACT_STEP) for s in (1, -1)]
         high, low = (kalman_log_likelihood({**parameters, name: x}) for x in ends)
-        gradient[name] = (high - low) / (2 * EXACT_STEP)
+        gradient.append((high - low) / (2 * EXACT_STEP))
     return gradient
 
 
 def _fix_covariance(t: np.ndarray, parameters: Mapping[str, float]) -> np.ndarray:
     """Covariance (n, n) of fixes at times `t`, s, since the start: cov(p − v·latency) plus the fixes' noise."""
     early, late = np.minimum(t[:, None], t[None, :]), np.maximum(t[:, None], t[None, :])
-    density = parameters["sigma_a"] ** 2
+    density = parameters["motion.sigma_a"] ** 2
     # From standstill: position with position, velocity (row) with position (column), velocity with velocity.
     positions = density * early**2 * (3 * late - early) / 6
     mixed = density * (t[None, :] * early - early**2 / 2)
     speeds = density * early
-    velocity = parameters["sigma_velocity"] ** 2
-    positions = positions + parameters["sigma_position"] ** 2 + velocity * t[:, None] * t[None, :]
+    velocity = parameters["start.sigma_velocity"] ** 2
+    positions = positions + parameters["start.sigma_position"] ** 2 + velocity * t[:, None] * t[None, :]
     mixed = mixed + velocity * t[None, :]
     speeds = speeds + velocity
-    latency = parameters["latency"]
+    latency = parameters[LATENCY]
     cov = positions - latency * (mixed + mixed.T) + latency**2 * speeds
-    return cov + parameters["sigma_fix"] ** 2 * np.eye(len(t))
+    return cov + parameters["sensors.fixes.sigma_horizontal"] ** 2 * np.eye(len(t))
 
 
 def chain_measurements() -> np.ndarray:

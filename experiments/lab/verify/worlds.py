@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
@@ -65,26 +66,30 @@ def rectangle(corners: np.ndarray) -> np.ndarray:
     return np.hstack([knots[:-1], knots[1:]])
 
 
-class CorridorStart(AbstractStart):
-    """Uniform prior over the corridor's start rectangle, at the first row.
+class KnownStart(AbstractStart):
+    """Start at the first row, with a state made of independent normal numbers of these means and deviations."""
 
-    A prior has to be normal. This one is standard normal; `uniform` maps it to the rectangle by its distribution
-    function.
-    """
+    state: Callable[[list[Scalar]], State] = eqx.field(static=True)
+    means: tuple[float, ...] = eqx.field(static=True)
+    deviations: tuple[float, ...] = eqx.field(static=True)
 
     def can_start(self, row: Row) -> Scalar:
-        return row.dt == row.dt
+        return row.valid
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         return row.dt
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         zero = jnp.zeros_like(row.dt)
-        return Gaussian(Placed(Vector(zero, zero)), diagonal([1.0, 1.0], zero))
+        return Gaussian(self.state([zero + m for m in self.means]), diagonal([d * d for d in self.deviations], zero))
+
+
+CORRIDOR_START = KnownStart(lambda x: Placed(Vector.of(x)), (0.0, 0.0), (1.0, 1.0))
+"""A prior has to be normal. This one is standard normal, for `uniform` to map it to the start rectangle."""
 
 
 def uniform(belief: Particles) -> Particles:
-    """Standard normal particles mapped to a uniform density over the start rectangle."""
+    """Standard normal particles mapped to a uniform density over the start rectangle by their distribution function."""
     low, high = START
     positions = [a + (b - a) * ndtr(x) for a, b, x in zip(low, high, belief.states.position, strict=True)]
     return belief._replace(states=Placed(Vector.of(positions)))
@@ -127,7 +132,7 @@ def corridor_tracker(n_particles: int, estimator: Estimator = score_form) -> Tra
     """The tracker whose model is the corridor's world; its particles die at the walls."""
     particles = UniformParticles(estimator(ParticleFilter(n_particles, potential=Walls(rectangle(CORRIDOR)))))
     sensors = {FIXES: FloorFixes(SIGMA_FIX)}
-    return Tracker(ConstantPosition(SIGMA_MOVE, 2), sensors, CorridorStart(), particles, NEVER_LOST)
+    return Tracker(ConstantPosition(SIGMA_MOVE, 2), sensors, CORRIDOR_START, particles, NEVER_LOST)
 
 
 def corridor_batch(rows: int, keys: int) -> Batch:
@@ -153,10 +158,8 @@ class HaltStart(AbstractStart):
 
 def halt_tracker(filter: Any) -> Tracker:
     """The tracker whose model is the halt's world, with a particle or a grid filter."""
-    motion, sensors = (
-        LineMotion(Polyline([[0.0, 0.0], [12.0, 0.0]]), HALT_SIGMA_A),
-        {FIXES: FloorFixes(HALT_SIGMA_FIX)},
-    )
+    motion = LineMotion(Polyline([[0.0, 0.0], [12.0, 0.0]]), HALT_SIGMA_A)
+    sensors = {FIXES: FloorFixes(HALT_SIGMA_FIX)}
     return Tracker(motion, sensors, HaltStart(Scale(HALT_SPREAD, "m")), filter, NEVER_LOST)
 
 

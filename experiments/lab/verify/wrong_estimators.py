@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -21,14 +21,11 @@ from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.state import State, dimension, retract
 
 
-class AbstractPathwise(AbstractParticleFilter):
-    """The pathwise derivative of the moves of `particles`; the derivative of resampled weights is `offspring`."""
+class Pathwise(AbstractParticleFilter):
+    """The pathwise derivative of the moves of `particles`; `inherit`: whether offspring inherit that of the weights."""
 
-    particles: eqx.AbstractVar[ParticleFilter]
-
-    @abstractmethod
-    def offspring(self, ancestors: Any) -> Any:
-        """Log-weights (N,) after resampling, given the log-weights (N,) of the ancestors."""
+    particles: ParticleFilter
+    inherit: bool = eqx.field(static=True)
 
     @property
     def bootstrap(self) -> ParticleFilter:
@@ -74,28 +71,18 @@ class AbstractPathwise(AbstractParticleFilter):
     def moments(self, belief: Particles) -> tuple[State, tuple[Scalar, ...]]:
         return self.particles.moments(belief)
 
-    def equal(self, ancestors: Any) -> Any:
-        """Equal log-weights (N,) without derivative; a copy of a particle of weight zero keeps weight zero."""
+    def offspring(self, ancestors: Any) -> Any:
+        """Equal log-weights (N,), given those of the ancestors; a copy of a particle of weight zero keeps it."""
         uniform = jnp.full_like(ancestors, -math.log(self.particles.n_particles))
-        return jnp.where(ancestors > 0.5 * LOG_ZERO, uniform, LOG_ZERO)
+        equal = jnp.where(ancestors > 0.5 * LOG_ZERO, uniform, LOG_ZERO)
+        return equal + (ancestors - jax.lax.stop_gradient(ancestors)) if self.inherit else equal
 
 
-class Reparameterised(AbstractPathwise):
-    """Pathwise derivative of the moves, with stop-gradient resampling: Ścibior and Wood (2021, algorithm 1).
+REPARAMETERISED = partial(Pathwise, inherit=True)
+"""Pathwise derivative with stop-gradient resampling: Ścibior and Wood (2021, algorithm 1).
 
-    Correct for smooth densities. Biased at walls, because the probability of dying has no pathwise derivative.
-    """
+Correct for smooth densities. Biased at walls, because the probability of dying has no pathwise derivative.
+"""
 
-    particles: ParticleFilter
-
-    def offspring(self, ancestors: Any) -> Any:
-        return self.equal(ancestors) + (ancestors - jax.lax.stop_gradient(ancestors))
-
-
-class Naive(AbstractPathwise):
-    """Automatic differentiation of the filter as written: resampled weights and ancestor indices have no derivative."""
-
-    particles: ParticleFilter
-
-    def offspring(self, ancestors: Any) -> Any:
-        return self.equal(ancestors)
+NAIVE = partial(Pathwise, inherit=False)
+"""Automatic differentiation of the filter as written: resampled weights and ancestor indices have no derivative."""

@@ -9,9 +9,9 @@ import pytest
 
 from tests.in_process import trackwright
 from trackwright.experiments.lab.verify import checks
-from trackwright.experiments.lab.verify.check_result import CheckResult, random_check, table
 from trackwright.experiments.lab.verify.checks import (
     PARAMETERS,
+    CheckResult,
     chain_checks,
     corridor_order_checks,
     gradients,
@@ -19,6 +19,8 @@ from trackwright.experiments.lab.verify.checks import (
     halt_order_checks,
     kalman_checks,
     marginal_gradients,
+    random_check,
+    table,
 )
 from trackwright.experiments.lab.verify.oracles import (
     corridor_gradient,
@@ -29,9 +31,9 @@ from trackwright.experiments.lab.verify.oracles import (
 )
 from trackwright.experiments.lab.verify.worlds import (
     CORRIDOR,
+    CORRIDOR_START,
     CORRIDOR_TUNABLES,
     HALT_TUNABLES,
-    CorridorStart,
     corridor_batch,
     corridor_fixes,
     corridor_tracker,
@@ -40,7 +42,7 @@ from trackwright.experiments.lab.verify.worlds import (
     rectangle,
     score_form,
 )
-from trackwright.experiments.lab.verify.wrong_estimators import Naive, Reparameterised
+from trackwright.experiments.lab.verify.wrong_estimators import NAIVE, REPARAMETERISED
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
@@ -95,7 +97,7 @@ def test_the_score_form_is_unbiased_by_walls(scores):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("estimator", [Naive, Reparameterised])
+@pytest.mark.parametrize("estimator", [NAIVE, REPARAMETERISED])
 def test_pathwise_estimators_are_biased_by_walls(estimator):
     assert _deviation(_score(estimator)) > 12
 
@@ -103,7 +105,7 @@ def test_pathwise_estimators_are_biased_by_walls(estimator):
 KEY = np.array([1, 2], np.uint32)
 
 
-@pytest.mark.parametrize("estimator", [Naive, Reparameterised])
+@pytest.mark.parametrize("estimator", [NAIVE, REPARAMETERISED])
 @pytest.mark.parametrize(("alive", "shares"), [(3, 8), (5, 5)])
 def test_pathwise_estimators_resample_and_move_as_the_filter_and_kill_outside_of_walls(estimator, alive, shares):
     # The effective sample size is the number of equal weights above zero; below four of eight, all are drawn again.
@@ -119,7 +121,7 @@ def test_pathwise_estimators_resample_and_move_as_the_filter_and_kill_outside_of
     np.testing.assert_allclose(found.log_weights, np.where(kept, -np.log(shares), LOG_ZERO), rtol=1e-6)
 
 
-@pytest.mark.parametrize("estimator", [Naive, Reparameterised])
+@pytest.mark.parametrize("estimator", [NAIVE, REPARAMETERISED])
 def test_initial_particles_of_pathwise_estimators_move_with_the_spread_of_the_prior(estimator):
     def drawn(sigma, estimator):
         prior = Gaussian(Placed(Vector(jnp.asarray(2.0))), (sigma**2,))
@@ -206,10 +208,12 @@ def test_the_whole_of_verify_passes():
 def test_the_fixes_of_the_kalman_filter_have_the_noise_of_its_model():
     _, fixes, _ = kalman_fixes(rows=2000)
     # Third differences of the walk are below 0.1 m; white noise is amplified by 1 + 9 + 9 + 1.
-    assert np.diff(fixes, 3, axis=0).std() / np.sqrt(20) == pytest.approx(PARAMETERS["sigma_fix"], rel=0.05)
+    assert np.diff(fixes, 3, axis=0).std() / np.sqrt(20) == pytest.approx(
+        PARAMETERS["sensors.fixes.sigma_horizontal"], rel=0.05
+    )
 
 
 def test_the_prior_of_the_corridor_is_standard_normal():
-    belief = CorridorStart().belief(None, corridor_batch(2, 1))
+    belief = CORRIDOR_START.belief(None, corridor_batch(2, 1))
     np.testing.assert_array_equal(np.ravel(belief.mean.position), 0.0)
     assert [float(x[0, 0]) for x in belief.cov] == [1.0, 0.0, 1.0]
