@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import atexit
 import builtins
-import importlib.abc
 import json
 import sys
 import time
 from collections import defaultdict
-from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,6 +29,7 @@ FUNCTIONS = {
 }
 """What is measured around functions, by module."""
 
+TIMERS = "jax._src.dispatch"
 EVENTS = {
     "/jax/core/compile/jaxpr_trace_duration": "tracing",
     "/jax/core/compile/jaxpr_to_mlir_module_duration": "tracing",
@@ -74,35 +73,13 @@ def measured(split: Split, function: Any, phase: str) -> Any:
     return run
 
 
-class Measuring(importlib.abc.MetaPathFinder):
-    """Measures functions of modules once these are imported."""
-
-    def __init__(self, split: Split) -> None:
-        self.split = split
-
-    def find_spec(self, name: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
-        """The module's own specification, with a loader that measures; None for modules that hold nothing measured."""
-        if name not in FUNCTIONS and name != "jax._src.dispatch":
-            return None
-        spec = PathFinder.find_spec(name, path, target)
-        assert spec is not None
-        assert spec.loader is not None
-        load = spec.loader.exec_module
-
-        def load_measured(module: ModuleType) -> None:
-            load(module)
-            for function, phase in FUNCTIONS.get(name, {}).items():
-                setattr(module, function, measured(self.split, getattr(module, function), phase))
-            if name == "jax._src.dispatch":
-                measure_events(self.split, module)
-
-        spec.loader.exec_module = load_measured  # type: ignore[method-assign]
-        return spec
-
-
-def measure_events(split: Split, dispatch: Any) -> None:
-    """Puts the time within jax's own timers down to their phase."""
-    timer = dispatch.LogElapsedTimeContextManager
+def measure(split: Split, module: Any) -> None:
+    """Puts the time within functions of a module, or within jax's own timers, down to their phase."""
+    for function, phase in FUNCTIONS.get(module.__name__, {}).items():
+        setattr(module, function, measured(split, getattr(module, function), phase))
+    if module.__name__ != TIMERS:
+        return
+    timer = module.LogElapsedTimeContextManager
     enter, leave = timer.__enter__, timer.__exit__
 
     def entered(self: Any) -> Any:
@@ -121,7 +98,7 @@ def measure_events(split: Split, dispatch: Any) -> None:
 def main() -> None:
     """Runs `trackwright ARGUMENTS`; writes its split at exit, whatever its exit code."""
     out, arguments = Path(sys.argv[1]).resolve(), sys.argv[2:]
-    split, depth, load = Split(), 0, builtins.__import__
+    split, depth, load, pending = Split(), 0, builtins.__import__, {*FUNCTIONS, TIMERS}
 
     def load_measured(*names: Any, **options: Any) -> ModuleType:
         nonlocal depth
@@ -129,7 +106,13 @@ def main() -> None:
         if depth == 1:
             split.enter("imports")
         try:
-            return load(*names, **options)
+            imported = load(*names, **options)
+            # Before a statement `from module import function` takes it out of the module.
+            for name in pending & sys.modules.keys():
+                if not sys.modules[name].__spec__._initializing:  # type: ignore[union-attr]
+                    pending.remove(name)
+                    measure(split, sys.modules[name])
+            return imported
         finally:
             depth -= 1
             if depth == 0:
@@ -141,7 +124,6 @@ def main() -> None:
 
     atexit.register(write)
     builtins.__import__ = load_measured
-    sys.meta_path.insert(0, Measuring(split))
     sys.path[0], sys.argv = ".", ["trackwright", *arguments]
     from trackwright.experiments.cli.main import main
 
