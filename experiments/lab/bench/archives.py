@@ -23,18 +23,15 @@ COMMANDS = {"track": TRACK, "track again": TRACK, "evaluate": ("evaluate", "OUT"
 """The commands in their order; the second `track` finds everything finished but the broken ones."""
 
 
-def archives(*sizes: int, output: Output = DEFAULTS) -> int:
+def archives(*, output: Output = DEFAULTS) -> int:
     """Archives of thousands of recordings, tracked and evaluated: processor time, and memory at its peak.
 
     Each recording is a simulated vehicle for four seconds, fixes with truth: so short that what a recording costs
     beside its rows shows. Three in a hundred are broken instead, at random and in many ways, by the generator of the
     tests (`tests/faults/recordings.py`). 1 if a command fails.
-
-    Args:
-        sizes: numbers of recordings; by default 100, 1000 and 10000.
     """
     rows = []
-    for size in sizes or ((35,) if output.small else (100, 1000, 10_000)):
+    for size in (35,) if output.small else (100, 1000, 10_000):
         with tempfile.TemporaryDirectory(prefix="archives-") as name:
             folder = Path(name)
             # In other processes: the peak of a child is at least that of this one.

@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import os
-import re
 import signal
 import tempfile
 import time
@@ -14,6 +13,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -47,18 +47,15 @@ PLACES = {
 """The cluster of each run, and whether a worker is killed by SIGKILL on the way."""
 
 
-def cluster(*, runs: int = 100_000, output: Output = DEFAULTS) -> int:
+def cluster(*, output: Output = DEFAULTS) -> int:
     """A study on threads, on one and two worker processes, and on two of which one is killed; 1 if the bits differ.
 
     Trajectories a second are counted from the moment when a quarter of the chunks is stored, since each worker begins
     by importing and compiling. The overhead of a chunk is that of a part which computes nothing and returns the content
     of a chunk: a worker's time per part while others wait, and the round trip of a single one.
-
-    Args:
-        runs: trajectories of the study.
     """
     with tempfile.TemporaryDirectory() as name:
-        folder, study = Path(name), declared(Path(name), 20_000 if output.small else runs)
+        folder, study = Path(name), declared(Path(name), 20_000 if output.small else 100_000)
         rows = shown({"": where, **of_a_study(study, folder / where, *how)} for where, how in PLACES.items())
         content = max((folder / "threads" / "chunks").glob("*.npz"), key=lambda path: path.stat().st_size).read_bytes()
     with cluster_executor(f"local:{WORKERS}") as executor:
@@ -116,17 +113,15 @@ def workers_of(pid: int) -> list[int]:
         return []
 
 
-TUNE = ("motion.sigma_a", "sensors.*.sigma*")
+TUNE, STEPS = ("motion.sigma_a", "sensors.*.sigma*"), 8
 FIT = ("--tracker", "fix-kf", "--optimiser", "adam", "--starts", "1", "--force", "--no-report", "--no-figures",
-       "--tune", *TUNE)  # fmt: skip
+       "--tune", *TUNE, "--steps", str(STEPS))  # fmt: skip
 """Forced: so few steps may end before the optimum."""
 
 EVALUATIONS = 10
 
 
-def cluster_fit(
-    *, recordings: int = 32, tags: int = 128, rows: int = 500, steps: int = 8, output: Output = DEFAULTS
-) -> int:
+def cluster_fit(*, output: Output = DEFAULTS) -> int:
     """A fit whose rows are held by worker processes, beside threads, with a worker killed in mid-fit.
 
     `trackwright tune` of simulated position fixes; tuned.toml and trace.csv are compared to the byte. Memory is what a
@@ -134,15 +129,8 @@ def cluster_fit(
     recordings and to all; that of the caller also until the last step, after which it tracks some recordings for the
     table before and after. The bytes of an evaluation are those over the workers' connections, by the kernel's own
     count. 1 if the bits differ.
-
-    Args:
-        recordings: their number; memory is measured with a quarter of them, too.
-        tags: of each recording.
-        rows: of each tag.
-        steps: of the optimiser.
     """
-    if output.small:
-        recordings, tags, rows = 4, 4, 50
+    recordings, tags, rows = (4, 4, 50) if output.small else (32, 128, 500)
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         paths = [place / f"hall-{k}" for k in range(recordings)]
@@ -150,19 +138,18 @@ def cluster_fit(
             folder = worlds.agv(n=tags, seed=k, rows=rows).folder()
             rig = dataclasses.replace(folder.rig, name=path.name)
             write_recording(dataclasses.replace(folder, name=path.name, rig=rig), path)
-        fits = shown({"": where, **of_a_fit(place, paths, steps, *how)} for where, how in PLACES.items())
+        fits = shown({"": where, **of_a_fit(place, paths, *how)} for where, how in PLACES.items())
         travels = travelling(paths, place / "travel")
-    size = (
-        f"a fit of {recordings * tags:,} trajectories, {recordings * tags * rows / 1e6:.2f} million rows, {steps} steps"
-    )
+    count = recordings * tags
+    size = f"a fit of {count:,} trajectories, {count * rows / 1e6:.2f} million rows, {STEPS} steps"
     evaluation = f"an evaluation at one vector (median of {EVALUATIONS}; Dask may move a chunk besides)"
     output.publish("bench cluster-fit", Table(fits, size), Table([travels], evaluation))
     return int(len({row["SHA-256"] for row in fits}) > 1)
 
 
-def of_a_fit(place: Path, paths: Sequence[Path], steps: int, on: Sequence[str], kill: bool) -> Row:
+def of_a_fit(place: Path, paths: Sequence[Path], on: Sequence[str], kill: bool) -> Row:
     """Seconds, processor seconds and digest of a fit to all recordings, and the memory of one to a quarter of them."""
-    words = (*FIT, "--steps", str(steps), *(("--cluster", *on) if on else ()))
+    words = (*FIT, *(("--cluster", *on) if on else ()))
     quarter, whole = (
         tuned((*map(str, some), *words), place, kill and some is paths) for some in (paths[: len(paths) // 4], paths)
     )
@@ -180,7 +167,8 @@ def tuned(words: Sequence[str], place: Path, kill: bool) -> Row:
     `fitting`: until the last step. `kill`: a worker once there is the checkpoint, which every step writes.
     """
     with tempfile.TemporaryDirectory(dir=place) as out:
-        checkpoint, log, peak = Path(out) / "checkpoint.npz", Path(out) / "log.txt", dict.fromkeys(PEAKS, 0.0)
+        checkpoint, log = Path(out) / "checkpoint.npz", Path(out) / "log.txt"
+        peak = dict.fromkeys(("fitting", "caller", "worker"), 0.0)
         step, killed = 0, not kill
 
         def watch(pid: int) -> None:
@@ -206,16 +194,13 @@ def tuned(words: Sequence[str], place: Path, kill: bool) -> Row:
     return {**run, **peak, "sha256": hashlib.sha256(content).hexdigest()}
 
 
-PEAKS = ("fitting", "caller", "worker")
-
-
 def anonymous(pid: int) -> float:
-    """Megabytes of memory of a process that are no pages of files; 0 once it has ended."""
+    """Megabytes of memory of a process that are no pages of files (RssAnon); 0 once it has ended."""
     try:
-        match = re.search(r"RssAnon:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text("utf-8"))
-    except OSError:
+        used: Any = psutil.Process(pid).memory_info()
+    except psutil.Error:
         return 0.0
-    return 0.0 if match is None else 1024 * int(match[1]) / 1e6
+    return (used.rss - used.shared) / 1e6
 
 
 def travelling(paths: Sequence[Path], folder: Path) -> Row:

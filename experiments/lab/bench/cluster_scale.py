@@ -76,19 +76,14 @@ BYTES_SENT = 120
 """Offset of bytes sent and acknowledged in the kernel's struct tcp_info; bytes received follow."""
 
 
-def cluster_scale(*, workers: tuple[int, ...] = (100, 1000), parts: int = 2000, output: Output = DEFAULTS) -> int:
+def cluster_scale(*, output: Output = DEFAULTS) -> int:
     """A scheduler with a thousand workers of Dask's, many in a process, and parts that compute nothing.
 
     Each part takes the declaration of a study and returns as many bytes as its largest chunks: processor seconds of
     caller and scheduler, and bytes over their connections, by the kernel's own count, with what an idle scheduler
     takes, which is measured, too. Also measured: storing such a chunk, adding it to the results, and computing it.
-
-    Args:
-        workers: of a scheduler, with one thread each.
-        parts: that are computed by so many workers.
     """
-    if output.small:
-        workers, parts = (PROCESSES,), 20
+    workers, parts = ((PROCESSES,), 20) if output.small else ((100, 1000), 2000)
     with tempfile.TemporaryDirectory() as folder:
         study = declared(Path(folder), 1_000_000_000)
         chunk = of_a_chunk(study, Path(folder) / "study")
@@ -219,12 +214,12 @@ def tcp_bytes() -> tuple[int, int]:
 MEASURED = Path(__file__).parent / "results" / "bench-cluster-scale-2-cores.json"
 
 
-def plan(rates: Mapping[str, Any], runs: float, workers: int, conditions: int = 1) -> dict[str, float]:
-    """What a study takes, in words and numbers; `rates`: of `cluster_scale`. `conditions`: worlds × points of the grid.
+def plan(rates: Mapping[str, Any], runs: float, workers: int) -> dict[str, float]:
+    """What a study takes, in words and numbers; `rates`: of `cluster_scale`.
 
     Computing, handing out and storing go on at the same time; the results are added up afterwards, by the caller.
     """
-    chunks = math.ceil(runs / rates["trajectories"]) * conditions
+    chunks = math.ceil(runs / rates["trajectories"])
     hours = chunks / 3600
     compute, caller = hours * rates["compute_s"], hours * (rates["caller_ms"] + rates["store_ms"]) / 1e3
     scheduler, results = hours * rates["scheduler_ms"] / 1e3, hours * rates["add_ms"] / 1e3
@@ -258,7 +253,6 @@ def cluster_plan(
     runs: float = 1e9,
     workers: tuple[int, ...] = (64, 1000),
     price: float | None = None,
-    conditions: int = 1,
     measured: Path = MEASURED,
     output: Output = DEFAULTS,
 ) -> int:
@@ -267,14 +261,13 @@ def cluster_plan(
     All rates are those of a result file of cluster-scale, with the scheduler of the nearest number of workers.
 
     Args:
-        runs: trajectories of each condition.
+        runs: trajectories, of all worlds and points of the grid together.
         workers: of one core each.
         price: of a core-hour, in any currency.
-        conditions: worlds times points of the grid.
         measured: the result file of cluster-scale.
     """
     results = json.loads(measured.read_text("utf-8"))
-    plans = {n: plan(rates_of(results, n), runs, n, conditions) for n in workers}
+    plans = {n: plan(rates_of(results, n), runs, n) for n in workers}
     if price is not None:
         for row in plans.values():
             row[f"cost at {price:g} a core-hour"] = price * row["paid for, core-hours"]

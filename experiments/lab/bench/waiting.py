@@ -35,6 +35,9 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 EXIT_CODES = {"check": (0, 1), "refusal": (2,), "tune-walks": (0, 1), "tune-starloc": (0, 1)}
 """Other than 0 alone: `check` finds errors, and `tune` may refuse its values at the end."""
 
+WARM = 3
+"""Runs of each command with a filled cache, whose median is taken."""
+
 PHASES = ("imports", "reading", "tracing", "compiling", "running", "evaluation", "figures")
 """`running` is the rest: filtering, and everything that is not named."""
 
@@ -42,7 +45,7 @@ SETTINGS = ("JAX_", "XLA_", "TRACKWRIGHT_CACHE")
 """Environment variables that begin so are not handed on: they would move the cache or change the programs."""
 
 
-def waiting(*names: str, against: Path | None = None, warm: int = 3, output: Output = DEFAULTS) -> int:
+def waiting(*names: str, against: Path | None = None, output: Output = DEFAULTS) -> int:
     """Time that a user waits for whole commands: in fresh processes, with an empty and a filled cache of programs.
 
     Another checkout, for instance of an earlier version, takes turns with this one. Processor time is the measure,
@@ -51,11 +54,10 @@ def waiting(*names: str, against: Path | None = None, warm: int = 3, output: Out
     Args:
         names: of commands; default: all.
         against: the folder of another checkout, which takes turns with this one.
-        warm: runs of each command with a filled cache, whose median is taken.
     """
     commands = chosen(names, COMMANDS, ("help", "refusal") if output.small else ())
     checkouts = [REPOSITORY] if against is None else [against.resolve(), REPOSITORY]
-    rows = [row for name in commands for row in of_a_command(name, checkouts, output.rounds(warm))]
+    rows = [row for name in commands for row in of_a_command(name, checkouts, output.rounds(WARM))]
     output.publish("bench waiting", Table(rows, note="Phases in processor seconds."))
     return 0
 

@@ -53,13 +53,6 @@ class Figure(NamedTuple):
     fitted: bool
 
 
-class Beside(NamedTuple):
-    """Two trackers on the recordings that decide between them: the geometric mean of the ratios of their errors."""
-
-    ratio: float
-    recordings: tuple[str, ...]
-
-
 def choice(*, output: Output = DEFAULTS) -> int:
     """Every tracker on every real recording that it fits, and the order that follows from their errors.
 
@@ -95,15 +88,18 @@ def figures_of(folder: RecordingFolder) -> Iterator[Figure]:
             yield Figure(folder.name, name, rmse, metrics["coverage_95"], share, fitted)
 
 
-def beside(figures: Sequence[Figure], first: str, second: str) -> Beside:
-    """The errors of one tracker over those of another, on the recordings on which the levels of neither were fitted."""
+def beside(figures: Sequence[Figure], first: str, second: str) -> tuple[float, tuple[str, ...]]:
+    """The errors of one tracker over those of another, and the recordings: the levels of neither were fitted on these.
+
+    The geometric mean of the ratios.
+    """
     decides: dict[str, dict[str, float]] = {first: {}, second: {}}
     for figure in figures:
         if figure.tracker in decides and not figure.fitted and figure.share >= LEAST_SHARE:
             decides[figure.tracker][figure.recording] = figure.rmse
     a, b = decides[first], decides[second]
     common = tuple(name for name in a if name in b)
-    return Beside(float(np.exp(np.mean([np.log(a[k] / b[k]) for k in common]))) if common else 1.0, common)
+    return float(np.exp(np.mean([np.log(a[k] / b[k]) for k in common]))) if common else 1.0, common
 
 
 def order_of(figures: Sequence[Figure], names: Sequence[str]) -> tuple[str, ...]:
@@ -115,7 +111,7 @@ def order_of(figures: Sequence[Figure], names: Sequence[str]) -> tuple[str, ...]
     left, order = sorted(names, key=lambda name: (name not in measured, SIMPLEST_FIRST.index(name))), []
     while left:
         unbeaten = (
-            name for name in left if all(beside(figures, other, name).ratio >= CLEAR for other in left if other != name)
+            name for name in left if all(beside(figures, other, name)[0] >= CLEAR for other in left if other != name)
         )
         order.append(next(unbeaten, left[0]))
         left.remove(order[-1])

@@ -32,6 +32,9 @@ from trackwright.tuning.problem import Problem
 LOST = 50.0
 """Objective, nats a row, of a recording on which the filter diverges."""
 
+EVALUATIONS = 400
+"""Most runs of the filter over the recordings."""
+
 FIRST_STEP = 0.4
 """Side of the first simplex, in the logarithm of a level."""
 
@@ -70,9 +73,6 @@ KINDS = {
     ),
 }
 """What can be set. A likelihood over the floor does not determine `sigma_z`, which stays."""
-
-
-Kind = Literal["bearings", "bearings-calibrated", "uwb"]
 
 
 class Objective:
@@ -121,12 +121,11 @@ class Objective:
         return self.levels.builder(count, group.planar, **{**self.levels.now, **values})
 
 
-def default_levels(kind: Kind, *, evaluations: int = 400, output: Output = DEFAULTS) -> int:
+def default_levels(kind: Literal["bearings", "bearings-calibrated", "uwb"], *, output: Output = DEFAULTS) -> int:
     """Set default noise levels and show them beside the present ones, with the objective of both.
 
     Args:
         kind: the levels to set.
-        evaluations: most runs of the filter over the recordings.
     """
     keep_programs()
     levels = KINDS[kind]
@@ -134,7 +133,8 @@ def default_levels(kind: Kind, *, evaluations: int = 400, output: Output = DEFAU
     objective = Objective(levels, known_and_new(folders) if levels.calibrated else folders)
     start = objective.start()
     steps = FIRST_STEP * np.diag(np.resize([1.0, -1.0], len(start)))
-    options = {"maxfev": evaluations, "initial_simplex": np.vstack([start, start + steps]), "adaptive": True}
+    most = 4 if output.small else EVALUATIONS
+    options = {"maxfev": most, "initial_simplex": np.vstack([start, start + steps]), "adaptive": True}
     optimum = minimize(objective, start, method="Nelder-Mead", options=options).x
     before, after = (
         {name: ", ".join(f"{x:.3g}" for x in np.ravel(level)) for name, level in objective.values(at).items()}

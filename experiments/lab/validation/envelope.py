@@ -76,20 +76,18 @@ SUBJECTS: dict[str, Subject] = {
 }
 
 
-def envelope(*trackers: str, seed: int = 0, tags: int = TAGS, output: Output = DEFAULTS) -> int:
+def envelope(*trackers: str, output: Output = DEFAULTS) -> int:
     """Single beside double precision over noise, time steps and sizes of rooms; 1 where single is silently wrong.
 
     A cell is wrong where single precision is, and double is not. With `--small` few tags, in rooms of 10 m.
 
     Args:
         trackers: their names; by default all that are tried.
-        seed: of the recordings.
-        tags: tracked together, at most.
     """
     summary, tables, wrong = list[Row](), list[Table](), 0
     cells = [Cell(*one) for one in product(SIGMAS, STEPS, (10.0,) if output.small else ROOMS)]
     for name in chosen(trackers, SUBJECTS):
-        by_cell, off = verdicts(name, cells, seed, 12 if output.small else tags)
+        by_cell, off = verdicts(name, cells, 12 if output.small else TAGS)
         summary += shown([summarised(name, by_cell, off)])
         tables.append(Table(table(by_cell), f"`{name}`"))
         wrong += summary[-1]["silently wrong"]
@@ -97,22 +95,22 @@ def envelope(*trackers: str, seed: int = 0, tags: int = TAGS, output: Output = D
     return int(wrong > 0)
 
 
-def verdicts(name: str, cells: Sequence[Cell], seed: int = 0, tags: int = TAGS) -> tuple[dict[Cell, Verdict], float]:
+def verdicts(name: str, cells: Sequence[Cell], tags: int = TAGS) -> tuple[dict[Cell, Verdict], float]:
     """The verdict on every cell, and the largest difference of double precision from another method, in sigmas."""
     by_cell, off = dict[Cell, Verdict](), list[float]()
     for cell in cells:
-        several, another = tried(name, cell, min(tags, SUBJECTS[name].tags), seed)
+        several, another = tried(name, cell, min(tags, SUBJECTS[name].tags))
         by_cell[cell] = several
         if SUBJECTS[name].tags > ALONE:
-            alone, _ = tried(name, cell, min(tags, ALONE), seed, alone=True)
+            alone, _ = tried(name, cell, min(tags, ALONE), alone=True)
             by_cell[cell] = alone if alone.words.startswith(NONSENSE) else several
         off.append(another)
     return by_cell, float(np.nanmax([*off, -np.inf]))
 
 
-def tried(name: str, cell: Cell, tags: int, seed: int, alone: bool = False) -> tuple[Verdict, float]:
+def tried(name: str, cell: Cell, tags: int, alone: bool = False) -> tuple[Verdict, float]:
     """The verdict on a cell, its tags together or one by one, and how far double precision is off another method."""
-    folder, walks = recorded(cell, SUBJECTS[name].table, tags, seed)
+    folder, walks = recorded(cell, SUBJECTS[name].table, tags)
     try:
         with jax.enable_x64(False):
             single = run(ready(name, cell, folder), walks, alone)

@@ -45,9 +45,9 @@ class Walks(NamedTuple):
         return self.begin[:, None] + self.velocity[:, None] * times[..., None]
 
 
-def recorded(cell: Cell, table: str, tags: int, seed: int) -> tuple[RecordingFolder, Walks]:
+def recorded(cell: Cell, table: str, tags: int) -> tuple[RecordingFolder, Walks]:
     """A recording of `fixes`, `mirrored` fixes, fixes along a `path`, `ranges`, ranges and an `imu`, or `bearings`."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     walks = _walks(cell, tags, table == "path", rng)
     times = np.tile(cell.dt * np.arange(EPOCHS), (tags, 1))
     places = walks.at(times)

@@ -28,7 +28,6 @@ from trackwright.experiments.lab.validation.sites import (
     SEEN_BY_DEFAULTS,
     SITES,
     SMOOTHED_GOAL,
-    Errors,
     Judged,
     Setting,
     Site,
@@ -42,6 +41,9 @@ PAGE = REPOSITORY / "docs" / "real-recordings.md"
 CURVES = PAGE.with_name("calibration-curves.png")
 KINDS = [(setting, smoothed) for setting in (DEFAULTS, CALIBRATED) for smoothed in (False, True)]
 """Settings, filtered and smoothed, in the order of the tables and panels."""
+
+LIMITED = (("RMSE", "rmse_m", False), ("3-D RMSE", "rmse_3d_m", False), ("RMSE", "rmse_m", True))
+"""What each of `Errors` limits: in words, the metric, and whether that of smoothed estimates."""
 
 LEVELS = (50, 68, 90, 95, 99)
 """Levels of ellipses, %, of the curves."""
@@ -94,15 +96,16 @@ class Check(NamedTuple):
 
 def checks(every: Sequence[Judged]) -> list[Check]:
     """All limits: shares of recordings whose covariances are within limits, errors by site, and rooms."""
-    return [*_share_checks(every), *_error_checks(every), *_room_checks(every)]
-
-
-def _share_checks(every: Sequence[Judged]) -> list[Check]:
-    return [
+    shares = [
         Check(f"share of recordings within limits, {name},", round(sum(held) / len(held), 3), goal)
         for name, goal, held in _shares(every)
         if held
     ]
+    rooms = [
+        Check(f"{name}: m outside the room,", round(one.outside.distance, 2), highest=MARGIN)
+        for name, one in _farthest(every).items()
+    ]
+    return [*shares, *_error_checks(every), *rooms]
 
 
 def _shares(every: Sequence[Judged]) -> Iterator[tuple[str, float, list[bool]]]:
@@ -129,7 +132,9 @@ def _error_checks(every: Sequence[Judged]) -> list[Check]:
         group = [one for one in every if (one.site, one.setting) == (site, setting)]
         counting = [one for one in group if setting == DEFAULTS or one.counted]
         limits = site.defaults if setting == DEFAULTS else site.calibrated
-        for what, metric, smoothed, limit in _limited(limits):
+        for limit, (what, metric, smoothed) in zip(limits, LIMITED, strict=True):
+            if limit is None:
+                continue
             figures = {one.recording: one.metrics[metric] for one in counting if one.smoothed == smoothed}
             if site.mean and figures:
                 figures = {f"mean of {site.name}": float(np.mean(list(figures.values())))}
@@ -137,39 +142,13 @@ def _error_checks(every: Sequence[Judged]) -> list[Check]:
             checks_of_errors += [
                 Check(f"{name}: {about}", round(figure, 3), highest=limit) for name, figure in figures.items()
             ]
+        rmse = {(one.recording, one.smoothed): round(one.metrics["rmse_m"], 3) for one in counting}
         checks_of_errors += [
-            Check(
-                f"{a.recording}: RMSE, {setting.name}, smoothed,",
-                round(b.metrics["rmse_m"], 3),
-                highest=round(a.metrics["rmse_m"], 3),
-            )
-            for a, b in _pairs(counting)
+            Check(f"{name}: RMSE, {setting.name}, smoothed,", rmse[name, True], highest=figure)
+            for (name, smoothed), figure in rmse.items()
+            if not smoothed and (name, True) in rmse
         ]
     return checks_of_errors
-
-
-def _limited(limits: Errors) -> Iterator[tuple[str, str, bool, float]]:
-    """The limits that there are: in words, metric, whether smoothed, highest value."""
-    for limit, what, metric, smoothed in (
-        (limits.filtered, "RMSE", "rmse_m", False),
-        (limits.spatial, "3-D RMSE", "rmse_3d_m", False),
-        (limits.smoothed, "RMSE", "rmse_m", True),
-    ):
-        if limit is not None:
-            yield what, metric, smoothed, limit
-
-
-def _pairs(counting: Sequence[Judged]) -> list[tuple[Judged, Judged]]:
-    """Filtered and smoothed estimates of each recording that has both."""
-    smoothed = {one.recording: one for one in counting if one.smoothed}
-    return [(one, smoothed[one.recording]) for one in counting if not one.smoothed and one.recording in smoothed]
-
-
-def _room_checks(every: Sequence[Judged]) -> list[Check]:
-    return [
-        Check(f"{name}: m outside the room,", round(one.outside.distance, 2), highest=MARGIN)
-        for name, one in _farthest(every).items()
-    ]
 
 
 def tables(every: Sequence[Judged], best: Mapping[str, float]) -> list[Table]:
@@ -181,9 +160,14 @@ def tables(every: Sequence[Judged], best: Mapping[str, float]) -> list[Table]:
         for site, group in groupby(every, key=lambda one: one.site)
         for results in [list(group)]
     ]
+    missed = [
+        {"figure": check.what.rstrip(","), "m": f"{check.figure:g}", "limit": f"{check.highest:g}"}
+        for check in _error_checks(every)
+        if not check.met
+    ]
     return [
         Table(_summary(every), "Recordings whose covariances are within limits", verdict),
-        Table([_limit_row(check) for check in _error_checks(every) if not check.met], "Missed limits of errors"),
+        Table(missed, "Missed limits of errors"),
         *sites,
         Table(_rooms(every), "Rooms"),
     ]
@@ -199,10 +183,6 @@ def _summary(every: Sequence[Judged]) -> list[Row]:
             "not counted": f"{sum(apart)} of {len(apart)}" if apart else "",
         })  # fmt: skip
     return rows
-
-
-def _limit_row(check: Check) -> Row:
-    return {"figure": check.what.rstrip(","), "m": f"{check.figure:g}", "limit": f"{check.highest:g}"}
 
 
 def _about(site: Site, results: Sequence[Judged]) -> str:

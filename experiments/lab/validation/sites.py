@@ -208,14 +208,12 @@ def judged(site: Site) -> Iterator[Judged]:
         others = [other for other in folders if other is not folder and same_installation(folder, other)]
         seen = folder.name in SEEN_BY_DEFAULTS.get(site.tracker, ())
         yield from _runs(site, DEFAULTS, folder, [folder], {}, (), not seen)
-        if site.tuned:
-            if others:
-                on = tuple(other.name for other in others)
-                yield from _runs(site, CALIBRATED, folder, [folder], _tuned(site, others), on, counted=True)
+        on = tuple(other.name for other in others)
+        if site.tuned and others:
+            yield from _runs(site, CALIBRATED, folder, [folder], _tuned(site, others), on, counted=True)
         elif others:
-            on = tuple(other.name for other in others)
             yield from _runs(site, CALIBRATED, folder, [folder.calibrated(calibrate(others))], {}, on, counted=True)
-        else:
+        elif not site.tuned:
             yield from _runs(site, CALIBRATED, folder, by_halves(folder), {}, OTHER_HALF, counted=False)
 
 

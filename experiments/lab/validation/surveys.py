@@ -44,14 +44,10 @@ REAL = {
 """Recordings of an installation, and the height of the tags, m, where their carrier would know it."""
 
 
-def surveys(*, count: int = SURVEYS, output: Output = DEFAULTS) -> int:
-    """Simulated surveys of anchors against truth and the bound; 1 if a criterion fails.
-
-    Args:
-        count: of surveys.
-    """
+def surveys(*, output: Output = DEFAULTS) -> int:
+    """Simulated surveys of anchors against truth and the bound; 1 if a criterion fails."""
     kinds = [(walk, lasting) for lasting in (0.0, LASTING) for walk in HEIGHTS]
-    numbers = range(3 if output.small else count)
+    numbers = range(3 if output.small else SURVEYS)
     results: dict[tuple[str, float], list[Row]] = {kind: [] for kind in kinds}
     with progress("surveys", len(numbers)) as advance, ProcessPoolExecutor(2, get_context("spawn")) as pool:
         of_kinds = [kinds[number % len(kinds)] for number in numbers]

@@ -26,7 +26,7 @@ PARTS = {
     "bench.growth": ("anchors", "tunables", "bearings", "inertial", "form-4", "smoothed-fix-kf"),
     "bench.studies": ("--tracker", "fix-kf", "uwb"),
     "bench.recordings": ("--recordings", "labyrinth", "--smooth"),
-    "validation.default_levels": ("bearings", "--evaluations", "4"),
+    "validation.default_levels": ("bearings",),
     "validation.tuned_sites": ("--site", "isas", "--seconds", "10"),
     "validation.envelope": ("fix-kf",),
     "validation.nis_expectation": ("fix-kf",),

@@ -35,8 +35,6 @@ def test_workers_beyond_those_that_the_caller_keeps_busy_cost_and_do_not_hasten(
     many, enough = plan(RATES, 1e9, 1000), plan(RATES, 1e9, 100)
     assert many["from start to end, h"] == enough["from start to end, h"] == pytest.approx(12)
     assert many["paid for, core-hours"] == pytest.approx(10 * enough["paid for, core-hours"])
-    three = plan(RATES, 1e9, 100, conditions=3)
-    assert three["paid for, core-hours"] == pytest.approx(3 * enough["paid for, core-hours"])
 
 
 def test_a_plan_takes_the_scheduler_of_the_nearest_number_of_workers():

@@ -12,12 +12,10 @@ from trackwright.experiments.lab.validation.choice import (
     Figure,
     beside,
     choice,
-    figures_of,
     order_of,
     tables,
 )
 from trackwright.experiments.lab.validation.sites import SEEN_BY_DEFAULTS
-from trackwright.sim import worlds
 from trackwright.trackers.catalogue import ENTRIES, PREFERENCE, TRACKERS
 from trackwright.trackers.recordings.folder import read_recordings
 
@@ -47,7 +45,7 @@ def test_errors_are_compared_by_the_geometric_mean_of_their_ratios():
     ratio, names = beside(figures, "uwb", "uwb-imu")
     assert ratio == pytest.approx(np.cbrt(2.0 * 2.0 * 0.25))
     assert names == ("r0", "r1", "r2")
-    assert beside(figures, "uwb-imu", "uwb").ratio == pytest.approx(1.0 / ratio)
+    assert beside(figures, "uwb-imu", "uwb")[0] == pytest.approx(1.0 / ratio)
 
 
 def test_a_recording_decides_neither_where_levels_were_fitted_on_it_nor_where_estimates_are_missing():
@@ -100,14 +98,6 @@ def test_every_tracker_of_the_catalogue_has_one_place_in_the_order():
     ]
     assert sorted(TRACKERS) == sorted(entries) == sorted(SIMPLEST_FIRST)
     assert set(SEEN_BY_DEFAULTS) <= set(TRACKERS)
-
-
-@pytest.mark.slow
-def test_every_tracker_that_fits_a_recording_has_a_figure():
-    folder = worlds.agv(n=1, seed=1, rows=60).folder()
-    figures = list(figures_of(folder))
-    assert {one.tracker for one in figures} == {name for name, spec in TRACKERS.items() if spec.missing(folder) is None}
-    assert all(0.0 < one.rmse < 2.0 for one in figures)
 
 
 @pytest.mark.slow

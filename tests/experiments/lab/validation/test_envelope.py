@@ -87,7 +87,7 @@ def test_a_table_has_the_worst_of_all_time_steps():
 
 @pytest.mark.parametrize("name", ["fixes", "mirrored", "path", "ranges", "imu", "bearings"])
 def test_a_recording_of_the_envelope_has_the_noise_that_it_is_asked_for(name):
-    folder, walks = recorded(Cell(0.01, 1.0, 10.0), name, 40, 3)
+    folder, walks = recorded(Cell(0.01, 1.0, 10.0), name, 40)
     measured = next(iter(folder.tables))
     rows = folder.tables[measured]
     assert rows["tag"].n_unique() == 40
