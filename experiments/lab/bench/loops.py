@@ -88,8 +88,7 @@ def vector(state: Any) -> Any:
 
 def filtered(model: Model, state: Any, P: np.ndarray, dts: np.ndarray, first: int) -> np.ndarray:
     """The states' vectors (T − first, n) of the rows from `first`, given the state of the row before it."""
-    means, covariances = np.empty((len(dts) - first, len(P))), np.empty((len(dts) - first, *P.shape))
-    eye = np.eye(len(P))
+    means, eye = np.empty((len(dts) - first, len(P))), np.eye(len(P))
     for row in range(first, len(dts)):
         state, F, Q = model.moved(state, P, row, dts[row])
         P = F @ P @ F.T + Q
@@ -108,7 +107,6 @@ def filtered(model: Model, state: Any, P: np.ndarray, dts: np.ndarray, first: in
             P = rest @ P @ rest.T + noise * np.outer(k, k)
         state = model.added(state, step)
         means[row - first] = state[0] if isinstance(state, tuple) else state
-        covariances[row - first] = P
     return means
 
 

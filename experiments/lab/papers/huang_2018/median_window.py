@@ -12,12 +12,10 @@ import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import built
-from trackwright.experiments.lab.papers.fitting import fitted
-from trackwright.experiments.lab.papers.huang_2018.workshop import MEASURES, OF_WORLD, workshop
+from trackwright.experiments.lab.papers.huang_2018.workshop import MEASURES, NUMBERS, WORLD, workshop
 from trackwright.trackers.mhk.tracker import mhk_tracker
 
 WINDOWS = (1, 3, 5, 9, 13, 21)
-NUMBERS = fitted("papers/huang_2018/workshop")
 OWN = {"fusion.motion.sigma_a": NUMBERS["sigma_a"], "median.speed_limit": 4.0}
 """A speed limit without effect: the fitted one would limit short windows more than their length does."""
 
@@ -61,7 +59,6 @@ def _listed(values: Sequence[float]) -> str:
     return ", ".join(f"{w}: {v:.1f} cm" for w, v in zip(WINDOWS, values, strict=True))
 
 
-WORLD = {name: NUMBERS[name] for name in OF_WORLD}
 STUDY = mc.Study(
     name="median-window",
     about="What the length of the median in MH-K trades: smoothing against lag",

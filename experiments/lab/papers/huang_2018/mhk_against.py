@@ -14,14 +14,11 @@ import equinox as eqx
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import built
-from trackwright.experiments.lab.papers.fitting import fitted
-from trackwright.experiments.lab.papers.huang_2018.workshop import MEASURES, OF_WORLD, workshop
+from trackwright.experiments.lab.papers.huang_2018.workshop import MEASURES, WORLD, workshop
 from trackwright.experiments.text.expectations import fixed_interval
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.mhk.tracker import mhk_tracker
 
-NUMBERS = fitted("papers/huang_2018/workshop")
-NOISE = {name: NUMBERS[name] for name in OF_WORLD}
 SIGMA_A = 0.3
 """m/s² per √Hz; that of the workshop's figures, chosen for the printed mean, would be too low for 1.2 m/s."""
 
@@ -95,7 +92,7 @@ def _text(mm: mc.Value) -> str:
 STUDY = mc.Study(
     name="mhk-against",
     about="MH-K against Singer's model, interacting models and a plain Kalman filter, and without its Markov chain",
-    worlds={f"{speed} m/s": mc.World(workshop, {**NOISE, "speed": speed}) for speed in (0.5, 1.2)},
+    worlds={f"{speed} m/s": mc.World(workshop, {**WORLD, "speed": speed}) for speed in (0.5, 1.2)},
     trackers={
         "mhk-stamped": mc.TrackerConfig("mhk-stamped", MHK),
         "mhk": mc.TrackerConfig("mhk", MHK),

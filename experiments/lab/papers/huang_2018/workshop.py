@@ -118,16 +118,14 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
 
 
 ROUTE_AND_TIME = ("route_max_m", "route_mean_m", "mean_m")
-OF_WORLD = ("drift", "share", "size")
-
-
 NUMBERS = fitted("papers/huang_2018/workshop")
+WORLD = {name: NUMBERS[name] for name in ("drift", "share", "size")}
 MHK = {"sigma_a": ("mhk", "fusion.motion.sigma_a"), "speed_limit": ("mhk", "median.speed_limit")}
 OWN = {tunable: NUMBERS[name] for name, (_, tunable) in MHK.items()}
 STUDY = mc.Study(
     name="workshop",
     about="Figures 6 and 7 of Huang et al. 2018: how far from its route a vehicle seems to be, raw and by MH-K",
-    worlds={"workshop": mc.World(workshop, {name: NUMBERS[name] for name in OF_WORLD})},
+    worlds={"workshop": mc.World(workshop, WORLD)},
     trackers={
         "mhk": mc.TrackerConfig("mhk", OWN),
         "raw": RAW,
@@ -153,7 +151,7 @@ LEFT = "4 of 9 printed figures are predictions: variance, under 10 cm, under 15 
 def fit() -> tuple[str, dict[str, Fitted]]:
     """The world by least squares, then Q and speed limit of MH-K from a grid."""
     left, numbers = Fit(STUDY, START, [[p] for p in OF_RAW], LEFT, 100, 6)()
-    of_world, of_mhk = {name: numbers[name].value for name in OF_WORLD}, [[p] for p in OF_MHK[:2]]
+    of_world, of_mhk = {name: numbers[name].value for name in WORLD}, [[p] for p in OF_MHK[:2]]
     tried, grid = {}, Fit(STUDY, {}, of_mhk, left, 100, tunables=MHK)
     for sigma_a, limit in product(SIGMAS_A, SPEED_LIMITS):
         trial = of_world | {"sigma_a": sigma_a, "speed_limit": limit}

@@ -25,6 +25,7 @@ PLACES = {f"tag at ({x:g}, {y:g})": (x, y, 1.8) for x in (0.0, 5.0) for y in (0.
 SIDE, TURN = 5.0, np.deg2rad(15.0)
 """Side of the anchors' square, m, and its angle to the tags' square, rad."""
 
+PROTOCOL = Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"])
 ROWS = 100
 _of = partial(Printed, unit="mm", worlds=tuple(PLACES), tracker="least squares")
 _LARGEST = "Table 2, largest deviation in {}, mean over four places"
@@ -52,7 +53,7 @@ def corner(
         ids,
         seed,
         n_points=ROWS,
-        protocol=Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"]),
+        protocol=PROTOCOL,
         corruptions={"biases": antenna_biases(sigma_bias)},
     )
     return world.folder("chamber")

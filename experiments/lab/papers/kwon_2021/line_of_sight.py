@@ -18,9 +18,10 @@ import numpy as np
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
+from trackwright.experiments.lab.papers.kwon_2021.chamber import PROTOCOL
 from trackwright.experiments.text.expectations import listed
 from trackwright.sim.corruptions import Corruption, gauss_markov
-from trackwright.sim.ranging import Protocol, chamber, obstruction, on_anchors, simulate_ranges
+from trackwright.sim.ranging import chamber, obstruction, on_anchors, simulate_ranges
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 HALL = np.array([[0.0, 0.0, 1.8], [8.0, 0.0, 1.8], [0.0, 8.0, 1.8]])
@@ -53,7 +54,7 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
         ids,
         seed,
         n_points=len(stops),
-        protocol=Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"]),
+        protocol=PROTOCOL,
         corruptions=pieces,
     )
     return world.folder("hall")

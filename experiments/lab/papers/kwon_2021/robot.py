@@ -17,14 +17,13 @@ from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL, Printed, plot
-from trackwright.experiments.lab.papers.fitting import fitted
-from trackwright.experiments.lab.papers.kwon_2021.chamber import anchors, deviations, under
+from trackwright.experiments.lab.papers.kwon_2021.chamber import NUMBERS, PROTOCOL, anchors, deviations, under
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain
 from trackwright.experiments.text.expectations import fixed_interval, listed
 from trackwright.sim.imu import level, simulate_uwb_imu
 from trackwright.sim.keys import Keys, trajectory_keys
-from trackwright.sim.ranging import Protocol, antenna_biases, chamber
+from trackwright.sim.ranging import antenna_biases, chamber
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 LOW, HIGH = np.array([2.80, 2.71, 1.50]), np.array([3.19, 3.09, 1.89])
@@ -67,7 +66,7 @@ def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> Recor
         seed,
         rate_hz=RATE_HZ,
         n_points=round(3 * AXIS_S * RATE_HZ),
-        protocol=Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"]),
+        protocol=PROTOCOL,
         corruptions={"biases": antenna_biases(sigma_bias)},
         attitude=level,
     )
@@ -139,7 +138,7 @@ def figure_9(results: mc.Results, figure: Figure) -> None:
 STUDY = mc.Study(
     name="robot",
     about="Table 3 and Figure 9 of Kwon et al. 2021: a tag that a robot moves along each axis, with and without IMU",
-    worlds={"robot": mc.World(robot, fitted("papers/kwon_2021/chamber"))},
+    worlds={"robot": mc.World(robot, NUMBERS)},
     trackers={
         "with IMU": mc.TrackerConfig("uwb-imu", CONSTANT_BIASES_INERTIAL, every=1 / RATE_HZ),
         "without IMU": mc.TrackerConfig("uwb", CONSTANT_BIASES, every=1 / RATE_HZ),

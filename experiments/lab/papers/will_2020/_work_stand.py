@@ -25,6 +25,10 @@ from trackwright.trackers.aoa.rows import PHASES
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 
+NUMBERS = fitted("papers/will_2020/table_1")
+RADIUS = fitted("papers/will_2020/figure_8")["radius"]
+"""The fitted distance of the stations from the centre line, m."""
+
 ALL = "full array"
 SETS = ("3-7-8", "2-7-8", "1-2-5", "2-3-6", ALL)
 """Antennas in use, counted from 1, in the order of Table 1."""
@@ -41,17 +45,13 @@ HELIX = "helix"
 
 
 def antennas_of(numbers: Mapping[str, float]) -> np.ndarray:
-    """The array (8, 2), m, from parameters such as `fitted("papers/will_2020/table_1")`."""
+    """The array (8, 2), m, from parameters such as `NUMBERS`."""
     return np.array([[numbers[f"{axis}_{k}"] for axis in "xy"] for k in range(1, 9)]) / 1000
 
 
 def in_use(name: str) -> np.ndarray:
     """Mask (8,) of the antennas of a set of `SETS`."""
-    used = np.ones(8, bool)
-    if name != ALL:
-        used[:] = False
-        used[[int(k) - 1 for k in name.split("-")]] = True
-    return used
+    return np.ones(8, bool) if name == ALL else np.isin(np.arange(1, 9), [int(k) for k in name.split("-")])
 
 
 def covered(name: str) -> Corruption:
@@ -92,50 +92,27 @@ def recorded(
     `antennas`: a set of `SETS`. `lost`: number of a lost station, 0 for none. `outlying`: fraction of outliers, with an
     additional error of standard deviation `size`, rad.
     """
-    numbers = fitted("papers/will_2020/table_1")
     corruptions: dict[str, Corruption] = {"covered": covered(antennas)} if antennas != ALL else {}
     if lost:
         corruptions["lost station"] = lose_station(lost - 1)
     if outlying:
         corruptions["outliers"] = outliers(outlying, size)
     world = simulate_phases(
-        stand(numbers, radius, aperture), HELIX, ids, seed, rate_hz=rate_hz,
-        n_points=round(POINTS * rate_hz / RATE_HZ), sigma_p=numbers["sigma_p"], wave=wave, corruptions=corruptions,
+        stand(NUMBERS, radius, aperture), HELIX, ids, seed, rate_hz=rate_hz,
+        n_points=round(POINTS * rate_hz / RATE_HZ), sigma_p=NUMBERS["sigma_p"], wave=wave, corruptions=corruptions,
     )  # fmt: skip
     return world.folder("work stand")
 
 
-def radius() -> float:
-    """The fitted distance of the stations from the centre line, m."""
-    return fitted("papers/will_2020/figure_8")["radius"]
+BEAM = mc.TrackerConfig("beam", {"motion.sigma_a": NUMBERS["sigma_a"], "sensors.*.sigma_p": NUMBERS["sigma_p"]})
+PRINTED_BEAM = built(
+    "beam",
+    "the beam tracker with each of the 28 differences wrapped, (8)-(17)",
+    lambda t, planar: beam_tracker(t.folder.rig.stations[t.station], PHASES, paper_form=True),
+    BEAM.tunables,
+)
+CASCADE = mc.TrackerConfig("cascade", {f"beams.*.{name}": level for name, level in BEAM.tunables.items()})
+"""The paper's cascade, with default levels in its fusion."""
 
-
-def _levels(sigma_p: str, sigma_a: str | None = None) -> dict[str, float]:
-    """The fitted phase noise, and the fitted process noise if it is named."""
-    numbers = fitted("papers/will_2020/table_1")
-    return ({sigma_a: numbers["sigma_a"]} if sigma_a else {}) | {sigma_p: numbers["sigma_p"]}
-
-
-def beam() -> mc.TrackerConfig:
-    """The beam tracker with the fitted noise levels."""
-    return mc.TrackerConfig("beam", _levels("sensors.*.sigma_p", "motion.sigma_a"))
-
-
-def printed_beam() -> mc.TrackerConfig:
-    """The same with each of the 28 differences wrapped."""
-    return built(
-        "beam",
-        "the beam tracker with each of the 28 differences wrapped, (8)-(17)",
-        lambda t, planar: beam_tracker(t.folder.rig.stations[t.station], PHASES, paper_form=True),
-        beam().tunables,
-    )
-
-
-def cascade() -> mc.TrackerConfig:
-    """The paper's cascade, with the fitted noise levels in its beam trackers and the default ones in its fusion."""
-    return mc.TrackerConfig("cascade", _levels("beams.*.sensors.*.sigma_p", "beams.*.motion.sigma_a"))
-
-
-def direct() -> mc.TrackerConfig:
-    """The filter from phases to position, with the fitted phase noise."""
-    return mc.TrackerConfig("direct", _levels("sensors.*.sigma_p"))
+DIRECT = mc.TrackerConfig("direct", {"sensors.*.sigma_p": NUMBERS["sigma_p"]})
+"""The filter from phases to position."""

@@ -17,8 +17,7 @@ import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import built
-from trackwright.experiments.lab.papers.fitting import fitted
-from trackwright.experiments.lab.papers.will_2020._work_stand import beam, radius, recorded, stand
+from trackwright.experiments.lab.papers.will_2020._work_stand import BEAM, NUMBERS, RADIUS, recorded, stand
 from trackwright.experiments.text.expectations import listed
 from trackwright.trackers.aoa.beam import Beam, beam_tracker
 from trackwright.trackers.aoa.beamformer import Grid, delay_and_sum, strongest
@@ -77,7 +76,7 @@ def filter_operations(station: Station) -> int:
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The paper's conclusions on both costs."""
-    station = next(iter(stand(fitted("papers/will_2020/table_1"), radius()).stations.values()))
+    station = next(iter(stand(NUMBERS, RADIUS).stations.values()))
     effort = {"EKF": filter_operations(station)}
     effort |= {name: search_operations(station, resolution) for name, resolution in RESOLUTIONS.items()}
     rmse = {t: np.rad2deg(results.value("rmse_direction_rad", "stand", t).value) for t in results.study.trackers}
@@ -106,8 +105,8 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
 STUDY = mc.Study(
     name="computing-cost",
     about="What does a direction cost, by delay-and-sum on finer and coarser grids and by the EKF?",
-    worlds={"stand": mc.World(recorded, {"radius": radius()})},
-    trackers={"EKF": beam()} | {name: _searching(r) for name, r in RESOLUTIONS.items()},
+    worlds={"stand": mc.World(recorded, {"radius": RADIUS})},
+    trackers={"EKF": BEAM} | {name: _searching(r) for name, r in RESOLUTIONS.items()},
     runs=40,
     metrics=("us_per_row", "rmse_direction_rad", "median_direction_rad"),
     expected=expected,

@@ -15,7 +15,7 @@ from matplotlib.ticker import PercentFormatter
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import plot
-from trackwright.experiments.lab.papers.will_2020._work_stand import cascade, direct, radius, recorded
+from trackwright.experiments.lab.papers.will_2020._work_stand import CASCADE, DIRECT, RADIUS, recorded
 from trackwright.experiments.pages.charts.style import BLACK, LINES, plain
 from trackwright.experiments.text.expectations import listed
 
@@ -82,9 +82,9 @@ def shares(results: mc.Results, figure: Figure) -> None:
 STUDY = mc.Study(
     name="figure-10",
     about="How much worse are positions with one of three stations lost for the whole run?",
-    worlds={NONE: mc.World(recorded, {"radius": radius()})}
-    | {name: mc.World(recorded, {"radius": radius(), "lost": k}) for k, name in LOST.items()},
-    trackers={"cascade": cascade(), "direct": direct()},
+    worlds={NONE: mc.World(recorded, {"radius": RADIUS})}
+    | {name: mc.World(recorded, {"radius": RADIUS, "lost": k}) for k, name in LOST.items()},
+    trackers={"cascade": CASCADE, "direct": DIRECT},
     measures={
         "beginning_m": _rmse(slice(0, SETTLED), slice(None)),
         "rest_m": _rmse(slice(SETTLED, None), slice(None)),

@@ -20,7 +20,7 @@ from matplotlib.ticker import PercentFormatter
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted
-from trackwright.experiments.lab.papers.will_2020._work_stand import cascade, direct, radius, recorded
+from trackwright.experiments.lab.papers.will_2020._work_stand import CASCADE, DIRECT, RADIUS, recorded
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
 from trackwright.experiments.text.expectations import fixed_interval
@@ -111,11 +111,11 @@ STUDY = mc.Study(
     name="figure-8",
     about="How far off are positions by three stations, by the paper's cascade and straight from phases?",
     worlds={
-        STAND: mc.World(recorded, {"radius": radius()}),
+        STAND: mc.World(recorded, {"radius": RADIUS}),
         APART: mc.World(recorded),
-        PLANE: mc.World(recorded, {"radius": radius(), "wave": "plane"}),
+        PLANE: mc.World(recorded, {"radius": RADIUS, "wave": "plane"}),
     },
-    trackers={"cascade": cascade(), "direct": direct()},
+    trackers={"cascade": CASCADE, "direct": DIRECT},
     runs=200,
     measures={"offset_m": offset},
     metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "bound_3d_m", "nees_3d_mean", "diverged"),

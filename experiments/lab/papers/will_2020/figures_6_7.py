@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import Printed, plot
-from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, PRINTED_DEG, beam, radius, recorded
+from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, BEAM, PRINTED_DEG, RADIUS, recorded
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.pages.charts.style import BLUE, GREY, ORANGE, plain
 from trackwright.experiments.text.expectations import fixed_interval
@@ -91,10 +91,10 @@ STUDY = mc.Study(
     name="figures-6-7",
     about="How well do a Kalman filter and a delay-and-sum beamformer follow a beacon on a helix?",
     worlds={
-        HELIX: mc.World(recorded, {"radius": radius()}),
-        OUTLYING: mc.World(recorded, {"radius": radius(), "outlying": OUTLIERS, "size": SIZE}),
+        HELIX: mc.World(recorded, {"radius": RADIUS}),
+        OUTLYING: mc.World(recorded, {"radius": RADIUS, "outlying": OUTLIERS, "size": SIZE}),
     },
-    trackers={"EKF": beam(), "DAS": mc.TrackerConfig("das")},
+    trackers={"EKF": BEAM, "DAS": mc.TrackerConfig("das")},
     runs=100,
     measures={"wild": outliers, "azimuth_rad": _rms(0), "elevation_rad": _rms(1)},
     metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "median_direction_rad", "p95_direction_rad", "wild"),

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import plot
-from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, beam, radius, recorded
+from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, BEAM, RADIUS, recorded
 from trackwright.experiments.pages.charts.style import LINES, plain
 
 RATES, APERTURES = (2.5, 5.0, 10.0, 20.0), (0.5, 1.0, 2.0, 4.0)
@@ -108,8 +108,8 @@ def panels(results: mc.Results, figure: Figure) -> None:
 STUDY = mc.Study(
     name="rate-aperture",
     about="How large may an array be at which measurement rate before a moving beacon's track is lost?",
-    worlds={name: mc.World(recorded, {"radius": radius(), "wave": "plane", "antennas": name}) for name in (ALL, THREE)},
-    trackers={"EKF": beam()},
+    worlds={name: mc.World(recorded, {"radius": RADIUS, "wave": "plane", "antennas": name}) for name in (ALL, THREE)},
+    trackers={"EKF": BEAM},
     runs=40,
     grid={"world.rate_hz": RATES, "world.aperture": APERTURES},
     measures={"astray": astray},

@@ -28,12 +28,12 @@ from trackwright.experiments.lab.papers.fitting import Fitted
 from trackwright.experiments.lab.papers.will_2020 import _work_stand as work
 from trackwright.experiments.lab.papers.will_2020._work_stand import (
     ALL,
+    BEAM,
     POINTS,
     PRINTED_DEG,
+    RADIUS,
     RATE_HZ,
     SETS,
-    beam,
-    radius,
 )
 from trackwright.experiments.lab.papers.will_2020.fit_array_layout import (
     HALF_BOX,
@@ -87,8 +87,8 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
 STUDY = mc.Study(
     name="table-1",
     about="How well do five sets of antennas follow azimuth and elevation of a beacon?",
-    worlds={name: mc.World(work.recorded, {"antennas": name, "radius": radius()}) for name in SETS},
-    trackers={"EKF": beam(), "EKF, each difference wrapped": work.printed_beam()},
+    worlds={name: mc.World(work.recorded, {"antennas": name, "radius": RADIUS}) for name in SETS},
+    trackers={"EKF": BEAM, "EKF, each difference wrapped": work.PRINTED_BEAM},
     metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "p95_direction_rad", "diverged", "nis_ratio"),
     expected=expected,
 )

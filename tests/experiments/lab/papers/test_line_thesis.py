@@ -19,7 +19,6 @@ from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     open_ended,
     recording,
     root_mean_square,
-    worlds,
 )
 from trackwright.experiments.monte_carlo import FITTED, Conclusion, ExpectedResult, TrackedRuns
 from trackwright.experiments.monte_carlo.runner import run_study
@@ -111,12 +110,6 @@ def test_the_area_under_the_roc_is_the_share_of_pairs_in_the_right_order():
     assert found.low <= found.value <= found.high
     false, true = leaving_line.curve(results, "1 m", "particle", 0.5)
     assert np.trapezoid(true, false) == pytest.approx(found.value)
-
-
-def test_every_number_of_the_worlds_is_in_the_file_of_the_fit():
-    made = worlds(fitted("papers/line_thesis/table_3_1"))
-    assert list(made) == list(RECORDINGS) == list(PRINTED)
-    assert all(0 < w.numbers["white"] < 1 for w in made.values())
 
 
 @pytest.fixture(scope="module")

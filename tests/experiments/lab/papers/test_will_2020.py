@@ -11,16 +11,15 @@ from trackwright.experiments.lab.papers.will_2020 import computing_cost, figure_
 from trackwright.experiments.lab.papers.will_2020 import table_1 as of_table_1
 from trackwright.experiments.lab.papers.will_2020._work_stand import (
     ALL,
+    NUMBERS,
     PRINTED_DEG,
+    RADIUS,
     SETS,
     antennas_of,
     covered,
     in_use,
     recorded,
     stand,
-)
-from trackwright.experiments.lab.papers.will_2020._work_stand import (
-    radius as fitted_radius,
 )
 from trackwright.experiments.monte_carlo import ExpectedResult
 from trackwright.experiments.monte_carlo.sources import load_study
@@ -35,7 +34,7 @@ def table_1():
 
 
 def test_the_fitted_array_keeps_to_its_box_and_half_a_wavelength_apart():
-    antennas = antennas_of(fitted("papers/will_2020/table_1"))
+    antennas = antennas_of(NUMBERS)
     # Written to 0.01 mm, fitted with a tenth of a millimetre to spare.
     assert np.all(np.abs(antennas) <= of_table_1.HALF_BOX + 1e-5)
     apart = np.linalg.norm(antennas[:, None] - antennas, axis=-1)[np.triu_indices(8, 1)]
@@ -55,26 +54,16 @@ def test_a_fitted_file_says_what_it_was_fitted_to_and_which_command_wrote_it():
 
 @pytest.mark.slow
 def test_the_fitted_parameters_give_the_deviations_in_their_files():
-    numbers = fitted("papers/will_2020/table_1")
     # Seeded, so the same but for the order of sums: 0.1 % of an error.
-    assert of_table_1.worst(numbers) == pytest.approx(numbers["worst"], abs=1e-3)
-    assert 3.18 * figure_8.SEARCH.ratios({"radius": fitted_radius()})[0] == pytest.approx(
+    assert of_table_1.worst(NUMBERS) == pytest.approx(NUMBERS["worst"], abs=1e-3)
+    assert 3.18 * figure_8.SEARCH.ratios({"radius": RADIUS})[0] == pytest.approx(
         fitted("papers/will_2020/figure_8")["error"], rel=1e-3
     )
 
 
 @pytest.mark.slow
-def test_the_ten_errors_of_the_fit_lie_near_print_where_no_track_is_left_out():
-    numbers = fitted("papers/will_2020/table_1")
-    found = of_table_1.errors(numbers, 8, 3, True)
-    # 24 tracks each: errors of the sets with the strongest correlation in time scatter by 5 %.
-    assert found == pytest.approx(np.array(list(PRINTED_DEG.values())), rel=0.15)
-
-
-@pytest.mark.slow
 def test_the_fit_judges_tracks_as_the_study_does(table_1):
-    numbers = fitted("papers/will_2020/table_1")
-    found = of_table_1.errors(numbers, 8, 0, True, fitted_radius())
+    found = of_table_1.errors(NUMBERS, 8, 0, True, RADIUS)
     for name, (azimuth, elevation) in zip(SETS, found, strict=True):
         # Same worlds, same tracker, other code: single precision and a table of decimal phases between.
         assert np.rad2deg(table_1.value("rmse_azimuth_rad", name, "EKF").value) == pytest.approx(azimuth, rel=1e-3)
@@ -82,7 +71,7 @@ def test_the_fit_judges_tracks_as_the_study_does(table_1):
 
 
 def test_operations_are_those_counted_by_hand_and_do_not_depend_on_the_machine():
-    station = next(iter(stand(fitted("papers/will_2020/table_1")).stations.values()))
+    station = next(iter(stand(NUMBERS).stations.values()))
     # Of a hypothesis: four scalar products of eight, two sums, two squares and their sum; the search for the largest
     # takes up to ten more.
     for resolution, hypotheses in ((1.2, 51**2), (0.6, 101**2), (0.3, 201**2)):
@@ -111,8 +100,7 @@ def test_a_lost_station_says_nothing_and_the_helix_takes_as_long_at_any_rate():
 
 
 def test_the_stand_is_the_simulated_one_with_other_numbers_and_antennas():
-    numbers = fitted("papers/will_2020/table_1")
-    mine, plain = stand(numbers, 0.4, 2.0), work_station(2 * antennas_of(numbers))
+    mine, plain = stand(NUMBERS, 0.4, 2.0), work_station(2 * antennas_of(NUMBERS))
     for name, other in {"1": "2", "2": "1", "3": "3"}.items():
         assert np.array_equal(mine.stations[name].position, plain.stations[other].position)
         assert np.array_equal(mine.stations[name].antennas, plain.stations[other].antennas)
@@ -121,7 +109,7 @@ def test_the_stand_is_the_simulated_one_with_other_numbers_and_antennas():
 @pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.2, 0.4])
 def test_where_the_stations_stand_matters_little_for_the_table(radius):
-    found = of_table_1.errors(fitted("papers/will_2020/table_1"), 64, 0, True, radius)
+    found = of_table_1.errors(NUMBERS, 64, 0, True, radius)
     assert found == pytest.approx(np.array(list(PRINTED_DEG.values())), rel=0.1)
 
 
