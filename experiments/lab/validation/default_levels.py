@@ -56,10 +56,8 @@ class Levels(NamedTuple):
 
     def values(self) -> dict[str, Any]:
         """The present defaults."""
-        defaults = {
-            name: p.default for name, p in inspect.signature(self.builder).parameters.items() if name in self.names
-        }
-        return {**defaults, **{name: value for name, value in self.now.items() if name in self.names}}
+        parameters = inspect.signature(self.builder).parameters
+        return {name: self.now.get(name, parameters[name].default) for name in self.names}
 
 
 DRIFTING = ("sigma_a", "memory", "sigma_bias", "time_constant", "length")
@@ -94,12 +92,9 @@ class Objective:
 
     def values(self, logarithms: np.ndarray) -> dict[str, Any]:
         """The levels by keyword."""
-        values, at = {}, 0
-        for name in self.levels.names:
-            size = np.size(self.now[name])
-            part = np.exp(logarithms[at : at + size])
-            values[name], at = (float(part[0]) if np.ndim(self.now[name]) == 0 else tuple(part.tolist())), at + size
-        return values
+        sizes = [np.size(self.now[name]) for name in self.levels.names]
+        parts = zip(self.now.items(), np.split(np.exp(logarithms), np.cumsum(sizes)[:-1]), strict=True)
+        return {name: tuple(x.tolist()) if np.ndim(now) else float(x[0]) for (name, now), x in parts}
 
     def by_recording(self, logarithms: np.ndarray) -> dict[str, float]:
         """The negative log-likelihood of the truth, nats a row, of each recording."""

@@ -174,8 +174,10 @@ def kalman_checks() -> list[CheckResult]:
         name: Real(x, "s", typical=1.0) if name == oracles.LATENCY else Scale(x) for name, x in PARAMETERS.items()
     }
     result = gradients(replaced(fix_tracker(dof=None, planar=True), new), batch, list(PARAMETERS))
-    value, exact = oracles.kalman_log_likelihood(PARAMETERS), oracles.kalman_gradient(PARAMETERS)
-    return _deterministic("fixes", "Kalman filter", list(PARAMETERS), value, exact, result, SINGLE_PRECISION)
+    exact = [oracles.kalman_log_likelihood(PARAMETERS), *oracles.kalman_gradient(PARAMETERS)]
+    return _deterministic(
+        "fixes", "Kalman filter", ["log L", *PARAMETERS], exact, _first(result), SINGLE_PRECISION, result.seconds
+    )
 
 
 def chain_checks() -> list[CheckResult]:
@@ -194,10 +196,9 @@ def chain_checks() -> list[CheckResult]:
 
     raw = jnp.log(jnp.asarray([oracles.CHAIN_RATE, oracles.CHAIN_SIGMA]))
     slopes = jax.jit(jax.jacfwd(log_likelihood))(raw)
-    return [
-        _near("chain", f"d/d {name}", "forward algorithm", exact, float(slope), SINGLE_PRECISION)
-        for name, exact, slope in zip(("rate", "sigma"), oracles.chain_gradient(), slopes, strict=True)
-    ]
+    return _deterministic(
+        "chain", "forward algorithm", ["rate", "sigma"], oracles.chain_gradient(), slopes, SINGLE_PRECISION
+    )
 
 
 def grid_checks() -> list[CheckResult]:
@@ -206,39 +207,34 @@ def grid_checks() -> list[CheckResult]:
     cells = round(12.0 / (fastest / (speeds - 1) * HALT_DT)) + 1
     report = PathOutputMap(Polyline([[0.0, 0.0], [12.0, 0.0]]), Scale(0.01, "m"))
     result = gradients(halt_tracker(GridFilter(report, cells, speeds, fastest)), halt_batch(1), HALT_TUNABLES)
-    value, exact = oracles.halt_log_likelihood(), oracles.halt_gradient()
-    return _deterministic("halt", "grid filter", HALT_TUNABLES, value, exact, result, GRID_CELLS)
+    exact = [oracles.halt_log_likelihood(), *oracles.halt_gradient()]
+    return _deterministic(
+        "halt", "grid filter", ["log L", *HALT_TUNABLES], exact, _first(result), GRID_CELLS, result.seconds
+    )
+
+
+def _first(result: Gradients) -> list[float]:
+    """log L and its gradient of the first trajectory."""
+    return [result.values[0], *result.gradient[:, 0]]
 
 
 def _deterministic(
     world: str,
     estimator: str,
     names: Sequence[str],
-    value: float,
-    gradient: Sequence[float],
-    result: Gradients,
-    tolerance: float,
-) -> list[CheckResult]:
-    """log L and its gradient of the single trajectory in `result` beside the oracle's."""
-    quantities = ["log L", *(f"d/d {name}" for name in names)]
-    estimates = [result.values[0], *result.gradient[:, 0]]
-    return [
-        _near(world, quantity, estimator, oracle, float(estimate), tolerance, result.seconds)
-        for quantity, oracle, estimate in zip(quantities, [value, *gradient], estimates, strict=True)
-    ]
-
-
-def _near(
-    world: str,
-    quantity: str,
-    estimator: str,
-    oracle: float,
-    estimate: float,
+    exact: Sequence[float],
+    estimates: Sequence[float],
     tolerance: float,
     seconds: float = math.nan,
-) -> CheckResult:
-    allowed = tolerance * max(1.0, abs(oracle))
-    return CheckResult(world, quantity, estimator, oracle, estimate, allowed, seconds=seconds)
+) -> list[CheckResult]:
+    """Estimates beside the oracle's: of log L, and of its derivatives by tunables."""
+    return [
+        CheckResult(
+            world, name if name == "log L" else f"d/d {name}", estimator, oracle, float(estimate),
+            tolerance * max(1.0, abs(oracle)), seconds=seconds,
+        )
+        for name, oracle, estimate in zip(names, exact, estimates, strict=True)
+    ]  # fmt: skip
 
 
 KEYS, PARTICLES = 400, 2000
@@ -253,20 +249,50 @@ SIZES = (125, 500, 2000)
 ORDER = 0.08
 """Allowed deviation of the spread's power of N from −½; the power at 125 particles is 0.02 off."""
 
-CORRIDOR, CORRIDOR_ROWS = "corridor 25", 25
+
+class World(NamedTuple):
+    """A world of particles: its tunables, log L and gradient by the oracle, and `run(estimator, particles, keys)`."""
+
+    name: str
+    tunables: Sequence[str]
+    value: Callable[[], float]
+    slopes: Callable[[], tuple[float, ...]]
+    run: Callable[[Estimator, int, int], Gradients]
 
 
-def corridor_checks(rows: int) -> list[CheckResult]:
-    """The score form between walls, over `rows` fixes."""
-    world, fixes = f"corridor {rows}", corridor_fixes(rows)
-    result = _in_corridor(rows, score_form, PARTICLES, KEYS)
+def corridor(rows: int) -> World:
+    """The corridor, over so many fixes."""
+    fixes = corridor_fixes(rows)
+    return World(
+        f"corridor {rows}",
+        CORRIDOR_TUNABLES,
+        partial(oracles.corridor_log_likelihood, fixes),
+        partial(oracles.corridor_gradient, fixes),
+        lambda e, n, keys: gradients(corridor_tracker(n, e), corridor_batch(rows, keys), CORRIDOR_TUNABLES),
+    )
+
+
+CORRIDOR_25, CORRIDOR_100 = corridor(25), corridor(100)
+HALT = World(
+    "halt",
+    HALT_TUNABLES,
+    oracles.halt_log_likelihood,
+    oracles.halt_gradient,
+    lambda e, n, keys: gradients(halt_tracker(e(ParticleFilter(n))), halt_batch(keys), HALT_TUNABLES),
+)
+
+
+def score_checks(world: World) -> list[CheckResult]:
+    """The score form; and the likelihood itself, of which the particle filter's estimate is unbiased."""
+    result = world.run(score_form, PARTICLES, KEYS)
+    ratios = np.exp(result.values - world.value())
     return [
-        _likelihood(world, oracles.corridor_log_likelihood(fixes), result),
-        *_gradients(world, "score form", oracles.corridor_gradient(fixes), result),
+        random_check(world.name, "L / exact L", "particles", 1.0, ratios, result.seconds),
+        *_gradients(world, "score form", result),
     ]
 
 
-def corridor_marginal_checks() -> list[CheckResult]:
+def marginal_checks() -> list[CheckResult]:
     """The marginal score between walls over 25 rows, and its limit of many particles over 100 rows.
 
     Its spread is small enough to show the bias of a few hundred particles over many rows, and the decay as 1/N.
@@ -275,100 +301,68 @@ def corridor_marginal_checks() -> list[CheckResult]:
     def run(rows: int, n: int, keys: int) -> Gradients:
         return marginal_gradients(corridor_tracker(n), corridor_batch(rows, keys), CORRIDOR_TUNABLES)
 
-    name, world = "marginal score", "corridor 100"
+    name, world = "marginal score", CORRIDOR_100
     sizes = (PAIRWISE_PARTICLES // 4, PAIRWISE_PARTICLES // 2, PAIRWISE_PARTICLES)
     runs = [run(100, n, PAIRWISE_KEYS * PAIRWISE_PARTICLES // n) for n in sizes]
-    exact, few = (oracles.corridor_gradient(corridor_fixes(rows)) for rows in (100, CORRIDOR_ROWS))
+    exact = world.slopes()
     biases = np.array([r.gradient[1].mean() - exact[1] for r in runs])
     errors = np.array([_standard_error(r.gradient[1]) for r in runs])
     return [
-        *_gradients(CORRIDOR, name, few, run(CORRIDOR_ROWS, PAIRWISE_PARTICLES, PAIRWISE_KEYS)),
-        *_limits(world, name, exact, sizes, runs),
+        *_gradients(CORRIDOR_25, name, run(25, PAIRWISE_PARTICLES, PAIRWISE_KEYS)),
+        *_limits(world, name, sizes, runs),
         _power(world, name, sizes, biases, errors),
     ]
 
 
-def corridor_wrong_checks() -> list[CheckResult]:
-    """Two common derivatives, both biased by the walls."""
-    exact = oracles.corridor_gradient(corridor_fixes(CORRIDOR_ROWS))[:1]
-    naive = _in_corridor(CORRIDOR_ROWS, NAIVE, PARTICLES, KEYS)
-    pathwise = _in_corridor(CORRIDOR_ROWS, REPARAMETERISED, PARTICLES, KEYS)
+def wrong_checks(world: World, walls: bool) -> list[CheckResult]:
+    """Two common derivatives, by the moves: both are biased by walls.
+
+    A clamp at zero speed is continuous and does not bias the reparameterised one.
+    """
     return [
-        *_gradients(CORRIDOR, "naive", exact, naive, biased=True),
-        *_gradients(CORRIDOR, "reparameterised", exact, pathwise, biased=True),
+        check
+        for name, estimator, biased in (("naive", NAIVE, True), ("reparameterised", REPARAMETERISED, walls))
+        for check in _gradients(world, name, world.run(estimator, PARTICLES, KEYS), biased)[:1]
     ]
 
 
-def halt_checks() -> list[CheckResult]:
-    """The score form at a halt: speed, fixes and prior."""
-    result = _at_halt(score_form, PARTICLES, KEYS)
-    return [
-        _likelihood("halt", oracles.halt_log_likelihood(), result),
-        *_gradients("halt", "score form", oracles.halt_gradient(), result),
-    ]
-
-
-def halt_wrong_checks() -> list[CheckResult]:
-    """The same two at the halt; the clamp at zero speed is continuous and does not bias the reparameterised one."""
-    exact = oracles.halt_gradient()[:1]
-    return [
-        *_gradients("halt", "naive", exact, _at_halt(NAIVE, PARTICLES, KEYS), biased=True),
-        *_gradients("halt", "reparameterised", exact, _at_halt(REPARAMETERISED, PARTICLES, KEYS)),
-    ]
-
-
-def corridor_order_checks() -> list[CheckResult]:
-    """Decay of bias and spread with the number of particles, between walls."""
-    fixes = corridor_fixes(CORRIDOR_ROWS)
-    exact, value = oracles.corridor_gradient(fixes), oracles.corridor_log_likelihood(fixes)
-    return _orders(CORRIDOR, exact, value, partial(_in_corridor, CORRIDOR_ROWS, score_form))
-
-
-def halt_order_checks() -> list[CheckResult]:
-    """The same at a halt."""
-    return _orders("halt", oracles.halt_gradient(), oracles.halt_log_likelihood(), partial(_at_halt, score_form))
-
-
-def _orders(
-    world: str, exact: tuple[float, ...], value: float, run: Callable[[int, int], Gradients]
-) -> list[CheckResult]:
+def order_checks(world: World) -> list[CheckResult]:
     """Bias in the limit of many particles, and the powers of N of bias and spread.
 
     The derivative of the likelihood itself is unbiased for any N, E(L̂s) = L·slope. The bias of s, the derivative of
     its logarithm, is therefore −cov(L̂/L, s), an estimate far more precise than the mean of s.
     """
-    runs = [run(n, KEYS * PARTICLES // n) for n in SIZES]
+    runs = [world.run(score_form, n, KEYS * PARTICLES // n) for n in SIZES]
     spreads = np.array([r.gradient[0].std(ddof=1) for r in runs])
     power = float(np.polyfit(np.log(SIZES), np.log(spreads), 1)[0])
+    value = world.value()
     products = [-(np.exp(r.values - value) - 1.0) * (r.gradient[1] - r.gradient[1].mean()) for r in runs]
     biases, errors = (np.array(x) for x in zip(*((p.mean(), _standard_error(p)) for p in products), strict=True))
     return [
-        *_limits(world, "score form", exact, SIZES, runs),
-        CheckResult(world, "power of N of the spread, moves", "score form", -0.5, power, ORDER),
+        *_limits(world, "score form", SIZES, runs),
+        CheckResult(world.name, "power of N of the spread, moves", "score form", -0.5, power, ORDER),
         _power(world, "score form", SIZES, biases, errors),
     ]
 
 
-def _limits(
-    world: str, estimator: str, exact: tuple[float, ...], sizes: tuple[int, ...], runs: list[Gradients]
-) -> list[CheckResult]:
+def _limits(world: World, estimator: str, sizes: tuple[int, ...], runs: list[Gradients]) -> list[CheckResult]:
     """Bias in the limit of many particles, from bias = a + c/N, by the noise of moves and of fixes."""
     results = []
-    for k, name in enumerate(("moves", "fixes")):
+    for k, (name, exact) in enumerate(zip(("moves", "fixes"), world.slopes(), strict=False)):
         estimates = [r.gradient[k] for r in runs]
-        biases = np.array([e.mean() for e in estimates]) - exact[k]
+        biases = np.array([e.mean() for e in estimates]) - exact
         errors = np.array([_standard_error(e) for e in estimates])
         (limit, _), (error, _) = _line(1.0 / np.array(sizes), biases, errors)
         allowed = MAX_STANDARD_ERRORS * error
-        results.append(CheckResult(world, f"bias at 1/N = 0, {name}", estimator, 0.0, limit, allowed, error))
+        results.append(CheckResult(world.name, f"bias at 1/N = 0, {name}", estimator, 0.0, limit, allowed, error))
     return results
 
 
-def _power(world: str, estimator: str, sizes: tuple[int, ...], biases: np.ndarray, errors: np.ndarray) -> CheckResult:
+def _power(world: World, estimator: str, sizes: tuple[int, ...], biases: np.ndarray, errors: np.ndarray) -> CheckResult:
     """The power of N of the bias by the noise of fixes, the larger of the two."""
     (_, power), (_, error) = _line(np.log(sizes), np.log(np.abs(biases)), errors / np.abs(biases))
     allowed = MAX_STANDARD_ERRORS * error
-    return CheckResult(world, "power of N of the bias, fixes", estimator, -1.0, power, allowed, error)
+    return CheckResult(world.name, "power of N of the bias, fixes", estimator, -1.0, power, allowed, error)
 
 
 def _standard_error(x: np.ndarray) -> float:
@@ -384,26 +378,10 @@ def _line(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[tuple[float
     return (float(intercept), float(slope)), (float(first), float(second))
 
 
-def _in_corridor(rows: int, estimator: Estimator, n: int, keys: int) -> Gradients:
-    return gradients(corridor_tracker(n, estimator), corridor_batch(rows, keys), CORRIDOR_TUNABLES)
-
-
-def _at_halt(estimator: Estimator, n: int, keys: int) -> Gradients:
-    return gradients(halt_tracker(estimator(ParticleFilter(n))), halt_batch(keys), HALT_TUNABLES)
-
-
-def _likelihood(world: str, exact: float, result: Gradients) -> CheckResult:
-    """The likelihood itself, of which the particle filter's estimate is unbiased."""
-    return random_check(world, "L / exact L", "particles", 1.0, np.exp(result.values - exact), result.seconds)
-
-
-def _gradients(
-    world: str, estimator: str, exact: tuple[float, ...], result: Gradients, biased: bool = False
-) -> list[CheckResult]:
-    names = CORRIDOR_TUNABLES if world.startswith("corridor") else HALT_TUNABLES
+def _gradients(world: World, estimator: str, result: Gradients, biased: bool = False) -> list[CheckResult]:
     return [
-        random_check(world, f"d/d {name}", estimator, oracle, slopes, result.seconds, biased)
-        for name, oracle, slopes in zip(names, exact, result.gradient, strict=False)
+        random_check(world.name, f"d/d {name}", estimator, oracle, slopes, result.seconds, biased)
+        for name, oracle, slopes in zip(world.tunables, world.slopes(), result.gradient, strict=True)
     ]
 
 
@@ -411,13 +389,13 @@ CHECKS: tuple[Callable[[], list[CheckResult]], ...] = (
     kalman_checks,
     chain_checks,
     grid_checks,
-    partial(corridor_checks, 25),
-    partial(corridor_checks, 100),
-    corridor_marginal_checks,
-    halt_checks,
-    corridor_order_checks,
-    halt_order_checks,
-    corridor_wrong_checks,
-    halt_wrong_checks,
+    partial(score_checks, CORRIDOR_25),
+    partial(score_checks, CORRIDOR_100),
+    marginal_checks,
+    partial(score_checks, HALT),
+    partial(order_checks, CORRIDOR_25),
+    partial(order_checks, HALT),
+    partial(wrong_checks, CORRIDOR_25, walls=True),
+    partial(wrong_checks, HALT, walls=False),
 )
 """Correct gradients against their oracles, and biased ones that must fail."""

@@ -10,16 +10,17 @@ import pytest
 from tests.in_process import trackwright
 from trackwright.experiments.lab.verify import checks
 from trackwright.experiments.lab.verify.checks import (
+    CORRIDOR_25,
+    HALT,
     PARAMETERS,
     CheckResult,
     chain_checks,
-    corridor_order_checks,
     gradients,
-    halt_checks,
-    halt_order_checks,
     kalman_checks,
     marginal_gradients,
+    order_checks,
     random_check,
+    score_checks,
     table,
 )
 from trackwright.experiments.lab.verify.oracles import (
@@ -194,7 +195,7 @@ def test_verify_exits_1_if_a_check_fails(monkeypatch, mean, code, word):
 
 @pytest.mark.slow
 def test_400_keys_agree_at_a_halt_and_bias_and_spread_decay_as_expected():
-    results = halt_checks() + corridor_order_checks() + halt_order_checks()
+    results = score_checks(HALT) + order_checks(CORRIDOR_25) + order_checks(HALT)
     assert all(r.passed for r in results), table(results)
 
 
