@@ -14,8 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.interpreters import partial_eval
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, Particles, particle_residuals
@@ -43,11 +42,10 @@ Model = Callable[[Float[Array, " p"]], Tracker]
 
 
 class Carry(NamedTuple):
-    """Carry of the scan: the belief, T of every particle (p, N), whether the track has started, and log L."""
+    """Carry of the scan: the belief, T of every particle (p, N), and log L."""
 
     belief: Particles
     scores: Float[Array, "p N"]
-    started: Scalar
     value: Scalar
 
 
@@ -56,11 +54,10 @@ def marginal_scores(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n p"]]:
     """log L and its gradient with respect to the tunables matching the patterns, by the tracker's own particles.
 
-    A track starts once and is never lost. Raises ValueError for a tracker without particles, for a motion whose noise
-    does not reach every component of its state (system B: position follows from speed), and for non-finite results.
+    A track starts at its first row and is never lost. The motion's step has to be affine in its noise; raises
+    ValueError where this does not reach every component of the state (system B: position follows from speed).
     """
-    if not isinstance(tracker.filter, AbstractParticleFilter):
-        raise ValueError(f"a marginal score needs a particle filter, found {type(tracker.filter).__name__}")
+    assert isinstance(tracker.filter, AbstractParticleFilter)
     parameters = select_parameters(tracker, tune)
     model = as_dtype(tracker, batch.dt.dtype)
     vector = jnp.asarray(flatten(parameters), batch.dt.dtype)
@@ -72,53 +69,30 @@ def marginal_scores(
 
     trajectories = jax.tree_util.tree_map(lambda x: jnp.moveaxis(jnp.asarray(x), -1, 0), batch)
     run = jax.jit(lambda trajectories: jax.lax.map(one, trajectories, batch_size=n_workers))
-    values, scores = map(np.asarray, run(trajectories))
-    finite = np.isfinite(values) & np.isfinite(scores).all(axis=1)
-    if not finite.all():
-        raise ValueError(
-            f"the score of trajectory {np.argmin(finite)} is not finite: its particles died out, or it never started"
-        )
-    return values, scores
+    values, scores = run(trajectories)
+    return np.asarray(values), np.asarray(scores)
 
 
 def _of_trajectory(
     model: Model, vector: Float[Array, " p"], trajectory: Batch
 ) -> tuple[Float[Array, ""], Float[Array, " p"]]:
     tracker = model(vector)
-    rows = Row(
-        trajectory.dt,
-        trajectory.valid,
-        trajectory.readings,
-        trajectory.inputs,
-        None,
-        jnp.arange(len(trajectory.dt), dtype=jnp.uint32),
-    )
+    number = jnp.arange(len(trajectory.dt), dtype=jnp.uint32)
+    rows = Row(trajectory.dt, trajectory.valid, trajectory.readings, trajectory.inputs, None, number)
+    row = jax.tree_util.tree_map(lambda x: x[0], rows)._replace(key=trajectory.key)
+    candidate = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
+    belief = initial_carry(tracker, candidate, row).belief
 
-    def start(row: Row) -> Carry:
-        candidate = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
-        belief = initial_carry(tracker, candidate, row).belief
-
-        def density(v: Float[Array, " p"]) -> Float[Array, " N"]:
-            return normal_log_density(model(v).start.belief(candidate, row), belief.states)
-
-        return Carry(belief, jax.jacfwd(density)(vector).T, row.valid & tracker.start.can_start(row), 0.0 * row.dt)
+    def density(v: Float[Array, " p"]) -> Float[Array, " N"]:
+        return normal_log_density(model(v).start.belief(candidate, row), belief.states)
 
     def step(carried: Carry, row: Row) -> tuple[Carry, None]:
-        row = row._replace(key=trajectory.key)
-        continued = _row(model, vector, carried, row)
-        fresh = start(row)
-        kept = _select(carried.started & row.valid, continued, carried)
-        return _select(~carried.started & fresh.started, fresh, kept), None
+        continued = _row(model, vector, carried, row._replace(key=trajectory.key))
+        return jax.tree_util.tree_map(lambda a, b: jnp.where(row.valid, a, b), continued, carried), None
 
-    first = jax.tree_util.tree_map(lambda x: x[0], rows)._replace(key=trajectory.key)
-    begin = start(first)
-    check_transition_density(
-        tracker.motion, jax.tree_util.tree_map(lambda x: x[..., 0], begin.belief.states), first.inputs
-    )
-    empty = jax.tree_util.tree_map(jnp.zeros_like, begin)
-    last, _ = jax.lax.scan(step, empty, rows)
-    score = jnp.sum(jnp.exp(last.belief.log_weights)[None, :] * last.scores, axis=-1)
-    return jnp.where(last.started, last.value, jnp.nan), score
+    begin = Carry(belief, jax.jacfwd(density)(vector).T, 0.0 * row.dt)
+    last, _ = jax.lax.scan(step, begin, jax.tree_util.tree_map(lambda x: x[1:], rows))
+    return last.value, jnp.sum(jnp.exp(last.belief.log_weights)[None, :] * last.scores, axis=-1)
 
 
 def _row(model: Model, vector: Float[Array, " p"], carried: Carry, row: Row) -> Carry:
@@ -148,7 +122,7 @@ def _row(model: Model, vector: Float[Array, " p"], carried: Carry, row: Row) -> 
         scores = scores + jax.jacfwd(densities)(vector).T
         belief, info = tracker.filter.update(belief, tracker.motion, tracker.sensors[name], reading, row.inputs)
         value = value + info.log_likelihood
-    return Carry(belief, scores, carried.started, value)
+    return Carry(belief, scores, value)
 
 
 def _pairs(tracker: Tracker, before: State, after: State, row: Row) -> Float[Array, "N N"]:
@@ -169,43 +143,18 @@ def _pairs(tracker: Tracker, before: State, after: State, row: Row) -> Float[Arr
     return jax.vmap(densities, in_axes=-1, out_axes=-1)(before)
 
 
-def _select(condition: Bool[Array, ""], yes: Carry, no: Carry) -> Carry:
-    chosen: Carry = jax.tree_util.tree_map(lambda a, b: jnp.where(condition, a, b), yes, no)
-    return chosen
-
-
-def check_transition_density(motion: AbstractMotion, state: State, inputs: Inputs) -> None:
-    """Raises ValueError, with the reason, unless the motion has a normal transition density.
-
-    Needed: a step that is affine in the noise, and noise of full rank in the state.
-    """
-    n, name = dimension(state), type(motion).__name__
-    dt = jnp.ones_like(jax.tree_util.tree_leaves(state)[0])
-    zeros = [jnp.zeros_like(dt)] * motion.noise_dimension
-
-    def step(*w: Scalar) -> list[Scalar]:
-        return local(state, motion.step(state, inputs, dt, Vector.of(w)))
-
-    still = [k for k, row in zip(component_names(state), linearise(step, zeros)[1], strict=True) if not row]
-    if still or motion.noise_dimension < n:
-        what = f"{', '.join(still)} has none" if still else f"it has {motion.noise_dimension} for {n} components"
-        raise ValueError(
-            f"the motion {name} has no density of the next state given this one, which a marginal score needs: its "
-            f"noise does not reach every component of the state ({what}); use the ParticleFilter's own derivative"
-        )
-    columns = jax.make_jaxpr(jax.jacfwd(lambda w: jnp.stack(step(*w))))(jnp.stack(zeros))
-    _, used = partial_eval.dce_jaxpr(columns.jaxpr, [True] * len(columns.jaxpr.outvars))
-    if any(used):
-        raise ValueError(
-            f"the motion {name} is not affine in its noise, so that its next state has no normal density, which a "
-            "marginal score needs; use the ParticleFilter's own derivative"
-        )
-
-
 def _transition(motion: AbstractMotion, before: State, inputs: Inputs, dt: Scalar) -> Gaussian:
-    """The next state of a motion that passes `check_transition_density`: the step without noise, and GGᵀ."""
+    """The next state: the step without noise, and GGᵀ."""
     zeros = [jnp.zeros_like(dt)] * motion.noise_dimension
     predicted = motion.step(before, inputs, dt, Vector.of(zeros))
     _, G = linearise(lambda *w: local(predicted, motion.step(before, inputs, dt, Vector.of(w))), zeros)
-    pairs = triangle(dimension(predicted))
-    return Gaussian(predicted, tuple(total(g * G[j][k] for k, g in G[i].items() if k in G[j]) for i, j in pairs))
+    n = dimension(predicted)
+    still = [k for k, row in zip(component_names(predicted), G, strict=True) if not row]
+    if still or motion.noise_dimension < n:
+        what = f"{', '.join(still)} has none" if still else f"it has {motion.noise_dimension} for {n} components"
+        raise ValueError(
+            f"the motion {type(motion).__name__} has no density of the next state given this one, which a marginal "
+            f"score needs: its noise does not reach every component of the state ({what}); use the ParticleFilter's "
+            "own derivative"
+        )
+    return Gaussian(predicted, tuple(total(g * G[j][k] for k, g in G[i].items() if k in G[j]) for i, j in triangle(n)))
