@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import time
 import tomllib
 from pathlib import Path
 
-from trackwright.experiments.lab.subprocesses import command, evaluation, recordings_folder
+from trackwright.experiments.lab.subprocesses import command, recordings_folder
 
 OUT = Path("out/demo")
 SIGMA_P = 0.2
@@ -65,7 +66,7 @@ def _line(tracks: Path, covariances: bool = False) -> str:
     from trackwright.experiments.text.wording import shown_metric
     from trackwright.trackers.evaluation.statements import holds
 
-    overall = evaluation(tracks)["overall"]
+    overall = json.loads((tracks / "evaluation.json").read_text(encoding="utf-8"))["overall"]
     spatial = shown_metric(overall, "rmse_3d_m")
     in_space = "" if spatial is None else f", {spatial:.3f} m 3-D"
     line = f"{overall['rmse_m']:.3f} m horizontal{in_space} RMSE   {tracks}"

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -48,15 +46,9 @@ def command(*arguments: str | Path, folder: Path | None = None) -> None:
     `folder`: the one it runs in; the current one by default.
     """
     print(f"\n$ trackwright {shlex.join(map(str, arguments))}", flush=True)
-    _exit_on_failure(subprocess.run(_trackwright(arguments), check=False, cwd=folder))
-
-
-def evaluation(tracks: Path) -> dict[str, Any]:
-    """The output of `trackwright evaluate TRACKS --json`."""
-    done = subprocess.run(_trackwright(("evaluate", tracks, "--json")), check=False, stdout=subprocess.PIPE, text=True)
-    _exit_on_failure(done)
-    metrics: dict[str, Any] = json.loads(done.stdout)
-    return metrics
+    line = [sys.executable, "-m", "trackwright.experiments", *map(str, arguments)]
+    if code := subprocess.run(line, check=False, cwd=folder).returncode:
+        sys.exit(code)
 
 
 def new_interpreter(arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
@@ -64,12 +56,3 @@ def new_interpreter(arguments: Sequence[str], limit_s: float) -> subprocess.Comp
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     line = [sys.executable, *arguments]
     return subprocess.run(line, env=environment, capture_output=True, text=True, timeout=limit_s, check=False)
-
-
-def _trackwright(arguments: Sequence[str | Path]) -> list[str]:
-    return [sys.executable, "-m", "trackwright.experiments", *map(str, arguments)]
-
-
-def _exit_on_failure(done: subprocess.CompletedProcess) -> None:
-    if done.returncode:
-        sys.exit(done.returncode)
