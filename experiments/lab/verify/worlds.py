@@ -95,20 +95,14 @@ def uniform(belief: Particles) -> Particles:
     return belief._replace(states=Placed(Vector.of(positions)))
 
 
-class UniformParticles(AbstractParticleFilter):
-    """The particle filter `particles` with initial particles uniform over the start rectangle."""
+class AbstractModified(AbstractParticleFilter):
+    """The particle filter `particles` with another `init` and `predict`."""
 
-    particles: AbstractParticleFilter
+    particles: eqx.AbstractVar[AbstractParticleFilter]
 
     @property
     def bootstrap(self) -> ParticleFilter:
         return self.particles.bootstrap
-
-    def init(self, belief: Gaussian, key: Any) -> Particles:
-        return uniform(self.particles.init(belief, key))
-
-    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Particles:
-        return self.particles.predict(belief, motion, inputs, dt)
 
     def update(
         self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
@@ -117,6 +111,18 @@ class UniformParticles(AbstractParticleFilter):
 
     def moments(self, belief: Particles) -> tuple[State, AnyCovariance]:
         return self.particles.moments(belief)
+
+
+class UniformParticles(AbstractModified):
+    """The particle filter `particles` with initial particles uniform over the start rectangle."""
+
+    particles: AbstractParticleFilter
+
+    def init(self, belief: Gaussian, key: Any) -> Particles:
+        return uniform(self.particles.init(belief, key))
+
+    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Particles:
+        return self.particles.predict(belief, motion, inputs, dt)
 
 
 Estimator = Callable[[ParticleFilter], AbstractParticleFilter]

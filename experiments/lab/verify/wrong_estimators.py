@@ -10,26 +10,21 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackwright.trackers.core.filters.filter import Innovation
-from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles, draws
+from trackwright.experiments.lab.verify.worlds import AbstractModified
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles, draws
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.motion import AbstractMotion
-from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.state import State, dimension, retract
 
 
-class Pathwise(AbstractParticleFilter):
+class Pathwise(AbstractModified):
     """The pathwise derivative of the moves of `particles`; `inherit`: whether offspring inherit that of the weights."""
 
     particles: ParticleFilter
     inherit: bool = eqx.field(static=True)
-
-    @property
-    def bootstrap(self) -> ParticleFilter:
-        return self.particles
 
     def predict(self, belief: Particles, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Particles:
         n, potential = self.particles.n_particles, self.particles.potential
@@ -62,14 +57,6 @@ class Pathwise(AbstractParticleFilter):
         steps = [total(L[i, j] * w[j] for j in range(i + 1)) for i in range(n)]
         states = jax.vmap(lambda step: retract(belief.mean, list(step)), in_axes=-1, out_axes=-1)(steps)
         return drawn._replace(states=states, log_weights=jax.lax.stop_gradient(drawn.log_weights))
-
-    def update(
-        self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
-    ) -> tuple[Particles, Innovation]:
-        return self.particles.update(belief, motion, sensor, reading, inputs)
-
-    def moments(self, belief: Particles) -> tuple[State, tuple[Scalar, ...]]:
-        return self.particles.moments(belief)
 
     def offspring(self, ancestors: Any) -> Any:
         """Equal log-weights (N,), given those of the ancestors; a copy of a particle of weight zero keeps it."""
