@@ -230,9 +230,9 @@ def test_windows_do_not_span_two_tracks_and_few_of_them_tell_nothing():
 
 def test_the_effective_rows_in_chunks_of_few_trajectories_are_those_of_one_large_chunk():
     rng, tracker = np.random.default_rng(4), line_tracker(1e-4, 0.3)
-    batch = stack([_standing(rng, 300, 1.0) for _ in range(16)])
+    batch = stack([_standing(rng, 300, 1.0) for _ in range(20)])
     parameters = select_parameters(tracker, (SIGMA,))
-    problems = [Problem(tracker, [batch], NegativeLogLikelihood(), parameters, chunk) for chunk in (FEW, 2 * FEW)]
+    problems = [Problem(tracker, [batch], NegativeLogLikelihood(), parameters, chunk) for chunk in (FEW, 4 * FEW)]
     assert [problem.few for problem in problems] == [True, False]
     (rows, factor), other = (rows_and_inflation(problem, flatten(parameters)) for problem in problems)
     assert rows == other[0]
