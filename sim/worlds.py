@@ -37,6 +37,10 @@ __all__ = ["WORLDS", "SimulatedWorld", "agv", "body", "fusion", "line", "ranges"
 Trajectories = Annotated[int, Range(1, 10**7)]
 Seed = Annotated[int, Range(0, 2**63 - 1)]
 Rows = Annotated[int, Range(1, 10**7)]
+Rate = Annotated[float, Range(0.1, 1000.0)]
+Level = Annotated[float, Range(0.0, 10.0)]
+Hidden = Annotated[float, Range(0.0, 0.9)]
+Share = Annotated[float, Range(0.0, 0.99)]
 Ids = Collection[int] | None
 
 
@@ -131,7 +135,7 @@ def line(
     *,
     situation: Literal["constant", "halts", "speeds"] = "halts",
     speed: Annotated[float, Range(0.01, 10.0)] = 0.3,
-    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 5.0,
+    rate_hz: Rate = 5.0,
     ids: Ids = None,
 ) -> SimulatedWorld:
     """Simulate tags on the assembly line: fixes along a known path, with truth.
@@ -153,11 +157,11 @@ def ranges(
     seed: Seed = 0,
     *,
     rows: Rows = 200,
-    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 10.0,
-    sigma_r: Annotated[float, Range(0.0, 10.0)] = 0.05,
-    bias: Annotated[float, Range(0.0, 10.0)] = 0.05,
-    hidden: Annotated[float, Range(0.0, 0.9)] = 0.1,
-    lost: Annotated[float, Range(0.0, 0.99)] = 0.1,
+    rate_hz: Rate = 10.0,
+    sigma_r: Level = 0.05,
+    bias: Level = 0.05,
+    hidden: Hidden = 0.1,
+    lost: Share = 0.1,
     ids: Ids = None,
 ) -> SimulatedWorld:
     """Simulate hand-held UWB tags in a room with four anchors: ranges, with truth.
@@ -184,12 +188,12 @@ def tdoa(
     *,
     schedule: Literal["messages", "turns"] = "messages",
     rows: Rows = 200,
-    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 10.0,
-    sigma_d: Annotated[float, Range(0.0, 10.0)] = 0.1,
-    bias: Annotated[float, Range(0.0, 10.0)] = 0.05,
-    drift: Annotated[float, Range(0.0, 10.0)] = 0.05,
-    hidden: Annotated[float, Range(0.0, 0.9)] = 0.1,
-    lost: Annotated[float, Range(0.0, 0.99)] = 0.1,
+    rate_hz: Rate = 10.0,
+    sigma_d: Level = 0.1,
+    bias: Level = 0.05,
+    drift: Level = 0.05,
+    hidden: Hidden = 0.1,
+    lost: Share = 0.1,
     ids: Ids = None,
 ) -> SimulatedWorld:
     """Simulate hand-held UWB tags in a room with eight synchronised anchors: range differences (TDoA), with truth.
@@ -228,13 +232,13 @@ def fusion(
     *,
     stations: Annotated[int, Range(1, 4)] = 2,
     rows: Rows = 200,
-    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 10.0,
-    sigma_r: Annotated[float, Range(0.0, 10.0)] = 0.05,
-    bias: Annotated[float, Range(0.0, 10.0)] = 0.05,
-    hidden: Annotated[float, Range(0.0, 0.9)] = 0.1,
+    rate_hz: Rate = 10.0,
+    sigma_r: Level = 0.05,
+    bias: Level = 0.05,
+    hidden: Hidden = 0.1,
     sigma_angle: Annotated[float, Range(0.0, 3.0)] = 0.05,
     bias_angle: Annotated[float, Range(0.0, 3.0)] = 0.1,
-    lost: Annotated[float, Range(0.0, 0.99)] = 0.1,
+    lost: Share = 0.1,
     ids: Ids = None,
 ) -> SimulatedWorld:
     """Simulate hand-held UWB tags in a room with four anchors: ranges, and angles at some of them, with truth.
@@ -289,13 +293,13 @@ def body(
     tags: Annotated[int, Range(1, 3)] = 3,
     odometry: bool = False,
     rows: Annotated[int, Range(3, 10**7)] = 200,
-    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 10.0,
-    sigma_r: Annotated[float, Range(0.0, 10.0)] = 0.05,
-    bias: Annotated[float, Range(0.0, 10.0)] = 0.05,
-    hidden: Annotated[float, Range(0.0, 0.9)] = 0.1,
-    sigma_slip: Annotated[float, Range(0.0, 10.0)] = 0.01,
-    sigma_yaw_rate: Annotated[float, Range(0.0, 10.0)] = 0.04,
-    lost: Annotated[float, Range(0.0, 0.99)] = 0.1,
+    rate_hz: Rate = 10.0,
+    sigma_r: Level = 0.05,
+    bias: Level = 0.05,
+    hidden: Hidden = 0.1,
+    sigma_slip: Level = 0.01,
+    sigma_yaw_rate: Level = 0.04,
+    lost: Share = 0.1,
     ids: Ids = None,
 ) -> SimulatedWorld:
     """Simulate trolleys with UWB tags in a room with four anchors: ranges, and wheel odometry on request, with truth.
@@ -363,9 +367,9 @@ def agv(
     *,
     rows: Rows = 2000,
     speed: Annotated[float, Range(0.01, 1.41)] = 0.5,
-    wild: Annotated[float, Range(0.0, 0.99)] = 0.0,
+    wild: Share = 0.0,
     latency: Annotated[float, Range(0.0, 10.0)] = 0.0,
-    mirror: Annotated[float, Range(0.0, 0.99)] = 0.0,
+    mirror: Share = 0.0,
     ids: Ids = None,
 ) -> SimulatedWorld:
     """Simulate vehicles on a route round a workstation: UWB fixes that drift, with truth.
