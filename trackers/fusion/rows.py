@@ -87,8 +87,7 @@ def fused_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
         inputs |= {key: x[last] for key, x in given.items()}
     rig = folder.rig
     heights = np.full(len(tags), np.nan) if free_height else known_heights(folder, tags)
-    sites = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
-    inputs[ROOM.name] = room_rows(np.stack(sites), rig.outline, count)
+    inputs[ROOM.name] = room_rows(np.stack(rig.places()), rig.outline, count)
     inputs[NEARBY.name] = joint_positions(folder, list(parts), tags, starts, times, heights, nearby)
     return trajectories_of(folder, tags, starts, times, readings, inputs)
 

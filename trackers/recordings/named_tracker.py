@@ -236,9 +236,8 @@ def near_origin(folder: RecordingFolder) -> RecordingFolder:
 def _site(folder: RecordingFolder) -> np.ndarray:
     """Points (n, 2), m, on and between which the tags are; none where neither the rig nor fixes tell."""
     rig = folder.rig
-    places = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
     corners = [x for x in (rig.path_knots, rig.outline) if x is not None]
-    points = np.concatenate([np.array([p[:2] for p in places]).reshape(-1, 2), *corners, rig.all_walls()[:, :2]])
+    points = np.concatenate([np.array([p[:2] for p in rig.places()]).reshape(-1, 2), *corners, rig.all_walls()[:, :2]])
     if len(points) or "fixes" not in folder.tables:
         return points
     known = folder.tables["fixes"].select("x_m", "y_m").drop_nulls().to_numpy()
