@@ -399,8 +399,8 @@ def compare_trajectories(
     planar = not (np.isfinite(estimate.positions).all() and np.isfinite(truth.positions).all())
     estimated, true = aligned.at_rows(rows), truth.at_rows(true_rows)
     if planar:
-        in_plane = [1.0, 1.0, 0.0]
-        estimated, true = (replace(t, positions=np.nan_to_num(t.positions * in_plane)) for t in (estimated, true))
+        is_height = [False, False, True]
+        estimated, true = (replace(t, positions=np.where(is_height, 0.0, t.positions)) for t in (estimated, true))
     distances, angles = absolute_errors(estimated, true)
     relative = {str(step): relative_errors(estimated, true, step, all_pairs) for step in steps}
     by_step = {step: errors for step, errors in relative.items() if errors is not None}
