@@ -59,7 +59,7 @@ class FitData:
 
     def rows(self, held_out: bool = False) -> list[Batch]:
         """The rows of the trajectories to fit to, or of those held out, in batches."""
-        return self._rows[held_out]
+        return self._rows_held_out if held_out else self._rows
 
     def batches(self, held_out: bool = False) -> Sequence[AnyBatch]:
         """The batches of `rows` as a fit takes them, `stacked` or not."""
@@ -78,8 +78,12 @@ class FitData:
         return unstacked(self.held_out if held_out else self.training)
 
     @cached_property
-    def _rows(self) -> list[list[Batch]]:
-        return [[batch for _, batch in batches(part)] if part else [] for part in (self.training, self.held_out)]
+    def _rows(self) -> list[Batch]:
+        return [batch for _, batch in batches(self.training)]
+
+    @cached_property
+    def _rows_held_out(self) -> list[Batch]:
+        return [batch for _, batch in batches(self.held_out)] if self.held_out else []
 
 
 def fit_data(
