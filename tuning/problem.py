@@ -38,7 +38,7 @@ Values = Float[np.ndarray, " many"]
 """Unconstrained vectors of p numbers, S of them or one; the terms of a number of them, and their values."""
 
 MAX_VECTORS = 8
-"""Most vectors in one compiled call: with a dozen recordings, eight cost little more than one."""
+"""Most vectors in one compiled call: with some dozens of trajectories, eight cost little more than one."""
 
 REMEMBERED = 100
 """Vectors whose sums are kept, of few trajectories: an optimum, for one, was evaluated as a step before."""
