@@ -233,6 +233,13 @@ def test_a_truth_in_another_frame_and_on_another_clock_is_brought_over_by_the_re
     assert _distances(foreign).max() < 1e-3
 
 
+def test_the_clock_is_found_where_readings_come_at_the_first_time_of_the_truth():
+    folder = tw.simulate.ranges(n=1, rows=400, seed=4, hidden=0.0, bias=0.0).folder()
+    early = folder.tables["truth"].with_columns(pl.col("t_s") - 0.3)
+    found, _ = found_placement(replace(folder, tables={**folder.tables, "truth": early}))
+    assert found.later == pytest.approx(0.3, abs=0.02)
+
+
 def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = tw.simulate.tool(n=1, rows=300, seed=4).folder()

@@ -174,31 +174,30 @@ def robust_fit(
     Levenberg-Marquardt with Cauchy's weights. Derivatives are differences over 1e-6 of each number's unit.
     """
 
-    def known(x: np.ndarray) -> np.ndarray:
-        return np.nan_to_num(errors(x)).ravel()
-
     def loss(e: np.ndarray, scale: float) -> float:
         return float(np.log1p((e / (CUT / 3 * scale)) ** 2).sum())
 
     x, damping = np.asarray(start, float), 1e-2
-    e = known(x)
+    raw = errors(x).ravel()
     for _ in range(steps):
+        e = np.nan_to_num(raw)
         scale = max(1.4826 * float(np.median(np.abs(e))), 1e-9)
         weights = 1.0 / (1.0 + (e / (CUT / 3 * scale)) ** 2)
-        J = np.stack([(known(x + 1e-6 * unit) - e) / 1e-6 for unit in np.eye(len(x))], axis=1)
+        # Where one of the two errors is unknown, as at the first time of the truth, there is no difference.
+        J = np.nan_to_num(np.stack([(errors(x + 1e-6 * unit).ravel() - raw) / 1e-6 for unit in np.eye(len(x))], axis=1))
         normal, gradient, before = (J.T * weights) @ J, (J.T * weights) @ e, loss(e, scale)
         # Damped in proportion to the largest curvature too: a height that is hardly seen would go far in one step.
         ridge = np.diag(np.diag(normal) + 0.1 * np.diag(normal).max() + 1e-12)
         for _ in range(6):
             step = np.linalg.solve(normal + damping * ridge, -gradient)
-            trial = known(x + step)
-            if loss(trial, scale) < before:
+            trial = errors(x + step).ravel()
+            if loss(np.nan_to_num(trial), scale) < before:
                 damping = max(damping / 5, 1e-9)
                 break
             damping *= 10
         else:
             break
-        x, e = x + step, trial
+        x, raw = x + step, trial
         if np.max(np.abs(step)) < 1e-5:
             break
-    return x, float(np.median(np.abs(e)))
+    return x, float(np.median(np.abs(np.nan_to_num(raw))))
