@@ -105,15 +105,29 @@ def _residuals(
     block = (columns.times - columns.of_each(columns.times[columns.starts[:-1]])) // BLOCK_S
     for name, sensor in sensors.items():
         reading, predicted = columns.readings[name], sensor.measure(SimpleNamespace(position=position), inputs)
-        numbers = next((inputs[x.name] for x in sensor.inputs if x.name in inputs.keys() & {"station", "anchor"}), None)
+        given = {x.name: inputs[x.name] for x in sensor.inputs if x.name in inputs}
         for k, channel in enumerate(sensor.channels):
-            source: Int[np.ndarray, " N"] = np.zeros(len(block), int)
-            if numbers is not None:
-                source = (numbers[k] if numbers.ndim > 1 else numbers).astype(int)
             residual = reading.values[:, k] - np.asarray(predicted[k])
             residual = np.asarray(wrap(residual)) if channel.wraps else residual
-            values = np.stack([residual, source, block, columns.of_each(before)], axis=1)
-            yield f"{name}.{channel.name}", values, reading.seen[:, k] & np.isfinite(residual)
+            seen = reading.seen[:, k] & np.isfinite(residual)
+            if "levers" in given:
+                # Where a lever arm points is not known from the position.
+                seen = seen & (given["levers"][3 * k : 3 * k + 3] == 0.0).all(axis=0)
+            for sign, source in _sources(given, k, len(block)):
+                values = np.stack([sign * residual, source, block, columns.of_each(before)], axis=1)
+                yield f"{name}.{channel.name}", values, seen
+
+
+def _sources(given: Mapping[str, np.ndarray], k: int, rows: int) -> list[tuple[int, Int[np.ndarray, " N"]]]:
+    """The stations or anchors of the readings of channel `k`, and the sign with which residuals count for each.
+
+    A difference counts for both its anchors.
+    """
+    if "pair" in given:
+        first, second = given["pair"][2 * k : 2 * k + 2].astype(int)
+        return [(1, first), (-1, second)]
+    numbers = next((given[name] for name in ("station", "anchor") if name in given), np.zeros(rows))
+    return [(1, (numbers[k] if numbers.ndim > 1 else numbers).astype(int))]
 
 
 def _ratio(residuals: Float[np.ndarray, "n 4"]) -> float | None:

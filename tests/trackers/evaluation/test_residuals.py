@@ -21,11 +21,13 @@ def obstructed(clear):
     return _obstructed(clear)
 
 
-def _obstructed(folder):
-    """The same ranges, those to one anchor too long by 3 m for half a minute."""
+def _obstructed(folder, longer=3.0):
+    """The same ranges, those to one anchor too long by `longer` m for half a minute."""
     anchor = next(iter(folder.rig.anchors))
     behind = (pl.col("anchor") == anchor) & pl.col("t_s").is_between(20.0, 50.0)
-    ranges = folder.tables["ranges"].with_columns(range_m=pl.col("range_m") + pl.when(behind).then(3.0).otherwise(0.0))
+    ranges = folder.tables["ranges"].with_columns(
+        range_m=pl.col("range_m") + pl.when(behind).then(longer).otherwise(0.0)
+    )
     return dataclasses.replace(folder, tables={**folder.tables, "ranges": ranges})
 
 
@@ -60,6 +62,27 @@ def test_means_over_5_s_of_an_obstructed_anchor_are_larger_than_most_residuals(c
     assert found["obstructed"]["residual_ratio_5s"] > LASTING
     assert not [s for s in found["clear"].statements if "last:" in s]
     assert [s for s in found["obstructed"].statements if "Residuals of some stations or anchors last:" in s]
+
+
+def test_a_difference_counts_for_both_its_anchors():
+    clear = tw.simulate.tdoa(n=1, rows=1600, seed=4, hidden=0.0, schedule="turns").folder()
+    # In a ring each anchor comes first and second: signs cancel where pairs are not told apart.
+    late, t = sorted(clear.rig.anchors)[2], pl.col("t_s")
+    sign = (pl.col("anchor") == late).cast(float) - (pl.col("anchor_2") == late).cast(float)
+    table = clear.tables["tdoa"].with_columns(
+        range_difference_m=pl.col("range_difference_m") + 1.5 * sign * t.is_between(t.max() / 3, 2 * t.max() / 3)
+    )
+    wrong = dataclasses.replace(clear, tables={**clear.tables, "tdoa": table})
+    ratios = [tw.evaluate(tw.build("tdoa", f).run(f), f)["residual_ratio_5s"] for f in (clear, wrong)]
+    assert ratios[0] < 1.1 < LASTING < ratios[1]
+
+
+def test_only_ranges_of_a_tag_itself_count_on_a_body_of_several():
+    clear = tw.simulate.body(n=1, rows=600, seed=4, tags=3, bias=0.0, hidden=0.0, sigma_r=0.05).folder()
+    folders = clear, _obstructed(clear, 1.0)
+    ratios = [tw.evaluate(tw.build("body", f).run(f), f)["residual_ratio_5s"] for f in folders]
+    assert ratios[0] < 0.5
+    assert ratios[1] > LASTING
 
 
 def test_recordings_that_run_together_have_the_ratios_of_each_alone(clear, obstructed):
