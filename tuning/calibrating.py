@@ -66,6 +66,8 @@ def _range_quality(folders: Sequence[RecordingFolder], calibration: Calibration)
     columns = quality_columns(ranged, KINDS["ranges"])
     if not calibration.anchors or not columns:
         return None
+    # Recordings too short to be calibrated on confirm and contradict nothing.
+    ranged = [folder for folder in ranged if len(errors_about(calibration, [folder], columns).error)]
     parts = ranged if len(ranged) > 1 else halves(ranged[0])
     folds = []
     for left_out in parts:
