@@ -87,7 +87,10 @@ class TruePaths:
         return self.times[part], self.positions[part]
 
     def headings_at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """True headings (N,), rad, linearly interpolated, of rows as in `at`; NaN where they are not known."""
+        """True headings (N,), rad, linearly interpolated, of rows as in `at`; NaN where they are not known.
+
+        Nor are they between attitudes further apart than a hole of the truth may be long, whatever the way covered.
+        """
         result = np.full(len(times), np.nan)
         for tag, first, end in zip(tags, starts[:-1], starts[1:], strict=True):
             if self.headings is None or tag not in self.number:
@@ -96,8 +99,11 @@ class TruePaths:
             known = np.isfinite(self.headings[part])
             if known.any():
                 angles = np.unwrap(self.headings[part][known])
-                known_times = self.times[part][known]
-                result[first:end] = np.interp(times[first:end], known_times, angles, np.nan, np.nan)
+                known_times, asked = self.times[part][known], times[first:end]
+                before, after = (np.searchsorted(known_times, asked, side) for side in ("left", "right"))
+                gaps = np.diff(known_times, prepend=-np.inf, append=np.inf)
+                values = np.interp(asked, known_times, angles, np.nan, np.nan)
+                result[first:end] = np.where((before == after) & (gaps[before] > HOLE_S), np.nan, values)
         return result
 
     def at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -44,6 +44,19 @@ def test_truth_of_many_tags_is_that_of_each_to_the_bit(same):
             np.testing.assert_array_equal(array, np.concatenate(each))
 
 
+def test_headings_are_unknown_where_the_attitudes_have_a_hole():
+    times, yaw = np.arange(0.0, 10.0, 0.25), np.linspace(0.0, 9.0, 40)
+    attitudes = np.stack([np.cos(yaw / 2), *np.zeros((2, 40)), np.sin(yaw / 2)], axis=1)
+    attitudes[(times > 3.0) & (times < 6.0) | (times == 8.0)] = np.nan
+    paths = TruePaths(["a"], np.array([0, 40]), times, np.zeros((40, 3)), lambda: attitudes)
+    at = np.array([-1.0, 0.1, 3.0, 3.1, 5.9, 6.0, 8.1, 9.75, 9.8])
+    found = paths.headings_at(["a"], np.array([0, len(at)]), at)
+    known = np.isin(at, [0.1, 3.0, 6.0, 8.1, 9.75])
+    np.testing.assert_array_equal(np.isfinite(found), known)
+    turned = found[known] - np.interp(at[known], times, yaw)
+    np.testing.assert_allclose(np.remainder(turned + np.pi, 2 * np.pi) - np.pi, 0.0, atol=1e-9)
+
+
 def test_a_tag_without_a_path_has_no_truth():
     position, status = TruePaths.none().at(["a"], np.array([0, 2]), np.zeros(2))
     assert np.isnan(position).all()
