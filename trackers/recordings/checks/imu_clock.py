@@ -151,7 +151,8 @@ def windows(recording: RecordingFolder, tag: str) -> Iterator[tuple[Window, Wind
     t, first = np.unique(rows.times[of_tag][whole], return_index=True)
     t, x = t[:MOST_ROWS], x[whole[first[:MOST_ROWS]]]
     offsets = {name: np.asarray(one.offset, float) for name, one in rig.tags.items() if one.offset is not None}
-    carried = np.array([name == tag or (tag in offsets and name in offsets) for name in ranges.tags], bool)
+    body = rig.on_body_of(tag) or (tag,)
+    carried = np.array([name in body for name in ranges.tags], bool)
     measured = KINDS["ranges"].measured(rig, ranges)
     used = np.flatnonzero(ranges.of_each(carried) & np.isfinite(measured.values[:, 0]))
     if min(len(t), len(used)) < 10:

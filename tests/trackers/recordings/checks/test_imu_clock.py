@@ -92,6 +92,18 @@ def test_ranges_of_all_tags_of_a_body_count():
     assert [len(up.times) for up, _ in windows(shared, "0")] == expected
 
 
+def test_ranges_of_another_body_count_nothing():
+    folder = _later(0.5)
+    tags = {name: Tag(offset=np.zeros(3)) for name in ("0", "other")}
+    ranges = folder.tables["ranges"]
+    other = ranges.with_columns(T + 0.01, tag=pl.lit("other"), range_m=pl.col("range_m") + 2.0)
+    tables = dict(folder.tables) | {"ranges": pl.concat([ranges, other]).sort("t_s")}
+    rig = replace(folder.rig, tags=tags, bodies={"one": ("0",), "two": ("other",)})
+    (alone, _), *_ = windows(folder, "0")
+    (beside, _), *_ = windows(replace(folder, rig=rig, tables=tables), "0")
+    np.testing.assert_array_equal(beside.errors, alone.errors)
+
+
 def test_a_row_of_another_clock_costs_no_memory():
     folder = _later(0.5)
     imu = folder.tables["imu"]
