@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from functools import partial
 
+import equinox as eqx
 import numpy as np
 
 from trackwright.trackers.aoa.fusion import BEARINGS
@@ -40,6 +41,12 @@ def _placed_fixes(folder: RecordingFolder, free_height: bool) -> Trajectories:
     )
 
 
+def _tracker_of_fixes(trajectory: Trajectory, planar: bool) -> Tracker:
+    tracker = fix_tracker(planar=planar)
+    # An unknown latency is considered where it delays the whole estimate, which other kinds keep from here.
+    return eqx.tree_at(lambda tracker: tracker.sensors[FIXES].latency_std, tracker, None)
+
+
 BIASES = 4
 """The numbers of biases of ranges and of differences are multiples of this; with eight four anchors take half again."""
 
@@ -47,9 +54,7 @@ KINDS: Mapping[str, TrackerSpec] = {
     RANGES: OF_ANCHORS["uwb"](about="", table=RANGES, build=partial(tracker_of_ranges, together=BIASES)),
     TDOA: OF_ANCHORS["tdoa"](about="", table=TDOA, build=partial(tracker_of_differences, together=BIASES)),
     BEARINGS: OF_ANGLES["bearings"](about="", table=BEARINGS),
-    FIXES: TrackerSpec(
-        "", FIXES, _placed_fixes, lambda trajectory, planar: fix_tracker(planar=planar), lacks=lacks_fixes
-    ),
+    FIXES: TrackerSpec("", FIXES, _placed_fixes, _tracker_of_fixes, lacks=lacks_fixes),
 }
 """How the readings of each kind are read and tracked alone; the motion is that of the first of them."""
 

@@ -172,6 +172,9 @@ def test_fixes_that_may_come_from_the_ranges_are_fused_on_request_alone():
     both = replace(folder, tables={**folder.tables, FIXES: fixes})
     assert fitting(both) == "fix-kf"
     assert len(build("fusion", both).run(both).to_polars()) == len(TIMES)
+    # An unknown latency has no effect there, so that it cannot be set.
+    assert "sensors.fixes.latency" in build("fusion", both).tunables
+    assert "sensors.fixes.latency_std" not in build("fusion", both).tunables
     with pytest.raises(
         UnusableInput, match="two of the tables ranges, tdoa, bearings, fixes, found the table ranges alone"
     ):
