@@ -11,7 +11,7 @@ from trackwright.trackers.core.data.consistency import nees_of_leading, upper_en
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
 from trackwright.trackers.evaluation.scores import BINS, bins, error_sums, nees_sums
-from trackwright.trackers.evaluation.scoring import COMPONENTS
+from trackwright.trackers.evaluation.scoring import COMPONENTS, in_plane
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 
@@ -105,6 +105,8 @@ def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     counts = Masked(tracked.known.reshape(n, -1))
     if bearing:
         error, sizes = bearing_sizes(tracked.estimates, tracked.truth)
+        plane = in_plane(tracked.estimates[..., 0])
+        sizes |= {kind: np.where(plane, np.nan, sizes[kind]) for kind in COMPONENTS[2]}
         sizes = {kind: size.reshape(counts.valid.shape) for kind, size in sizes.items()}
     else:
         error = tracked.estimates - tracked.truth
@@ -114,14 +116,15 @@ def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     main, latest = next(iter(sizes.values())), None
     for kind, size in sizes.items():
-        rows = counts if bearing or size is main else Masked(counts.valid & np.isfinite(size))
+        rows = counts if size is main else Masked(counts.valid & np.isfinite(size))
         if size is not latest:
             latest, histogram = size, rows.histograms(size)
         more, top = error_sums(kind, size, rows)
         sums, largest = sums | more, largest | top
         arrays[f"cells {kind}"], arrays[f"counts {kind}"] = histogram
     for k, component in enumerate(COMPONENTS[error.shape[-1]]):
-        sums[f"bias {component}"] = Masked(counts.valid & np.isfinite(error[..., k])).sum(error[..., k])
+        rows = counts.valid & np.isfinite(sizes[component] if bearing else error[..., k])
+        sums[f"bias {component}"] = Masked(rows).sum(error[..., k])
     d = tracked.covariance.shape[-1]
     sums |= _nees(error[..., :d], tracked.covariance.reshape(n, counts.valid.shape[1], d, d), counts)
     status = tracked.status.reshape(n, -1)

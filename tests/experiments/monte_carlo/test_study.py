@@ -68,6 +68,22 @@ def test_metrics_of_accumulators_equal_those_of_all_rows():
     assert value["diverged"] == np.mean((tracked.status == Status.LOST).any(axis=1))
 
 
+def test_of_directions_in_the_plane_of_an_array_the_angle_alone_is_judged():
+    tracked, errors = _normal_tracked(4)
+    errors = 0.1 * errors
+    azimuth = np.where(np.arange(50) == 5, np.pi / 2, 0.3 + errors[..., 0])
+    estimates = np.stack([azimuth, 0.2 + errors[..., 1]], axis=-1)[:, :, None]
+    truth, one = np.broadcast_to([0.3, 0.2], estimates.shape), tracked.known[:, :, None]
+    covariance = np.broadcast_to(0.09 * np.eye(2), (*one.shape, 2, 2))
+    rows = {name: getattr(tracked, name)[:, :, None] for name in ("status", "nis", "dof")}
+    kept = scored(tracked._replace(estimates=estimates, truth=truth, covariance=covariance, known=one, **rows))
+    judged = tracked.known & (np.arange(50) != 5)
+    assert kept["sum n direction_rad"].sum() == tracked.known.sum()
+    for k, angle in enumerate(("azimuth_rad", "elevation_rad")):
+        np.testing.assert_array_equal(kept[f"sum n {angle}"], judged.sum(axis=1))
+        np.testing.assert_allclose(kept[f"sum bias {angle}"], np.where(judged, errors[..., k], 0.0).sum(axis=1))
+
+
 def test_scores_do_not_depend_on_the_trajectories_that_are_scored_together():
     tracked, _ = _normal_tracked(5)
     whole, rows = scored(tracked), tracked._asdict() | {"folder": None}
