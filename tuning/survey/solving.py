@@ -218,7 +218,7 @@ def _log_volume(walks: Sequence[Walk], solution: Solution) -> float:
 def design_effect(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
     """By how much the scatter of the scores exceeds that of independent errors; at least 1.
 
-    Errors last: scores are summed over pieces of time and over squares of the floor, each of one anchor (Cameron and
+    Errors last: scores are summed over pieces of time and over cubes, each of one anchor (Cameron and
     Miller 2015), and the largest scatter counts. Paths take up the errors that all anchors could share with a motion.
     """
     free = prior.free
@@ -253,7 +253,7 @@ FISHER = (DOF + 1.0) / (DOF + 3.0)
 """The information of a range with errors of Student's t, in that of a normal one of the same scale."""
 
 LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
-"""Pieces of time, s, and squares of the floor, m, over which errors may be the same."""
+"""Pieces of time, s, and edges of cubes, m, over which errors may be the same."""
 
 
 def information(walks: Sequence[Walk], solution: Solution) -> np.ndarray:
