@@ -15,8 +15,10 @@ import numpy as np
 
 from trackwright.experiments.monte_carlo.errors import TrackedRuns
 from trackwright.experiments.text.expectations import Claim
+from trackwright.experiments.text.wording import STUDIES
 from trackwright.trackers.catalogue import spec_of
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, near
+from trackwright.trackers.evaluation.metrics import METRICS
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 
@@ -144,7 +146,7 @@ class Study:
 
 
 def checked(study: Study) -> Study:
-    """The study; raises UnusableInput for empty parts, unknown trackers, and values out of range."""
+    """The study; raises UnusableInput for empty parts, unknown trackers and metrics, and values out of range."""
     where = f"study '{study.name}'"
     if not re.fullmatch(r"\w[^/\\]*", study.name):
         raise UnusableInput(f"{where}: expected a name that a folder can have, without / and \\; rename it")
@@ -167,6 +169,11 @@ def checked(study: Study) -> Study:
             raise UnusableInput(f"{where}: grid '{name}' is empty; expected a list of at least one value")
         for value in values:
             _require_possible(f"{where}: grid '{name}'", value)
+    names = (*METRICS, *STUDIES, *study.measures)
+    for metric in study.metrics:
+        if metric not in names:
+            known = f"{near(metric, names)}; names: {', '.join(names)}"
+            raise UnusableInput(f"{where}: metrics: no metric {metric!r}{known}")
     for world in study.worlds.values():
         for name, value in world.numbers.items():
             _require_possible(f"{where}: worlds: {name}", value)

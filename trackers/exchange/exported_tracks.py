@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.exchange.ros_reader import rosbags_module
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, quaternions_of, trajectory_of_table, usable_rows
 from trackwright.trackers.recordings.atomic import beside
-from trackwright.trackers.recordings.tracks_table import is_bearing
+from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.tracks_table import HEADING, is_bearing
 
 _TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _FRAME = "world"
@@ -42,6 +43,8 @@ class ExportedTrack:
 def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
     """The trajectories of a table of estimates or truth; rows and tracks without an estimate are left out.
 
+    Where the heading alone is known, the attitude is that of a level body.
+
     Raises UnusableInput for bearings, and if nothing remains.
     """
     if is_bearing(table):
@@ -51,7 +54,10 @@ def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
         rows = usable_rows(rows)
         if rows.height:
             given = covariances(rows) if "std_x_m" in rows.columns else None
-            poses = trajectory_of_table(rows, f"tag {tag} of '{recording}'")
+            poses, heading = trajectory_of_table(rows, f"tag {tag} of '{recording}'"), float_column(rows, HEADING)
+            if poses.quaternions is None and np.isfinite(heading).all():
+                level = np.stack([np.cos(heading / 2), *np.zeros((2, len(heading))), np.sin(heading / 2)], axis=1)
+                poses = replace(poses, quaternions=level)
             tracks.append(ExportedTrack(str(recording), str(tag), poses, given))
     if not tracks:
         raise UnusableInput("no track holds an estimate; run `trackwright check` on the recording")

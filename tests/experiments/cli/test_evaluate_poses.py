@@ -17,6 +17,7 @@ from tests.in_process import PLAIN, assert_refused, assert_refused_last, trackwr
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackwright.experiments.cli import evaluating
 from trackwright.trackers.exchange import estimates as exchange_estimates
+from trackwright.trackers.exchange.exported_tracks import tracks_of
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, trajectory_of_table, write_trajectory
 from trackwright.trackers.recordings.tracks_table import write_tracks
 
@@ -205,6 +206,15 @@ def test_several_tracks_are_exported_to_a_file_each(tracked, tmp_path):
     said = trackwright("export", tracked, "--format", "kitti", "--tag", "B", "--out", tmp_path / "b.kitti")
     assert said.code == 0
     assert (tmp_path / "b.times.txt").read_text().splitlines()[1] == "0.1"
+
+
+def test_a_heading_is_exported_as_the_attitude_of_a_level_body(tracked):
+    table = pl.read_parquet(tracked / "tracks.parquet").filter(tag="B")
+    heading = np.linspace(-3.0, 3.0, table.height)
+    (track,) = tracks_of(table.with_columns(heading_rad=heading))
+    w, x, y, z = track.poses.quaternions.T
+    assert not (x.any() or y.any())
+    np.testing.assert_allclose(np.arctan2(2 * w * z, 1 - 2 * z * z), heading[-len(w) :], atol=1e-12)
 
 
 def test_the_csv_twin_has_every_column_and_row(tracked, tmp_path):
