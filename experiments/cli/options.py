@@ -192,9 +192,9 @@ class TrackOptions(TrackerOptions):
         lag: smooth with the readings of the next so many seconds only.
         motion: auto runs several levels of horizontal motion, the given one and smaller ones, weighted by how well each
             predicts the readings: for motion unlike that of the defaults, as of a slow trolley.
-        errors: auto reports covariances that follow the size of the recording's own errors: those of the same estimates
-            under smaller and larger biases, weighted by how well each predicts the readings; given those of the noise
-            levels. By default auto for uwb without --calibration, --noise, --set, --smooth and --motion auto.
+        errors: auto scales the covariances to the errors of this recording (several levels of biases, weighted by how
+            well they predict the readings); given takes the noise levels as they are. By default auto for uwb without
+            --calibration, --noise, --set, --smooth and --motion auto.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself, as --keep-going does, on a Dask cluster, tcp://HOST:8786, or in
             processes here, local:4.

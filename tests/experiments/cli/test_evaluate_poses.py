@@ -213,7 +213,7 @@ def test_a_heading_is_exported_as_the_attitude_of_a_level_body(tracked):
     heading = np.linspace(-3.0, 3.0, table.height)
     (track,) = tracks_of(table.with_columns(heading_rad=heading))
     w, x, y, z = track.poses.quaternions.T
-    assert not (x.any() or y.any())
+    assert not np.any([x, y])
     np.testing.assert_allclose(np.arctan2(2 * w * z, 1 - 2 * z * z), heading[-len(w) :], atol=1e-12)
 
 

@@ -144,17 +144,17 @@ def scaled_levels(tracker: Any, levels: tuple[Level, ...]) -> dict[str, tuple[Sc
         if len(set(factors)) == 1:
             continue
         if not names:
-            raise UnusableInput(f"levels of noise: this tracker has no {LACKING[kind]}, as of `uwb`; run it as it is")
+            raise UnusableInput(f"levels of {KINDS[kind]}, as of `uwb`; leave them out (--motion auto, --errors auto)")
         scaled |= {name: (nodes[name], factors) for name in names}
     return scaled
 
 
-LACKING = {
-    "motion": "process noise of the horizontal motion; expected one",
-    "biases": "biases that drift; expected them",
-    "readings": "level of the noise of its readings; expected one",
+KINDS = {
+    "motion": "motion: this tracker has no process noise of the horizontal motion; expected one",
+    "biases": "errors: this tracker has no biases that drift; expected them",
+    "readings": "errors: this tracker has no level of the noise of its readings; expected one",
 }
-"""What a tracker lacks for levels of each kind, in words."""
+"""The levels of each kind, and what a tracker without them lacks, in words."""
 
 
 def _powers(

@@ -273,7 +273,10 @@ def _still(folder):
 
 
 def test_a_tracker_without_such_a_level_is_refused():
-    with pytest.raises(UnusableInput, match="no process noise of the horizontal motion"):
+    with pytest.raises(UnusableInput, match=r"no process noise of the horizontal motion.*--motion auto"):
         NoiseLevels(multilateration_tracker())
+    folder = tw.simulate.ranges(n=1, rows=20).folder()
+    with pytest.raises(UnusableInput, match=r"fit the tracker without it, then use result.tracker.with_error_levels"):
+        tw.fit(tw.build("uwb", folder).with_error_levels(), folder)
     with pytest.raises(UnusableInput, match="no biases that drift"):
         NoiseLevels(fix_tracker(), ERRORS)
