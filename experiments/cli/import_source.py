@@ -88,7 +88,7 @@ def import_source(
     from trackwright.trackers.exchange.formats import format_of, has_tables
     from trackwright.trackers.exchange.imported import assembled, origin_of, read_source, save, since
     from trackwright.trackers.exchange.mapping import Asked, TableMapping, columns_of
-    from trackwright.trackers.exchange.mapping_file import MappingFile, read_mapping
+    from trackwright.trackers.exchange.mapping_file import PRESETS, MappingFile, read_mapping
     from trackwright.trackers.recordings.folder import read_recording
     from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 
@@ -96,7 +96,8 @@ def import_source(
     name = format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
     asked = [one for one in preset.tables if (one.topic is not None) == (name == "ros")] or preset.tables
     if left := [one.table for one in preset.tables if one not in asked]:
-        notice(f"notice: {mapping}: left out as {'without' if name == 'ros' else 'with'} a topic: {', '.join(left)}")
+        kind = "other files" if name == "ros" else "bags"
+        notice(f"notice: {mapping}: its entries for {kind} are skipped ({', '.join(left)})")
     own_tables = has_tables(name)
     notice(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
     given = TableMapping(table or "", columns_of(columns), topic, tag, separator, decimal)
@@ -109,7 +110,14 @@ def import_source(
         )
     if there and rig is not None:
         raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
-    imported = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
+    try:
+        imported = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
+    except UnusableInput as problem:
+        if mapping is None:
+            raise
+        text, add, _ = str(problem).partition("; add --columns")
+        other = f"; another mapping? presets: {', '.join(sorted(PRESETS))}" if add else ""
+        raise UnusableInput(f"{text}{other}") from None
     for line in imported.notices:
         notice(f"notice: {line}")
     tables = imported.tables

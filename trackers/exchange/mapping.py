@@ -211,7 +211,11 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
             source.notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
         if len(separator) != 1:
             raise UnusableInput(f"--separator {separator!r}; expected one character, such as ';'")
-        source.read(replace(read_table_file(file, separator), decimal=mapping.decimal), mapping)
+        rows = replace(read_table_file(file, separator), decimal=mapping.decimal)
+        if mapping.table == "truth" and len(asked.mappings) > 1 and mapping.sources.isdisjoint(rows.frame.columns):
+            source.notices.append(f"{file.name}: no truth, which has none of the columns of its mapping")
+            continue
+        source.read(rows, mapping)
     return source
 
 

@@ -78,6 +78,12 @@ def test_util_has_streams_of_unequal_length_side_by_side(tmp_path):
     lines = "an{0}_p,{1},{2},{3}\nan{0}_quat,0.0,0.0,0.0,1.0\n"
     rig = _anchors(tmp_path / "anchor_const1_survey.txt", lines)
     _agrees(_imported(tmp_path, "const1-trial1-tdoa2.csv", "util", *rig), 4)
+    # Without a motion-capture system the card has no pose.
+    _csv(tmp_path / "flight.csv", header.partition(",t_pose")[0], [row[:-8] for row in rows])
+    said = trackwright("import", tmp_path / "flight.csv", "--mapping", "util", *rig, "--out", tmp_path / "flight")
+    assert said.code == 0, said.err
+    assert "no truth" in said.err
+    assert set(read_recording(tmp_path / "flight").tables) == {"tdoa"}
 
 
 def test_starloc_has_true_places_of_tags_beside_raw_ranges(tmp_path):
@@ -131,6 +137,9 @@ def test_a_log_of_cfclient_has_a_column_for_each_anchor_or_pair(tmp_path, preset
     arguments = ("--table", "truth", "--tag", "cf", "--out", tmp_path / "t")
     assert trackwright("import", tmp_path / "way.tum", *arguments).code == 0
     _agrees(recording, 24, read_recording(tmp_path / "t"))
+    other = "crazyflie-tdoa" if twr else "crazyflie"
+    said = trackwright("import", tmp_path / "lps.csv", "--mapping", other, *rig, "--out", tmp_path / "other")
+    assert_refused_last(said, "another mapping? presets: crazyflie, crazyflie-tdoa, ")
 
 
 DEFINITIONS = {
