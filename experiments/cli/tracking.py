@@ -24,7 +24,7 @@ from trackwright.experiments.text.evaluation_text import to_json, to_text
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
-from trackwright.trackers.catalogue import build, fitting, spec_of
+from trackwright.trackers.catalogue import ENTRIES, build, fitting, spec_of
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.user_file import split_name
@@ -130,7 +130,11 @@ def track_folders(
             spec = spec_of(name)
             unread = {t for folder in chosen for t in folder.tables if t not in spec.reads | {"imu", "truth"}}
             without = f"; without {listed(sorted(unread))}" if unread else ""
-            notice(f"tracker: {name} ({spec.about}{without}); choose another with --tracker")
+            # Of the same system, so that no other is imported.
+            others = [k for k, entry in ENTRIES.items() if unread and entry.system == ENTRIES[name].system]
+            readers = [k for k in others if unread <= spec_of(k).reads and spec_of(k).missing(chosen[0]) is None]
+            another = f", such as {readers[0]}, which reads {listed(sorted(unread))}" if readers else ""
+            notice(f"tracker: {name} ({spec.about}{without}); choose another with --tracker{another}")
     with suppress(OSError):
         # That of an archive which was tracked to this folder before.
         (options.out / RESULTS).unlink(missing_ok=True)

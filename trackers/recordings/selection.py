@@ -48,7 +48,11 @@ class Selection:
                 rows = kept
             if rows.height:
                 tables[name] = rows
-        return replace(folder, tables=tables)
+        rig = folder.rig
+        if self.tags:
+            bodies = {body: tuple(tag for tag in on_it if tag in self.tags) for body, on_it in rig.bodies.items()}
+            rig = replace(rig, tags={tag: known for tag, known in rig.tags.items() if tag in self.tags}, bodies=bodies)
+        return replace(folder, rig=rig, tables=tables)
 
     def of_estimates(self, tracks: pl.DataFrame) -> pl.DataFrame:
         """The rows of a table of estimates in these tags and times; raises UnusableInput where none is left."""

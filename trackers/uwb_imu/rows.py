@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.parts.range_rows import (
     CARRIER,
@@ -354,8 +355,8 @@ def _lacks_bodies(folder: RecordingFolder) -> str | None:
     single = sorted(set(folder.rows("ranges").tags) - set(_tags_on_bodies(folder)))
     if single:
         return (
-            "offset_m in rig.toml for at least two tags on the body of each, or its odometry, found no other tag on "
-            f"that of {', '.join(single)}"
+            "for every tag another one on its body (offset_m of both in rig.toml), or odometry of it; found neither "
+            f"for {listed(single)}"
         )
     return lacks_ranges(folder, _ranges_by_body(folder))
 

@@ -10,6 +10,7 @@ import trackwright as tw
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.rig_file import read_rig, rig_text
+from trackwright.trackers.recordings.selection import Selection
 from trackwright.trackers.uwb_imu.body import body_tracker
 from trackwright.tuning.calibrating import calibrate
 
@@ -137,8 +138,11 @@ def test_tags_of_two_bodies_do_not_share_readings(folder):
 def test_a_tag_on_no_body_is_refused(folder):
     tags = {**folder.rig.tags, "right": Tag(HEIGHT)}
     lone = dataclasses.replace(folder, rig=dataclasses.replace(folder.rig, tags=tags, bodies={}))
-    with pytest.raises(tw.UnusableInput, match="found no other tag on that of right"):
+    with pytest.raises(tw.UnusableInput, match="found neither for right"):
         tw.build("body", lone)
+    # A selection of one tag of several.
+    with pytest.raises(tw.UnusableInput, match="found neither for front"):
+        tw.build("body", Selection(("front",)).of(folder))
 
 
 def test_a_tracker_of_no_number_of_anchors_is_refused():
