@@ -105,8 +105,9 @@ def _text(evaluation: Evaluation, labels: Sequence[str], lines: Sequence[Line], 
 def _table(evaluation: Evaluation, columns: Sequence[Metric], labels: Sequence[str], lines: Sequence[Line]) -> Table:
     # Angles between directions, or lengths.
     unit = Unit("degrees", 180 / math.pi) if evaluation.bearing else length_unit(evaluation.overall["rmse_m"])
-    what = "Bearing errors" if evaluation.bearing else "Horizontal and 3-D position errors"
-    table = compact_table(f"{what} in {unit.name}", labels, [title_of(column) for column in columns])
+    spatial = " and 3-D" * any("3d" in column.name for column in columns)
+    what = "Bearing" if evaluation.bearing else f"Horizontal{spatial} position"
+    table = compact_table(f"{what} errors in {unit.name}", labels, [title_of(column) for column in columns])
     for words, metrics, style in lines:
         table.add_row(*words, *cells(metrics, columns, unit), style=style)
     return table

@@ -90,5 +90,9 @@ def rendered(width: int, *parts: RenderableType) -> str:
     page = io.StringIO()
     console = Console(file=page, width=width, highlight=False, markup=False, emoji=False)
     for part in parts:
+        if isinstance(part, Table) and part.title:
+            # The title of a narrow table may be wider than the table.
+            console.print(part.title)
+            part.title = None
         console.print(part)
     return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"

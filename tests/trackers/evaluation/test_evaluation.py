@@ -296,6 +296,13 @@ def test_of_directions_in_the_plane_of_an_array_the_angle_alone_is_judged():
     assert "az" not in head
 
 
+@pytest.mark.parametrize(("z", "title"), [(None, "Horizontal position"), (0.0, "Horizontal and 3-D position")])
+def test_the_title_of_the_table_names_what_its_columns_show(z, title):
+    tracks = _tracks([0.5], [0.1]).with_columns(z_m=pl.lit(z, float), std_z_m=pl.lit(0.0 if z is None else 0.1))
+    evaluation = evaluate_table(tracks, {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
+    assert to_text(evaluation, 120).startswith(f"{title} errors in cm")
+
+
 def test_a_station_missing_in_the_rig_is_refused(stations):
     del stations["hall"]["S"]
     tracks = _bearing_tracks(stations, [0.0, 0.0]).with_columns(station=pl.lit("S"))

@@ -35,6 +35,11 @@ def test_cells_are_text_and_never_markup():
     assert all(line == line.rstrip() for line in text.splitlines())
 
 
+def test_the_title_of_a_narrow_table_is_one_line():
+    title = "Cramér–Rao bound of the horizontal position, cm"
+    assert rendered(80, ruled_table(title, ["a", "b"], 1, [["x", "1"]])).splitlines()[0] == title
+
+
 def test_digits_follow_the_spread():
     assert rounded(1.23456, 0.02) == "1.235"
     assert rounded(123.456, 20.0) == "123"
