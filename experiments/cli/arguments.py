@@ -161,7 +161,8 @@ def _with_value(argument: Argument) -> str:
 def _expected(error: CoercionError, word: str, argument: Argument) -> str:
     if get_origin(error.target_type) is Literal:
         choices = [str(choice) for choice in get_args(error.target_type)]
-        return f"{' or '.join(choices)}{near(word, choices)}"
+        many = "one of " * (len(choices) > 2)
+        return f"{many}{(', ' if many else ' or ').join(choices)}{near(word, choices)}"
     if error.target_type is Path:
         return f"{argument.parameter.metavar or 'a path'}, found an empty name"
     return EXPECTED.get(error.target_type, _with_value(argument))

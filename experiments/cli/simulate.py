@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 COMMON = """
         out: the folder to write; it must not exist or be empty.
-        n: trajectories, each of a tag of its own.
+        n: trajectories, each of a tag, or body, of its own.
         seed: the same seed gives the same numbers; a trajectory depends on the seed and its own number alone."""
 """The help of the options that all worlds share."""
 

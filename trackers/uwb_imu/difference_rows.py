@@ -184,7 +184,7 @@ def lacks_differences(folder: RecordingFolder) -> str | None:
     median, most = float(np.median(sizes)), float(np.median(apart))
     if median > most:
         return (
-            f"range differences in metres, found a median of {median:.4g} between anchors {most:.4g} m apart; "
-            "are they in nanoseconds or millimetres?"
+            f"range differences in metres, found a median of {median:.4g} between anchors {most:.4g} m apart: probably "
+            "nanoseconds or millimetres"
         )
     return None

@@ -73,7 +73,7 @@ def test_a_family_of_commands_lists_its_members():
         (("tune", "x", "--out", "o", "--steps", "0"), "--steps 0: expected at least 1"),
         (("tune", "x", "--out", "o", "--piece-rows", "3"), "--piece-rows 3: expected at least 10"),
         (("tune", "x", "--out", "o", "--starts", "0"), "--starts 0: expected at least 1"),
-        (("tune", "x", "--out", "o", "--optimiser", "adamm"), "expected auto or lbfgs or adam (did you mean adam?)"),
+        (("tune", "x", "--out", "o", "--optimiser", "adamm"), "expected one of auto, lbfgs, adam (did you mean adam?)"),
         (("track", "x", "--out", "o", "--lag", "0"), "--lag 0: expected seconds above zero"),
         (("track", "x", "--out", "o", "--seed", "-1"), "--seed -1: expected a whole number from 0 to 2^64 - 1"),
         (("track", "x", "--out", "o", "--set", "sigma"), "--set sigma: expected NAME=VALUE"),

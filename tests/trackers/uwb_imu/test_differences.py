@@ -208,7 +208,7 @@ def test_anchors_on_a_line_are_refused():
         (
             lambda table: table.with_columns(pl.col("range_difference_m") * 1000),
             RING,
-            "in metres, found a median of .* between anchors .* m apart; are they in nanoseconds or millimetres",
+            "in metres, found a median of .* between anchors .* m apart: probably nanoseconds or millimetres",
         ),
     ],
 )
