@@ -111,6 +111,9 @@ def test_the_report_says_how_large_the_errors_of_readings_are_and_how_long_they_
     _, folders = world(5, 4, seconds=120.0)
     report = report_on(calibrate(folders), folders)
     assert "Errors that last: " in report.note
+    of_angles = [row[2] for row in report.lasting if row[1] != "range" and row[2] != "–"]
+    assert of_angles
+    assert all("° [" in cell for cell in of_angles)
     rows = [row for row in report.lasting if row[1] == "range"]
     assert [row[0] for row in rows] == ["A", "B", "C", "D"]
     numbers = np.array([[float(cell.split()[0]) for cell in row[2:]] for row in rows])

@@ -27,13 +27,12 @@ def rooms(tmp_path_factory):
     return paths
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "left"),
     [
-        (("--no-figures",), {"report.html"}),
+        pytest.param(("--no-figures",), {"report.html"}, marks=pytest.mark.slow),
         (("--no-report",), {"tuning.png"}),
-        (("--no-report", "--format", "pdf"), {"tuning.pdf"}),
+        pytest.param(("--no-report", "--format", "pdf"), {"tuning.pdf"}, marks=pytest.mark.slow),
     ],
 )
 def test_tune_writes_the_figures_and_the_page_that_are_asked_for(rooms, tmp_path, options, left):

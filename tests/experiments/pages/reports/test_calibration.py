@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trackwright.experiments.pages.reports.calibration import Source
+from trackwright.experiments.pages.reports.calibration import Report, Source
 from trackwright.tuning.calibration_pairs import Pairs
 
 
@@ -15,3 +15,12 @@ def test_a_short_recording_counts_as_much_as_a_long_one_in_the_spread_of_errors(
     assert source.spread(errors) == 1.0
     assert source.spread(np.where(number == 0, errors, np.nan)) == 0.3
     assert np.isnan(source.spread(np.full(6, np.nan)))
+
+
+def test_the_note_explains_the_marks_of_the_tables_that_have_rows():
+    row = ["A", "0.100 ± 0.010", "(0.001 ± 0.010)", "600", "11 cm", "5 cm", "–"]
+    note = Report([], [row], [], [], [], [], [], "").note
+    assert note.startswith("± standard error. In brackets: ")
+    assert "As measured" in note
+    assert "Left out" not in note
+    assert "Errors that last" not in note
