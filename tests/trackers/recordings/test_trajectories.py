@@ -1,5 +1,7 @@
 """From folders to trajectories: rows, masks and truth of each, and their segments."""
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
@@ -8,7 +10,7 @@ from tests.faulty import write_good
 from trackwright.trackers.aoa.fusion import BEARINGS
 from trackwright.trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories, phase_trajectories
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
-from trackwright.trackers.recordings.trajectories import cut, segments
+from trackwright.trackers.recordings.trajectories import Trajectories, cut, segments
 
 
 @pytest.fixture
@@ -36,6 +38,13 @@ def test_each_bearing_is_a_row_with_the_position_of_its_station(good):
     place, known = first.recording.truth["position"]
     assert known.all()
     np.testing.assert_allclose(place[::2, 0], good.tables["truth"].filter(tag="T1")["x_m"])
+
+
+def test_known_heights_are_those_of_the_recording_of_each_trajectory(good):
+    rig = replace(good.rig, tags={**good.rig.tags, "T1": replace(good.rig.tags["T1"], height=2.5)})
+    parts = [bearing_trajectories(folder, free_height=False) for folder in (good, replace(good, rig=rig))]
+    np.testing.assert_array_equal(parts[1].heights, [2.5, 1.0])
+    np.testing.assert_array_equal(Trajectories.joined(parts).heights, [1.0, 1.0, 2.5, 1.0])
 
 
 def test_a_missing_angle_is_masked_and_reported_standard_deviations_become_variances(good):
