@@ -43,8 +43,8 @@ def test_each_bearing_is_a_row_with_the_position_of_its_station(good):
 def test_known_heights_are_those_of_the_recording_of_each_trajectory(good):
     rig = replace(good.rig, tags={**good.rig.tags, "T1": replace(good.rig.tags["T1"], height=2.5)})
     parts = [bearing_trajectories(folder, free_height=False) for folder in (good, replace(good, rig=rig))]
-    np.testing.assert_array_equal(parts[1].heights, [2.5, 1.0])
-    np.testing.assert_array_equal(Trajectories.joined(parts).heights, [1.0, 1.0, 2.5, 1.0])
+    np.testing.assert_array_equal(parts[1].heights, [2.5, np.nan])
+    np.testing.assert_array_equal(Trajectories.joined(parts).heights, [1.0, np.nan, 2.5, np.nan])
 
 
 def test_a_missing_angle_is_masked_and_reported_standard_deviations_become_variances(good):
