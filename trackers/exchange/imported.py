@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.user_file import from_file
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
@@ -88,6 +88,8 @@ def import_frames(
     of the rig. `origin`: the time, s, that becomes `t_s` = 0 in all tables, a date, or `start`, the earliest
     measurement. Raises UnusableInput.
     """
+    fits = columns is None or isinstance(columns, Mapping)
+    require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
     tables, notices = {}, []
     for table, frame in frames.items():
         try:

@@ -209,3 +209,5 @@ def test_frames_are_refused_in_words_of_python(columns, tag, words):
     with pytest.raises(UnusableInput, match=words) as refused:
         import_frames({"ranges": frame}, RIG, {"ranges": columns}, tag=tag)
     assert "--" not in str(refused.value)
+    with pytest.raises(UnusableInput, match="columns: found list; expected expressions by table"):
+        import_frames({"ranges": frame}, RIG, columns, tag=tag)
