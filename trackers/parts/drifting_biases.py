@@ -35,8 +35,8 @@ class DriftingBiases(AbstractMotion):
     """First-order Gauss–Markov velocities, planar or in three dimensions, and first-order Gauss–Markov biases.
 
     `sigma_a`, `sigma_z`: white acceleration, horizontal and vertical, m/s² per √Hz; `memory`: time constant of the
-    velocities, s. `sigma_bias`: standard deviation of the biases: one number for all, or k that they take in turn, as of
-    azimuth and elevation. A shared bias is constant, the others decay at the rate 1/`time_constant` +
+    velocities, s. `sigma_bias`: standard deviation of the biases: one number for all, or k that they take in turn, as
+    of azimuth and elevation. A shared bias is constant, the others decay at the rate 1/`time_constant` +
     speed/`length`, s and m: multipath and obstruction depend on the place. `biases`: their number. Exact at constant
     speed (Gelb 1974, section 3.8): there two steps equal one long step.
     """
