@@ -56,6 +56,12 @@ def test_new_readings_are_all_used():
     assert counted_once(folder, NAMES) == (folder, [])
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_values_that_are_held_on_the_way_to_an_anchor_or_away_from_it_are_told(sign):
+    way = np.cumsum(np.random.default_rng(3).integers(3, 9, 200))
+    assert source_repeats(_readings(20.0 + sign * 0.01 * np.repeat(way, 2), 0.01))
+
+
 def test_estimates_are_those_without_the_rows_that_repeat():
     folder, _ = _ranges(0.5)
     named = tw.build("uwb", folder).with_error_levels(False)

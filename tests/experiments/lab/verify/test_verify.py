@@ -150,6 +150,14 @@ def marginal():
     return np.split(marginal_gradients(corridor_tracker(PARTICLES // 4), batch, CORRIDOR_TUNABLES).gradient[0], 3)
 
 
+def test_rows_of_padding_do_not_change_the_marginal_score():
+    short, long = (_recording(np.arange(rows), 0) for rows in (3, 5))
+    tracker = corridor_tracker(8)
+    alone, beside = (marginal_gradients(tracker, stack(r), CORRIDOR_TUNABLES) for r in ([short], [short, long]))
+    assert beside.gradient[0, 0] == pytest.approx(alone.gradient[0, 0], rel=1e-5)
+    assert beside.gradient[0, 1] != pytest.approx(alone.gradient[0, 0], rel=0.01)
+
+
 @pytest.mark.slow
 def test_the_marginal_score_scatters_less_than_half_as_much_as_the_same_particles_would(marginal, scores):
     # The bias of 100 particles, some 0.1 of −8.1, is one standard error.
