@@ -63,7 +63,7 @@ class Given(NamedTuple):
 
     def errors(self, predicted: Float[np.ndarray, "H M R m"]) -> Float[np.ndarray, "H M R m"]:
         """Values less predicted ones, zero where none counts."""
-        values = np.where(self.counts, self.measured.values.reshape(self.counts.shape), 0.0)
+        values = self.measured.values.reshape(self.counts.shape)
         return np.where(self.counts, wrapped(values - predicted, self.measured.columns), 0.0)
 
 

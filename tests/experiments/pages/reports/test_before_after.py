@@ -156,6 +156,8 @@ def test_of_many_tags_the_worst_the_median_and_the_best_are_shown():
     assert [t.why for t in found.shown] == [
         f"{word} RMSE after the fit, of 7 tags" for word in ("largest", "median", "smallest")
     ]
+    _, few = _run([walk("hall", 4, sigmas=SIGMAS[:3])])
+    assert [(t.tag, t.why) for t in few.shown] == [("t0", ""), ("t1", ""), ("t2", "")]
 
 
 def test_of_many_recordings_those_that_moved_most_are_shown_in_their_order_and_held_out_ones_first():

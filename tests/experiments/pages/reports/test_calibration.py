@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from tests.experiments.pages.charts.small_runs import chart_data
+from trackwright.experiments.pages.charts.calibration import Panel, reading_chart
 from trackwright.experiments.pages.reports.calibration import Report, Source
 from trackwright.tuning.calibration_pairs import Pairs
 
@@ -15,6 +17,15 @@ def test_a_short_recording_counts_as_much_as_a_long_one_in_the_spread_of_errors(
     assert source.spread(errors) == 1.0
     assert source.spread(np.where(number == 0, errors, np.nan)) == 0.3
     assert np.isnan(source.spread(np.full(6, np.nan)))
+
+
+def test_every_reading_but_the_wildest_lies_inside_its_chart():
+    true, error = np.linspace(1.0, 9.0, 400), np.linspace(-0.3, 0.5, 400)
+    at, none = true[::100], np.zeros(4)
+    panel = Panel("A", "range", False, true, true + error, true + error / 5, np.zeros((400, 2)), at, at, none)
+    low, high = chart_data(reading_chart(panel).address)["layout"]["yaxis"]["range"]
+    assert -0.5 < low < -0.3
+    assert 0.5 < high < 0.7
 
 
 def test_the_note_explains_the_marks_of_the_tables_that_have_rows():

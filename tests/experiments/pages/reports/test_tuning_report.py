@@ -163,6 +163,16 @@ def test_the_cautions_of_a_fit_are_warnings():
     assert advice.warnings[:2] == ("The fit did not move.", "sensors.fixes.sigma_p collapsed.")
 
 
+@pytest.mark.parametrize(
+    ("scale", "why"), [(1.0, "contradict no noise assumption"), (4.0, "contradict the assumption that the noise is as")]
+)
+def test_a_worse_error_names_what_the_innovations_contradict(scale, why):
+    both = innovations(4.0), innovations(scale)
+    data = report_data(metrics=_with_metric("rmse", held_out=(0.3, 0.4)), innovations=both)
+    (warning,) = (text for text in advice_on(data).warnings if text.startswith("Held-out RMSE"))
+    assert f"The innovations {why}" in warning
+
+
 def test_a_held_out_error_within_two_per_cent_warns_nobody():
     scores = _with_metric("rmse", held_out=(0.3, 0.305))
     assert not any("RMSE" in w for w in advice_on(report_data(metrics=scores)).warnings)
