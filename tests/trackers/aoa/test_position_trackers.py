@@ -82,6 +82,14 @@ def test_positions_are_found_to_centimetres_whatever_is_missing(runs, tracker, w
     assert set(np.unique(estimates.status)) <= {Status.OK, Status.WAITING} | started_again
 
 
+def test_the_cascade_takes_no_direction_of_a_station_without_phases(runs):
+    estimates, _ = runs["cascade", "a station falls silent"]
+    times = np.arange(ROWS) / 10.0
+    silent = (times > 1.05) & (times < 2.95)
+    assert (estimates.nis_dof[:, silent] == 4.0).all()
+    assert (estimates.nis_dof[:, -5:] == 6.0).all()
+
+
 @pytest.mark.slow
 def test_direct_is_better_than_the_cascade(runs):
     assert _rmse(runs["direct", "whole"][1]) < _rmse(runs["cascade", "whole"][1])

@@ -6,6 +6,7 @@ import pytest
 import scipy.stats
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from tests.experiments.pages.charts.small_runs import chart_data
@@ -439,6 +440,21 @@ def test_the_axes_of_a_sweep_over_two_numbers_end_where_the_grid_does(tmp_path, 
     axes = figures[0].axes[0]
     assert axes.get_xlim() == pytest.approx((0.01, 1.0))
     assert axes.get_ylim() == pytest.approx((2.0, 8.0))
+
+
+def test_rows_without_a_value_have_no_degrees_of_freedom():
+    axes = Figure().subplots()
+    draw_consistency(axes, T, np.where(np.arange(60) % 2, np.nan, 2.0)[None], 2.0, "NEES")
+    assert axes.texts[-1].get_text().startswith("mean 1.00, ")
+
+
+@pytest.mark.parametrize("rate", [1.2, -1.2])
+def test_no_line_crosses_the_axes_where_an_angle_turns_on(rate):
+    axes = Figure().subplots()
+    draw_angle(axes, T, np.degrees(np.angle(np.exp(1j * rate * T))), np.ones(60), None)
+    shown = axes.lines[0].get_ydata()
+    assert np.isnan(shown).any()
+    assert np.nanmax(np.abs(np.diff(shown))) < 180
 
 
 def test_an_angle_over_time_takes_a_full_turn_and_missing_rows(tmp_path):
