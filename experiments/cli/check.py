@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackwright.experiments.cli.options import File, Folder, Recording, Tracker, run_tracker_files
+from trackwright.experiments.cli.options import File, Folder, ReadingOptions, Recording, Tracker, run_tracker_files
 from trackwright.trackers.core.errors import UnusableInput, printable
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
     return int(failed)
 
 
-def calibrate_recordings(*recordings: Recording, out: File, json: bool = False) -> int:
+def calibrate_recordings(*recordings: Recording, out: File, force: bool = False, json: bool = False) -> int:
     """Fit systematic errors of stations and anchors against truth.
 
     Writes a file for `--calibration` of other commands, and beside it a page with figures. Recordings to be tracked or
@@ -58,13 +58,15 @@ def calibrate_recordings(*recordings: Recording, out: File, json: bool = False) 
     Args:
         recordings: recording folders with truth, and bearings, ranges or tdoa; each has the same weight.
         out: the file to write, as calibration.toml; the page and its figures go beside it.
+        force: calibrate on recordings in spite of the errors that `trackwright check` finds.
         json: print the content of that file as JSON instead of tables.
     """
     if out.suffix != ".toml" or out.is_dir():
         raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give calibration.toml in a folder")
-    from trackwright.experiments.cli.console import json_alone, output_folder, read_with_notices
+    from trackwright.experiments.cli.console import checked, json_alone, output_folder, prepared
+    from trackwright.trackers.recordings.folder import read_recordings
 
-    folders = read_with_notices(recordings)
+    folders = prepared(checked(read_recordings(recordings), force, calibrated=True), ReadingOptions())
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.reports.calibration import (
         draw_report,

@@ -35,20 +35,15 @@ def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
 def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> tuple[list[RecordingFolder], list[str]]:
     """The recordings that can be tracked, and a line for each other one; with `force` those with errors, too.
 
-    `calibrated`: systematic errors against truth are no mistakes, since a calibration removes them.
-
-    Raises UnusableInput as `read_recordings`, and where no recording can be tracked.
+    `calibrated`: as of `quick_check`. Raises UnusableInput as `read_recordings`, and where no recording can be tracked.
     """
     refused: list[str] = []
-    usable = []
+    usable = list[RecordingFolder]()
     for recording in read_recordings(paths, refused):
         try:
-            for line in errors_of(recording, force, calibrated):
-                notice(f"notice: {line}")
+            usable += checked([recording], force, calibrated)
         except UnusableInput as problem:
             refused.append(str(problem))
-            continue
-        usable.append(recording)
     if not usable:
         for line in refused[1:]:
             notice(f"not tracked: {line}")
@@ -60,13 +55,21 @@ def errors_of(recording: RecordingFolder, force: bool, calibrated: bool) -> list
     """A line for each mistake of `quick_check`; raises UnusableInput for errors without `force`."""
     from trackwright.trackers.recordings.checks.all_checks import quick_check
 
-    mistakes = quick_check(recording, not calibrated)
+    mistakes = quick_check(recording, calibrated)
     lines = [f"{recording.path}: {mistake.where}: {mistake.message}" for mistake in mistakes]
     errors = [line for line, mistake in zip(lines, mistakes, strict=True) if mistake.level == "error"]
     if errors and not force:
         more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
-        raise UnusableInput(f"{errors[0]}{more}; --force tracks it as it is")
+        raise UnusableInput(f"{errors[0]}{more}; --force takes it as it is")
     return lines
+
+
+def checked(recordings: list[RecordingFolder], force: bool, calibrated: bool) -> list[RecordingFolder]:
+    """The recordings; prints what `errors_of` returns of them, and raises as it."""
+    for recording in recordings:
+        for line in errors_of(recording, force, calibrated):
+            notice(f"notice: {line}")
+    return recordings
 
 
 def read_with_notices(paths: Sequence[Path], used: ReadingOptions | None = None) -> list[RecordingFolder]:
@@ -138,9 +141,9 @@ def output_folder(path: Path) -> Path:
 class FoldersInTurn(Sequence[RecordingFolder]):
     """Recordings that are read whenever they are asked for, and kept by nobody here; notices are printed once."""
 
-    def __init__(self, paths: Sequence[Path], used: ReadingOptions) -> None:
+    def __init__(self, paths: Sequence[Path], used: ReadingOptions, force: bool = False) -> None:
         refuse_repeated(paths)
-        self.paths, self.used, self.numbers = paths, used, dict[str, int]()
+        self.paths, self.used, self.force, self.numbers = paths, used, force, dict[str, int]()
         self.calibration = used.read_calibration()
 
     def __len__(self) -> int:
@@ -150,8 +153,10 @@ class FoldersInTurn(Sequence[RecordingFolder]):
         if isinstance(which, slice):
             return [self[k] for k in range(len(self))[which]]
         number = range(len(self))[which]
-        folder, lines = ready(read_recording(self.paths[number]), self.used, self.calibration)
-        for line in () if number in self.numbers.values() else lines:
+        known, read = number in self.numbers.values(), [read_recording(self.paths[number])]
+        (recording,) = read if known else checked(read, self.force, self.calibration is not None)
+        folder, lines = ready(recording, self.used, self.calibration)
+        for line in () if known else lines:
             notice(f"notice: {line}")
         self.numbers[folder.name] = number
         return folder

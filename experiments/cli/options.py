@@ -278,9 +278,9 @@ class TuneOptions(TrackerOptions):
         cluster: hold the rows on the workers of a Dask cluster, tcp://HOST:8786, or of processes here, local:4, which
             all see the folder --out; for recordings that no memory holds, with the same tuned.toml.
         piece_rows: rows of the segments into which long recordings are cut.
-        force: write tuned.toml even where a level collapsed, the fit ended before its optimum, or a recording gets
-            worse: RMSE more than 5 % larger, covariances that held and do not, or a share inside the 95 % ellipse
-            farther from 95 % by more than 5 %.
+        force: fit to recordings in spite of the errors that `trackwright check` finds, and write tuned.toml even where
+            a level collapsed, the fit ended before its optimum, or a recording gets worse: RMSE more than 5 % larger,
+            covariances that held and do not, or a share inside the 95 % ellipse farther from 95 % by more than 5 %.
         no_figures: draw no figure.
         no_report: write no report.html.
         format: of the figure, tuning.png or tuning.pdf.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -36,7 +37,7 @@ def survey(
         sigma: their standard deviation, m, as 0.05 by tape; default: exact.
         frame: without given anchors: origin, x axis, and one to the left of it; default: the first.
         height: of the tags, m; default: that of the tags in rig.toml, else estimated.
-        force: replace a file that exists.
+        force: replace a file that exists, and take ranges in spite of the errors that `trackwright check` finds.
         json: print positions, delays, intervals and verdicts as JSON instead of a table.
     """
     if out.suffix != ".toml" or out.is_dir():
@@ -52,12 +53,15 @@ def survey(
     axes = tuple(frame.split(",")) if frame else ()
     if frame and (len({*axes}) != 3 or given is not None):
         raise UnusableInput(f"--frame {frame}: expected three anchors, as A1,A2,A3, and no --given; leave one out")
-    from trackwright.experiments.cli.console import json_alone, output_folder
+    from trackwright.experiments.cli.console import checked, json_alone, output_folder
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated
 
     refuse_repeated(recordings)
     folders = [read_recording(path, placed=False) for path in recordings]
+    # Positions in rig.toml may be wrong, and no other table is used.
+    ranges = [replace(x, tables={"ranges": x.tables["ranges"]}) for x in folders if "ranges" in x.tables]
+    checked([replace(x, rig=replace(x.rig, anchors={})) for x in ranges], force, calibrated=True)
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.reports.survey import survey_data, survey_text, write_survey_report
     from trackwright.trackers.recordings.atomic import atomic_write

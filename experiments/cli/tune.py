@@ -18,15 +18,20 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
         recordings: recording folders to fit to, all at once.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
-    from trackwright.experiments.cli.console import FoldersInTurn, json_alone, read_with_notices
+    from trackwright.experiments.cli.console import FoldersInTurn, checked, json_alone, prepared
     from trackwright.experiments.cli.runtime import keep_programs
     from trackwright.experiments.text.terminal import stages
+    from trackwright.trackers.recordings.folder import read_recordings
 
     options.read()
     with json_alone(options.json) as put, stages("tune") as begin:
         begin("reading")
-        paths, used = (*recordings, *options.held_out), options.used
-        folders = read_with_notices(paths, used) if options.cluster is None else FoldersInTurn(paths, used)
+        paths, used, force = (*recordings, *options.held_out), options.used, options.force
+        folders = (
+            prepared(checked(read_recordings(paths), force, used.calibration is not None), used)
+            if options.cluster is None
+            else FoldersInTurn(paths, used, force)
+        )
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which a refused recording need not wait for.

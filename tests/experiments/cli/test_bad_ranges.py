@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from tests.faulty import then, with_table
-from tests.in_process import PLAIN, assert_refused, trackwright
+from tests.in_process import PLAIN, assert_refused, assert_refused_last, trackwright
 from trackwright.experiments.cli.console import errors_of
 from trackwright.trackers.recordings.folder import read_recording
 
@@ -89,6 +89,28 @@ def test_errors_of_the_check_stop_the_command_before_anything_is_written(tmp_pat
     assert said.code == 0
     assert "notice" in said.err
     assert "feet" in said.err
+
+
+def test_errors_of_the_check_stop_whatever_is_fitted_to_a_recording(tmp_path):
+    metres = pl.col("range_m")
+    for name, changed in (("feet", metres / 0.3048), ("millimetres", 1000.0 * metres), ("late", metres + 3.0)):
+        _ranges(lambda t, changed=changed: t.with_columns(range_m=changed))(tmp_path / name)
+    few = ("--tracker", "uwb", "--tune", "sensors.ranges.sigma_r", "--steps", 1, "--starts", 1, *PLAIN)
+    out = tmp_path / "out"
+    for words in (
+        ("tune", tmp_path / "feet", *few, "--out", out),
+        ("tune", tmp_path / "feet", *few, "--cluster", "local:1", "--out", out),
+        ("tune", tmp_path / "late", *few, "--out", out),
+        ("calibrate", tmp_path / "feet", "--out", out / "c.toml"),
+        ("survey", tmp_path / "millimetres", "--out", out / "rig.toml"),
+    ):
+        assert_refused_last(trackwright(*words), f"{words[1]}: ranges: ", "; --force takes it as it is")
+    assert not [*out.glob("*")]
+    # An antenna delay is what a calibration removes.
+    said = trackwright("calibrate", tmp_path / "late", "--out", out / "c.toml")
+    assert said.code == 0, said.err
+    forced = trackwright("calibrate", tmp_path / "feet", "--force", "--out", out / "feet.toml")
+    assert (forced.code, "ranges are feet" in forced.err) == (0, True), forced.err
 
 
 def test_warnings_of_an_imu_are_printed_and_stop_nothing(tmp_path):

@@ -62,10 +62,11 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     return sorted(results, key=lambda result: LEVELS.index(result.level))
 
 
-def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[CheckResult]:
+def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[CheckResult]:
     """The errors alone that `check` finds, and its warnings of units and of an IMU, in a fraction of its time.
 
-    `against_truth`: also those of measurements compared with truth.
+    `calibrated`: what a calibration of anchors and stations removes is no mistake, nor are readings of one moment that
+    contradict each other, as uncalibrated ones do.
     """
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in KINDS if name in tables}
@@ -78,16 +79,20 @@ def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[
     if "imu" in tables:
         from trackwright.trackers.recordings.checks.imu import check_imu
 
-        results += check_imu(tables, against_truth)
-    for name in measured if against_truth else ():
-        results += _mistakes(recording, name, compared(recording, name))
+        results += check_imu(tables)
+    for name in measured:
+        results += _mistakes(recording, name, compared(recording, name), calibrated)
     return results
 
 
-def _mistakes(recording: RecordingFolder, name: str, view: Compared | None) -> Iterable[CheckResult]:
+def _mistakes(
+    recording: RecordingFolder, name: str, view: Compared | None, calibrated: bool = False
+) -> Iterable[CheckResult]:
     """The most likely mistake in a table: against the truth, or where there is none, of readings among themselves."""
     if view is not None:
-        return check_against_truth(view)
+        return check_against_truth(view, calibrated)
+    if calibrated:
+        return []
     from trackwright.trackers.recordings.checks.closing import check_closing
 
     return check_closing(recording, name)

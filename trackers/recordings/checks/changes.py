@@ -45,8 +45,9 @@ class Change:
     `fields`: those of `Compared`, or of its sensors, that the change replaces. `parameters`: how many numbers were
     fitted for it. `by_group`: each group has numbers of its own, or the change may concern some groups alone. `groups`
     (G,): those that it may concern, all of them or none if `together`, and few of them if it changes a `place`: of many
-    it is the frame. `harmless`: a property of the sensor and no mistake. `parts`: what to name of each group, if
-    anything. `handicap`: the factor of the errors with it by which simpler changes are preferred.
+    it is the frame. `harmless`: a property of the sensor and no mistake. `systematic`: one that a calibration removes.
+    `parts`: what to name of each group, if anything. `handicap`: the factor of the errors with it by which simpler
+    changes are preferred.
     """
 
     words: str
@@ -58,6 +59,7 @@ class Change:
     together: bool = False
     place: bool = False
     harmless: bool = False
+    systematic: bool = False
     parts: tuple[str, ...] = ()
     handicap: float = 1.0
 

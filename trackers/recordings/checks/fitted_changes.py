@@ -85,7 +85,7 @@ def _offset(view: Compared) -> Change:
         f"a constant subtracted from the {view.kind.name}",
         f"an offset of the {view.kind.name}, as of an antenna delay that is not calibrated{place}; calibrate the "
         "anchors",
-        {"values": view.values - subtracted}, 1, True, np.abs(offset[:, 0]) >= LEAST_OFFSET_M,
+        {"values": view.values - subtracted}, 1, True, np.abs(offset[:, 0]) >= LEAST_OFFSET_M, systematic=True,
         parts=tuple(f"{x:+.2f} m" for x in offset[:, 0]),
     )  # fmt: skip
 
@@ -96,7 +96,7 @@ def _scale(view: Compared) -> Change:
         f"the {view.kind.name} divided by a constant",
         f"a scale error of the {view.kind.name}; check their unit and the clock of the device",
         {"values": view.values / np.where(ratio == 0, 1.0, ratio)[view.group]}, 1, True,
-        np.abs(np.log(np.maximum(np.abs(ratio[:, 0]), 1e-6))) > LEAST_SCALE,
+        np.abs(np.log(np.maximum(np.abs(ratio[:, 0]), 1e-6))) > LEAST_SCALE, systematic=True,
         parts=tuple(f"{x:.3f}" for x in ratio[:, 0]),
     )  # fmt: skip
 
@@ -108,7 +108,7 @@ def _azimuths_turned(view: Compared) -> Iterator[Change]:
         yield Change(
             f"the azimuth {name}", "another orientation than rig.toml's, or another zero of the azimuth; correct "
             "rotation_wxyz", {"values": np.stack([sign * azimuth - turn[view.group], elevation], axis=1)}, 1, True,
-            np.abs(turn) >= LEAST_TURN, parts=tuple(f"by {x:.0f}°" for x in np.degrees(turn)),
+            np.abs(turn) >= LEAST_TURN, systematic=sign > 0, parts=tuple(f"by {x:.0f}°" for x in np.degrees(turn)),
         )  # fmt: skip
 
 

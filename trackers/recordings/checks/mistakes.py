@@ -34,15 +34,18 @@ FEW = 0.25
 """Share of anchors or stations whose places may be wrong."""
 
 
-def check_against_truth(view: Compared) -> list[CheckResult]:
-    """The most likely mistake where the readings contradict the truth: an error; else nothing."""
+def check_against_truth(view: Compared, calibrated: bool = False) -> list[CheckResult]:
+    """The most likely mistake where the readings contradict the truth: an error; else nothing.
+
+    `calibrated`: what a calibration of anchors and stations removes is none.
+    """
     before = view.sizes()
     large = np.any(before > view.kind.sizes("large", before.shape[1]), axis=1)
-    explained = _likely_mistake(view, before, large) if large.any() else _upside_down(view)
+    explained = _likely_mistake(view, before, large, calibrated) if large.any() else _upside_down(view)
     return [] if explained is None else [CheckResult("error", view.kind.name, explained)]
 
 
-def _likely_mistake(view: Compared, before: np.ndarray, large: np.ndarray) -> str | None:
+def _likely_mistake(view: Compared, before: np.ndarray, large: np.ndarray, calibrated: bool) -> str | None:
     """The errors and the most likely cause in a line; None where nothing explains them.
 
     `before` (G, m): their sizes; `large` (G,): the groups that need an explanation.
@@ -56,7 +59,7 @@ def _likely_mistake(view: Compared, before: np.ndarray, large: np.ndarray) -> st
         judged = _judged(view, change, sizes, before, large)
         if judged is not None and (best is None or judged[0] < best[0]):
             best = *judged, change, sizes
-    if best is None or best[2].harmless:
+    if best is None or best[2].harmless or (calibrated and best[2].systematic):
         return None
     return _sentence(view, *best[1:])
 
