@@ -12,6 +12,7 @@ from trackwright.trackers.recordings.checks import LEVELS, CheckResult
 from trackwright.trackers.recordings.checks.anomalies import anomalies
 from trackwright.trackers.recordings.checks.compared import Compared, compared
 from trackwright.trackers.recordings.checks.coverage import (
+    check_clocks,
     check_ids,
     check_overlap,
     check_rates,
@@ -36,6 +37,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     if not measured:
         results.append(CheckResult("error", "tables", "no measurements, only truth; expected a table to track"))
     results += check_time_base(measured or tables)
+    results += check_clocks(measured)
     results += check_rates(tables)
     results += check_ids(rig, measured)
     results += check_units(rig, tables)
@@ -71,6 +73,7 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in KINDS if name in tables}
     results = [result for result in check_time_base(measured or tables) if result.level == "error"]
+    results += check_clocks(measured)
     results += [result for result in check_units(rig, tables) if result.level != "info"]
     results += check_heights(rig, tables)
     results += check_overlap(tables["truth"], measured) if measured and "truth" in tables else ()

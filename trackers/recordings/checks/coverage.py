@@ -24,6 +24,9 @@ STREAMS_SHOWN = 24
 START_S = 60.0
 """Expected limit of the first time, s."""
 
+FAR, FAR_S = 10.0, 600.0
+"""Time between two tables of a tag, in their lengths and in s, from which they have two clocks."""
+
 _OUTSIDE = "no measurement lies inside the time span of the truth"
 _EPOCHS = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"), (1e8, "seconds"))
 
@@ -82,13 +85,32 @@ def check_overlap(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> 
     (first, last), (start, end) = _span({"truth": truth}), _span(measured)
     if first <= end and last >= start:
         return
-    half_hours, cause = (first - start) / 1800, ""
-    if abs(first - start) > 1e8:
+    message = f"{_OUTSIDE}, {span(first, last)}; the measurements begin at {moment(start)}"
+    yield CheckResult("error", "truth", f"{message}{_two_clocks(first - start)}")
+
+
+def check_clocks(measured: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
+    """An error for each table that is far in time from the first one of a tag."""
+    firsts = dict[str, tuple[str, float, float]]()
+    ends = pl.col("t_s").min().alias("start"), pl.col("t_s").max().alias("end")
+    for name, table in measured.items():
+        for tag, start, end in table.group_by("tag", maintain_order=True).agg(*ends).iter_rows():
+            one, first, last = firsts.setdefault(tag, (name, start, end))
+            # One sensor may be switched on after another was switched off.
+            if max(start - last, first - end) > max(FAR * (last - first + end - start), FAR_S):
+                message = f"tag {tag}: {span(start, end)}, and {one} {span(first, last)}{_two_clocks(start - first)}"
+                yield CheckResult("error", name, message)
+                break
+
+
+def _two_clocks(apart: float) -> str:
+    """The likely cause of tables that begin so many seconds apart, and what is expected."""
+    half_hours, cause = apart / 1800, ""
+    if abs(apart) > 1e8:
         cause = "; one of them counts from 1970, the other from its own zero"
     elif abs(half_hours) > 0.8 and abs(half_hours - round(half_hours)) < 0.05:
         cause = f"; {half_hours / 2:.3g} hours apart, as two time zones"
-    message = f"{_OUTSIDE}, {span(first, last)}; the measurements begin at {moment(start)}{cause}"
-    yield CheckResult("error", "truth", f"{message}; expected one clock for all tables")
+    return f"{cause}; expected one clock for all tables"
 
 
 def _span(tables: Mapping[str, pl.DataFrame]) -> tuple[float, float]:

@@ -147,6 +147,21 @@ def test_a_strange_time_base_is_found(good: RecordingFolder, scale, shift, level
     assert _has(check(replace(good, tables=tables)), level, "t_s", word)
 
 
+def test_tables_of_a_tag_on_two_clocks_are_an_error(good: RecordingFolder):
+    later = with_columns("bearings", t_s=pl.col("t_s") + 1.7e9)(good)
+    for found in (check(later), quick_check(later)):
+        (error,) = _messages(found, "error")
+        assert error.startswith("bearings: tag T1: 2023-11-14 22:13:20 UTC to ")
+        assert error.endswith(
+            ", and ranges 0 to 4.9 s; one of them counts from 1970, the other from its own zero; "
+            "expected one clock for all tables"
+        )
+    (zone, *_) = _messages(quick_check(with_columns("imu", t_s=pl.col("t_s") + 7200.0)(good)), "error")
+    assert "2 hours apart, as two time zones" in zone
+    after = with_columns("bearings", t_s=pl.col("t_s") + 60.0)(good)
+    assert _messages(quick_check(after), "error") == []
+
+
 def test_a_still_truth_has_no_holes(good: RecordingFolder):
     still = with_columns("truth", x_m=pl.lit(1.0), y_m=pl.lit(1.0), z_m=pl.lit(1.0))(good)
     ends = check(with_rows("truth", pl.col("t_s").is_in([0.0, 4.9]))(still))
