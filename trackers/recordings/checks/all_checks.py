@@ -19,7 +19,12 @@ from trackwright.trackers.recordings.checks.coverage import (
     check_time_base,
     check_truth,
 )
-from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry, check_heights
+from trackwright.trackers.recordings.checks.geometry import (
+    check_fix_heights,
+    check_geometry,
+    check_heights,
+    check_offsets,
+)
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
 from trackwright.trackers.recordings.checks.readings import check_readings
 from trackwright.trackers.recordings.checks.residuals import check_marks, check_quality, check_residuals
@@ -61,6 +66,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         results += [] if view is None else [*check_residuals(view), *check_quality(recording, name)]
         results += check_marks(recording, name)
         results += _mistakes(recording, name, view) if sound else ()
+    results += _of_bodies(recording, results)
     return sorted(results, key=lambda result: LEVELS.index(result.level))
 
 
@@ -85,7 +91,13 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
         results += check_imu(tables)
     for name in measured:
         results += _mistakes(recording, name, compared(recording, name), calibrated)
-    return results
+    return [*results, *_of_bodies(recording, results)]
+
+
+def _of_bodies(recording: RecordingFolder, results: Iterable[CheckResult]) -> Iterable[CheckResult]:
+    """Wrong places of tags on bodies, unless a truth in another unit may have caused them."""
+    sound = all(result.level != "error" for result in results)
+    return check_offsets(recording.rig, recording.paths) if sound else ()
 
 
 def _mistakes(

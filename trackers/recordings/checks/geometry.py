@@ -14,13 +14,16 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import polars as pl
+from jaxtyping import Float
 
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.checks import CheckResult, Level
+from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
+from trackwright.trackers.recordings.truth import TruePaths
 
 THIN = 0.1  # share of the largest extent below which anchors count as coplanar or collinear
 WEAK_RANGES = 5.0  # m per m above which a coordinate counts as weakly determined
@@ -32,6 +35,12 @@ _STEP_M = 1e-4
 
 OFF_M = 0.5
 """Difference of heights, m, from which it counts as a mistake."""
+
+OFFSET_M = 0.1
+"""Difference, m and as a share, of distances between tags of a body from which their offsets are wrong."""
+
+FARTHEST_OFFSET_M = 20.0
+"""Length of an offset, m, beyond which it is in another unit."""
 
 SHORT = 0.5
 """Share of a tag's ranges shorter than its height above or below the anchors from which the height counts as wrong."""
@@ -198,6 +207,51 @@ def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[Chec
     contrary |= _true_heights(tables["truth"], heights) if "truth" in tables else {}
     for tag, why in contrary.items():
         yield CheckResult("error", "rig.toml", f"height_m of tag {tag} is {heights[tag]:g}, but {why}")
+
+
+def check_offsets(rig: Rig, paths: TruePaths) -> Iterator[CheckResult]:
+    """An error for an `offset_m` too long for a body, and for each body on which the truth has the tags elsewhere."""
+    offsets = {tag: np.asarray(known.offset, float) for tag, known in rig.tags.items() if known.offset is not None}
+    lengths = {tag: float(np.linalg.norm(offset)) for tag, offset in offsets.items()}
+    for tag, length in lengths.items():
+        if length > FARTHEST_OFFSET_M:
+            unit = "looks like millimetres or centimetres, expected metres"
+            yield CheckResult("error", "rig.toml", f"offset_m of tag {tag} is {length:.4g} m long: {unit}")
+            return
+    for body in dict.fromkeys(map(rig.on_body_of, offsets)):
+        tags = [tag for tag in body if tag in paths.number]
+        wrong = _wrong_offsets(tags, np.array([offsets[tag] for tag in tags]), paths)
+        yield from (CheckResult("error", "rig.toml", f"offset_m of tags {message}") for message in wrong)
+
+
+def _wrong_offsets(tags: Sequence[str], offsets: Float[np.ndarray, "k 3"], paths: TruePaths) -> list[str]:
+    """What contradicts the true paths of tags in their places on a body, m, in words; the first of each kind."""
+    if len(tags) < 2:
+        return []
+    times = paths.of_tag(tags[0])[0]
+    times = times[:: -(-len(times) // POINTS)]
+    true = np.stack([paths.at([tag], np.array([0, len(times)]), times)[0] for tag in tags])
+    for i, j in combinations(range(len(tags)), 2):
+        given = float(np.linalg.norm(offsets[i] - offsets[j]))
+        apart = float(known_median(np.linalg.norm(true[i] - true[j], axis=1)[:, None])[0])
+        if abs(apart - given) > max(OFFSET_M, OFFSET_M * given, OFFSET_M * apart):
+            both = f"{tags[i]} and {tags[j]} are {given:.2f} m apart, their true positions typically {apart:.2f} m"
+            return [f"{both}; correct them, or list the tags of each body under [bodies]"]
+    for three in map(list, combinations(range(len(tags)), 3)):
+        given, side = (float(known_median(_areas(p[three])[:, None])[0]) for p in (offsets[:, None], true))
+        # A body that tilts, or whose tags are nearly on a line, tells nothing.
+        if given * side < 0 and min(abs(given), abs(side)) > max(abs(given), abs(side)) / 2:
+            names = listed(tags[k] for k in three)
+            return [
+                f"{names} are mirrored against their true positions; y is to the left: flip its sign, or correct ids"
+            ]
+    return []
+
+
+def _areas(p: Float[np.ndarray, "3 n 3"]) -> Float[np.ndarray, " n"]:
+    """Twice the areas of triangles on the floor, m², negative where the corners go round to the right."""
+    (a, b), (c, d) = (p[1:, :, :2] - p[0, :, :2]).swapaxes(1, 2)
+    return np.asarray(a * d - b * c)
 
 
 def check_fix_heights(rig: Rig, fixes: TagRows) -> Iterator[CheckResult]:

@@ -219,6 +219,28 @@ def test_every_real_recording_reads_and_no_mistake_is_named_in_it(nth):
 
 
 @pytest.mark.parametrize(
+    ("change", "truth", "words"),
+    [
+        (lambda p: p, True, None),
+        (lambda p: 1000.0 * p, False, "offset_m of tag 0-2 is 559 m long: looks like millimetres"),
+        (lambda p: 3.0 * p, True, "offset_m of tags 0 and 0-2 are 1.68 m apart, their true positions typically 0.56 m"),
+        (lambda p: 0.0 * p, True, "offset_m of tags 0 and 0-2 are 0.00 m apart, their true positions typically 0.56 m"),
+        (lambda p: -p if p[1] < 0 else p, True, "offset_m of tags 0-2 and 0-3 are 1.00 m apart"),
+        (lambda p: p * [1, -1, 1], True, "offset_m of tags 0, 0-2, 0-3 are mirrored against their true positions"),
+        (lambda p: 3.0 * p, False, None),
+    ],
+)
+def test_wrong_places_of_tags_on_a_body_are_named(change, truth, words):
+    folder = worlds.body(n=1, rows=50).folder()
+    tags = {name: replace(tag, offset=change(np.asarray(tag.offset))) for name, tag in folder.rig.tags.items()}
+    folder = replace(folder if truth else only("ranges")(folder), rig=replace(folder.rig, tags=tags))
+    for found in (check(folder), quick_check(folder)):
+        errors = _messages(found, "error")
+        assert len(errors) == (words is not None), errors
+        assert all(words in line for line in errors), errors
+
+
+@pytest.mark.parametrize(
     ("column", "factor", "words"), [("speed_mps", 1e3, "millimetres"), ("yaw_rate_radps", 57.3, "degrees")]
 )
 def test_odometry_in_other_units_is_named(column, factor, words):
