@@ -38,6 +38,9 @@ With many readings a second, of several sensors in turn, neighbouring rows are h
 On the recordings used for development, covariances are too small on all above this value.
 """
 
+LOST = 0.1
+"""The share of rows in which tracks are lost, or start again, from which on covariances are not judged."""
+
 LASTING = 1.4
 """The ratio of `residual_ratio_5s` from which on residuals of some stations or anchors last.
 
@@ -49,9 +52,12 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     """Sentences on the metrics of all rows, and on the recordings whose covariances do not hold; losses come first.
 
     Covariances hold with a share of `COVERAGE` in the 95 % ellipse and NEES per degree of freedom within `RATIO`. The
-    factor by which they are too small is the metric `sigma_factor`. Nothing without a covariance.
+    factor by which they are too small is the metric `sigma_factor`. Nothing without a covariance, nor where tracks are
+    lost in more than `LOST` of the rows.
     """
     losses = _losses(overall)
+    if losses and max(overall["losses"] / overall["n_rows"], overall["lost_fraction"]) > LOST:
+        return losses
     if overall["coverage_95"] is None:
         return losses + _innovations(overall, recordings)
     bad = [f"{r['recording']} ({_percent(r['coverage_95'])})" for r in recordings if not holds(r)]
@@ -148,7 +154,8 @@ def _losses(overall: Mapping[str, Any]) -> list[str]:
         return []
     times = "once" if losses == 1 else f"{losses} times"
     stayed = f", for {overall['lost_s']:.3g} s in all" if overall["lost_s"] > 0 else ""
-    return [f"Tracks were lost {times}{stayed}: a model that fits loses a track in gaps of the readings alone."]
+    suitable = "With a suitable model a track is lost only where readings are missing."
+    return [f"Tracks were lost {times}{stayed}. {suitable}"]
 
 
 def _lasting(recordings: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -140,6 +140,11 @@ def test_losses_come_before_what_the_innovations_show():
     # Nine losses with a start after them, and the last at the end of the rows.
     assert (evaluation.overall["losses"], evaluation.overall["lost_s"]) == (10, pytest.approx(9 * 0.05))
     first, second = evaluation.statements
-    assert first.startswith("Tracks were lost 10 times, for 0.45 s in all: ")
+    assert first.startswith("Tracks were lost 10 times, for 0.45 s in all. ")
     assert second.startswith("The innovations are as the tracker's model expects")
     assert evaluate_table(tracks, {"hall": truth}).statements[0] == first
+    # What is left of a track that starts again in every fifth row has no covariances to judge.
+    again = tracks.with_columns(status=pl.when(pl.int_range(N) % 5 == 0).then(pl.lit("restarted")).otherwise("status"))
+    (alone,) = evaluate_table(again, {"hall": truth}).statements
+    assert alone.startswith("Tracks were lost 8")
+    assert alone.endswith(" With a suitable model a track is lost only where readings are missing.")
