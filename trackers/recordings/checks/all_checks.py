@@ -66,7 +66,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         results += [] if view is None else [*check_residuals(view), *check_quality(recording, name)]
         results += check_marks(recording, name)
         results += _mistakes(recording, name, view) if sound else ()
-    results += _of_bodies(recording, results)
+    results += _of_motion(recording, results)
     return sorted(results, key=lambda result: LEVELS.index(result.level))
 
 
@@ -91,13 +91,19 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
         results += check_imu(tables)
     for name in measured:
         results += _mistakes(recording, name, compared(recording, name), calibrated)
-    return [*results, *_of_bodies(recording, results)]
+    return [*results, *_of_motion(recording, results)]
 
 
-def _of_bodies(recording: RecordingFolder, results: Iterable[CheckResult]) -> Iterable[CheckResult]:
-    """Wrong places of tags on bodies, unless a truth in another unit may have caused them."""
-    sound = all(result.level != "error" for result in results)
-    return check_offsets(recording.rig, recording.paths) if sound else ()
+def _of_motion(recording: RecordingFolder, results: Iterable[CheckResult]) -> list[CheckResult]:
+    """Mistakes in places of tags on bodies and in odometry, unless one of the truth may be the cause."""
+    if any(result.level == "error" for result in results):
+        return []
+    found = list(check_offsets(recording.rig, recording.paths))
+    if "odometry" in recording.tables and "truth" in recording.tables and not found:
+        from trackwright.trackers.recordings.checks.odometry import check_odometry
+
+        found += check_odometry(recording)
+    return found
 
 
 def _mistakes(

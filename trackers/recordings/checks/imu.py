@@ -145,7 +145,7 @@ def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult] |
     if len(times) < LEAST_WINDOWS or np.sqrt(np.mean(rates**2)) < LEAST_TURN:
         return None
     sizes = np.linalg.norm(rates, axis=1)
-    delay, fit = _delay(lambda t: np.linalg.norm(_measured_rates(rows, t), axis=1), times, sizes, BETTER_TURN)
+    delay, fit = best_delay(lambda t: np.linalg.norm(_measured_rates(rows, t), axis=1), times, sizes, BETTER_TURN)
     if fit < SAME_TURN:
         return None
     if abs(delay) >= LEAST_DELAY_S:
@@ -165,7 +165,7 @@ def _against_heights(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
     at, true = at[np.isfinite(true)], true[np.isfinite(true)]
     if len(at) < LEAST_WINDOWS or np.std(true) < LEAST_LIFT:
         return []
-    delay, fit = _delay(lambda t: bent(rows.times, rows.lifted, t, REACH_S)[:, 0], at, true, BETTER_LIFT)
+    delay, fit = best_delay(lambda t: bent(rows.times, rows.lifted, t, REACH_S)[:, 0], at, true, BETTER_LIFT)
     # Smoothed heights are a tenth of a second off.
     return [_late(delay, "heights")] if fit >= SAME_LIFT and abs(delay) >= 2 * LEAST_DELAY_S else []
 
@@ -185,7 +185,7 @@ def _measured_rates(rows: ImuRows, times: np.ndarray) -> np.ndarray:
     return between(rows.times, rows.turned, times - 0.1, times + 0.1) / 0.2
 
 
-def _delay(
+def best_delay(
     measured: Callable[[np.ndarray], np.ndarray], times: np.ndarray, true: np.ndarray, gain: float
 ) -> tuple[float, float]:
     """Seconds by which an IMU comes late, and the correlation of what it measures; 0 unless that gains so much."""

@@ -250,3 +250,38 @@ def test_odometry_in_other_units_is_named(column, factor, words):
     (found,) = [result for result in results if result.level == "error"]
     assert found.where == "odometry"
     assert words in found.message
+
+
+V, W = pl.col("speed_mps"), pl.col("yaw_rate_radps")
+LATE = "s late against the truth's motion: their clocks differ"
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({}, []),
+        ({"speed_mps": 3.6 * V}, ["times that of the truth: looks like km/h, expected metres per second"]),
+        ({"speed_mps": -V}, ["speed_mps has the wrong sign, expected positive forward; flip it"]),
+        ({"yaw_rate_radps": -W}, ["yaw_rate_radps has the wrong sign, expected positive to the left; flip it"]),
+        ({"yaw_rate_radps": W.degrees() / 4}, ["expected radians per second"]),
+        ({"t_s": pl.col("t_s") + 1.5}, [LATE]),
+        (
+            {"t_s": pl.col("t_s") + 1.5, "speed_mps": -3.6 * V, "yaw_rate_radps": W.degrees() / 10},
+            [LATE, "expected positive forward; flip it; and is typically 3.", "yaw_rate_radps is typically 6."],
+        ),
+    ],
+)
+def test_odometry_that_contradicts_the_truth_is_named(columns, words):
+    folder = with_columns("odometry", **columns)(worlds.body(n=1, tags=1, odometry=True, rows=200).folder())
+    for found in (check(folder), quick_check(folder)):
+        errors = _messages(found, "error")
+        assert len(errors) == len(words), errors
+        assert all(word in line for word, line in zip(words, errors, strict=True)), errors
+
+
+def test_odometry_is_sound_where_tags_are_off_the_axle_and_forward_is_not_known():
+    folder = worlds.body(n=1, odometry=True, rows=200).folder()
+    of_one = with_rows("truth", pl.col("tag") == "0-2")(folder)
+    for made in (folder, of_one):
+        flat = replace(made, tables=made.tables | {"truth": made.tables["truth"].drop("qw", "qx", "qy", "qz")})
+        assert quick_check(made) + quick_check(flat) + quick_check(with_columns("odometry", speed_mps=-V)(flat)) == []
