@@ -18,6 +18,7 @@ from trackwright.trackers.recordings.checks.coverage import (
     check_rates,
     check_time_base,
     check_truth,
+    check_values,
 )
 from trackwright.trackers.recordings.checks.geometry import (
     check_fix_heights,
@@ -43,6 +44,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         results.append(CheckResult("error", "tables", "no measurements, only truth; expected a table to track"))
     results += check_time_base(measured or tables)
     results += check_clocks(measured)
+    results += check_values(tables)
     results += check_rates(tables)
     results += check_ids(rig, measured)
     results += check_units(rig, tables)
@@ -78,7 +80,8 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
     """
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in KINDS if name in tables}
-    results = [result for result in check_time_base(measured or tables) if result.level == "error"]
+    results = [*check_time_base(measured or tables), *check_values(tables)]
+    results = [result for result in results if result.level == "error"]
     results += check_clocks(measured)
     results += [result for result in check_units(rig, tables) if result.level != "info"]
     results += check_heights(rig, tables)

@@ -138,6 +138,13 @@ def check_time_base(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]
     yield CheckResult("info", "t_s", f"from {span(first, last)}")
 
 
+def check_values(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
+    """An error for each table without any value, a warning for such a truth."""
+    for name, table in tables.items():
+        if not any(table[column].count() for column in layout(name, table.columns).values):
+            yield CheckResult("warning" if name == "truth" else "error", name, "all values are missing")
+
+
 def check_rates(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """Rows, rate and gaps of each stream, or of each table if it has many streams; the share of empty cells."""
     zero = zero_of(first_time(tables))
@@ -145,7 +152,6 @@ def check_rates(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
         expected = layout(name, table.columns)
         ordered = streams(table.filter(pl.any_horizontal(pl.col(expected.values).is_not_null())), expected.ids)
         if ordered.height == 0:
-            yield CheckResult("warning" if name == "truth" else "error", name, "all values are missing")
             continue
         empty = {c: table[c].null_count() / table.height for c in expected.values if table[c].null_count()}
         if empty:

@@ -58,6 +58,8 @@ def _differences(kind: Kind, table: pl.DataFrame, rig: Rig) -> Iterator[Found]:
     apart = np.linalg.norm(places[number[:, 0]] - places[number[:, 1]], axis=1)
     sizes = np.abs(measured.values[:, 0])
     largest = np.nanmax(sizes, initial=0.0)
+    if np.isnan(sizes).all():
+        return
     if largest < LEAST_DIFFERENCE_M:
         yield "error", f"{column.name} is at most {largest:.2g}: looks like seconds, expected metres"
         return

@@ -162,6 +162,13 @@ def test_tables_of_a_tag_on_two_clocks_are_an_error(good: RecordingFolder):
     assert _messages(quick_check(after), "error") == []
 
 
+def test_a_table_without_any_value_is_called_so_and_nothing_else():
+    folder = worlds.tdoa(n=1, rows=30).folder()
+    nothing = with_columns("tdoa", range_difference_m=pl.lit(None, pl.Float64))(folder)
+    for found in (check(nothing), quick_check(nothing)):
+        assert _messages(found, "error") == ["tdoa: all values are missing"]
+
+
 def test_a_still_truth_has_no_holes(good: RecordingFolder):
     still = with_columns("truth", x_m=pl.lit(1.0), y_m=pl.lit(1.0), z_m=pl.lit(1.0))(good)
     ends = check(with_rows("truth", pl.col("t_s").is_in([0.0, 4.9]))(still))
