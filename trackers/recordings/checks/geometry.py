@@ -54,11 +54,13 @@ class Dilution(NamedTuple):
     horizontal_at_height: np.ndarray
 
 
-def dilution(kind: Kind, rig: Rig, ids: Sequence[Sequence[str]], positions: np.ndarray) -> Dilution:
-    """Metres per metre or per degree of noise at `positions` (p, 3), m, with a reading of each of some sensors.
+def information(
+    kind: Kind, rig: Rig, ids: Sequence[Sequence[str]], positions: Float[np.ndarray, "p 3"]
+) -> Float[np.ndarray, "p 3 3"]:
+    """Inverse covariances, 1/m², of positions, m, from a reading of each of some sensors with noise of 1 m or 1°.
 
     `ids`: the anchors or stations of each reading; of differences those of one message, whose noise is that of both
-    arrivals. Infinite where the readings do not determine a coordinate.
+    arrivals.
     """
     assert kind.predicted is not None
     names = list(dict.fromkeys(name for row in ids for name in row))
@@ -78,11 +80,14 @@ def dilution(kind: Kind, rig: Rig, ids: Sequence[Sequence[str]], positions: np.n
         # Whitened: the arrival at the first anchor gives all differences a correlation of ½.
         shared = (1.0 - len(names) ** -0.5) / len(ids)
         jacobian = math.sqrt(2.0) * (jacobian - shared * jacobian.sum(axis=1, keepdims=True))
-    information = np.einsum("pki,pkj->pij", jacobian, jacobian)
-    x, y, z = _variances(information).T
-    flat = _variances(information[:, :2, :2]).sum(axis=1)
     sigma = 1.0 if kind.unit == "m" else _ONE_DEGREE
-    return Dilution(sigma * np.sqrt(x + y), sigma * np.sqrt(z), sigma * np.sqrt(flat))
+    return np.asarray(np.einsum("pki,pkj->pij", jacobian, jacobian) / sigma**2)
+
+
+def dilution(known: Float[np.ndarray, "p 3 3"]) -> Dilution:
+    """That of information, or of the sum of several; infinite where it does not determine a coordinate."""
+    x, y, z = _variances(known).T
+    return Dilution(np.sqrt(x + y), np.sqrt(z), np.sqrt(_variances(known[:, :2, :2]).sum(axis=1)))
 
 
 def _variances(information: np.ndarray) -> np.ndarray:
@@ -110,19 +115,23 @@ def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[Che
     of_anchors = any(kind.noun == "anchor" and name in tables for name, kind in KINDS.items())
     if "fixes" in tables and rig.anchors and not of_anchors:
         yield from _flat(np.stack(list(rig.anchors.values())), known_height)
-    for name, kind in KINDS.items():
-        ids = _observed(tables[name], kind) if name in tables and kind.sensors else []
+    observed = {name: ids for name, kind in KINDS.items() if name in tables and (ids := _observed(tables[name], kind))}
+    # An array of phases is as good as the two angles that they give.
+    kinds = [KINDS["bearings"] if KINDS[name].numbered else KINDS[name] for name in observed]
+    told = [information(kind, rig, ids, positions) for kind, ids in zip(kinds, observed.values(), strict=True)]
+    # A distance and a direction are a position, each alone is none.
+    together = len(told) > 1 and not _weak(dilution(np.sum(told, axis=0)), WEAK_RANGES, known_height)
+    for (name, ids), kind, of_kind in zip(observed.items(), kinds, told, strict=True):
         known = kind.places(rig)
         used = {key: known[key] for row in ids for key in row}
-        if not used:
-            continue
         places = np.stack(list(used.values()))
         for (one, at), (other, there) in combinations(used.items(), 2):
             if np.linalg.norm(at - there) < 1e-3:
                 message = f"{one} and {other} have the same position; correct one in rig.toml"
                 yield CheckResult("warning", "rig.toml", message)
         if kind.noun == "anchor":
-            yield from _flat(places, known_height, 3 if not kind.difference else 4 if known_height else 5)
+            least = 3 if not kind.difference else 4 if known_height else 5
+            yield from () if together and len(used) < least else _flat(places, known_height, least)
         elif len(used) == 1:
             message = f"only station {next(iter(used))} is observed: bearings, no position without a known height"
             yield CheckResult("info", name, message)
@@ -130,13 +139,13 @@ def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[Che
         elif len(used) > 2 and shape(places)[0] == "line":
             message = "the stations are collinear: positions near their line are weakly determined"
             yield CheckResult("warning", "rig.toml", message)
-        # An array of phases is as good as the two angles that they give.
-        of = KINDS["bearings"] if kind.numbered else kind
-        yield _dilution_result(name, of, dilution(of, rig, ids, positions), known_height, where)
+        yield _dilution_result(name, kind, dilution(of_kind), known_height, where, together)
 
 
 def _observed(table: pl.DataFrame, kind: Kind) -> list[tuple[str, ...]]:
-    """The different sensors of readings of a table."""
+    """The different sensors of readings of a table; none of readings without sensors."""
+    if not kind.sensors:
+        return []
     seen = table.filter(pl.col(kind.least[0]).is_not_null())
     return seen.select(kind.sensors).unique(maintain_order=True).rows()
 
@@ -173,13 +182,20 @@ def _flat(places: np.ndarray, known_height: bool, least: int = 3) -> Iterator[Ch
     yield CheckResult(level, "rig.toml", message)
 
 
-def _dilution_result(table: str, kind: Kind, seen: Dilution, known_height: bool, where: str) -> CheckResult:
-    """Median and worst dilution; a warning if the coordinates to be estimated are weakly determined."""
+def _weak(seen: Dilution, limit: float, known_height: bool) -> bool:
+    """Whether the coordinates to be estimated are weakly determined."""
+    estimated = (seen.horizontal_at_height, seen.horizontal_at_height if known_height else seen.vertical)
+    return any(bool(np.median(values) > limit) for values in estimated)
+
+
+def _dilution_result(
+    table: str, kind: Kind, seen: Dilution, known_height: bool, where: str, together: bool
+) -> CheckResult:
+    """Median and worst dilution; a warning if weak, unless only all tables `together` determine positions."""
     unit, limit = "m per degree of angle noise", WEAK_ANGLES
     if kind.unit == "m":
         unit, limit = f"m per m of {kind.columns[0].name.removesuffix('_m').replace('_', ' ')} noise", WEAK_RANGES
-    estimated = (seen.horizontal_at_height, seen.horizontal_at_height if known_height else seen.vertical)
-    weak = any(np.median(values) > limit for values in estimated)
+    weak = _weak(seen, limit, known_height)
     shown = [
         [f"{x:.3g}" if np.isfinite(x) else "undetermined" for x in (np.median(values), np.max(values))]
         for values in seen
@@ -189,6 +205,8 @@ def _dilution_result(table: str, kind: Kind, seen: Dilution, known_height: bool,
         f"dilution of precision, median (worst): horizontal {horizontal}, vertical {vertical}, horizontal at known "
         f"height {at_height} {unit}, {where}"
     )
+    if together and np.isinf(np.median(seen.horizontal)):
+        return CheckResult("info", table, f"{message}; with the other tables positions are determined")
     if weak:
         remedy = "move or add a sensor" if known_height else "give height_m of the tags, or move or add a sensor"
         message += f"; weakly determined: {remedy}"

@@ -190,6 +190,15 @@ def test_weak_geometry_is_reported(good: RecordingFolder, positions, word):
     assert _has(check(made), "warning", "rig.toml", word)
 
 
+@pytest.mark.parametrize("numbers", [("ranges", "bearings"), ("ranges",), ("bearings",)])
+def test_the_sensors_of_all_tables_count_for_a_position(good: RecordingFolder, numbers):
+    one = with_rows("bearings", pl.col("station") == "S1")(with_rows("ranges", pl.col("anchor") == "A1")(good))
+    results = check(only(*numbers, "truth")(replace(one, rig=replace(one.rig, tags={}))))
+    weak = [line for line in _messages(results, "warning") if "never observed" not in line]
+    assert bool(weak) == (numbers == ("ranges",)), weak
+    assert _has(results, "info", "ranges: ", "with the other tables positions are determined") == (len(numbers) > 1)
+
+
 def test_without_truth_dilution_is_evaluated_at_the_centre_of_the_rig(good: RecordingFolder):
     blind = only(*(name for name in good.tables if name != "truth"))(good)
     assert any("at the centre of the rig and the height of the tags" in message for message in _messages(check(blind)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trackwright.trackers.core.model.rig import Rig, Station
-from trackwright.trackers.recordings.checks.geometry import Dilution, dilution, shape
+from trackwright.trackers.recordings.checks.geometry import Dilution, dilution, information, shape
 from trackwright.trackers.recordings.kinds import KINDS
 
 ONE_DEGREE = np.radians(1.0)
@@ -16,7 +16,7 @@ ONE_DEGREE = np.radians(1.0)
 
 def _range_dilution(anchors: np.ndarray, positions: np.ndarray) -> Dilution:
     rig = Rig("rig", anchors={str(k): place for k, place in enumerate(anchors)})
-    return dilution(KINDS["ranges"], rig, [(name,) for name in rig.anchors], positions)
+    return dilution(information(KINDS["ranges"], rig, [(name,) for name in rig.anchors], positions))
 
 
 def test_range_dilution_is_the_standard_deviation_of_least_squares_positions():
@@ -56,7 +56,7 @@ def test_bearing_dilution_is_that_of_the_gradients_of_the_angles():
     jacobian = np.stack(rows)
     cov = ONE_DEGREE**2 * np.linalg.inv(jacobian.T @ jacobian)
     rig = Rig("rig", stations={"a": stations[0], "b": stations[1]})
-    found = dilution(KINDS["bearings"], rig, [("a",), ("b",)], place[None])
+    found = dilution(information(KINDS["bearings"], rig, [("a",), ("b",)], place[None]))
     # slopes over 0.2 mm are good to about 1e-9
     np.testing.assert_allclose(found.horizontal[0], np.sqrt(cov[0, 0] + cov[1, 1]), rtol=1e-7)
     np.testing.assert_allclose(found.vertical[0], np.sqrt(cov[2, 2]), rtol=1e-7)
@@ -96,6 +96,6 @@ def test_dilution_of_differences_is_that_of_arrivals_at_an_unknown_time(pairs):
     # Arrivals of half the variance of a difference; the last column is the time of transmission.
     jacobian = np.column_stack([away / np.linalg.norm(away, axis=1, keepdims=True), np.ones(6)])
     covariance = 0.5 * np.linalg.inv(jacobian.T @ jacobian)
-    seen = dilution(KINDS["tdoa"], rig, ids, place[None])
+    seen = dilution(information(KINDS["tdoa"], rig, ids, place[None]))
     np.testing.assert_allclose(seen.horizontal, np.sqrt(covariance[0, 0] + covariance[1, 1]), rtol=1e-6)
     np.testing.assert_allclose(seen.vertical, np.sqrt(covariance[2, 2]), rtol=1e-6)
