@@ -58,11 +58,13 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
     Args:
         recordings: recording folders with truth, and bearings, ranges or tdoa; each has the same weight.
         out: the file to write, as calibration.toml; the page and its figures go beside it.
-        force: calibrate on recordings in spite of the errors that `trackwright check` finds.
+        force: replace a file that exists, and take recordings in spite of the errors that `trackwright check` finds.
         json: print the content of that file as JSON instead of tables.
     """
     if out.suffix != ".toml" or out.is_dir():
         raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give calibration.toml in a folder")
+    if out.exists() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
     from trackwright.experiments.cli.console import checked, json_alone, output_folder, prepared
     from trackwright.trackers.recordings.folder import read_recordings
 

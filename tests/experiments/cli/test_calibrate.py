@@ -42,6 +42,8 @@ def test_the_file_the_page_and_the_figures_are_written(walks):
     names = {path.name for path in (there / "site").iterdir()}
     kinds = [f"calibration-{kind}.png" for kind in ("stations", "stations-floor", "anchors", "anchors-floor")]
     assert names == {"calibration.toml", "calibration.html", *kinds}
+    again = trackwright("calibrate", there / "0", "--out", there / "site" / "calibration.toml")
+    assert_refused(again, "calibration.toml: exists", "--force replaces it")
     assert f"wrote {there / 'site' / 'calibration.toml'}, calibration.html and {', '.join(kinds)}" in said.out
 
 
