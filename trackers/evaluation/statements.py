@@ -179,9 +179,12 @@ def _correlation(recordings: Sequence[Mapping[str, Any]]) -> str:
     r, n = worst["nis_correlation_1s"], worst["nis_inflation_1s"]
     # Errors that last for less than a second show in the means of a second, and not at that lag.
     over = r is not None and r > CORRELATION
-    correlation = f"{r:.2f}; " if over else ""
+    correlation = f"{r:.2f}" if over else ""
     when = "over" if over else "within"
-    return f"{when} 1 s{of} ({correlation}{significant(n, 2)} rows carry the information of one)"
+    # Of short recordings the estimate may be below one.
+    more = n is not None and float(f"{n:.2g}") > 1
+    carried = f"{significant(n, 2)} rows carry the information of one" if more else ""
+    return f"{when} 1 s{of} ({'; '.join(filter(None, (correlation, carried)))})"
 
 
 def _percent(share: float) -> str:

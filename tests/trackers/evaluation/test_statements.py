@@ -7,7 +7,7 @@ import pytest
 from tests.trackers.evaluation.tables import evaluate_table
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import evaluate_association
-from trackwright.trackers.evaluation.statements import holds
+from trackwright.trackers.evaluation.statements import covariance_statements, holds
 
 N = 4000
 
@@ -91,9 +91,17 @@ def test_a_height_that_is_too_certain_is_named_apart():
 
 def test_correlated_innovations_are_named_besides_the_errors():
     nis = np.repeat(np.random.default_rng(1).chisquare(2, N // 40), 40)  # each for 2 s
-    sentence = _statements(*_tracks(2.0, nis=nis))[-1]
+    tracks, truth = _tracks(2.0, nis=nis)
+    evaluation = evaluate_table(tracks, {"hall": truth})
+    sentence = evaluation.statements[-1]
     assert sentence.startswith("NIS is correlated over 1 s (0.4")
-    assert sentence.endswith("errors last longer than the model assumes.")
+    assert sentence.endswith(" rows carry the information of one): errors last longer than the model assumes.")
+    for inflation in (0.98, 1.04, None):
+        one = evaluation.recordings[0] | {"nis_inflation_1s": inflation}
+        last = covariance_statements(evaluation.overall, [one])[-1]
+        assert last.startswith("NIS is correlated over 1 s (0.4")
+        assert "): errors last longer" in last
+        assert "rows" not in last
 
 
 @pytest.mark.parametrize(

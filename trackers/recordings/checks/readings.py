@@ -144,8 +144,8 @@ def check_readings(recording: RecordingFolder, name: str) -> Iterator[CheckResul
     about = about_local_line(read)
     share = repeated_share(read)
     if share >= FEW:
-        message = f"repeated readings: {100 * share:.2g} % of the rows equal the row before of the same "
-        message += " and ".join(kind.layout(()).ids)
+        of = "tag and pair of anchors" if kind.difference else " and ".join(kind.layout(()).ids)
+        message = f"repeated readings: {100 * share:.2g} % of the rows equal the previous row of the same {of}"
         expected = "; expected one row per measurement" if share >= MANY else ""
         yield CheckResult("warning" if share >= MANY else "info", name, message + expected)
     for line in _quantisation(read, robust_std(about)):

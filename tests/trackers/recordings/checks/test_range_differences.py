@@ -161,3 +161,8 @@ def test_too_few_anchors_for_differences_are_named(height, least):
     rig = replace(FOLDER.rig, tags={tag: Tag(height=height) for tag in few["tag"].unique()})
     messages = [result.message for result in check(replace(FOLDER, rig=rig, tables={"tdoa": few}))]
     assert f"anchors observed: {least - 1}, expected {least} or more for a position" in messages
+
+
+def test_repeated_differences_are_those_of_a_pair_of_anchors():
+    messages = [result.message for result in check(_table(VALUE.round(0)))]
+    assert any("equal the previous row of the same tag and pair of anchors" in message for message in messages)
