@@ -80,8 +80,10 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
     """
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in KINDS if name in tables}
-    results = [*check_time_base(measured or tables), *check_values(tables)]
-    results = [result for result in results if result.level == "error"]
+    results = [result for result in check_time_base(measured or tables) if result.level == "error"]
+    missing = list(check_values(measured))
+    # One sensor that gave nothing leaves the others to be tracked.
+    results += missing if len(missing) == len(measured) else []
     results += check_clocks(measured)
     results += [result for result in check_units(rig, tables) if result.level != "info"]
     results += check_heights(rig, tables)
