@@ -193,8 +193,8 @@ def without_intervals(uncertainty: Uncertainty | None, intervals: Mapping[str, I
         return ["no 95 % intervals: the objective has no finite curvature at these values; tune fewer numbers"]
     if np.isnan(uncertainty.observed).any() and np.isnan(uncertainty.sandwich).any():
         return [
-            "no 95 % intervals: for an objective that is not a likelihood they come from the scatter over trajectories, "
-            f"which takes {SCATTERED}; found {uncertainty.clusters}; give --intervals bootstrap ({MIN_TRAJECTORIES} or "
+            "no 95 % intervals: for an objective that is not a likelihood they come from the scatter over trajectories "
+            f"and take {SCATTERED}; found {uncertainty.clusters}; give --intervals bootstrap ({MIN_TRAJECTORIES} or "
             "more), shorter --piece-rows, or --objective nll"
         ]
     return []

@@ -231,8 +231,9 @@ def test_a_fit_without_intervals_says_why():
     parameters, none = [Parameter(("level",), Scale(1.0), "level")], np.full((1, 1), np.nan)
     few = dataclasses.replace(_found(parameters, np.diag([50.0]), none), clusters=4)
     (why,) = without_intervals(few, few.intervals())
-    assert "those of the scatter of trajectories, 20 or more, found 4; give --intervals bootstrap (5 or more)" in why
+    assert "from the scatter over trajectories and take 20; found 4; give --intervals bootstrap (5 or more)" in why
     rough = _found(parameters, none, none)
+    assert identifiability_issues(rough, np.ones((1, 4, 1))) == []
     assert "no finite curvature" in without_intervals(rough, rough.intervals())[0]
     known = _found(parameters, np.diag([50.0]), np.diag([0.02]))
     assert without_intervals(known, known.intervals()) == []

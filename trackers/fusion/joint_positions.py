@@ -181,7 +181,8 @@ def _moved(
 ) -> Float[np.ndarray, "H M 3"]:
     """The positions after a Gauss–Newton step on the loss, of at most three metres."""
     errors, slopes = _linearised(given, place, n, least)
-    weighted = slopes / (1.0 + errors**2)[..., None]
+    cauchy = 1.0 + errors**2
+    weighted = slopes / cauchy[..., None]
     normal = np.einsum("hmsi,hmsj->hmij", weighted, slopes) + 1e-3 * np.eye(n)
     move = np.linalg.solve(normal, np.einsum("hmsi,hms->hmi", weighted, errors)[..., None])[..., 0]
     move /= np.maximum(np.linalg.norm(move, axis=-1, keepdims=True) / 3.0, 1.0)

@@ -12,7 +12,7 @@ import pytest
 import trackwright as tw
 from tests.in_process import assert_refused_last, trackwright
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarity, trajectory_of_table, write_trajectory
-from trackwright.trackers.exchange.truth_frame import Placement, found_placement
+from trackwright.trackers.exchange.truth_frame import Placement, found_placement, leaning
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 RIG = 'format = 1\nname = "hall 3"\n[anchors]\nA1 = [0.0, 0.0, 2.0]\nA2 = [6.0, 0.0, 2.5]\n0x0F = [0.0, 5.0, 2.2]\n'
@@ -244,7 +244,11 @@ def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_
     monkeypatch.chdir(tmp_path)
     folder = tw.simulate.tool(n=1, rows=300, seed=4).folder()
     truth = folder.tables["truth"]
-    lean = Similarity(np.array([[1, 0, 0], [0, 0.96, -0.28], [0, 0.28, 0.96]]) @ _turn(30.0), np.array([4.0, 2.0, 1.0]))
+    tilt = _turn(50.0) @ np.array([[1, 0, 0], [0, 0.96, -0.28], [0, 0.28, 0.96]])
+    lean = Similarity(tilt @ _turn(30.0), np.array([4.0, 2.0, 1.0]))
+    turn, _ = leaning(replace(folder, tables={**folder.tables, "truth": lean.table(truth)}))
+    np.testing.assert_allclose(turn.rotation @ turn.rotation.T, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(turn.rotation @ tilt[:, 2], [0.0, 0.0, 1.0], atol=0.04)
     write_recording(replace(folder, tables={k: v for k, v in folder.tables.items() if k != "truth"}), Path("hall"))
     write_trajectory(trajectory_of_table(lean.table(truth), "mocap"), "mocap.tum")
     said = trackwright(*TRUTH, "--align-truth")

@@ -47,6 +47,13 @@ def test_exact_ranges_give_the_position(locate):
     np.testing.assert_allclose(fit.position, POSITION[:n], atol=1e-9)
 
 
+def test_exact_ranges_give_the_position_far_from_the_origin(locate):
+    call, n = locate
+    far = np.array([4000.0, -3000.0, 0.0])
+    fit = call(_exact(), ANCHORS + far)
+    np.testing.assert_allclose(fit.position, (POSITION + far)[:n], atol=1e-6)
+
+
 def test_noisy_ranges_give_the_minimum_of_the_loss(locate):
     call, n = locate
     rng = np.random.default_rng(0)

@@ -65,6 +65,7 @@ def test_what_right_covariances_give_is_a_line_at_its_value():
     assert [METRICS[m].right for m in ("coverage_95", "coverage_50_3d", "nis_ratio", "nees_3d_mean", "rmse_m")] == [
         0.95, 0.5, 1.0, 3.0, None,
     ]  # fmt: skip
+    assert [name for name, metric in METRICS.items() if name.startswith("coverage") and metric.page] == ["coverage_95"]
     grid = "world.sigma_p", [0.1, 0.2, 0.3]
     assert "95 expected" in _drawn(*grid, metric="coverage_95")
     assert "expected" not in _drawn(*grid)

@@ -326,6 +326,13 @@ def test_more_anchors_than_ranges_are_no_mistake():
     assert check_input(tw.range_tracker(0), recording, "run") is recording
 
 
+def test_a_position_by_phases_takes_three_antennas_or_more_of_a_station():
+    few = {name: replace(station, antennas=station.antennas[:4]) for name, station in STATIONS.items()}
+    phases = {name: tw.Readings(PHASES[:, :4], PHASES[:, :4] == 0.0) for name in few}
+    recording = tw.Recording(TIMES, phases, {"height": np.zeros(ROWS)})
+    assert check_input(tw.direct_tracker(few), recording, "run") is recording
+
+
 def test_a_check_of_a_sensor_names_a_missing_input():
     flat = tw.Kinematic(Vector(1.0, 2.0), Vector(0.1, 0.2))
     with pytest.raises(BrokenContract, match=r"FixSensor\.measure reads the input 'height', found no input; expected"):
