@@ -98,6 +98,9 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     assert flat.mirrored.sum() == len(flat.names) - 1
     assert not any(flat.determined(k)[1] for k in range(len(flat.names)))
     assert "two heights" in flat.verdict(0)
+    (level,) = np.flatnonzero(~flat.mirrored)
+    assert "not determined: height" in flat.verdict(level)
+    assert abs(anchors[level, 2] - 0.5) <= flat.half_widths[level, 2] < 5.0
 
 
 def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):

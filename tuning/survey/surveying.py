@@ -14,7 +14,7 @@ from trackwright.trackers.recordings.calibration import RANGE_PRIOR
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.survey.solving import Prior, Solution, design_effect, information, predicted, solved
 from trackwright.tuning.survey.starts import descended, misfit, multistart, polished, ranges_to
-from trackwright.tuning.survey.walks import LEAST_RANGES, Walk, walks_of
+from trackwright.tuning.survey.walks import LEAST_RANGES, LEVEL, Walk, common_height, walks_of
 
 COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1
 """Standard deviations of delays before any range, m: of what all anchors share, and of each anchor's own."""
@@ -31,6 +31,9 @@ UNLIKELY = 4.0
 
 ASIDE = 0.1
 """Least distance of a frame's third anchor from the line through the others, as a share of their distance."""
+
+LIFT = 1.0
+"""Height over a walk, m, from which an anchor at its height is tried again."""
 
 LEAST_ANCHORS = 4
 ROUNDS = 3
@@ -152,7 +155,7 @@ def survey(
         solution = polished(walks, solved(walks, solution, tempered), tempered, random)
         effect = design_effect(walks, solution, tempered)
         tempered = replace(prior, precision=prior.precision * effect)
-    solution = solved(walks, solution, tempered)
+    solution = min(_off_level(walks, solution, tempered), key=lambda s: s.cost)
     if not given:
         chosen = _axes(names, frame, solution.anchors[:, :3], 2 if flat else 3)
         solution, prior = _framed(walks, solution, chosen, flat, prior)
@@ -162,7 +165,7 @@ def survey(
         if not frame:
             notes.append(f"frame: {words}: origin, x axis, and to the left of it; --given or --frame choose another")
     solution, mirrored = _sided(walks, solution, known if flat or given else None, effect)
-    covariance = _covariance(walks, solution, prior, effect, flat)
+    covariance = _covariance(walks, solution, prior, effect)
     # Given positions are known as well as that, whatever other minima there are.
     searched = np.diag(covariance) > 0.0
     searched[[4 * k + axis for k in fixed for axis in range(3)]] = False
@@ -344,6 +347,18 @@ def _framed(
     return _moved(walks, solution, turn, shift), replace(prior, free=free.ravel())
 
 
+def _off_level(walks: Sequence[Walk], solution: Solution, prior: Prior) -> list[Solution]:
+    """The solution, and that from a start with the anchors at the walk's height above it, where it has one.
+
+    At that height the derivative by the height is zero: a fit stays there, whether or not it is best.
+    """
+    height, anchors = common_height(walks), solution.anchors.copy()
+    level = prior.free[2::4] & (np.abs(anchors[:, 2] - (np.inf if height is None else height)) < LEVEL)
+    anchors[level, 2] += LIFT
+    starts = [solution, replace(solution, anchors=anchors)][: 1 + level.any()]
+    return [solved(walks, start, prior) for start in starts]
+
+
 def _sided(
     walks: Sequence[Walk], solution: Solution, known: np.ndarray | None, effect: float
 ) -> tuple[Solution, Bool[np.ndarray, " A"]]:
@@ -374,23 +389,27 @@ def _sided(
     return replace(solution, anchors=anchors), mirrored
 
 
-def _covariance(
-    walks: Sequence[Walk], solution: Solution, prior: Prior, effect: float, flat: bool
-) -> Float[np.ndarray, "U U"]:
+def _covariance(walks: Sequence[Walk], solution: Solution, prior: Prior, effect: float) -> Float[np.ndarray, "U U"]:
     """The covariance of what is free."""
     free = np.flatnonzero(prior.free)
-    precision = information(walks, solution) / effect + prior.precision
+    height, lifted = common_height(walks), solution.anchors.copy()
+    if height is not None:
+        # Ranges see the square of a height over the walk, whose derivative by that height vanishes at zero.
+        over = lifted[:, 2] - height
+        sizes = np.maximum(np.abs(over), LEVEL)
+        lifted[:, 2] = height + np.copysign(sizes, over)
+    precision = information(walks, replace(solution, anchors=lifted)) / effect + prior.precision
     covariance = np.zeros_like(precision)
     # A standard deviation of a kilometre for what nothing determines.
     covariance[np.ix_(free, free)] = np.linalg.inv(precision[np.ix_(free, free)] + 1e-6 * np.eye(len(free)))
-    if flat and len({walk.height for walk in walks}) == 1:
-        # Ranges see the square of a height over the walk: near zero the interval is that of its root.
-        for k in np.flatnonzero(prior.free.reshape(-1, 4)[:, 2]):
-            row, above = 4 * k + 2, abs(solution.anchors[k, 2] - (walks[0].height or 0.0))
-            root = np.sqrt(2.0 * above * np.sqrt(covariance[row, row]))
-            if above < root < WEAK:
-                covariance[row, :], covariance[:, row] = 0.0, 0.0
-                covariance[row, row] = root**2
+    if height is not None:
+        for k in np.flatnonzero((prior.free & (np.diag(prior.precision) == 0.0)).reshape(-1, 4)[:, 2]):
+            # The interval is the root of that of the square.
+            row, deviation = 4 * k + 2, np.sqrt(covariance[4 * k + 2, 4 * k + 2])
+            square = over[k] ** 2 + 2.0 * sizes[k] * NORMAL * deviation * np.array([-1.0, 1.0])
+            wider = np.abs(np.sqrt(np.maximum(square, 0.0)) - abs(over[k])).max() / (NORMAL * deviation)
+            covariance[row, :] *= wider
+            covariance[:, row] *= wider
     return covariance
 
 

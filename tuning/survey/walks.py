@@ -25,6 +25,9 @@ AVERAGE = 0.1
 GAP = 5.0
 """Time without a range, s, after which a path begins anew."""
 
+LEVEL = 0.1
+"""Distance, m, from the height of a walk below which an anchor counts as at it."""
+
 LEAST_RANGES = 20
 """Ranges below which a piece of a walk between gaps is left out."""
 
@@ -85,6 +88,12 @@ class Walk:
         # A little of the identity for knots without ranges beside them.
         system = system + 1e-9 * sparse.eye_array(system.shape[0])
         return sparse.linalg.spsolve(sparse.csc_array(system), self.basis.T @ positions[:, : self.dimensions])
+
+
+def common_height(walks: Sequence[Walk]) -> float | None:
+    """The height, m, that is known of all walks; None where they have several or one is not known."""
+    heights = {walk.height for walk in walks}
+    return heights.pop() if len(heights) == 1 else None
 
 
 def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height: float | None) -> list[Walk]:
