@@ -82,7 +82,7 @@ def _range_quality(folders: Sequence[RecordingFolder], calibration: Calibration)
 
 def _systematic(folders: Sequence[RecordingFolder]) -> Calibration:
     """The calibration without what follows signal quality; raises as `calibrate`."""
-    _check_at_rest(folders)
+    check_at_rest(folders)
     stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
     places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}
     anchors, tags, spread = _anchors(calibration_pairs(folders, KINDS["ranges"]), places)
@@ -100,7 +100,7 @@ def _systematic(folders: Sequence[RecordingFolder]) -> Calibration:
     )
 
 
-def _check_at_rest(folders: Sequence[RecordingFolder]) -> None:
+def check_at_rest(folders: Sequence[RecordingFolder]) -> None:
     """Raises UnusableInput for a station or anchor that stands elsewhere in another recording."""
     for number, folder in enumerate(folders):
         for other in folders[:number]:
@@ -112,7 +112,7 @@ def _check_at_rest(folders: Sequence[RecordingFolder]) -> None:
             if moved:
                 raise UnusableInput(
                     f"{folder.path or folder.name}: {moved[0]} stands elsewhere than in {other.path or other.name}; "
-                    "expected recordings of one installation; calibrate them apart"
+                    "expected recordings of one installation; take them apart"
                 )
 
 

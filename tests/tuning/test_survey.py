@@ -116,6 +116,9 @@ def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
     taped = survey(placed, given=names[:3], sigma=0.05)
     assert (taped.half_widths[:3, :3] <= 1.96 * 0.05 + 1e-9).all()
     assert (taped.half_widths[3:, :3] >= 1.96).all()
+    elsewhere = Rig("high", anchors={**known, names[2]: known[names[2]] + 1.0}, tags=folders[1].rig.tags)
+    with pytest.raises(UnusableInput, match="anchor 'A02' stands elsewhere than in"):
+        survey([placed[0], replace(placed[1], rig=elsewhere)], given=names[:3])
     with pytest.raises(UnusableInput, match="leaves a rotation"):
         survey(placed, given=names[:2])
     with pytest.raises(UnusableInput, match="has no ranges"):

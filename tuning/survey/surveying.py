@@ -12,6 +12,7 @@ from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.calibration import RANGE_PRIOR
 from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.calibrating import check_at_rest
 from trackwright.tuning.survey.solving import Prior, Solution, design_effect, information, predicted, solved
 from trackwright.tuning.survey.starts import descended, misfit, multistart, polished, ranges_to
 from trackwright.tuning.survey.walks import LEAST_RANGES, LEVEL, Walk, common_height, walks_of
@@ -134,6 +135,8 @@ def survey(
     names = _anchors_of(folders)
     given = names if tuple(given) == ("all",) else tuple(given)
     _require_known(names, before, given, frame)
+    stated = [{name: f.rig.anchors[name] for name in given if name in f.rig.anchors} for f in folders]
+    check_at_rest([replace(f, rig=Rig(f.name, anchors=a)) for f, a in zip(folders, stated, strict=True)])
     walks = _long_enough(folders, names, height)
     # One known height makes z the vertical.
     flat = any(walk.height is not None for walk in walks)
