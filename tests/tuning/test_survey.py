@@ -98,9 +98,19 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     assert flat.mirrored.sum() == len(flat.names) - 1
     assert not any(flat.determined(k)[1] for k in range(len(flat.names)))
     assert "two heights" in flat.verdict(0)
+    # Those of the frame define it, and stay on it.
+    assert (flat.positions[:2, 1] == 0.0).all()
+    assert (flat.positions[0, :2] == 0.0).all()
     (level,) = np.flatnonzero(~flat.mirrored)
     assert "not determined: height" in flat.verdict(level)
     assert abs(anchors[level, 2] - 0.5) <= flat.half_widths[level, 2] < 5.0
+
+
+def test_anchors_that_define_the_height_zero_have_no_other_side():
+    (folder,) = simulated_site(0, (0.5,), 0.0)[0]
+    found = survey(replace(folder, rig=Rig(folder.name)), frame=("A03", "A07", "A00"))
+    assert (found.positions[[0, 3, 7], 2] == 0.0).all()
+    assert not found.mirrored[[0, 3, 7]].any()
 
 
 def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):

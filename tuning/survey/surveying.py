@@ -167,7 +167,7 @@ def survey(
             notes.append("the mirror image of all, z as -z, fits as well; tags are assumed below the frame's anchors")
         if not frame:
             notes.append(f"frame: {words}: origin, x axis, and to the left of it; --given or --frame choose another")
-    solution, mirrored = _sided(walks, solution, known if flat or given else None, effect)
+    solution, mirrored = _sided(walks, solution, known if flat or given else None, prior.free.reshape(-1, 4), effect)
     covariance = _covariance(walks, solution, prior, effect)
     # Given positions are known as well as that, whatever other minima there are.
     searched = np.diag(covariance) > 0.0
@@ -347,7 +347,8 @@ def _framed(
     free = prior.free.copy().reshape(-1, 4)
     for k, first, last in zip(chosen, (0, 1, 2), (2, 2, 2) if flat else (3, 3, 3), strict=True):
         free[k, first:last] = False
-    return _moved(walks, solution, turn, shift), replace(prior, free=free.ravel())
+    framed = _moved(walks, solution, turn, shift)
+    return replace(framed, anchors=np.where(free, framed.anchors, 0.0)), replace(prior, free=free.ravel())
 
 
 def _off_level(walks: Sequence[Walk], solution: Solution, prior: Prior) -> list[Solution]:
@@ -363,17 +364,19 @@ def _off_level(walks: Sequence[Walk], solution: Solution, prior: Prior) -> list[
 
 
 def _sided(
-    walks: Sequence[Walk], solution: Solution, known: np.ndarray | None, effect: float
+    walks: Sequence[Walk], solution: Solution, known: np.ndarray | None, free: Bool[np.ndarray, "A 4"], effect: float
 ) -> tuple[Solution, Bool[np.ndarray, " A"]]:
     """The solution with anchors on the likely side of the walk's plane, and of which the other side fits as well.
 
-    That side is where the rig has an anchor, `known` (A, 3), NaN where it does not, and otherwise above.
+    That side is where the rig has an anchor, `known` (A, 3), NaN where it does not, and otherwise above. Anchors whose
+    heights are not `free` have no other side.
     """
     tags = _tags(walks, solution)
     centre = tags.mean(axis=0)
     normal = np.linalg.svd(tags[:: max(1, len(tags) // 2000)] - centre, full_matrices=False)[2][-1]
     anchors, mirrored = solution.anchors.copy(), np.zeros(len(solution.anchors), bool)
-    for k, anchor in enumerate(solution.anchors):
+    for k in np.flatnonzero(free[:, 2]).tolist():
+        anchor = solution.anchors[k]
         positions, ranges = ranges_to(walks, solution, k)
         offset = (anchor[:3] - centre) @ normal
         image = descended(anchor[None, :3] - 2.0 * offset * normal, positions, ranges, anchor[3])[0]
@@ -388,7 +391,7 @@ def _sided(
             side = np.abs(known[k, 2] - [anchor[2], image[2]])
             other, mirrored[k] = side[1] < side[0], abs(known[k, 2] - centre[2]) < side.min()
         if other:
-            anchors[k, :3] = image
+            anchors[k, :3] = np.where(free[k, :3], image, anchor[:3])
     return replace(solution, anchors=anchors), mirrored
 
 
