@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Point
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
@@ -34,7 +34,7 @@ from trackwright.trackers.recordings.calibration import (
     has_turned,
     range_terms,
 )
-from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.trackers.recordings.range_quality import RangeQuality
 from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, end_factors, quality_columns
@@ -55,7 +55,7 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     fewer than 20 rows with truth are left out. Where the noise of ranges follows a column of signal quality, that, too.
     Raises UnusableInput where none is left, and for a station or anchor that stands at several places.
     """
-    folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
+    folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
     calibration = _systematic(folders)
     return replace(calibration, range_quality=_range_quality(folders, calibration))
 

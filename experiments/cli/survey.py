@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from dataclasses import replace
 from typing import Annotated
@@ -44,15 +43,6 @@ def survey(
         raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give rig.toml in a folder")
     if out.exists() and not force:
         raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
-    if not 0 <= sigma < math.inf:
-        raise UnusableInput(f"--sigma {sigma:g}: expected metres above zero, or 0 for exact positions")
-    if height is not None and not math.isfinite(height):
-        raise UnusableInput(f"--height {height:g}: expected a height in metres")
-    if sigma and given is None:
-        raise UnusableInput(f"--sigma {sigma:g}: is that of given positions; expected --given, as --given all")
-    axes = tuple(frame.split(",")) if frame else ()
-    if frame and (len({*axes}) != 3 or given is not None):
-        raise UnusableInput(f"--frame {frame}: expected three anchors, as A1,A2,A3, and no --given; leave one out")
     from trackwright.experiments.cli.console import checked, json_alone, output_folder
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated
@@ -68,7 +58,7 @@ def survey(
     from trackwright.trackers.recordings.rig_file import rig_text
     from trackwright.tuning.survey.surveying import survey as survey_anchors
 
-    result = survey_anchors(folders, tuple(given.split(",")) if given else (), sigma, axes, height)
+    result = survey_anchors(folders, given or (), sigma, frame or (), height)
     output_folder(out.parent)
     for line in result.notes:
         notice(f"notice: {line}")

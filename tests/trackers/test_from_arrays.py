@@ -116,6 +116,9 @@ def unchecked():
         (lambda: tw.tracker_for(pl.DataFrame({"x": [1.0]})), "found DataFrame; expected one or more recording folders"),
         (lambda: tw.tracker_for("my-folder"), "found str; expected one or more recording folders"),
         (lambda: tw.tracker_for(["a"]), "found str; expected one or more recording folders"),
+        (lambda: tw.survey("walk"), "found str; expected one or more recording folders, as `read`"),
+        (lambda: tw.survey([]), "found nothing; expected one or more recording folders"),
+        (lambda: tw.calibrate("walk"), "found str; expected one or more recording folders, as `read`"),
         (lambda: tw.Scale(-1.0), "a Scale is positive"),
     ],
 )

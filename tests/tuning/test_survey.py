@@ -96,13 +96,13 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     flat = survey(folders[:1])
     # One anchor is found at the height of the walk, where it has no other side.
     assert flat.mirrored.sum() == len(flat.names) - 1
-    assert not any(flat.determined(k)[1] for k in range(len(flat.names)))
-    assert "two heights" in flat.verdict(0)
+    assert not any(flat.determined(name)[1] for name in flat.names)
+    assert "two heights" in flat.verdict("A00")
     # Those of the frame define it, and stay on it.
     assert (flat.positions[:2, 1] == 0.0).all()
     assert (flat.positions[0, :2] == 0.0).all()
     (level,) = np.flatnonzero(~flat.mirrored)
-    assert "not determined: height" in flat.verdict(level)
+    assert "not determined: height" in flat.verdict(flat.names[level])
     assert abs(anchors[level, 2] - 0.5) <= flat.half_widths[level, 2] < 5.0
 
 
@@ -129,7 +129,10 @@ def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
     elsewhere = Rig("high", anchors={**known, names[2]: known[names[2]] + 1.0}, tags=folders[1].rig.tags)
     with pytest.raises(UnusableInput, match="anchor 'A02' stands elsewhere than in"):
         survey([placed[0], replace(placed[1], rig=elsewhere)], given=names[:3])
-    with pytest.raises(UnusableInput, match="leaves a rotation"):
+    assert survey(placed[:1], given=",".join(names[:3])).verdict("A00") == "determined"
+    with pytest.raises(UnusableInput, match="'B'; expected an anchor of the survey"):
+        found.verdict("B")
+    with pytest.raises(UnusableInput, match="leave a rotation about their line"):
         survey(placed, given=names[:2])
     with pytest.raises(UnusableInput, match="has no ranges"):
         survey(placed, frame=("A00", "A01", "B"))

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 
 Kind = Literal["parquet", "csv.gz", "csv"]
 
+FOLDERS = "one or more recording folders, as `read`, `read_all` and `world.folder()` return them"
+"""What a refusal of anything else expects."""
+
 _SHOWN_IDS = 4
 
 _OTHER_DATA = (

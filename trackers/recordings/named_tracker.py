@@ -16,7 +16,7 @@ from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
+from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.reading_grids import above_rounding, counted_once
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
@@ -204,12 +204,8 @@ def _batches(spec: TrackerSpec, folders: Sequence[RecordingFolder], name: str, f
 
 def folder_list(recordings: Recordings) -> list[RecordingFolder]:
     """One recording folder or several as a list; raises UnusableInput for anything else, and for two of one name."""
-    folders = one_or_more(
-        recordings,
-        (RecordingFolder,),
-        "one or more recording folders, as `read`, `read_all` and `world.folder()` return them; recordings in arrays "
-        "are run by a tracker of arrays, as `range_tracker(4).run`",
-    )
+    arrays = "recordings in arrays are run by a tracker of arrays, as `range_tracker(4).run`"
+    folders = one_or_more(recordings, (RecordingFolder,), f"{FOLDERS}; {arrays}")
     refuse_same_names([folder.name for folder in folders])
     return folders
 

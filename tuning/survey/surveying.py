@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.errors import UnusableInput, listed, one_or_more
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.calibration import RANGE_PRIOR
-from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.tuning.calibrating import check_at_rest
 from trackwright.tuning.survey.solving import Prior, Solution, design_effect, information, predicted, solved
 from trackwright.tuning.survey.starts import descended, misfit, multistart, polished, ranges_to
@@ -35,6 +35,9 @@ ASIDE = 0.1
 
 LIFT = 1.0
 """Height over a walk, m, from which an anchor at its height is tried again."""
+
+HIGHEST = 1000.0
+"""Largest height of tags, m, that is taken for one: others are in other units."""
 
 LEAST_ANCHORS = 4
 ROUNDS = 3
@@ -78,23 +81,28 @@ class Survey:
         """Whether the ranges determine a delay better than what was known before."""
         return self.half_widths[:, 3] < 0.7 * NORMAL * np.hypot(COMMON_DELAY, OWN_DELAY)
 
-    def verdict(self, k: int) -> str:
-        """Whether the position of anchor `k` is determined, and otherwise what walk would determine it."""
+    def verdict(self, name: str) -> str:
+        """Whether the position of an anchor is determined, and otherwise what walk would determine it."""
+        k = self._number(name)
         flat, height = self._extents(k)
-        words = []
-        for extent, name in ((flat, "x, y"), (height, "height")):
-            if extent > WEAK:
-                words.append(f"not determined: {name}")
-            elif extent > DETERMINED:
-                words.append(f"weak: {name}")
-        if self.mirrored[k]:
-            words = [word for word in words if "height" not in word] + ["not determined: above or below the walk"]
+        third = (np.inf, "above or below the walk") if self.mirrored[k] else (height, "height")
+        doubts: dict[str, list[str]] = {"not determined": [], "weak": []}
+        for extent, what in ((flat, "x, y"), third):
+            if extent > DETERMINED:
+                doubts["not determined" if extent > WEAK else "weak"].append(what)
+        words = [f"{how}: {', '.join(of)}" for how, of in doubts.items() if of]
         return f"{'; '.join(words)} ({self._advice(k)})" if words else "determined"
 
-    def determined(self, k: int) -> tuple[bool, bool]:
-        """Whether x and y, and whether the height of anchor `k` are determined."""
+    def determined(self, name: str) -> tuple[bool, bool]:
+        """Whether x and y, and whether the height of an anchor are determined."""
+        k = self._number(name)
         flat, height = self._extents(k)
         return flat <= DETERMINED, height <= DETERMINED and not self.mirrored[k]
+
+    def _number(self, name: str) -> int:
+        if name not in self.names:
+            raise UnusableInput(f"{name!r}; expected an anchor of the survey; name one of {listed(self.names, 12)}")
+        return self.names.index(name)
 
     def _extents(self, k: int) -> tuple[float, float]:
         """Half the largest horizontal axis of the 95 % interval of anchor `k`, and of its height, m."""
@@ -124,16 +132,18 @@ def survey(
 ) -> Survey:
     """The positions and delays of the anchors of recordings with ranges, without their truth.
 
-    `given`: anchors whose positions in the first rig are known with standard deviation `sigma`, m; 0: exactly. Without
-    any, `frame` names three anchors: the origin, one on the x axis, one to the left of it and, where
+    `given`: anchors whose positions in the rigs are known with standard deviation `sigma`, m; 0: exactly; or "all".
+    Without any, `frame` names three anchors: the origin, one on the x axis, one to the left of it and, where
     heights are not known, in the plane z = 0; by default the first two and the next aside. `height`: of all tags,
     m, else those that the rigs give; without either, heights are estimated. Raises UnusableInput where that does not
     fix the frame, for fewer than four anchors with ranges, and for walks to which no arrangement of them fits.
     """
-    folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
+    folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
+    given, frame = (tuple(x.split(",") if isinstance(x, str) else x) for x in (given, frame))
+    _require_sense(given, sigma, frame, height)
     before = folders[0].rig
     names = _anchors_of(folders)
-    given = names if tuple(given) == ("all",) else tuple(given)
+    given = names if given == ("all",) else given
     _require_known(names, before, given, frame)
     stated = [{name: f.rig.anchors[name] for name in given if name in f.rig.anchors} for f in folders]
     check_at_rest([replace(f, rig=Rig(f.name, anchors=a)) for f, a in zip(folders, stated, strict=True)])
@@ -195,6 +205,20 @@ def _anchors_of(folders: Sequence[RecordingFolder]) -> list[str]:
     return names
 
 
+def _require_sense(given: Sequence[str], sigma: float, frame: Sequence[str], height: float | None) -> None:
+    """Raises UnusableInput for values that are none, and for arguments that exclude each other."""
+    if not 0 <= sigma < np.inf:
+        raise UnusableInput(f"sigma {sigma:g}: expected metres above zero, or 0 for exact positions")
+    if sigma and not given:
+        raise UnusableInput(f"sigma {sigma:g}: is that of given positions, and none are; name them as given, or all")
+    if height is not None and not abs(height) <= HIGHEST:
+        raise UnusableInput(f"height {height:g}: expected metres, {HIGHEST:g} at most; correct the height of the tags")
+    if frame and not len(frame) == len(set(frame)) == 3:
+        raise UnusableInput(f"frame {','.join(frame)}: expected three different anchors, as A1,A2,A3; name three")
+    if frame and given:
+        raise UnusableInput(f"frame {','.join(frame)}: given anchors are a frame; expected one of the two; leave one out")
+
+
 def _require_known(names: Sequence[str], rig: Rig, given: Sequence[str], frame: Sequence[str]) -> None:
     """Raises UnusableInput for anchors without ranges, and for given ones without a position."""
     for name in (*given, *frame):
@@ -249,9 +273,8 @@ def delay_prior(count: int) -> Prior:
 def _require_frame(places: np.ndarray, given: Sequence[str]) -> None:
     """Raises UnusableInput where given positions leave a rotation or a mirror image over the floor."""
     if len(places) < 3 or np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[1] < 0.1:
-        raise UnusableInput(
-            f"--given {','.join(given)}: leaves a rotation; expected three anchors not in a line; give more"
-        )
+        words = "leave a rotation about their line; expected three that are not in one; give more"
+        raise UnusableInput(f"given {','.join(given)}: {words}")
 
 
 def _moved(walks: Sequence[Walk], solution: Solution, turn: np.ndarray, shift: np.ndarray) -> Solution:

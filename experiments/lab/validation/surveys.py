@@ -102,7 +102,7 @@ def simulated_survey(seed: int, walk: str, lasting: float) -> Row:
     # An image on the other side of the walk is stated as such, and not an error of the interval.
     counted = (found.half_widths[:, :3] > 0) & ~(found.mirrored[:, None] & (np.arange(3) == 2))
     sigma = found.half_widths[:, :3] / NORMAL
-    stated = np.array([[over, over, height] for over, height in map(found.determined, range(len(true)))])
+    stated = np.array([[over, over, height] for over, height in map(found.determined, found.names)])
     bound = _bound(found, folders, [path @ turn.T + shift for path in paths], true)
     return {
         "z": (error / np.where(counted, sigma, 1.0))[counted], "over bound": (error / bound)[counted & (bound < 1.0)],

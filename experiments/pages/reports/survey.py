@@ -30,7 +30,7 @@ def survey_data(survey: Survey) -> dict[str, Any]:
         name: {
             "position_m": survey.positions[k], "half_width_m": survey.half_widths[k, :3], "delay_m": survey.delays[k],
             "delay_half_width_m": survey.half_widths[k, 3], "delay_determined": survey.delay_determined[k],
-            "rms_m": survey.rms[k], "ranges": survey.readings[k], "verdict": survey.verdict(k),
+            "rms_m": survey.rms[k], "ranges": survey.readings[k], "verdict": survey.verdict(name),
         }
         for k, name in enumerate(survey.names)
     }  # fmt: skip
@@ -41,11 +41,11 @@ def survey_rows(survey: Survey) -> list[list[str]]:
     """A row for each anchor; numbers that the walks do not determine are in brackets."""
     rows = []
     for k, name in enumerate(survey.names):
-        over, height = survey.determined(k)
+        over, height = survey.determined(name)
         known = (over, over, height, bool(survey.delay_determined[k]))
         values = np.append(survey.positions[k], survey.delays[k])
         cells = [_with_interval(*of) for of in zip(values, survey.half_widths[k], known, strict=True)]
-        rows.append([name, *cells, fixed(100 * survey.rms[k], 1), str(survey.readings[k]), survey.verdict(k)])
+        rows.append([name, *cells, fixed(100 * survey.rms[k], 1), str(survey.readings[k]), survey.verdict(name)])
     return rows
 
 

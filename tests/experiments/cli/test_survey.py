@@ -41,10 +41,14 @@ def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks
     ("options", "word"),
     [
         (("--given", "A00,A01,A02"), "rig.toml has no anchor A00"),
-        (("--sigma", "0.1"), "expected --given"),
-        (("--frame", "A00,A01"), "expected three anchors"),
+        (("--sigma", "0.1"), "is that of given positions"),
+        (("--sigma", "-1"), "expected metres"),
+        (("--frame", "A00,A01"), "expected three different anchors"),
+        (("--frame", "A00,A01,A01"), "expected three different anchors"),
+        (("--frame", "A00,A01,A02", "--given", "all"), "leave one out"),
         (("--frame", "A00,A01,B"), "'B' has no ranges"),
-        (("--height", "nan"), "expected a height"),
+        (("--height", "nan"), "expected metres"),
+        (("--height", "1e9"), "expected metres"),
     ],
 )
 def test_options_without_sense_are_refused_in_one_line(walks, tmp_path, options, word):
