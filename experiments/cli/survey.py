@@ -53,7 +53,7 @@ def survey(
     ranges = [replace(x, tables={"ranges": x.tables["ranges"]}) for x in folders if "ranges" in x.tables]
     checked([replace(x, rig=replace(x.rig, anchors={})) for x in ranges], force, calibrated=True)
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
-    from trackwright.experiments.pages.reports.survey import survey_data, survey_text, write_survey_report
+    from trackwright.experiments.pages.reports.survey import survey_data, write_survey_report
     from trackwright.trackers.recordings.atomic import atomic_write
     from trackwright.trackers.recordings.rig_file import rig_text
     from trackwright.tuning.survey.surveying import survey as survey_anchors
@@ -65,7 +65,7 @@ def survey(
     atomic_write(out, lambda path: path.write_text(rig_text(result.rig), encoding="utf-8"))
     drawn, page = write_survey_report(out, result, sys.argv)
     with json_alone(json) as put:
-        print(survey_text(result), end="")
+        print(result)
         print(f"wrote {out}, {page.name} and {drawn.name}")
         put(survey_data(result))
     return 0

@@ -98,6 +98,10 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     assert flat.mirrored.sum() == len(flat.names) - 1
     assert not any(flat.determined(name)[1] for name in flat.names)
     assert "two heights" in flat.verdict("A00")
+    lines = str(flat).splitlines()
+    assert sum(line.split()[0] in flat.names for line in lines if line) == len(flat.names)
+    assert max(map(len, lines)) <= 120
+    assert len(repr(flat)) < 200
     # Those of the frame define it, and stay on it.
     assert (flat.positions[:2, 1] == 0.0).all()
     assert (flat.positions[0, :2] == 0.0).all()

@@ -22,8 +22,9 @@ from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.text.terminal import progress
+from trackwright.tuning.survey.result import NORMAL, Survey
 from trackwright.tuning.survey.solving import Solution, information
-from trackwright.tuning.survey.surveying import NORMAL, Survey, aligned, delay_prior, frame_of, survey
+from trackwright.tuning.survey.surveying import aligned, delay_prior, frame_of, survey
 from trackwright.tuning.survey.walks import walks_of
 
 SURVEYS = 200

@@ -1,4 +1,4 @@
-"""The report of a survey: a table of anchors, and a page with the anchors over the walks, before and after."""
+"""The report of a survey: its numbers for JSON, and a page with the anchors over the walks, before and after."""
 
 from __future__ import annotations
 
@@ -13,15 +13,8 @@ from matplotlib.axes import Axes
 from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, ellipses, plan_corners
 from trackwright.experiments.pages.charts.style import BLUE, GREEN, GREY, Chart, write_panels
 from trackwright.experiments.pages.reports.pages import page, write_page
-from trackwright.experiments.text.tables import rendered, ruled_table, terminal_width
-from trackwright.experiments.text.wording import MISSING, fixed
-from trackwright.tuning.survey.surveying import Survey, aligned
-
-WIDTH = 150
-UNSEEN = 100.0
-"""Half-width of an interval, m, from which a number says nothing."""
-
-HEAD = ("anchor", "x, m", "y, m", "z, m", "delay, m", "rms, cm", "ranges", "verdict")
+from trackwright.tuning.survey.result import HEAD, Survey
+from trackwright.tuning.survey.surveying import aligned
 
 
 def survey_data(survey: Survey) -> dict[str, Any]:
@@ -37,44 +30,6 @@ def survey_data(survey: Survey) -> dict[str, Any]:
     return {"anchors": anchors, "effect": survey.effect, "notes": survey.notes}
 
 
-def survey_rows(survey: Survey) -> list[list[str]]:
-    """A row for each anchor; numbers that the walks do not determine are in brackets."""
-    rows = []
-    for k, name in enumerate(survey.names):
-        over, height = survey.determined(name)
-        known = (over, over, height, bool(survey.delay_determined[k]))
-        values = np.append(survey.positions[k], survey.delays[k])
-        cells = [_with_interval(*of) for of in zip(values, survey.half_widths[k], known, strict=True)]
-        rows.append([name, *cells, fixed(100 * survey.rms[k], 1), str(survey.readings[k]), survey.verdict(name)])
-    return rows
-
-
-def _with_interval(value: float, half_width: float, known: bool) -> str:
-    if half_width == 0.0:
-        return fixed(value, 3)
-    if half_width > UNSEEN:
-        return MISSING
-    text = f"{fixed(value, 2)}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{fixed(half_width, 2)}"
-    return text if known else f"({text})"
-
-
-def survey_text(survey: Survey) -> str:
-    """The table for a terminal, with a line on how to read it."""
-    table = ruled_table(f"Anchors of {survey.rig.name}", HEAD)
-    table.columns[-1].justify = "left"
-    for row in survey_rows(survey):
-        table.add_row(*row)
-    return rendered(terminal_width(WIDTH), table, _reading(survey))
-
-
-def _reading(survey: Survey) -> str:
-    wider = fixed(survey.effect**0.5, 1)
-    return (
-        f"± half the 95 % interval; in brackets: not determined. As errors last, intervals are {wider} times as wide "
-        "as with independent ones."
-    )
-
-
 def write_survey_report(out: Path, survey: Survey, command: Sequence[str]) -> tuple[Path, Path]:
     """Writes the figure and the page beside the file `out`, with its name; returns their paths."""
     figure = write_panels(
@@ -87,8 +42,8 @@ def write_survey_report(out: Path, survey: Survey, command: Sequence[str]) -> tu
         survey=survey,
         chart_of=Chart("survey", "Anchors with 95 % ellipses over the walks", partial(_plan, survey=survey), 7.0, None),
         head=HEAD,
-        rows=survey_rows(survey),
-        reading=_reading(survey),
+        rows=survey.rows(),
+        reading=survey.reading,
         out=str(out),
     )
     return figure, write_page(out.with_suffix(".html"), text)

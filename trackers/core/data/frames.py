@@ -63,11 +63,16 @@ def evaluation_text(evaluation: Any) -> str:
     """As `evaluation_html`, in aligned columns for a terminal."""
     head, rows = _main_metrics(evaluation)
     cells = [list(head), *([_text(cell) for cell in row] for row in rows[:MOST_ROWS])]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    sides = "<<" + ">" * (len(widths) - 2)
-    lines = ["  ".join(f"{x:{side}{n}}" for x, side, n in zip(row, sides, widths, strict=True)) for row in cells]
+    lines = text_lines(cells, "<<" + ">" * (len(head) - 2))
     more = [f"… {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else []
-    return "\n".join([*(line.rstrip() for line in lines), *more, *evaluation.statements])
+    return "\n".join([*lines, *more, *evaluation.statements])
+
+
+def text_lines(cells: Sequence[Sequence[str]], sides: str) -> list[str]:
+    """Rows in aligned columns; `sides`: `<` or `>` for each."""
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ("  ".join(f"{x:{side}{n}}" for x, side, n in zip(row, sides, widths, strict=True)) for row in cells)
+    return [line.rstrip() for line in lines]
 
 
 def _main_metrics(evaluation: Any) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
