@@ -93,6 +93,9 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     assert not found.mirrored.any()
     assert (np.abs(error) <= 4.0 * found.half_widths[:, :3] / 1.96 + 1e-9).all()
 
+    unknown = survey([folders[0], replace(folders[1], rig=Rig("high"))])
+    assert unknown.notes[0] == "heights of tags known: 0.5 m; estimated: tag 0 of survey 2-1"
+
     flat = survey(folders[:1])
     # One anchor is found at the height of the walk, where it has no other side.
     assert flat.mirrored.sum() == len(flat.names) - 1

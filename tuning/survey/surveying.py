@@ -174,7 +174,9 @@ def _notes(walks: Sequence[Walk], flat: bool) -> list[str]:
     """How heights enter."""
     if flat:
         heights = sorted({walk.height for walk in walks if walk.height is not None})
-        return [f"heights of tags known: {listed(f'{height:g} m' for height in heights)}"]
+        known = f"heights of tags known: {listed(f'{height:g} m' for height in heights)}"
+        free = dict.fromkeys(f"tag {walk.tag} of {walk.recording}" for walk in walks if walk.height is None)
+        return [f"{known}; estimated: {listed(free)}" if free else known]
     return ["heights of tags estimated; --height states one that is known"]
 
 
