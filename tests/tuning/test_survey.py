@@ -99,6 +99,8 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     flat = survey(folders[:1])
     # One anchor is found at the height of the walk, where it has no other side.
     assert flat.mirrored.sum() == len(flat.names) - 1
+    for name, mirrored in zip(flat.names, flat.mirrored, strict=True):
+        assert ("not determined: above or below the walk" in flat.verdict(name)) == mirrored
     assert not any(flat.determined(name)[1] for name in flat.names)
     assert "two heights" in flat.verdict("A00")
     lines = str(flat).splitlines()
