@@ -129,11 +129,12 @@ def track_folders(
         else:
             spec = spec_of(name)
             unread = {t for folder in chosen for t in folder.tables if t not in spec.reads | {"imu", "truth"}}
-            without = f"; without {listed(sorted(unread))}" if unread else ""
+            tables = listed(sorted(unread))
+            without = f"; without {tables}" if unread else ""
             # Of the same system, so that no other is imported.
             others = [k for k, entry in ENTRIES.items() if unread and entry.system == ENTRIES[name].system]
-            readers = [k for k in others if unread <= spec_of(k).reads and spec_of(k).missing(chosen[0]) is None]
-            another = f", such as {readers[0]}, which reads {listed(sorted(unread))}" if readers else ""
+            fits = (k for k in others if unread <= spec_of(k).reads and spec_of(k).missing(chosen[0]) is None)
+            another = f", such as {reader}, which reads {tables}" if (reader := next(fits, None)) else ""
             notice(f"tracker: {name} ({spec.about}{without}); choose another with --tracker{another}")
     with suppress(OSError):
         # That of an archive which was tracked to this folder before.
