@@ -60,6 +60,10 @@ def test_a_known_height_hides_z_from_planar_trackers_and_stands_for_it_in_mhk(wo
     assert not fix_trajectories(known, free_height=False)[0].recording.readings[FIXES].seen[:, 2].any()
     assert fix_trajectories(known, free_height=True)[0].recording.readings[FIXES].seen[:, 2].all()
     np.testing.assert_array_equal(spatial_trajectories(known, False)[0].recording.readings[FIXES].values[:, 2], 1.2)
+    one = _with(world, Rig("one", anchors=world.rig.anchors, tags={"0": Tag(height=1.2)}))
+    first, second = (each.recording.readings[FIXES].values[:, 2] for each in spatial_trajectories(one, False))
+    np.testing.assert_array_equal(first, 1.2)
+    np.testing.assert_array_equal(second, fix_trajectories(one, True)[1].recording.readings[FIXES].values[:, 2])
 
 
 def test_trackers_of_mirrored_heights_read_the_distance_from_the_anchors_plane(world):

@@ -1,9 +1,12 @@
 """The errors before and after a calibration, as its report counts them."""
 
+import base64
+import re
+
 import numpy as np
 
 from tests.experiments.pages.charts.small_runs import chart_data
-from trackwright.experiments.pages.charts.calibration import Panel, reading_chart
+from trackwright.experiments.pages.charts.calibration import Panel, floor_image, reading_chart
 from trackwright.experiments.pages.reports.calibration import Report, Source
 from trackwright.tuning.calibration_pairs import Pairs
 
@@ -26,6 +29,23 @@ def test_every_reading_but_the_wildest_lies_inside_its_chart():
     low, high = chart_data(reading_chart(panel).address)["layout"]["yaxis"]["range"]
     assert -0.5 < low < -0.3
     assert 0.5 < high < 0.7
+
+
+def test_a_floor_that_is_wide_is_drawn_low():
+    def height(width, depth):
+        positions = np.random.default_rng(0).uniform(0.0, [width, depth], (200, 2))
+        none = np.zeros(2)
+        panel = Panel("A", "range", False, *np.tile(positions[:, 0], (3, 1)), positions, none, none, none)
+        drawn = base64.b64decode(floor_image([panel], 1).partition(",")[2]).decode()
+        return float(re.search(r'height="([\d.]+)pt"', drawn)[1])
+
+    assert height(12.0, 6.0) < height(6.0, 6.0) < height(6.0, 8.0)
+
+
+def test_columns_of_text_are_names_and_the_others_numbers():
+    for _, head, texts, _ in Report(*[[]] * 7, "").tables():
+        assert set(head[:texts]) <= {"station", "angle", "anchor", "tag", "source", "quantity"}, head
+        assert not {"angle", "quantity"} & set(head[texts:])
 
 
 def test_the_note_explains_the_marks_of_the_tables_that_have_rows():
