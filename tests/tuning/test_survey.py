@@ -122,6 +122,13 @@ def test_anchors_that_define_the_height_zero_have_no_other_side():
     assert not found.mirrored[[0, 3, 7]].any()
 
 
+def test_the_third_anchor_of_the_frame_is_the_first_that_stands_aside():
+    anchors = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [5.0, 0.01, 2.0], [5.0, 4.0, 2.0]])
+    assert surveying._axes("ABCD", (), anchors, 3) == [0, 1, 3]
+    with pytest.raises(UnusableInput, match="A, B, C: stand in a line"):
+        surveying._axes("ABCD", "ABC", anchors, 3)
+
+
 def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
     folders, anchors, _ = simulated_site(2, (0.5, 1.9), 0.0)
     names = [f"A{k:02d}" for k in range(len(anchors))]
