@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
-from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
@@ -216,6 +216,8 @@ def near_origin(folder: RecordingFolder) -> RecordingFolder:
     The site is that of the rig, or, where this has no geometry, of most fixes. Heights are unchanged.
     """
     points = _site(folder)
+    if len(points):
+        points = points[np.abs(points - np.median(points, axis=0)).max(axis=1) < ELSEWHERE_M]
     if not len(points):
         return folder
     low, high = points.min(axis=0), points.max(axis=0)

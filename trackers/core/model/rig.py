@@ -133,6 +133,9 @@ class Rig:
         return np.vstack([walls, np.hstack([corners, np.roll(corners, -1, axis=0)])])
 
 
+ELSEWHERE_M = 1e5
+"""Distance in x or y, m, from the middle of its places at which a place is of no site: left at a map's origin, say."""
+
 MARGIN = 10.0
 """Least distance, m, by which a room of unknown outline is wider on each side than its anchors or stations."""
 

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
+from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.columns import TableRows
 from trackwright.trackers.recordings.kinds import KINDS, QUATERNION, Column, Kind, table_kinds
@@ -17,6 +18,7 @@ GRAVITY = 9.81
 GRAVITY_SLACK = 0.15  # for the bias of a low-cost accelerometer and moderate motion
 FAR_M = 500.0  # beyond the range of indoor radio
 FAR_SIZES = 20.0  # times the size of the rig
+FRAME_SPREAD = 0.05
 FAR_SIZES_MM = 150.0  # times the size of the rig, beyond which centimetres would be far away, too
 BEYOND_ANCHORS = 0.1  # share of range differences larger than their anchors' distance; 1 % of a real flight
 NANOSECOND_M = 0.2998
@@ -34,6 +36,7 @@ Found = tuple[Level, str]
 
 def check_units(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """Values of a size that suggests another unit than that of the column."""
+    yield from _elsewhere(rig)
     yield from _anchor_lengths(rig, tables)
     size, kinds = _size(rig), table_kinds()
     for name, table in tables.items():
@@ -41,7 +44,7 @@ def check_units(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckR
         if kind.numbered:
             found = list(_phases(kind, table))
         elif kind.position:
-            found = list(_lengths("distance from the rig", _from_rig(table, rig), size))
+            found = list(_lengths("distance from the rig", _from_rig(table, rig), size, from_rig=True))
         elif kind.unit == "mps2":
             found = [*_accelerations(table), *_turn_rates(table)]
         else:
@@ -88,17 +91,32 @@ def _values(column: Column, values: pl.Series, size: float | None) -> Iterator[F
         yield "error", f"{beyond}: looks like {OTHER_UNIT[column.unit]}"
 
 
-def _lengths(what: str, lengths: pl.Series, size: float | None) -> Iterator[Found]:
+def _lengths(what: str, lengths: pl.Series, size: float | None, from_rig: bool = False) -> Iterator[Found]:
     if not lengths.count():
         return
     typical = _median(lengths)
-    what = f"a typical {what} is {typical:.4g} m"
+    what = f"a typical {what} is {significant(typical, 4)} m"
     if typical > FAR_M and (size is None or typical > FAR_SIZES * size):
         unit = "millimetres" if size is None or typical > FAR_SIZES_MM * size else "centimetres"
-        yield "error", f"{what}: looks like {unit}, expected metres"
+        # Places in millimetres are as far from one another as from the rig; those of another frame are not.
+        if from_rig and float(lengths.std() or 0.0) < FRAME_SPREAD * typical:  # type: ignore[arg-type]
+            yield "error", f"{what}: looks like another frame than the rig's, or {unit}, expected metres"
+        else:
+            yield "error", f"{what}: looks like {unit}, expected metres"
     elif size is not None and typical > FAR_SIZES * max(size, 1.0):
-        across = f"{what}, the rig is {size:.3g} m across"
+        across = f"{what}, the rig is {significant(size, 3)} m across"
         yield "error", f"{across}: looks like centimetres or millimetres, expected metres"
+
+
+def _elsewhere(rig: Rig) -> Iterator[CheckResult]:
+    """Anchors, stations and knots of the path too far from the others for one site."""
+    names = [*(f"anchor {name}" for name in rig.anchors), *(f"station {name}" for name in rig.stations)]
+    knots = np.zeros((0, 2)) if rig.path_knots is None else rig.path_knots
+    names += ["path_knots"] * len(knots)
+    places = np.array([*(place[:2] for place in rig.places()), *knots]).reshape(-1, 2)
+    far = np.abs(places - np.median(places, axis=0)).max(axis=1) > ELSEWHERE_M if len(places) > 1 else []
+    for name in dict.fromkeys(np.array(names)[far].tolist()):
+        yield CheckResult("error", "rig.toml", f"{name}: more than 100 km from the others; correct its coordinates")
 
 
 def _anchor_lengths(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
@@ -115,7 +133,7 @@ def _anchor_lengths(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[Ch
     nearest = float(np.median(np.where(np.eye(len(positions), dtype=bool), np.inf, between).min(axis=1)))
     typical = _median(pl.concat(distances))
     if nearest >= max(100 * typical, FAR_M):
-        apart = f"anchors {nearest:.4g} m apart, ranges of {typical:.3g} m"
+        apart = f"anchors {significant(nearest, 4)} m apart, ranges of {significant(typical, 3)} m"
         yield CheckResult("error", "rig.toml", f"{apart}: looks like millimetres, expected metres")
 
 
@@ -125,7 +143,7 @@ def _accelerations(table: pl.DataFrame) -> Iterator[Found]:
     if not norms.count():
         return
     typical = _median(norms)
-    is_typical = f"typical acceleration is {typical:.3g}"
+    is_typical = f"typical acceleration is {significant(typical, 3)}"
     gravity = abs(typical - GRAVITY) <= GRAVITY_SLACK * GRAVITY
     if set(QUATERNION) <= set(table.columns):  # the format's sign that the sensor subtracts gravity
         if gravity:
@@ -145,7 +163,10 @@ def _turn_rates(table: pl.DataFrame) -> Iterator[Found]:
     sizes = pl.concat([table[f"gyro_{axis}_radps"].abs().alias("size") for axis in "xyz"]).drop_nulls()
     large = sizes.quantile(0.95) or 0.0
     if large > FASTEST_TURN:
-        yield "error", f"turn rates reach {large:.3g} rad/s: looks like degrees per second, expected radians"
+        yield (
+            "error",
+            f"turn rates reach {significant(large, 3)} rad/s: looks like degrees per second, expected radians",
+        )
 
 
 def _size(rig: Rig) -> float | None:
