@@ -92,6 +92,12 @@ def test_a_tag_that_stands_still_leaves_the_length_at_its_prior():
     assert estimate.values[3] == pytest.approx(module.WAY_M, rel=0.01)
 
 
+def test_errors_are_thinned_alike_whenever_the_clock_began():
+    times, positions, errors = 0.13 * np.arange(90), np.zeros((90, 3)), np.sin(np.arange(90.0))
+    first, later = (series_of(times + shift, positions, errors) for shift in (0.0, 0.31))
+    np.testing.assert_array_equal(first.errors, later.errors)
+
+
 def test_sources_without_rows_have_no_numbers():
     empty = series_of(np.arange(3.0), np.zeros((3, 3)), np.full(3, np.nan))
     assert lasting_errors({"": [empty]}) == {}

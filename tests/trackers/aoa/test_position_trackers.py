@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -88,6 +89,12 @@ def test_the_cascade_takes_no_direction_of_a_station_without_phases(runs):
     silent = (times > 1.05) & (times < 2.95)
     assert (estimates.nis_dof[:, silent] == 4.0).all()
     assert (estimates.nis_dof[:, -5:] == 6.0).all()
+
+
+def test_a_run_of_the_cascade_goes_on_from_a_state_of_each_station():
+    batch = stack(_recordings({})[:1])
+    _, state = jax.eval_shape(lambda: cascade_tracker(RIG.stations).scan(batch))
+    assert set(state.beams) == set(RIG.stations)
 
 
 @pytest.mark.slow

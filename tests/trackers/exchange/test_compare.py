@@ -11,7 +11,7 @@ from tests.trackers.exchange.against_evo import evo_errors
 from trackwright.trackers.core.data.consistency import nees
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.scoring import covariances
-from trackwright.trackers.exchange.pose_errors import compare_trajectories
+from trackwright.trackers.exchange.pose_errors import associate, compare_trajectories
 from trackwright.trackers.exchange.trajectories import (
     PoseTrajectory,
     Similarity,
@@ -183,6 +183,11 @@ def test_the_latency_of_a_real_locating_system_is_found(recordings):
 def test_what_cannot_be_compared_is_refused(own, options, words):
     with pytest.raises(UnusableInput, match=words):
         compare_trajectories(own, _spiral(), **options)
+
+
+def test_of_trajectories_of_one_length_each_estimate_takes_the_nearest_truth():
+    estimate, truth = (PoseTrajectory(np.array(t), np.zeros((2, 3)), None, "") for t in ([0.0, 0.004], [0.0, 1.0]))
+    assert [rows.tolist() for rows in associate(estimate, truth)] == [[0, 1], [0, 0]]
 
 
 def test_trajectories_without_height_are_compared_in_the_plane():

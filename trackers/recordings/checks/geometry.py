@@ -296,8 +296,8 @@ def _true_heights(truth: pl.DataFrame, heights: Mapping[str, float]) -> dict[str
     elsewhere = {}
     for tag, z in typical.agg(pl.col("z_m").median()).iter_rows():
         if z is not None and abs(z - heights[tag]) > OFF_M:
-            down = abs(z + heights[tag]) <= OFF_M
-            fix = "z of the truth points down; flip its sign" if down else "one of the two is wrong"
+            below = "height_m has the wrong sign" if z > 0 else "z of the truth points down; flip its sign"
+            fix = below if abs(z + heights[tag]) <= OFF_M else "one of the two is wrong"
             elsewhere[tag] = f"z of its truth is typically {z:.2f} m: {fix}"
     return elsewhere
 

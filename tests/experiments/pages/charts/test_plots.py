@@ -231,7 +231,8 @@ def test_an_error_over_time_takes_next_to_nothing(tmp_path, n):
     (half,) = half_heights([errors], [sigmas])
     _pixels(_on_axes(tmp_path / "error.png", draw_error, T[:n], errors, sigmas, None, half))
     # Without a standard deviation the errors alone give the height.
-    assert half_heights([np.full(3, 0.2)], [np.full(3, np.nan)]) == pytest.approx([1.15 * 0.2])
+    for error in (0.2, -0.2):
+        assert half_heights([np.full(3, error)], [np.full(3, np.nan)]) == pytest.approx([1.15 * 0.2])
 
 
 def test_the_error_cdf_shows_horizontal_and_3d(tmp_path, rng):

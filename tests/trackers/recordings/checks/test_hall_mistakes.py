@@ -76,6 +76,7 @@ def test_no_mistake_is_named_in_the_hall(tables, height):
 
 WITH_TRUTH = {
     "height of another place": (_height(11.0), "rig.toml: height_m of tag T is 11, but z of its truth is typically 1.10 m: one of the two"),
+    "height with the wrong sign": (_height(-1.1), "rig.toml: height_m of tag T is -1.1, but z of its truth is typically 1.10 m: height_m has"),
     "truth in another frame": (
         with_columns("truth", x_m=0.8 * pl.col("x_m") - 0.6 * pl.col("y_m") + 50.0, y_m=0.6 * pl.col("x_m") + 0.8 * pl.col("y_m")),
         "import it again with --align-truth, which fits the clock as well, or --transform -40.0",
