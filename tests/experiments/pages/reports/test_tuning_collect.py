@@ -9,7 +9,7 @@ import pytest
 import trackwright as tw
 from tests.experiments.pages.reports.tuning_report_data import walk
 from trackwright.experiments.pages.reports.tuning import tuning_page
-from trackwright.experiments.pages.reports.tuning_data import _parameters, collect
+from trackwright.experiments.pages.reports.tuning_data import _about, _parameters, collect
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import batches
@@ -108,6 +108,11 @@ def test_without_any_interval_it_is_unknown_what_is_determined(run):
         False,
         None,
     ]
+
+
+def test_an_objective_has_its_own_unit_or_that_of_the_truth():
+    titles = [_about(name, "m") for name in ("nll", "rmse-3d", "nees-shape")]
+    assert [title.rpartition(" (")[2] for title in titles] == ["nats)", "m)", titles[2]]
 
 
 @pytest.mark.slow
