@@ -133,11 +133,13 @@ def test_a_path_rests_at_the_points_and_reaches_all_of_them(paths):
     assert set(at[off < 1e-9]) == {0, 1, 2, 3}
 
 
-def test_no_point_follows_itself(paths):
-    at, off = _nearest(paths)
+def test_every_other_point_follows_a_point_and_none_itself(paths):
+    (at, off), pairs = _nearest(paths), set()
     for row, still in zip(at, off < 1e-9, strict=True):
         begun = np.flatnonzero(still & ~np.append(False, still[:-1]))
         assert np.all(np.diff(row[begun]) != 0)
+        pairs |= {*zip(row[begun][:-1].tolist(), row[begun][1:].tolist(), strict=True)}
+    assert len(pairs) == 12
 
 
 def test_motions_have_the_speed_profile_of_minimum_jerk(paths):

@@ -20,7 +20,7 @@ from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosit
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.evaluation.bounds import NoBoundError, posterior_bound
+from trackwright.trackers.evaluation.bounds import NoBoundError, _predicted, posterior_bound
 
 ROWS, SIGMA_A, SIGMA = 12, 0.4, 0.3
 
@@ -178,6 +178,14 @@ def test_of_a_nonlinear_motion_it_is_the_inverse_of_the_mean_information_of_all_
         expected.append(np.linalg.inv(whole[: k + 1, : k + 1])[k, k] ** 0.5)
     # the mean of 20,000 second derivatives is known to about 1 %
     np.testing.assert_allclose(bounds, expected, rtol=0.01)
+
+
+def test_transitions_that_do_not_differ_predict_as_a_kalman_filter():
+    rng = np.random.default_rng(4)
+    F, G, P = (rng.normal(size=(3, 3)) for _ in range(3))
+    P = P @ P.T
+    predicted = _predicted(P, np.stack([F] * 2), np.stack([G] * 2), 1)
+    np.testing.assert_allclose(predicted, F @ P @ F.T + G @ G.T, rtol=1e-8)
 
 
 def test_noise_that_depends_on_the_state_has_no_bound():
