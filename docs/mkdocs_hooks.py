@@ -1,4 +1,5 @@
-"""What `make docs` adds to the Markdown of this folder: the README as first page, and API pages from docstrings.
+"""What `make docs` adds to the Markdown of this folder: the README as first page, the notebook with what it shows, and
+API pages from docstrings.
 
 Each group of public names in the stub `__init__.pyi` of a package, begun there by a comment, becomes a page.
 """
@@ -6,13 +7,15 @@ Each group of public names in the stub `__init__.pyi` of a package, begun there 
 from __future__ import annotations
 
 import ast
-import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
+import nbformat
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from nbclient import NotebookClient
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = {
@@ -59,10 +62,23 @@ def _api_pages(package: str) -> Iterator[tuple[str, str]]:
 
 
 def _markdown(path: Path) -> str:
-    """A notebook without output as Markdown."""
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    texts = ["".join(cell["source"]) for cell in cells]
-    return "\n\n".join(
-        text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```"
-        for cell, text in zip(cells, texts, strict=True)
-    )
+    """A notebook as Markdown, executed: what a cell shows follows its code."""
+    notebook = nbformat.read(path, as_version=4)
+    NotebookClient(notebook, timeout=600, kernel_name="python3").execute()
+    parts = []
+    for cell in notebook.cells:
+        is_code = cell.cell_type == "code"
+        parts.append(f"```python\n{cell.source}\n```" if is_code else cell.source)
+        parts += [_shown(output) for output in cell.get("outputs", ())]
+    return "\n\n".join(parts)
+
+
+def _shown(output: Mapping[str, Any]) -> str:
+    """A table, a picture or text that a cell shows."""
+    data = output.get("data", {})
+    if "text/html" in data:
+        # A blank line would end the HTML, and an indented one begin code.
+        return re.sub(r"\n\s*", "\n", f"<div>{data['text/html']}</div>")
+    if "image/png" in data:
+        return f'<img alt="the chart of the code above" src="data:image/png;base64,{data["image/png"].strip()}">'
+    return f"```text\n{output.get('text') or data.get('text/plain', '')}\n```"

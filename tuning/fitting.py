@@ -91,7 +91,8 @@ class FitResult(Generic[AnyTracker]):
         errors = self.standard_errors
         for p in self.parameters:
             value, error = np.asarray(self.values[p.label]), np.asarray(errors[p.label])
-            shown = f"{value:.4g} ± {error:.2g}" if value.ndim == 0 else np.array2string(value, precision=4)
+            shown = f"{value:.4g}" if value.ndim == 0 else np.array2string(value, precision=4)
+            shown += f" ± {error:.2g}" if value.ndim == 0 and np.isfinite(error) else ""
             lines.append(f"  {p.label} {shown} {p.example.unit}")
         return "\n".join([*lines, *(f"  caution: {text}" for text in self.cautions)]) + ">"
 
