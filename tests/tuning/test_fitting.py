@@ -166,6 +166,7 @@ def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world
     assert result.values == result.trace[int(np.argmin(values))].values
     # an RMSE of few trajectories has no standard errors
     assert all(np.isnan(error) for error in result.standard_errors.values())
+    assert "nan" not in repr(result)
 
 
 @pytest.mark.parametrize("options", [{}, {"starts": 3}], ids=["one start", "several"])
