@@ -311,13 +311,17 @@ def _delayed(view: Compared) -> Iterator[Change]:
         # A path that repeats itself has several, of which the right one need not be that nearest to the grid.
         nearest = sorted(grid, key=lambda delay: float(_logs(part.later(delay).sizes()).sum()))[:NEAREST]
         grid, step = np.unique(np.add.outer(nearest, step * np.arange(-1.0, 1.01, 0.25))), step / 4
-    best = float(nearest[0])
-    late = "late" if best > 0 else "early"
-    yield Change(
-        f"the measurements taken {abs(best):.2f} s {'earlier' if best > 0 else 'later'}",
-        f"the {view.kind.name} come {abs(best):.2f} s {late}: their clock and that of the truth differ; "
-        f"import the truth again with --align-truth, or --transform {transform_text(0.0, 0.0, 0.0, 0.0, best)}",
-        {"positions": view.later(best).positions}, 1, harmless=-LATENCY_S / 2 < best <= LATENCY_S,
+    yield delayed_by(view, float(nearest[0]))
+
+
+def delayed_by(view: Compared, delay: float) -> Change:
+    """The truth of `delay` s before."""
+    earlier, late = ("earlier", "late") if delay > 0 else ("later", "early")
+    return Change(
+        f"the measurements taken {abs(delay):.2f} s {earlier}",
+        f"the {view.kind.name} come {abs(delay):.2f} s {late}: their clock and that of the truth differ; "
+        f"import the truth again with --align-truth, or --transform {transform_text(0.0, 0.0, 0.0, 0.0, delay)}",
+        {"positions": view.later(delay).positions}, 1, harmless=-LATENCY_S / 2 < delay <= LATENCY_S,
     )  # fmt: skip
 
 

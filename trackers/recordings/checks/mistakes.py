@@ -17,6 +17,7 @@ from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared
 from trackwright.trackers.recordings.checks.readings import known_median
+from trackwright.trackers.recordings.checks.residuals import typical_delay
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.checks.changes import Change
@@ -33,16 +34,36 @@ UNCHANGED = 0.02
 FEW = 0.25
 """Share of anchors or stations whose places may be wrong."""
 
+LEAST_DELAY_S, DELAY_GAIN, MOST_GROUPS = 0.1, 2 / 3, 24
+"""Delay that is a warning, the ratio of errors without it to those with it up to which it is, and groups looked at."""
+
 
 def check_against_truth(view: Compared, calibrated: bool = False) -> list[CheckResult]:
-    """The most likely mistake where the readings contradict the truth: an error; else nothing.
+    """The most likely mistake where the readings contradict the truth: an error; else a warning of their clocks.
 
     `calibrated`: what a calibration of anchors and stations removes is none.
     """
     before = view.sizes()
     large = np.any(before > view.kind.sizes("large", before.shape[1]), axis=1)
     explained = _likely_mistake(view, before, large, calibrated) if large.any() else _upside_down(view)
-    return [] if explained is None else [CheckResult("error", view.kind.name, explained)]
+    if explained is not None:
+        return [CheckResult("error", view.kind.name, explained)]
+    late = _late(view.of_rows(view.group < MOST_GROUPS)) if view.kind.averaged else None
+    return [] if late is None else [CheckResult("warning", view.kind.name, late)]
+
+
+def _late(view: Compared) -> str | None:
+    """As `_likely_mistake`, for a difference of the clocks that is small enough to track, and makes errors larger."""
+    delay = typical_delay(view)
+    # Fixes come late by the delay of the filter that made them.
+    if not abs(delay) >= LEAST_DELAY_S or (view.kind.position and delay > 0):
+        return None
+    from trackwright.trackers.recordings.checks.fitted_changes import delayed_by
+
+    change = delayed_by(view, delay)
+    before, after = view.sizes(), view.changed(**change.fields).sizes()
+    ratio = after / np.maximum(before, view.kind.sizes("floor", before.shape[1]))
+    return _sentence(view, np.ones(len(view.ids), bool), change, after) if np.nanmedian(ratio) <= DELAY_GAIN else None
 
 
 def _likely_mistake(view: Compared, before: np.ndarray, large: np.ndarray, calibrated: bool) -> str | None:

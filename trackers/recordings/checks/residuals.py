@@ -121,11 +121,16 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
     return float(slope), float(delay)
 
 
-def delay_against_truth(recording: RecordingFolder, table: str) -> float:
-    """Seconds by which the readings of a table come late against truth, NaN where most of them do not determine it."""
-    view = compared(recording, table) if KINDS[table].averaged else None
-    delays = np.array([entry.delay for entry in residuals(view)] if view is not None else [math.nan])
+def typical_delay(view: Compared) -> float:
+    """Seconds by which readings come late against truth, NaN where most groups and columns do not determine it."""
+    delays = np.array([entry.delay for entry in residuals(view)])
     return float(np.nanmedian(delays)) if 2 * np.isfinite(delays).sum() > len(delays) else math.nan
+
+
+def delay_against_truth(recording: RecordingFolder, table: str) -> float:
+    """As `typical_delay`, of a table; NaN without truth."""
+    view = compared(recording, table) if KINDS[table].averaged else None
+    return math.nan if view is None else typical_delay(view)
 
 
 def check_residuals(view: Compared) -> Iterator[CheckResult]:

@@ -115,6 +115,21 @@ def test_stations_all_turned_by_ten_degrees_are_a_warning():
     assert warning.startswith("bearings: azimuths of all stations are off by about +10.")
 
 
+def test_a_truth_somewhat_late_is_a_warning_with_the_option_that_shifts_it():
+    for table, late in (("ranges", 0.35), ("ranges", -0.25), ("bearings", 0.35)):
+        (warning,) = quick_check(with_columns("truth", t_s=pl.col("t_s") + late)(only(table, "truth")(_hall())))
+        assert (warning.level, warning.where) == ("warning", table)
+        assert "again with --align-truth, or --transform 0.000,0.000,0.000,0.000," in warning.message
+        assert float(warning.message.rpartition(",")[2]) == pytest.approx(-late, abs=0.03)
+
+
+def test_fixes_late_by_the_delay_of_their_filter_are_no_mistake_and_early_ones_are():
+    truth = _hall().tables["truth"]
+    for late, levels in ((0.4, []), (-0.4, ["warning"])):
+        fixes = truth.with_columns(t_s=pl.col("t_s") + late)
+        assert [one.level for one in quick_check(replace(_hall(), tables={"fixes": fixes, "truth": truth}))] == levels
+
+
 _swapped = with_anchors(lambda anchors: {"A2": anchors["A4"], "A4": anchors["A2"]})
 A, E = pl.col("azimuth_rad"), pl.col("elevation_rad")
 ALONE = {
