@@ -227,8 +227,8 @@ def resolving(view: Compared, factor: float | np.ndarray) -> np.ndarray:
     return (size > ANTENNA_SIZES[0]) & (size < ANTENNA_SIZES[1])
 
 
-def frame_cause(view: Compared, what: str, placement: Float[np.ndarray, " 4"] | None = None) -> str:
-    """The cause of another frame, and the fix: where a shift, m, and turn, °, are enough, by import."""
+def frame_cause(view: Compared, what: str, placement: Float[np.ndarray, " n"] | None = None) -> str:
+    """The cause of another frame, and the fix: where a shift, m, a turn, °, and seconds, if any, do, by import."""
     other = f"the {view.kind.name}" if view.kind.position else "rig.toml"
     if placement is None:
         return f"the truth {what} {other}; bring both into one frame"

@@ -43,6 +43,9 @@ LATENCY_S = 1.0
 """Delays of measurements up to here are a property of the sensor."""
 
 LEAST_SHIFT_M, LEAST_YAW = 0.4, np.radians(4.0)
+LEAST_CLOCK_S = 0.05
+"""Least difference of the clocks that is given with the frame of the truth, s."""
+
 FARTHEST_M = 200.0
 """Shift of the truth, m, up to which phases are compared with it: far away on the boresight all are equal."""
 
@@ -232,10 +235,11 @@ def _shifted(view: Compared) -> Iterator[Change]:
     starts = [np.zeros(3), target - centre, np.append((target - centre)[:2], 0.0)]
     shift = _fitted(view, lambda shift, part: part.positions + shift, starts)
     if LEAST_SHIFT_M <= np.linalg.norm(shift) <= _farthest(view):
+        shift, delay, positions = _with_clock(view, np.add, shift)
+        placement = np.concatenate([shift, [0.0], delay])
         yield Change(
-            f"the truth shifted by {_metres(shift)}",
-            frame_cause(view, "has another origin than", np.append(shift, 0.0)),
-            {"positions": view.positions + shift}, 3,
+            f"the truth shifted by {_metres(shift)}{_clock_words(delay)}",
+            frame_cause(view, "has another origin than", placement), {"positions": positions}, 3 + len(delay),
             harmless=view.kind.position and bool(np.linalg.norm(shift[:2]) < LEAST_SHIFT_M),
         )  # fmt: skip
 
@@ -256,15 +260,37 @@ def _turned(view: Compared) -> Iterator[Change]:
         yaw = float(_half_turns(x[:1])[0])
         if (not mirrored and abs(yaw) < LEAST_YAW) or np.linalg.norm(x[1:] - centre) > _farthest(view):
             continue
-        origin = placed(x, np.zeros((1, 3)))[0]
+        x, delay, positions = _with_clock(view, placed, x)
+        yaw, origin = float(_half_turns(x[:1])[0]), placed(x, np.zeros((1, 3)))[0]
         words = f"{'mirrored (y flipped), then ' if mirrored else ''}turned by {np.degrees(yaw):.1f}° about z"
         if np.linalg.norm(origin) >= LEAST_SHIFT_M:
             words += f" and shifted by {_metres(origin)}"
-        cause = frame_cause(view, "is turned against", np.append(origin, np.degrees(yaw)))
+        cause = frame_cause(view, "is turned against", np.concatenate([origin, [np.degrees(yaw)], delay]))
         yield Change(
-            f"the truth {words}", frame_cause(view, "is mirrored against") if mirrored else cause,
-            {"positions": placed(x, view.positions)}, 5 if mirrored else 4,
+            f"the truth {words}{_clock_words(delay)}",
+            frame_cause(view, "is mirrored against") if mirrored else cause,
+            {"positions": positions}, (5 if mirrored else 4) + len(delay),
         )  # fmt: skip
+
+
+def _with_clock(
+    view: Compared, placed: Callable[[np.ndarray, np.ndarray], np.ndarray], x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, "N 3"]]:
+    """The numbers of the `placed` positions fitted again with the clock; none or one number by which it is off, s."""
+
+    def positions(x: np.ndarray) -> np.ndarray:
+        return placed(x[:-1], view.later(float(x[-1])).positions)
+
+    x, _ = robust_fit(lambda x: view.changed(positions=positions(x)).errors(), np.append(x, 0.0), 8)
+    delay = float(x[-1])
+    # Fixes come late by the delay of the filter that made them.
+    if abs(delay) < LEAST_CLOCK_S or (view.kind.position and 0.0 < delay <= LATENCY_S):
+        x[-1] = 0.0
+    return x[:-1], x[-1:][x[-1:] != 0.0], positions(x)
+
+
+def _clock_words(delay: np.ndarray) -> str:
+    return "".join(f" and {abs(x):.2f} s {'later' if x > 0 else 'earlier'}" for x in delay)
 
 
 def _fitted(

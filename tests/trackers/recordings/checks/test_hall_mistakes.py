@@ -11,6 +11,7 @@ import pytest
 
 from tests.trackers.recordings.checks.made import Make, only, with_anchors, with_columns
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
+from trackwright.trackers.exchange.truth_frame import parsed_placement
 from trackwright.trackers.recordings.checks import closing
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.checks.closing import moments
@@ -121,6 +122,18 @@ def test_a_truth_somewhat_late_is_a_warning_with_the_option_that_shifts_it():
         assert (warning.level, warning.where) == ("warning", table)
         assert "again with --align-truth, or --transform 0.000,0.000,0.000,0.000," in warning.message
         assert float(warning.message.rpartition(",")[2]) == pytest.approx(-late, abs=0.03)
+
+
+@pytest.mark.parametrize("turn", [(0.8, 0.6), (1.0, 0.0)])
+def test_a_truth_in_another_frame_and_late_is_named_with_the_numbers_that_bring_it_over(turn):
+    x, y, (c, s) = pl.col("x_m"), pl.col("y_m"), turn
+    moved = with_columns("truth", x_m=c * x - s * y + 50.0, y_m=s * x + c * y, t_s=pl.col("t_s") + 0.35)
+    folder = moved(only("ranges", "truth")(_hall()))
+    (error,) = quick_check(folder)
+    placement = parsed_placement(error.message.rpartition(" ")[2])
+    assert placement.later == pytest.approx(-0.35, abs=0.02)
+    truth = placement.of_table(folder.tables["truth"])
+    assert quick_check(replace(folder, tables={**folder.tables, "truth": truth})) == []
 
 
 def test_fixes_late_by_the_delay_of_their_filter_are_no_mistake_and_early_ones_are():
