@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import polars as pl
 
+from trackwright.trackers.core.data.seconds import UNIX_S
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.kinds import KINDS, first_time
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,8 @@ class Selection:
     def of(self, folder: RecordingFolder) -> RecordingFolder:
         """The recording with these rows alone; its truth is that of the tags, at all times.
 
-        Raises UnusableInput for a tag that the recording lacks, and where a table of measurements has no row left.
+        Raises UnusableInput for a tag that the recording lacks, where a table of measurements has no row left, and for
+        times after the start of a recording whose times count from 1970.
         """
         if self == Selection():
             return folder
@@ -36,6 +38,7 @@ class Selection:
         lacking = [tag for tag in self.tags if tag not in present]
         if lacking:
             raise UnusableInput(f"{path}: no tag {listed(map(repr, lacking))}; its tags: {listed(present, 10)}")
+        self._refuse_after_start(first_time(folder.tables), f"{path}: ")
         tables = {}
         for name, table in folder.tables.items():
             rows = table.filter(pl.col("tag").is_in(list(self.tags))) if self.tags else table
@@ -55,7 +58,9 @@ class Selection:
         return replace(folder, rig=rig, tables=tables)
 
     def of_estimates(self, tracks: pl.DataFrame) -> pl.DataFrame:
-        """The rows of a table of estimates in these tags and times; raises UnusableInput where none is left."""
+        """The rows of a table of estimates in these tags and times; raises UnusableInput as `of`, or without any."""
+        if tracks.height:
+            self._refuse_after_start(tracks["t_s"].to_numpy().min())
         kept = tracks.filter(pl.col("tag").cast(pl.String).is_in(list(self.tags))) if self.tags else tracks
         kept = self._in_time(kept)
         if not kept.height:
@@ -73,6 +78,14 @@ class Selection:
         ids = kind.layout(table.columns).ids
         interval = (pl.col("t_s") / self.every).floor()
         return kept.filter(pl.int_range(pl.len()).over(*ids, interval) == pl.len().over(*ids, interval) - 1)
+
+    def _refuse_after_start(self, first: float, where: str = "") -> None:
+        for time in (self.start, self.stop):
+            if time is not None and 0.0 < time < UNIX_S <= first:
+                raise UnusableInput(
+                    f"{where}the times count from 1970, and {time:.12g} s is long before them; {time:.12g} s after the "
+                    f"start is {first + time:.12g}"
+                )
 
     def _in_time(self, table: pl.DataFrame) -> pl.DataFrame:
         if self.start is not None:

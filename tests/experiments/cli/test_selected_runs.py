@@ -64,6 +64,19 @@ def test_a_part_that_holds_nothing_is_refused(room, part, expected):
         part.of(read_recording(room))
 
 
+def test_seconds_after_the_start_are_refused_where_times_count_from_1970(room, tmp_path):
+    folder, since = read_recording(room), 1777898800.0
+    tables = {name: table.with_columns(pl.col("t_s") + since) for name, table in folder.tables.items()}
+    write_recording(replace(folder, tables=tables), tmp_path / "unix")
+    command = ("track", tmp_path / "unix", *PLAIN, "--tracker", "uwb", "--out", tmp_path / "out")
+    expected = "the times count from 1970, and 3 s is long before them; 3 s after the start is 1777898803"
+    for option in ("--from", "--to"):
+        assert_refused(trackwright(*command, option, 3), expected)
+    assert trackwright(*command, "--from", since + 3).code == 0
+    assert_refused(trackwright("evaluate", tmp_path / "out", "--from", 3), "1777898806")
+    assert _tracks(tmp_path / "out")["t_s"].min() >= since + 3
+
+
 def test_tables_that_the_chosen_tracker_does_not_read_are_named(room, tmp_path):
     folder = read_recording(room)
     fixes = folder.tables["truth"].select("t_s", "tag", "x_m", "y_m", "z_m")
