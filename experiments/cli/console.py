@@ -17,6 +17,7 @@ from trackwright.trackers.recordings.kinds import KINDS
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.calibration import Calibration
+    from trackwright.tuning.tuned_file import Tuned
 
 
 @contextmanager
@@ -108,11 +109,20 @@ def ready(
     return recording, lines
 
 
-def notice_other_calibration(noise: Path | None, fitted: Mapping[str, str] | None, given: Path | None) -> None:
-    """A notice where the file `noise` was fitted with a calibration, `fitted`, and another or none is `given`."""
+def notice_other_calibration(noise: Path | None, tuned: Tuned, given: Path | None) -> None:
+    """A notice where the file `noise` was fitted with a calibration, or without, and another, or none, is `given`."""
     from trackwright.trackers.recordings.calibration import identity
 
-    if fitted is None or (given is not None and identity(given)["fingerprint"] == fitted["fingerprint"]):
+    fitted = tuned.calibration
+    if fitted is None:
+        # A file that names no tracker is not of `tune`.
+        if given is not None and tuned.tracker is not None:
+            notice(
+                f"notice: {noise}: fitted to recordings without a calibration, and {given} is given; leave "
+                "--calibration out, or tune again with it"
+            )
+        return
+    if given is not None and identity(given)["fingerprint"] == fitted["fingerprint"]:
         return
     now = "none is given" if given is None else f"{given} is another"
     notice(

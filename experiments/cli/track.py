@@ -26,7 +26,7 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
 
     options.read()
     if options.tuned is not None:
-        notice_other_calibration(options.noise, options.tuned.calibration, options.used.calibration)
+        notice_other_calibration(options.noise, options.tuned, options.used.calibration)
     with json_alone(options.json) as put, stages("track") as begin:
         begin("reading")
         archive = archive_of(recordings, options.keep_going or options.cluster is not None)

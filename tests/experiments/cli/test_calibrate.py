@@ -242,6 +242,12 @@ def test_a_noise_file_of_another_calibration_is_noticed(walks, tmp_path):
         assert said.code == 0, said.err
         assert (text in said.err) == (expected is not None)
         assert expected is None or text + expected in said.err
+    noise.write_text('tracker = "uwb"\n[tunables."sensors.ranges.sigma_r"]\nvalue = 0.1\n', "utf-8")
+    for on in ((), ("--calibration", calibration)):
+        said = trackwright("track", there / "2", "--noise", noise, *on, *PLAIN, "--out", tmp_path / "out")
+        assert (f"{noise}: fitted to recordings without a calibration, and {calibration} is given" in said.err) == bool(
+            on
+        )
 
 
 def test_range_differences_are_calibrated_tracked_and_fitted_with_the_file(tmp_path):
