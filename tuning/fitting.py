@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from trackwright.trackers.core.model.tunable import known
 from trackwright.trackers.core.run.chunks import CHUNK
@@ -225,6 +225,8 @@ def fit(
     readings = of_raw_readings(reading_grids(model, Pieces(batches)), data.folders)
     low, high = limits(parameters, bounds)
     low = np.maximum(low, floors(readings, parameters, bounds))
+    if (hidden := _hidden(parameters, objective)).any():
+        low, high = (np.where(hidden, flatten(parameters), ends) for ends in (low, high))
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
     smooth = objective.has_density and not problem.stochastic
     optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
@@ -260,6 +262,13 @@ def fit(
     return result
 
 
+def _hidden(parameters: Sequence[Parameter], objective: AbstractObjective) -> Bool[np.ndarray, " p"]:
+    """The numbers (p,) of vertical noise beside others, where the objective judges the position over the floor."""
+    axes = [getattr(p.example, "axis", None) for p in parameters for _ in range(p.size)]
+    vertical = np.array([axis == "vertical" for axis in axes])
+    return vertical & (objective.horizontal and not vertical.all())
+
+
 def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, interrupted: bool) -> FitResult[Any]:
     """The result at the best point met, after a few Newton steps of a likelihood."""
     problem, parameters = driver.problem, driver.problem.parameters
@@ -270,15 +279,15 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     else:
         best, more = newton(driver, vector)
         vector, last, vectors = best.vector, best.evaluation, vectors + more
-        bound = driver.at_bound(vector, best.gradient)
-        uncertainty = uncertainty_at(problem, best, bound)
+        bound, hidden = driver.at_bound(vector, best.gradient), driver.low == driver.high
+        uncertainty = uncertainty_at(problem, best, bound, hidden)
         kept = None
         if driver.held_out is None:  # a point that others select is no optimum, and its curvature shows nothing
             kept = kept_at_start(problem, uncertainty, start, float(state.past_values[0, 0]) - best.value)
         if kept is not None and kept.at_start.any():
             best = optimum(problem, kept.vector)
             vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + evaluations(problem)
-            uncertainty = uncertainty_at(problem, best, bound, kept.at_start)
+            uncertainty = uncertainty_at(problem, best, bound, kept.at_start | hidden)
     value = float(problem.finite_values(vector, last.terms)[0])
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     if not np.array_equal(vector, state.best_vectors[winner]):

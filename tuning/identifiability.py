@@ -63,8 +63,7 @@ def identifiability_issues(
         IdentifiabilityIssue((names[k],), _at_bound(names[k], gradient[k]))
         for k in np.flatnonzero(uncertainty.at_bound & ~uncertainty.kept)
     ]
-    if uncertainty.kept.any():
-        kept = [names[k] for k in np.flatnonzero(uncertainty.kept)]
+    if kept := [names[k] for k in np.flatnonzero(uncertainty.kept & ~no_effect)]:
         issues.append(IdentifiabilityIssue(tuple(kept), _kept(kept)))
     if not uncertainty.at_optimum:
         return [*issues, IdentifiabilityIssue((), _not_at_optimum(uncertainty.distance_to_optimum, held_out))]
@@ -130,7 +129,7 @@ def _at_bound(name: str, gradient: float) -> str:
 
 def _kept(names: list[str]) -> str:
     kept = "keeps its starting value" if len(names) == 1 else "keep their starting values"
-    return f"{listed(names)} {kept}: other values have no better objective"
+    return f"{listed(names)} {kept}: the objective does not determine {'it' if len(names) == 1 else 'them'}"
 
 
 def _degree(sigma: float) -> str:

@@ -79,6 +79,11 @@ class AbstractObjective(eqx.Module):
         """Whether its terms need no covariance of an estimate, or none but that of the position."""
         return False
 
+    @property
+    def horizontal(self) -> bool:
+        """Whether it judges the position over the floor alone, which hardly depends on vertical noise."""
+        return False
+
     def for_tracker(self, tracker: AbstractTracker) -> AbstractObjective:
         """The objective with the properties of the tracker that it depends on; most depend on none."""
         return self
@@ -112,6 +117,10 @@ class RootMeanSquareError(AbstractObjective):
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = True
     of_position: ClassVar[bool] = True
+
+    @property
+    def horizontal(self) -> bool:
+        return self.quantity == "position" and self.dimensions <= 2
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         errors, scored = errors_of(output, truth, self.quantity, self.dimensions)
@@ -169,6 +178,10 @@ class StateLogLikelihood(AbstractObjective):
     def of_position(self) -> bool:
         return self.quantity == "position"
 
+    @property
+    def horizontal(self) -> bool:
+        return self.quantity == "position" and self.dimensions <= 2
+
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         weights = (1.0, 1.0, self.height_weight)[: self.dimensions]
         error = normalised_error(output, truth, self.quantity, self.dimensions, weights)
@@ -204,6 +217,10 @@ class Weighted(AbstractObjective):
     @property
     def of_position(self) -> bool:
         return all(part.of_position for part in self.parts)
+
+    @property
+    def horizontal(self) -> bool:
+        return all(part.horizontal for part in self.parts)
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         return tuple(x for part in self.parts for x in part.terms(output, truth))

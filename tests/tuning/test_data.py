@@ -15,12 +15,14 @@ from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.monte_carlo.errors import scored
 from trackwright.experiments.monte_carlo.results import Results, Totals
+from trackwright.sim.worlds import ranges
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.batches import trajectory_weights
 from trackwright.tuning.data import fit_arrays, fit_data
+from trackwright.tuning.identifiability import identifiability_issues
 from trackwright.tuning.named_objectives import all_metrics, parse_objective
 from trackwright.tuning.objectives import MissingQuantityError
 from trackwright.tuning.parameters import flatten, select_parameters, tuned_by_default
@@ -228,3 +230,17 @@ def test_a_long_recording_decides_a_fit_only_by_rows():
     # squares average to (0.2² + 0.8²) / 2 = 0.58², and by rows to 0.30²; the motion takes a part of the errors
     assert sigma["rows"] < 0.36
     assert 0.45 < sigma["recordings"] < 0.65
+
+
+@pytest.mark.parametrize("objective", ["rmse", "state-nll"])
+def test_vertical_noise_keeps_its_start_where_the_position_over_the_floor_is_judged(objective):
+    folder = ranges(n=1, seed=3, rows=120).folder()
+    named = tw.build("uwb", dataclasses.replace(folder, rig=dataclasses.replace(folder.rig, tags={})))
+    tune, options = ["motion.sigma_a", "motion.sigma_z"], tw.FitOptions(dimensions=2, steps=4)
+    result = tw.fit(named, folder, objective, tune, options)
+    assert result.values["motion.sigma_z"] == result.before.motion.sigma_z.value
+    assert result.values["motion.sigma_a"] != result.before.motion.sigma_a.value
+    texts = [issue.text for issue in identifiability_issues(result.uncertainty, result.evaluation.term_gradients)]
+    assert "motion.sigma_z keeps its starting value: the objective does not determine it" in texts
+    free = tw.fit(named, folder, objective, "motion.sigma_z", options)
+    assert free.values["motion.sigma_z"] != free.before.motion.sigma_z.value
