@@ -65,9 +65,12 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     for name in measured:
         results += check_readings(recording, name)
         view = compared(recording, name)
-        results += [] if view is None else [*check_residuals(view), *check_quality(recording, name)]
-        results += check_marks(recording, name)
-        results += _mistakes(recording, name, view) if sound else ()
+        mistakes = list(_mistakes(recording, name, view)) if sound else []
+        against_truth = [] if view is None else [*check_residuals(view), *check_quality(recording, name)]
+        if any(mistake.level == "error" for mistake in mistakes):
+            # A mistake has one cause: what errors with it look like is no second one.
+            against_truth = [result for result in against_truth if result.level == "info"]
+        results += [*against_truth, *check_marks(recording, name), *mistakes]
     results += _of_motion(recording, results)
     return sorted(results, key=lambda result: LEVELS.index(result.level))
 

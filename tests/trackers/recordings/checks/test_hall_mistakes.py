@@ -143,6 +143,13 @@ def test_fixes_late_by_the_delay_of_their_filter_are_no_mistake_and_early_ones_a
         assert [one.level for one in quick_check(replace(_hall(), tables={"fixes": fixes, "truth": truth}))] == levels
 
 
+def test_angles_that_are_swapped_are_one_mistake_and_no_turned_stations():
+    folder = only("bearings", "truth")(_hall())
+    swapped = with_columns("bearings", azimuth_rad=pl.col("elevation_rad"), elevation_rad=pl.col("azimuth_rad"))(folder)
+    (line,) = _lines(swapped, "error", "warning")
+    assert line.endswith("azimuth and elevation are swapped; rename both")
+
+
 _swapped = with_anchors(lambda anchors: {"A2": anchors["A4"], "A4": anchors["A2"]})
 A, E = pl.col("azimuth_rad"), pl.col("elevation_rad")
 ALONE = {
