@@ -25,6 +25,7 @@ from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.range_rows import range_inputs
 from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.recordings.checks.coverage import check_time_base
 from trackwright.trackers.recordings.checks.units import check_units
 
 COARSE_M = 1e-3
@@ -49,6 +50,14 @@ def fix_recording(
         values, seen = np.pad(values, ((0, 0), (0, 1))), np.pad(seen, ((0, 0), (0, 1)))
     if values.shape[1] != 3:
         raise UnusableInput(f"positions have {values.shape[1]} columns; expected x, y or x, y, z")
+    if not seen[:, :2].any():
+        raise UnusableInput(f"positions of shape {values.shape} are all NaN; expected one or more, m")
+    check_times(name, seconds(times))
+    # Coordinate by coordinate, so that a single wild fix counts little.
+    whole = values[seen[:, :2].all(axis=1), :2]
+    sizes = np.median(np.abs(whole - np.median(whole, axis=0)), axis=0) if len(whole) else np.zeros(2)
+    about = {"x_m": sizes[:1], "y_m": sizes[1:]}
+    _refuse_other_units("fix_recording", seconds(times), Rig("arrays"), "fixes", about)
     _warn_of_map("fix_recording", values[seen[:, 0]])
     if height is not None:
         seen[:, 2] = False
@@ -105,7 +114,9 @@ def range_recording(
             )
     values, seen = _masked("ranges", table[:, None], len(times))
     seen &= values > 0.0
-    _refuse_other_units(anchors, values[seen])
+    check_times(name, seconds(times))
+    rig = Rig("arrays", anchors={str(number): place for number, place in enumerate(anchors)})
+    _refuse_other_units("range_recording", seconds(times), rig, "ranges", {"range_m": values[seen]})
     variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, table))[:, None] ** 2
     readings = Readings(values, seen, variances)
     ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
@@ -165,11 +176,20 @@ def phase_recording(
     return Recording(times, readings, _height(times, height), _truth(truth, len(times)), name)
 
 
-def _refuse_other_units(anchors: np.ndarray, ranges: np.ndarray) -> None:
-    """Raises UnusableInput for ranges, m, of a size that suggests another unit, as the check of a folder does."""
-    rig = Rig("arrays", anchors={str(number): place for number, place in enumerate(anchors)})
-    for result in check_units(rig, {"ranges": pl.DataFrame({"range_m": ranges})}):
-        raise UnusableInput(f"range_recording: {result.message}")
+def _refuse_other_units(
+    function: str, times: np.ndarray, rig: Rig, name: str, columns: Mapping[str, np.ndarray]
+) -> None:
+    """Raises UnusableInput for values, and times, s, of a size that suggests another unit, as `check` does.
+
+    Warns of times that may be in milliseconds.
+    """
+    for result in check_units(rig, {name: pl.DataFrame(columns)}):
+        raise UnusableInput(f"{function}: {result.message.replace('from the rig', 'from their middle')}")
+    for result in check_time_base({name: pl.DataFrame({"t_s": times})}):
+        if result.level == "error":
+            raise UnusableInput(f"{function}: times: {result.message}")
+        if "looks like milliseconds" in result.message:
+            warnings.warn(f"{function}: times: {result.message}", stacklevel=3)
 
 
 def _warn_of_map(function: str, points: np.ndarray) -> None:

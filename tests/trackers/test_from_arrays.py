@@ -88,6 +88,27 @@ def test_ranges_in_another_unit_or_order_are_refused_in_one_line_about_the_array
         tw.range_recording(times, ranges, anchors)
 
 
+@pytest.mark.parametrize(
+    ("times", "positions", "words"),
+    [
+        (TIMES, np.arange(9.0).reshape(3, 3) * 1e3, "fix_recording: a typical distance .* looks like millimetres"),
+        (TIMES, PATH * np.nan, r"positions of shape \(3, 3\) are all NaN"),
+        ((TIMES + 1.7e9) * 1e3, PATH, "fix_recording: times: .* looks like milliseconds since 1970"),
+        ((TIMES + 1.7e9) * 1e9, PATH, "fix_recording: times: .* looks like nanoseconds since 1970"),
+    ],
+)
+def test_fixes_in_another_unit_or_without_any_are_refused(times, positions, words):
+    with pytest.raises(tw.UnusableInput, match=words):
+        tw.fix_recording(times, positions)
+
+
+def test_times_in_milliseconds_are_refused_or_warned_of_by_the_arrays_of_both_kinds():
+    with pytest.raises(tw.UnusableInput, match="range_recording: times: .* looks like milliseconds since 1970"):
+        tw.range_recording((TIMES + 1.7e9) * 1e3, RANGES_M, HALL)
+    with pytest.warns(UserWarning, match="fix_recording: times: rows 1000 s apart .* looks like milliseconds"):
+        tw.fix_recording(TIMES * 1e3, PATH)
+
+
 def test_coordinates_of_a_map_are_a_warning_in_single_precision_alone():
     far = np.array([5e5, 5.4e6, 0.0])
     tw.range_recording(TIMES, RANGES_M, HALL + far)
