@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import jax
@@ -63,7 +64,8 @@ def check_motion(
     noise = np.random.default_rng(seed).normal(size=(3, motion.noise_dimension))
 
     def step(interval: Any, w: Any) -> State:
-        return motion.step(state, inputs, interval, Vector.of(w))
+        with _attributes_named(f"{name}.step", "state", state):
+            return motion.step(state, inputs, interval, Vector.of(w))
 
     def jacobian_of(interval: Any, w: Any) -> Any:
         after = step(interval, w)
@@ -124,15 +126,8 @@ def check_sensor(
     rng = np.random.default_rng(seed)
 
     def measure() -> list[Scalar]:
-        try:
+        with _attributes_named(f"{name}.measure", "view", view):
             return list(sensor.measure(view, inputs))
-        except AttributeError as error:
-            if error.obj is not view:
-                raise
-            fields = ", ".join(dict.fromkeys(part.partition(".")[0] for part in component_names(view)))
-            raise BrokenContract(
-                f"{name}.measure reads '{error.name}' of the view, a {type(view).__name__}, which has {fields}"
-            ) from None
 
     predicted = _call(f"{name}.measure", jax.jit(measure))
     if len(predicted) != m or any(jnp.shape(p) != () for p in predicted):
@@ -206,6 +201,22 @@ def check_sensor(
                 f"{', '.join(names[j] for j in free)}, expected 1; usual fix: log_scale is −½ log 2π − log sigma for "
                 "each channel seen, of the sigma that whitens"
             )
+
+
+@contextmanager
+def _attributes_named(what: str, role: str, given: Any) -> Iterator[None]:
+    """Raises `BrokenContract` for an attribute that `given`, the view or the state, or a vector lacks."""
+    try:
+        yield
+    except AttributeError as error:
+        if error.obj is given:
+            fields = ", ".join(dict.fromkeys(part.partition(".")[0] for part in component_names(given)))
+            has = f"the {role}, a {type(given).__name__}, which has {fields}"
+        elif isinstance(error.obj, Vector):
+            has = f"a vector; expected its components by number, [0] to [{len(error.obj) - 1}]"
+        else:
+            raise
+        raise BrokenContract(f"{what} reads '{error.name}' of {has}") from None
 
 
 def _given(what: str, declared: Sequence[Input], channels: int, view: Any, inputs: Inputs | None) -> GivenInputs:

@@ -119,6 +119,15 @@ def test_a_broken_sensor_is_named_with_what_is_wrong(change, message):
         check_sensor(Ruler(change), Placed(Vector(0.4, 0.7)))
 
 
+def test_a_motion_that_reads_a_field_that_the_state_lacks_is_named_with_those_it_has():
+    class Typing(Walk):
+        def step(self, state, inputs, dt, w):
+            return Placed(state.pos + w * dt)
+
+    with pytest.raises(BrokenContract, match=r"Typing\.step reads 'pos' of the state, a Placed, which has position"):
+        check_motion(Typing(None), Placed(Vector(0.4, 0.7)))
+
+
 def test_a_sensor_that_predicts_too_few_channels_is_named():
     class Short(Ruler):
         def measure(self, view, inputs):
@@ -144,6 +153,14 @@ def test_a_sensor_that_reads_a_field_that_the_view_lacks_is_named_with_those_it_
         BrokenContract, match=r"Typing\.measure reads 'pos' of the view, a Placed, which has .*position"
     ):
         check_sensor(Typing(sound), Placed(Vector(0.4, 0.7)))
+
+    class Lettered(Ruler):
+        def measure(self, view, inputs):
+            return [view.position.x, view.position.y]
+
+    by_number = r"expected its components by number, \[0\] to \[1\]"
+    with pytest.raises(BrokenContract, match=rf"Lettered\.measure reads 'x' of a vector; {by_number}"):
+        check_sensor(Lettered(sound), Placed(Vector(0.4, 0.7)))
     # A slip of the sensor's own stays what it is.
     with pytest.raises(AttributeError, match="pie"):
         check_sensor(Broken(sound), Placed(Vector(0.4, 0.7)))
