@@ -6,7 +6,7 @@ A metric without data (no heights, no reported covariance) is None.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from trackwright.trackers.core.data.recording import Recording
     from trackwright.trackers.recordings.tracks import Tracks
 
-    OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
+    OneOrMore = RecordingFolder | Recording | Iterable[RecordingFolder | Recording]
 
 Metrics = dict[str, Any]
 """Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
@@ -93,7 +93,8 @@ def evaluate(
     UnusableInput if no recording has a truth, or no estimate lies inside that of its recording and tag, and for two
     folders of one name.
     """
-    stations = {f.name: f.rig.stations for f in _several(recordings) if isinstance(f, RecordingFolder)}
+    recordings = _several(recordings)
+    stations = {f.name: f.rig.stations for f in recordings if isinstance(f, RecordingFolder)}
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
     if not association.scored.any():
         refuse_without_overlap(association, _truths(recordings))
@@ -149,19 +150,19 @@ def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMor
 
     Arguments as of `evaluate`. Raises UnusableInput if no recording has a truth.
     """
+    several = _several(recordings)
     if isinstance(estimates, pl.DataFrame):
-        return associate_truth(estimates, _required_truths(recordings))
+        return associate_truth(estimates, _required_truths(several))
     from trackwright.trackers.core.data.estimates import Estimates
 
-    several = _several(recordings)
     if isinstance(estimates, Estimates):
         _refuse_other_places(estimates.names, [recording.name for recording in several])
         table = estimates.to_polars().with_columns(tag=pl.lit(""))
         arrays = [recording for recording in several if not isinstance(recording, RecordingFolder)]
         if len(arrays) == len(several) and any("position" in recording.truth for recording in arrays):
             return associate_paths(table, _true_paths(arrays))
-        return associate_truth(table, _required_truths(recordings))
-    return associate_truth(estimates.to_polars(), _required_truths(recordings))
+        return associate_truth(table, _required_truths(several))
+    return associate_truth(estimates.to_polars(), _required_truths(several))
 
 
 def _required_truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:

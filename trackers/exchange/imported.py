@@ -88,6 +88,7 @@ def import_frames(
     of the rig. `origin`: the time, s, that becomes `t_s` = 0 in all tables, a date, or `start`, the earliest
     measurement. Raises UnusableInput.
     """
+    require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
     fits = columns is None or isinstance(columns, Mapping)
     require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
     tables, notices = {}, []

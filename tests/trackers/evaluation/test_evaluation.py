@@ -473,6 +473,9 @@ def test_recordings_of_one_name_are_told_apart_by_their_place():
     found, expected = (evaluate(tracker.run(own), own) for own in (unnamed, named))
     assert len(found.tracks) == 2
     assert found["rmse_m"] == expected["rmse_m"] < 0.05
+    estimates = tracker.run(named)
+    for given in (estimates, estimates.to_polars().with_columns(tag=pl.lit(""))):
+        assert evaluate(given, iter(named))["rmse_m"] == expected["rmse_m"]
     assert [one["recording"] for one in found.recordings] == ["recording", "recording 2"]
     assert (
         evaluate(tracker.run(unnamed).to_polars().with_columns(tag=pl.lit("")), unnamed)["rmse_m"] == expected["rmse_m"]

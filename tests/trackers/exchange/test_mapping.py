@@ -211,3 +211,7 @@ def test_frames_are_refused_in_words_of_python(columns, tag, words):
     assert "--" not in str(refused.value)
     with pytest.raises(UnusableInput, match="columns: found list; expected expressions by table"):
         import_frames({"ranges": frame}, RIG, columns, tag=tag)
+    with pytest.raises(
+        UnusableInput, match=r"import_frames: found DataFrame; expected frames by table, as \{'ranges': frame\}"
+    ):
+        import_frames(frame, RIG)
