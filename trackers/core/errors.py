@@ -47,10 +47,13 @@ def listed(names: Iterable[object], most: int = 5) -> str:
 
 
 def near(word: str, names: Iterable[str]) -> str:
-    """` (did you mean …?)` with the nearest of the names, or nothing where none is near."""
+    """` (did you mean …?)` with the nearest of the names, or those that go on alike, or nothing where none is near."""
     known = list(names)
-    matches = [name for name in known if name.endswith(f".{word}")] or difflib.get_close_matches(word, known, 1, 0.6)
-    return f" (did you mean {matches[0]}?)" if matches else ""
+    longer = [name for name in known if name.startswith(f"{word}_")]
+    matches = [name for name in known if name.endswith(f".{word}")][:1]
+    matches = matches or [name for name in longer if len(name) == min(map(len, longer))]
+    matches = matches or difflib.get_close_matches(word, known, 1, 0.6)
+    return f" (did you mean {' or '.join(matches)}?)" if matches else ""
 
 
 def require(fits: bool, function: str, value: Any, expected: str) -> None:

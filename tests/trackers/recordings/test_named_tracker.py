@@ -163,6 +163,7 @@ def test_a_trackers_file_may_import_the_one_beside_it(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
+        ({"motion.sigma": 0.1}, r"has no 'motion.sigma' \(did you mean motion.sigma_a or motion.sigma_z\?"),
         ({"sigma_a": 0.1}, r"has no 'sigma_a' \(did you mean motion.sigma_a\?"),
         ({"sensors.fix.sigma": 0.1}, r"has no 'sensors.fix.sigma' \(did you mean sensors.fixes?.sigma"),
         ({"motion.sigma_a": np.array([0.0, 1.0])}, "has 2 numbers, separated by commas.*decimals have a point"),
