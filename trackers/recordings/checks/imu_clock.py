@@ -87,13 +87,15 @@ def check_imu_clock(recording: RecordingFolder) -> list[CheckResult]:
 
 
 def _fits_better(parts: Sequence[Window], others: Sequence[Window]) -> bool:
-    """Whether an IMU explains the ranges of windows for certain, and better than the other ones with any delay."""
-    if len(parts) < LEAST_WINDOWS:
+    """Whether an IMU with a delay that is known explains of ranges for certain more than of the other windows at any.
+
+    A path through ranges alone may fit better with either side up where anchors have several heights.
+    """
+    if delay_of(parts) is None:
         return False
-    total, least = (np.sum([one.squares for one in some], axis=0) for some in (parts, others))
-    best = int(np.argmin(total))
-    rivals = min(least.min(), sum(one.still for one in parts))
-    return 0 < best < len(DELAYS) - 1 and rivals - total[best] > CERTAIN * _variance(parts, best)
+    gains, rivals = (np.sum([one.still - one.squares for one in some], axis=0) for some in (parts, others))
+    best = int(np.argmax(gains))
+    return bool(gains[best] - max(rivals.max(), 0.0) > CERTAIN * _variance(parts, best))
 
 
 class Window(NamedTuple):

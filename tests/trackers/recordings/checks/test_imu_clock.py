@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tests.trackers.recordings.checks.made import with_columns
 from trackwright.sim.imu import simulate_uwb_imu
 from trackwright.sim.paths import hand_motion
 from trackwright.sim.ranging import WALK_VOLUME, chamber
@@ -61,6 +62,21 @@ def test_anchors_with_z_down_are_told_by_the_motion_of_an_imu(truth):
     )
     assert (found.level, found.where) == ("error", "rig.toml")
     assert not any("down" in one.message for one in check(folder))
+
+
+@pytest.mark.parametrize("seed", [0, 7, 8])
+def test_a_slow_walk_below_and_above_anchors_tells_no_side(seed):
+    def sines(_, t):
+        x = 6 + 4.2 * np.sin(0.23 * t + 0.65 * seed) + 0.6 * np.sin(0.71 * t + 1.3 * seed)
+        y = 4 + 2.3 * np.sin(0.31 * t + 1 + 0.65 * seed) + 0.4 * np.cos(0.9 * t)
+        return np.stack([x, y, 1.1 + 0.05 * np.sin(0.5 * t + 0.65 * seed) + 0.03 * np.sin(6 * t)], axis=-1)[None]
+
+    rig = chamber(np.array([[0, 0, 2.6], [12, 0, 2.2], [12, 8, 0.4], [0, 8, 2.4], [6, 0, 0.5], [6, 8, 2.9]]))
+    walk = simulate_uwb_imu(rig, sines, seed=seed, rate_hz=60.0, n_points=7200).folder("walk")
+    noise = np.random.default_rng(seed).normal(0.05, 0.08, len(walk.tables["ranges"]))
+    assert not any(
+        "down" in line for line in _messages(with_columns("ranges", range_m=pl.col("range_m") + noise)(walk))
+    )
 
 
 def test_an_imu_of_another_motion_tells_no_delay():
