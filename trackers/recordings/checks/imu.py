@@ -1,9 +1,9 @@
-"""Mistakes in an IMU: signs, axes, mounting and clock.
+"""Mistakes in an IMU: signs, axes, scale, mounting and clock.
 
 Without truth: gravity, a constant vector of the world, turns in body axes by du/dt = -ω × u, whatever the heading, so
 that the specific force tests the signs and axes of the turn rates. With the true attitude: turn rates and gravity in
-body axes are known, and sizes of turn rates, which no axes change, tell how late the IMU is. With true heights alone,
-sizes of the specific force do, which follow the vertical acceleration. Without truth ranges do: `imu_clock`.
+body axes are known, and sizes of turn rates, which no axes change, tell scale and delay. With true heights alone,
+sizes of the specific force tell the delay, since they follow the vertical acceleration; without truth, `imu_clock`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.checks.changes import SignedAxes, signed_axes
 from trackwright.trackers.recordings.kinds import QUATERNION, layout
@@ -65,6 +66,9 @@ READ_AS = (
     ("its quaternions inverted", (0, 1, 2, 3), np.array([1.0, -1.0, -1.0, -1.0])),
 )
 """How the quaternions of a truth may be meant, in words: the order and the signs of w, x, y, z."""
+
+SAME_SCALE, RATES_IN = 0.2, {"rpm": 30 / np.pi, "degrees per second": 180 / np.pi}
+"""Share by which sizes of turn rates may differ from the true ones, and what a rad/s is in other units."""
 
 SMALL_TURN = np.radians(20.0)
 """Angle of a mounting, rad, up to which it is no mistake."""
@@ -148,8 +152,10 @@ def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult] |
     delay, fit = best_delay(lambda t: np.linalg.norm(_measured_rates(rows, t), axis=1), times, sizes, BETTER_TURN)
     if fit < SAME_TURN:
         return None
-    if abs(delay) >= LEAST_DELAY_S:
-        return [_late(delay, "attitude")]
+    late = [_late(delay, "attitude")] if abs(delay) >= LEAST_DELAY_S else []
+    wrong = _scale(np.linalg.norm(_measured_rates(rows, times + delay), axis=1), sizes)
+    if late or wrong:
+        return late + wrong
     later, error = _fine_delay(rows, times, sizes)
     late = [_late(later, "attitude")] if abs(later) > max(FINE_DELAY_S, CERTAIN * error) else []
     wrong = _other_quaternions(rows, attitude)
@@ -168,6 +174,19 @@ def _against_heights(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
     delay, fit = best_delay(lambda t: bent(rows.times, rows.lifted, t, REACH_S)[:, 0], at, true, BETTER_LIFT)
     # Smoothed heights are a tenth of a second off.
     return [_late(delay, "heights")] if fit >= SAME_LIFT and abs(delay) >= 2 * LEAST_DELAY_S else []
+
+
+def _scale(measured: np.ndarray, true: np.ndarray) -> list[CheckResult]:
+    """An error where sizes of turn rates are a multiple of the true ones, whichever of both has the noise."""
+    known = np.isfinite(measured)
+    factor = float(np.std(measured[known]) / np.std(true[known]))
+    fit = _correlation(measured[known], true[known], centred=True)
+    if (1.0 - SAME_SCALE) * fit <= factor <= (1.0 + SAME_SCALE) / max(fit, SAME_SCALE):
+        return []
+    near = (unit for unit, size in RATES_IN.items() if abs(factor - size) <= SAME_SCALE * size)
+    meant = f"looks like {next(near, 'another full scale of the gyro')}, expected rad/s; convert the gyro's columns"
+    message = f"turn rates are {significant(factor, 2)} times those of the truth's attitude: {meant}"
+    return [CheckResult("error", "imu", message)]
 
 
 def _late(delay: float, what: str) -> CheckResult:

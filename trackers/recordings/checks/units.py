@@ -21,6 +21,7 @@ FAR_SIZES = 20.0  # times the size of the rig
 FRAME_SPREAD = 0.05
 FAR_SIZES_MM = 150.0  # times the size of the rig, beyond which centimetres would be far away, too
 BEYOND_ANCHORS = 0.1  # share of range differences larger than their anchors' distance; 1 % of a real flight
+GRAVITY_IN = {"multiples of g": 1.0, "ft/s²": 32.2, "thousandths of g or cm/s²": 1000.0, "mm/s²": 9810.0}
 NANOSECOND_M = 0.2998
 LEAST_DIFFERENCE_M = 1e-5  # a difference in seconds is at most 1e-6 in 300 m; in metres some exceed their resolution
 OTHER_UNIT = {
@@ -144,19 +145,22 @@ def _accelerations(table: pl.DataFrame) -> Iterator[Found]:
         return
     typical = _median(norms)
     is_typical = f"typical acceleration is {significant(typical, 3)}"
+    unit = next((unit for unit, size in GRAVITY_IN.items() if abs(typical - size) <= GRAVITY_SLACK * size), None)
     gravity = abs(typical - GRAVITY) <= GRAVITY_SLACK * GRAVITY
     if set(QUATERNION) <= set(table.columns):  # the format's sign that the sensor subtracts gravity
         if gravity:
             yield "warning", f"{is_typical} m/s²: with gravity, but quaternion columns imply none"
     elif gravity:
         yield "info", f"measured gravity is {typical:.4g} m/s²"
-    elif abs(typical - 1) <= GRAVITY_SLACK:
-        yield "error", f"{is_typical}: looks like multiples of g, expected m/s² with gravity (9.81)"
+    elif unit is not None:
+        yield "error", f"{is_typical}: looks like {unit}, expected m/s² with gravity (9.81)"
     else:
         message = f"{is_typical} m/s², expected {GRAVITY} ± {100 * GRAVITY_SLACK:g} % with gravity"
         if typical < GRAVITY / 2:
             message += "; it looks subtracted: export the raw acceleration, or the attitude too, as qw, qx, qy, qz"
-        yield "error" if typical < GRAVITY / 2 else "warning", message
+        elif typical > 2 * GRAVITY:
+            message += "; it looks like another unit: `trackwright import` converts the common ones"
+        yield "warning" if GRAVITY / 2 <= typical <= 2 * GRAVITY else "error", message
 
 
 def _turn_rates(table: pl.DataFrame) -> Iterator[Found]:

@@ -93,6 +93,11 @@ SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], Make]] = {
     ),
     "truth in millimetres": ("error", ("truth", "millimetres"), with_columns("truth", XYZ * 1000)),
     "acceleration in g": ("error", ("imu", "multiples of g"), with_columns("imu", pl.col("^accel.*$") / 9.81)),
+    "acceleration in thousandths of g": (
+        "error", ("imu", "typical acceleration is 1,000: looks like thousandths of g or cm/s²"),
+        with_columns("imu", pl.col("^accel.*$") / 9.81e-3),
+    ),
+    "acceleration in counts": ("error", ("imu", "16,400 m/s²", "another unit"), with_columns("imu", pl.col("^accel.*$") / 9.81 * 16384)),
     "acceleration without gravity": ("error", ("imu", "with gravity"), with_columns("imu", pl.col("accel_z_mps2") - 9.81)),
     "gravity beside quaternion columns": (
         "warning", ("imu", "quaternion columns"),

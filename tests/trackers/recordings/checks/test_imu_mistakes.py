@@ -46,6 +46,16 @@ WITH_TRUTH = {
     "x and y swapped": ("error", "only with x and y of the turn rates swapped;", SWAPPED),
     "x and y of the gyro swapped": ("error", "only with x and y of the turn rates swapped;", _swapped(GYRO)),
     "upside down": ("warning", "only with the signs of y, z of the turn rates flipped", DOWN),
+    "turn rates in rpm": (
+        "error",
+        "turn rates are 9.6 times those of the truth's attitude: looks like rpm",
+        [C(GYRO) * 9.5493],
+    ),
+    "half the full scale": (
+        "error",
+        "turn rates are 0.5 times those of the truth's attitude",
+        [C(GYRO) * 0.5, C("t_s") + 0.5],
+    ),
     "clock 40 ms late": ("warning", "comes 0.04 s late against the truth's attitude", [C("t_s") + 0.04]),
     "clock 0.5 s late": ("warning", "comes 0.50 s late against the truth's attitude", [C("t_s") + 0.5]),
     "clock 2 s early": ("error", "comes 2.00 s early against the truth's attitude", [C("t_s") - 2.0]),
