@@ -156,7 +156,13 @@ def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult] |
     wrong = _scale(np.linalg.norm(_measured_rates(rows, times + delay), axis=1), sizes)
     if late or wrong:
         return late + wrong
-    later, error = _fine_delay(rows, times, sizes)
+    later = 0.0
+    for _ in range(5):
+        step, error = _fine_delay(rows, times + later, sizes)
+        later += step
+        # A parabola beyond its points only leads nearer.
+        if abs(step) <= LEAST_DELAY_S:
+            break
     late = [_late(later, "attitude")] if abs(later) > max(FINE_DELAY_S, CERTAIN * error) else []
     wrong = _other_quaternions(rows, attitude)
     return late + (wrong or [x for one in _vectors(rows, attitude, times, rates) for x in _axes(*one)])

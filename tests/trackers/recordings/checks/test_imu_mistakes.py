@@ -81,6 +81,17 @@ def test_a_mistake_is_named_with_the_true_attitude(name):
     assert any(level == of and words in message for of, message in found), found
 
 
+def test_a_delay_that_hardly_changes_slow_turns_is_told():
+    t, rates = 0.02 * np.arange(3000), np.zeros((3000, 3))
+    rates[:, 2] = 0.5 + 0.25 * np.sin(0.4 * t) + 0.03 * np.sin(5.0 * t)
+    half = (0.5 * t - 0.625 * np.cos(0.4 * t) - 0.006 * np.cos(5.0 * t)) / 2
+    truth = pl.DataFrame({"t_s": t, "tag": "T", "qw": np.cos(half), "qx": 0.0, "qy": 0.0, "qz": np.sin(half)})
+    vectors = zip([*ACCEL, *GYRO], [*np.zeros((2, 3000)), np.full(3000, 9.81), *rates.T], strict=True)
+    imu = pl.DataFrame({"t_s": t + 0.5, "tag": "T"} | dict(vectors))
+    (found,) = check_imu({"imu": imu, "truth": truth})
+    assert "comes 0.50 s late" in found.message
+
+
 @pytest.mark.parametrize("name", ALONE)
 def test_a_mistake_is_named_by_gravity_alone(name):
     level, words, columns = ALONE[name]
