@@ -198,7 +198,7 @@ def _batches(spec: TrackerSpec, folders: Sequence[RecordingFolder], name: str, f
     names = spec.reads.difference(spec.every_row)
     prepared = [counted_once(near_origin(folder), names) for folder in folders]
     groups = spec.batches([folder for folder, _ in prepared], name, free_height)
-    notices = tuple(line for _, lines in prepared for line in lines)
+    notices = tuple(line for folder, lines in prepared for line in (*lines, *spec.notices(folder, free_height)))
     return [replace(groups[0], notices=notices), *groups[1:]] if groups else []
 
 

@@ -20,7 +20,8 @@ class TrackerBatch:
     """Trajectories that one tracker runs as a batch.
 
     `planar`: whether the state lies in a plane: that of the floor at known heights, or that of a flat array. `notices`:
-    one line for each noise level that was raised to the rounding of the readings, and for readings used once.
+    one line for each noise level that was raised to the rounding of the readings, for readings used once, and for what
+    a recording has that its tracker leaves out of account.
     """
 
     tracker: AbstractTracker
@@ -44,6 +45,7 @@ class TrackerSpec:
     `geometry(trajectory)`: the part of the installation that is built into the tracker; trajectories that agree in
     it and in `planar` run as one batch. `planar(trajectory, free_height)`: whether the state lies in a plane. Both are
     asked once for all tags of a folder that share station and known height, where the rows are `Trajectories`.
+    `notices(folder, free_height)`: a line for each tag of which the tracker assumes what the folder contradicts.
     `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
     `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so
     that leaving the path is an event. `error_levels`: without a calibration its covariances follow the size of the
@@ -58,6 +60,7 @@ class TrackerSpec:
     lacks: Callable[[RecordingFolder], str | None] | None = None
     geometry: Callable[[Trajectory], Hashable] = lambda trajectory: ()
     planar: Callable[[Trajectory, bool], bool] = at_known_height
+    notices: Callable[[RecordingFolder, bool], Iterable[str]] = lambda folder, free_height: ()
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False
     on_path: bool = False

@@ -1,8 +1,15 @@
-"""IMU samples as inputs of rows, on the host: sample and hold, detection of rest, and rotation to level axes."""
+"""IMU samples as inputs of rows, on the host: sample and hold, detection of rest, rotation to level axes, and tilts."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
+
+from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import QUATERNION
+from trackwright.trackers.recordings.trajectories import known_height
 
 HOLD_S = 0.2
 """Longest time for which a sample is held, s; after it the row has no IMU."""
@@ -12,6 +19,9 @@ REST_WINDOW_S = 1.0
 
 REST_ACCEL_STD, REST_GYRO_STD = 0.15, 0.02
 """Largest standard deviations at rest, m/s² and rad/s: several times the noise of a MEMS IMU, below hand motion."""
+
+TILTING = np.radians(3.0)
+"""Typical tilt within a second, rad, that doubles the errors of `uwb-imu` at a known height."""
 
 
 def imu_inputs(times: np.ndarray, imu_times: np.ndarray, accel: np.ndarray, gyro: np.ndarray) -> dict[str, np.ndarray]:
@@ -64,3 +74,22 @@ def to_level_axes(accel: np.ndarray, attitude: np.ndarray, gravity: float) -> tu
     force = accel + w * twice + np.cross(q, twice)
     force[:, 2] += gravity
     return force, np.where(np.isfinite(force), 0.0, np.nan)
+
+
+def tilting_tags(folder: RecordingFolder, free_height: bool) -> Iterator[str]:
+    """A line for each tag that tilts by its turn rates, while its known height has the tracker take it for level."""
+    table = folder.tables["imu"]
+    for tag in () if QUATERNION[0] in table.columns else folder.rows("ranges").tags:
+        rows = None if free_height or known_height(folder, tag) is None else imu_rows(table, tag)
+        if rows is None:
+            continue
+        start = spaced(rows.times, 0.5)
+        turned = between(rows.times, rows.turned, start, start + 1.0)
+        # A mounting that leans turns about the mean specific force.
+        up = rows.pushed[-1] / max(float(np.linalg.norm(rows.pushed[-1])), 1e-9)
+        turns = np.cross(turned[np.isfinite(turned).all(axis=1)], up)
+        tilt = float(np.sqrt(np.sum(np.var(turns, axis=0)))) if len(turns) else 0.0
+        if tilt > TILTING:
+            tilts = f"{folder.name}: imu: tag {tag} typically tilts by {np.degrees(tilt):.0f}° in a second"
+            do = "use uwb, or leave out height_m (--free-height)"
+            yield f"{tilts}, but uwb-imu takes a tag with height_m for level: {do}"

@@ -40,7 +40,7 @@ from trackwright.trackers.uwb_imu.body import LASTS, body_tracker
 from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences
 from trackwright.trackers.uwb_imu.differences import TDOA, difference_levels, difference_tracker
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
-from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
+from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, tilting_tags, to_level_axes
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
 from trackwright.trackers.uwb_imu.strapdown import ARM
@@ -434,6 +434,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         TrackerSpec,
         trajectories=inertial_trajectories,
         build=_inertial,
+        notices=tilting_tags,
         lacks=lacks_ranges_or_imu,
         geometry=lambda trajectory: (
             _anchors(trajectory),

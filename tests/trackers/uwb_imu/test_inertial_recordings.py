@@ -3,9 +3,15 @@
 import dataclasses
 
 import numpy as np
+import polars as pl
 import pytest
 
+from tests.trackers.recordings.checks.made import with_columns
+from trackwright.sim.imu import simulate_uwb_imu
+from trackwright.sim.ranging import chamber
+from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 from trackwright.trackers.uwb_imu.rows import inertial_trajectories
@@ -29,6 +35,17 @@ def _with_and_without(folder, planar):
     blind = [dataclasses.replace(r, inputs=r.inputs | {"imu": 0 * r.inputs["imu"]}) for r in recordings]
     tracker = inertial_tracker(len(one.rig.anchors), planar)
     return _rmse(tracker, recordings), _rmse(tracker, blind)
+
+
+def test_a_tilting_tag_that_its_known_height_has_taken_for_level_is_named():
+    walk = simulate_uwb_imu(chamber(), n_points=400).folder("walk")
+    walk = dataclasses.replace(walk, rig=dataclasses.replace(walk.rig, tags={"0": Tag(height=1.2)}))
+    (line,) = build("uwb-imu", walk).run(walk).notices
+    assert "tag 0 typically tilts by" in line
+    assert "leave out height_m" in line
+    assert build("uwb-imu", walk, free_height=True).run(walk).notices == ()
+    level = with_columns("imu", pl.col("^accel_[xy].*$", "^gyro_[xy].*$") * 0.0)(walk)
+    assert build("uwb-imu", level).run(level).notices == ()
 
 
 @pytest.mark.slow
