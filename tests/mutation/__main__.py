@@ -143,6 +143,8 @@ class Scratch:
                 process.communicate()
         if process.returncode in (0, 5):  # 5: every test of these files is a slow one
             return None
+        if "while loading conftest" in output:
+            return "tests/conftest.py", "ImportError"
         failed = re.search(r"^(?:FAILED|ERROR) (\S+?\.py(?:::.*?)?)(?: - ([\w.]*)[^\n]*)?$", output, re.M)
         if failed is None:
             raise RuntimeError(f"pytest ended with {process.returncode} without a failing test:\n{output[-2000:]}")

@@ -233,6 +233,7 @@ def test_an_error_over_time_takes_next_to_nothing(tmp_path, n):
     # Without a standard deviation the errors alone give the height.
     for error in (0.2, -0.2):
         assert half_heights([np.full(3, error)], [np.full(3, np.nan)]) == pytest.approx([1.15 * 0.2])
+    assert half_heights([np.full(3, 0.2), np.zeros(3)], [np.full(3, np.nan)] * 2) == pytest.approx([0.23, 0.0115])
 
 
 def test_the_error_cdf_shows_horizontal_and_3d(tmp_path, rng):

@@ -10,7 +10,13 @@ from scipy import stats
 
 from tests.experiments.pages.reports.tuning_report_data import innovations, report_data
 from trackwright.experiments.pages.charts import tuning
-from trackwright.experiments.pages.reports.tuning import advice_on, agreement, tuning_page, write_tuning_report
+from trackwright.experiments.pages.reports.tuning import (
+    _changed,
+    advice_on,
+    agreement,
+    tuning_page,
+    write_tuning_report,
+)
 from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
 from trackwright.experiments.text.wording import number, percent_change
 from trackwright.tuning.diagnostics import (
@@ -128,6 +134,12 @@ def test_a_good_result_is_recommended_and_nothing_warns():
 
 def _with_metric(key, **changes):
     return tuple(MetricChange(**(vars(s) | changes)) if s.key == key else s for s in report_data().metrics)
+
+
+def test_a_change_too_small_to_matter_is_shown_in_per_cent():
+    (rmse,) = (one for one in report_data().metrics if one.key == "rmse")
+    assert _changed(rmse, (0.3, 0.2999)).text not in ("", "same")
+    assert _changed(rmse, (0.3, 0.3)).text == "same"
 
 
 @pytest.mark.parametrize(
