@@ -75,7 +75,7 @@ RANGES_M = np.linalg.norm(HALL - np.array([3.0, 2.0, 1.0]), axis=1) * np.ones((3
 @pytest.mark.parametrize(
     ("times", "ranges", "anchors", "words"),
     [
-        (TIMES, RANGES_M * 1000, HALL, "range_recording: a typical range is 5405 m: looks like millimetres"),
+        (TIMES, RANGES_M * 1000, HALL, "range_recording: a typical range is 5,405 m: looks like millimetres"),
         (TIMES, RANGES_M, HALL * 1000, "anchors .* m apart, ranges of .* looks like millimetres"),
         (TIMES, np.where(np.eye(3, 4) > 0, np.inf, RANGES_M), HALL, "ranges: row 0 is infinite"),
         (TIMES, RANGES_M * np.nan, HALL, r"ranges of shape \(3, 4\) are all NaN"),

@@ -100,7 +100,7 @@ def _lengths(what: str, lengths: pl.Series, size: float | None, from_rig: bool =
     if typical > FAR_M and (size is None or typical > FAR_SIZES * size):
         unit = "millimetres" if size is None or typical > FAR_SIZES_MM * size else "centimetres"
         # Places in millimetres are as far from one another as from the rig; those of another frame are not.
-        if from_rig and float(lengths.std() or 0.0) < FRAME_SPREAD * typical:  # type: ignore[arg-type]
+        if from_rig and size is not None and float(lengths.std() or 0.0) < FRAME_SPREAD * typical:  # type: ignore[arg-type]
             yield "error", f"{what}: looks like another frame than the rig's, or {unit}, expected metres"
         else:
             yield "error", f"{what}: looks like {unit}, expected metres"
