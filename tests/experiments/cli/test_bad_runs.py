@@ -82,6 +82,7 @@ def test_a_run_folder_that_is_broken_is_refused(tmp_path, beginnings, change, wo
     change(tmp_path)
     before = _contents(tmp_path)
     assert_refused(trackwright("evaluate", tmp_path), word)
+    assert_refused(trackwright("evaluate", tmp_path, "--from", "1"), word)
     assert _contents(tmp_path) == before
 
 
