@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import trackwright as tw
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.data.recording import Recording, stack
@@ -127,3 +128,11 @@ def test_values_are_set_by_name_on_every_tracker_and_refused_where_they_do_not_f
     assert float(window.with_values({"*.sigma_a": 3.0}).tracker.motion.sigma_a.value) == pytest.approx(3.0)
     with pytest.raises(UnusableInput, match="this tracker has no 'sigma_q'"):
         fix_tracker().with_values({"sigma_q": 1.0})
+
+
+def test_a_trajectory_keeps_its_bits_where_others_alone_are_seen():
+    times, places = 0.1 * np.arange(20), 5e3 + 0.01 * np.random.default_rng(0).normal(size=(20, 3))
+    gaps = np.where(np.arange(20)[:, None] % 2 == 0, places, np.nan)
+    mine, every, same = (tw.fix_recording(times, x) for x in (gaps, places, gaps))
+    covariances = [tw.fix_tracker().run([mine, other])[0].covariance for other in (every, same)]
+    np.testing.assert_array_equal(*covariances)
