@@ -1,5 +1,6 @@
 """The objective as a function of vectors: rows of lost tracks count, priors are added in nats."""
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, LineStart, line_tracker, walks
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.covariance import FEW
 from trackwright.trackers.core.model.motion import ConstantPosition
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
@@ -72,6 +74,17 @@ def test_derivatives_by_the_numbers_that_move_are_those_of_all_and_the_others_ar
     np.testing.assert_array_equal(part.terms, whole.terms)
     np.testing.assert_allclose(part.term_gradients, whole.term_gradients * [[0.0], [1.0]], rtol=1e-12)
     np.testing.assert_allclose(optimum(problem, vector).hessian, curved * [[0.0, 0.0], [0.0, 1.0]], rtol=1e-9)
+
+
+def test_vectors_of_particles_and_of_few_trajectories_go_one_by_one():
+    def vectors(tracker, count):
+        parameters = select_parameters(tracker, ["motion.*"])
+        return Problem(tracker, [stack(walks([8] * count, 2))], NegativeLogLikelihood(), parameters).vectors_per_call
+
+    normal = line_tracker()
+    particles = replace(normal, filter=ParticleFilter(10))
+    assert [vectors(normal, FEW), vectors(particles, 8 * FEW)] == [1, 1]
+    assert vectors(normal, 8 * FEW) > 1
 
 
 def test_an_error_objective_counts_the_rows_of_a_lost_track():
