@@ -35,7 +35,10 @@ FEW = 0.25
 """Share of anchors or stations whose places may be wrong."""
 
 LEAST_DELAY_S, DELAY_GAIN, MOST_GROUPS = 0.1, 2 / 3, 24
-"""Delay that is a warning, the ratio of errors without it to those with it up to which it is, and groups looked at."""
+"""A warning of a delay needs at least so long a delay, and errors that fall at least to this share once it is removed.
+
+It is looked for in so many groups, which are enough to tell one delay of a table from chance.
+"""
 
 
 def check_against_truth(view: Compared, calibrated: bool = False) -> list[CheckResult]:
