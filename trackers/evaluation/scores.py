@@ -27,7 +27,7 @@ EXACT = 2000
 """Values that are kept beside the histogram: of more rows a percentile differs little by its bins."""
 
 SHARES = (0.5, 0.9, 0.95, 0.99)
-"""Quantiles that are metrics."""
+"""Quantiles that are metrics: only at their ranks are values in order."""
 
 LEVELS = (50, 68, 90, 95, 99)
 """Levels, %, of the ellipses whose share of the truth is a metric."""
@@ -63,7 +63,9 @@ class Values:
         return ordered
 
     def quantile(self, share: float) -> np.ndarray:
-        """The quantile (g,) of one of `SHARES`, linear between order statistics, NaN of none."""
+        """The quantile (g,), linear between order statistics, NaN of none; ValueError for none of `SHARES`."""
+        if share not in SHARES:
+            raise ValueError(f"the quantile {share} is none of {SHARES}: add it to SHARES in {__name__}")
         count = np.diff(self.starts)
         rank = _ranks(share, count)
         quantiles, some = np.full(len(count), np.nan), count > 0

@@ -26,7 +26,7 @@ class Figure(NamedTuple):
     """A figure of a recording: its title, and its panels, none where there is nothing to draw.
 
     `size`: width and height of a panel in a file, inches; None of a floor plan. `page`, `file`: where it is shown; on
-    the page it has one panel.
+    the page it has one panel, and is drawn of bearings, too: a chart of positions has no panels there.
     """
 
     title: str

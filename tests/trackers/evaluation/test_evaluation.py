@@ -19,6 +19,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import _truths, associate, evaluate
+from trackwright.trackers.evaluation.scores import Values
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks_table import read_tracks
 from trackwright.trackers.recordings.truth import TruthStatus
@@ -531,3 +532,10 @@ def test_recordings_in_arrays_have_the_truth_that_their_tables_would_have(world,
     assert found.scored.any()
     np.testing.assert_array_equal(found.truth, expected.truth)
     np.testing.assert_array_equal(found.truth_status, expected.truth_status)
+
+
+def test_a_quantile_of_values_that_are_not_in_order_is_refused():
+    values = Values(np.random.default_rng(0).random(3000), np.array([0, 3000]))
+    with pytest.raises(ValueError, match="add it to SHARES"):
+        values.quantile(0.75)
+    assert values.quantile(0.95) == pytest.approx(np.quantile(values.values, 0.95), rel=1e-12)
