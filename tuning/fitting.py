@@ -21,7 +21,7 @@ from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
 from trackwright.tuning.fit_cautions import collapsed, correlation, deciding, repetitions, standstill
-from trackwright.tuning.identifiability import kept_at_start
+from trackwright.tuning.identifiability import identifiability_issues, kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
 from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still, with_effect
 from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
@@ -94,7 +94,11 @@ class FitResult(Generic[AnyTracker]):
             shown = f"{value:.4g}" if value.ndim == 0 else np.array2string(value, precision=4)
             shown += f" ± {error:.2g}" if value.ndim == 0 and np.isfinite(error) else ""
             lines.append(f"  {p.label} {shown} {p.example.unit}")
-        return "\n".join([*lines, *(f"  caution: {text}" for text in self.cautions)]) + ">"
+        texts = list(self.cautions)
+        if self.uncertainty is not None:
+            issues = identifiability_issues(self.uncertainty, self.evaluation.term_gradients, self.selected)
+            texts = [*(issue.text for issue in issues), *texts]
+        return "\n".join([*lines, *(f"  caution: {text}" for text in texts)]) + ">"
 
     @property
     def parameters(self) -> list[Parameter]:

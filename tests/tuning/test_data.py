@@ -242,5 +242,6 @@ def test_vertical_noise_keeps_its_start_where_the_position_over_the_floor_is_jud
     assert result.values["motion.sigma_a"] != result.before.motion.sigma_a.value
     texts = [issue.text for issue in identifiability_issues(result.uncertainty, result.evaluation.term_gradients)]
     assert "motion.sigma_z keeps its starting value: the objective does not determine it" in texts
+    assert f"\n  caution: {texts[0]}" in repr(result)
     free = tw.fit(named, folder, objective, "motion.sigma_z", options)
     assert free.values["motion.sigma_z"] != free.before.motion.sigma_z.value
