@@ -77,6 +77,16 @@ def collapsed(
             )
 
 
+def heavy_tails(parameters: Sequence[Parameter], end: Float[np.ndarray, " p"]) -> Iterator[str]:
+    """Clauses on degrees of freedom, by their name, that end below 1, with which Student's t has no mean."""
+    for parameter, vector in split(parameters, end):
+        if isinstance(parameter.example, Scale) and parameter.label.endswith("dof") and np.min(vector) < 0.0:
+            yield (
+                f"{parameter.label} ended at {math.exp(np.min(vector)):.2g}, below 1, where Student's t has no mean: "
+                "keep it, or give bounds"
+            )
+
+
 def _determined(uncertainty: Uncertainty | None, parameter: Parameter) -> bool:
     """Whether a noise level has a standard error below its value."""
     if uncertainty is None:

@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.reading_grids import ReadingGrid, of_raw_re
 from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
-from trackwright.tuning.fit_cautions import collapsed, correlation, deciding, repetitions, standstill
+from trackwright.tuning.fit_cautions import collapsed, correlation, deciding, heavy_tails, repetitions, standstill
 from trackwright.tuning.identifiability import identifiability_issues, kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
 from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still, with_effect
@@ -119,6 +119,7 @@ class FitResult(Generic[AnyTracker]):
     def cautions(self) -> list[str]:
         """Caveats on the result (`tuning.fit_cautions`). For a likelihood this runs the filter once more."""
         cautions = [*standstill(self.start_vector, self.vector, self.selected), *self.collapsed]
+        cautions += heavy_tails(self.parameters, self.vector)
         if self.uncertainty is not None:
             cautions += deciding(self.problem, self.uncertainty, self.recordings)
         if self.problem.objective.is_likelihood:

@@ -17,6 +17,7 @@ from trackwright.tuning import intervals
 from trackwright.tuning.fit_cautions import (
     WINDOWS_S,
     correlation,
+    heavy_tails,
     rows_and_inflation,
     standstill,
     window_sums,
@@ -84,6 +85,15 @@ def test_a_noise_level_that_collapses_without_a_grid_is_named():
     assert any(text.startswith("sensors.gauge.sigma collapsed to ") for text in result.cautions)
     far = tw.fit(line_tracker(0.3, 1e4), walks([400], 1), "nll", LEVELS)
     assert not any("collapsed" in text for text in far.cautions), "a level that the recordings determine"
+
+
+def test_degrees_of_freedom_that_leave_no_mean_are_named():
+    texts = []
+    for dof in (4.0, 0.006):
+        parameters = select_parameters(tw.fix_tracker(sigma_horizontal=0.1, dof=dof), ["sensors.fixes.*"])
+        texts.append(list(heavy_tails(parameters, flatten(parameters))))
+    assert texts[0] == []
+    assert [text.partition(",")[0] for text in texts[1]] == ["sensors.fixes.dof ended at 0.006"]
 
 
 def test_one_recording_that_decides_is_named():
