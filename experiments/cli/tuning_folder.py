@@ -224,14 +224,14 @@ def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) 
     first = result.starts[0][0].values
     rows: list[tuple[str, ...]] = [("tunable", "before", "after", "95 % interval", "unit")]
     for parameter in result.parameters:
-        name = parameter.label
+        name, unit = parameter.label, "" if parameter.example.unit == "1" else parameter.example.unit
         nothing = np.full(np.shape(result.values[name]), np.nan)
         low, high = intervals.get(name, (nothing, nothing))
         parts = zip(*(np.ravel(x) for x in (first[name], result.values[name], low, high)), strict=True)
         for k, (before, after, a, b) in enumerate(parts):
             label = name if np.ndim(result.values[name]) == 0 else f"{name}.{k}"
             interval = f"{a:.4g} to {b:.4g}" if np.isfinite([a, b]).all() else "-"
-            rows.append((label, f"{before:.4g}", f"{after:.4g}", interval, parameter.example.unit))
+            rows.append((label, f"{before:.4g}", f"{after:.4g}", interval, unit))
     return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"
 
 

@@ -2,18 +2,21 @@
 
 import json
 import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
 import pytest
 
+import trackwright as tw
 from tests.in_process import trackwright
 from tests.tuning.worlds import line_tracker, walks
-from trackwright.experiments.cli.tuning_folder import in_words, refusals
+from trackwright.experiments.cli.tuning_folder import in_words, refusals, table
 from trackwright.experiments.pages.reports.before_after import Compared, worse
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
 from trackwright.tuning.fitting import fit
+from trackwright.tuning.parameters import by_label, flatten, select_parameters
 
 FIT = ("--tracker", "fix-kf", "--tune", "sensors.fixes.sigma_horizontal", "--starts", 1, "--no-figures")
 
@@ -81,6 +84,16 @@ def test_a_level_that_collapsed_is_refused_with_the_usual_fix():
     line = in_words([found])
     assert line.endswith("Usual fix: --freeze it or --bound it, or --average repeats; --force writes it all the same")
     assert "\n" not in line
+
+
+def test_a_tuned_number_without_a_unit_has_none_in_the_table():
+    parameters = select_parameters(tw.fix_tracker(dof=4.0), ["sensors.fixes.*"])
+    values = by_label(parameters, flatten(parameters))
+    result = SimpleNamespace(
+        parameters=parameters, values=values, starts=[[SimpleNamespace(values=values)]], start_value=1.0, value=0.5
+    )
+    units = {line.split()[0]: line.split()[4:] for line in table(result, "nll", {}).splitlines()}
+    assert (units["sensors.fixes.dof"], units["sensors.fixes.sigma_horizontal"]) == ([], ["m"])
 
 
 METRICS = {"recording": "hall", "rmse_m": 0.1, "coverage_95": 0.95, "nees_ratio": 1.0}
