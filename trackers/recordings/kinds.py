@@ -217,6 +217,16 @@ class Kind:
                 antennas[k, : len(station.antennas)], wavelengths[k] = station.antennas, station.wavelength
         return Sensors(number, places, axes, antennas, wavelengths)
 
+    def values_at(self, positions: Float[np.ndarray, "N 3"], sensors: Sensors) -> Float[np.ndarray, "N m"]:
+        """The values that positions imply; raises UnusableInput where `predicted` returns another shape."""
+        assert self.predicted is not None
+        values, expected = self.predicted(positions, sensors), (len(positions), sensors.antennas.shape[1])
+        if np.shape(values) != expected:
+            raise UnusableInput(
+                f"kind {self.name}: predicted gave {np.shape(values)}, expected {expected}; usual fix: values[:, None]"
+            )
+        return values
+
     def errors(
         self,
         values: Float[np.ndarray, "N m"],
@@ -225,8 +235,7 @@ class Kind:
         columns: Sequence[str],
     ) -> Float[np.ndarray, "N m"]:
         """Values of columns less those predicted, angles in [−π, π); less an offset common to a row, if it has one."""
-        assert self.predicted is not None
-        errors = values - self.predicted(positions, sensors)
+        errors = values - self.values_at(positions, sensors)
         if self.common:
             errors = errors - np.angle(np.nansum(np.exp(1j * errors), axis=1, keepdims=True))
         return wrapped(errors, columns)
@@ -259,8 +268,7 @@ class Measured(NamedTuple):
 
     def predicted(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N m"]:
         """The values that positions imply."""
-        assert self.kind.predicted is not None
-        return self.kind.predicted(positions, self.sensors)
+        return self.kind.values_at(positions, self.sensors)
 
     def errors(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N m"]:
         """The differences from the values that positions imply: see `Kind.errors`."""

@@ -14,7 +14,7 @@ from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.parts.fixes import FixSensor
 from trackwright.trackers.parts.ranges import RangeSensor
-from trackwright.trackers.recordings.kinds import KINDS, TRUTH, Column, Kind, Sensors, add_kind, wrapped
+from trackwright.trackers.recordings.kinds import KINDS, TRUTH, Column, Kind, Measured, Sensors, add_kind, wrapped
 
 RNG = np.random.default_rng(32)
 TURNED = np.array([0.5, -0.3, 0.7, 0.4]) / np.sqrt(0.99)
@@ -105,6 +105,17 @@ def test_a_kind_with_two_sensors_is_predicted_from_both():
     a, b = (np.linalg.norm(POSITIONS[:2] - place, axis=1) for place in RIG.anchors.values())
     np.testing.assert_allclose(found[:, 0], [a[0] - b[0], b[1] - a[1]])
     assert kind.layout(()).ids == ("tag", "anchor", "anchor_2")
+
+
+def test_predictions_of_another_shape_are_refused_with_the_name_of_the_kind():
+    kind = Kind(
+        "arrivals", (Column("path_m"),), ("anchor",), lambda positions, sensors: sensors.distances(positions)[:, 0]
+    )
+    sensors = kind.sensors_of(RIG, ["A", "B"], NUMBER, 1)
+    readings = Measured(kind, ("A", "B"), ("path_m",), np.ones((40, 1)), sensors)
+    for predict in (readings.predicted, readings.errors):
+        with pytest.raises(UnusableInput, match=r"kind arrivals: predicted gave \(40,\), expected \(40, 1\)"):
+            predict(POSITIONS)
 
 
 @pytest.mark.parametrize(

@@ -56,8 +56,7 @@ class Compared(NamedTuple):
 
     def predicted(self) -> Float[np.ndarray, "N m"]:
         """The readings that true positions and geometry imply."""
-        assert self.kind.predicted is not None
-        return self.kind.predicted(self.positions, self.sensors)
+        return self.kind.values_at(self.positions, self.sensors)
 
     def errors(self) -> Float[np.ndarray, "N m"]:
         """The differences from the predicted readings: see `Kind.errors`."""

@@ -62,7 +62,6 @@ def information(
     `ids`: the anchors or stations of each reading; of differences those of one message, whose noise is that of both
     arrivals.
     """
-    assert kind.predicted is not None
     names = list(dict.fromkeys(name for row in ids for name in row))
     if kind.difference:
         # However they are paired, the anchors of a message tell as much as their differences from one of them.
@@ -71,7 +70,7 @@ def information(
     count, columns = len(positions), len(kind.columns)
     sensors = kind.sensors_of(rig, names, np.tile(number, (count, 1)), columns)
     at = np.repeat(positions, len(ids), axis=0)
-    sides = [kind.predicted(at + sign * _STEP_M * axis, sensors) for axis in np.eye(3) for sign in (1.0, -1.0)]
+    sides = [kind.values_at(at + sign * _STEP_M * axis, sensors) for axis in np.eye(3) for sign in (1.0, -1.0)]
     slopes = np.stack(
         [wrapped(up - down, kind.least) for up, down in zip(sides[::2], sides[1::2], strict=True)], axis=-1
     )
