@@ -249,22 +249,22 @@ def _is_sequence(recordings: Any) -> bool:
 
 
 class MissingInputError(KeyError):
-    """A part reads an input that is neither declared nor given: `reader` and `name`."""
+    """A part reads an input, or `readings`, neither declared nor given: `reader` and `name`."""
 
-    def __init__(self, reader: str, name: str) -> None:
+    def __init__(self, reader: str, name: str, readings: bool) -> None:
         super().__init__(name)
-        self.reader, self.name = reader, name
+        self.reader, self.name, self.readings = reader, name, readings
 
 
 class GivenInputs(dict[str, Any]):
-    """The inputs of a row; a missing one raises MissingInputError with the name of its reader."""
+    """The inputs of a row, or its `readings`; a missing one raises MissingInputError with the name of its reader."""
 
-    def __init__(self, values: Mapping[str, Any], reader: str) -> None:
+    def __init__(self, values: Mapping[str, Any], reader: str, readings: bool = False) -> None:
         super().__init__(values)
-        self.reader = reader
+        self.reader, self.readings = reader, readings
 
     def __missing__(self, name: str) -> Any:
-        raise MissingInputError(self.reader, name)
+        raise MissingInputError(self.reader, name, self.readings)
 
 
 def check_parts(layout: Layout, tracker: RecursiveTracker) -> None:
@@ -321,6 +321,8 @@ def _initial_view(layout: Layout, tracker: RecursiveTracker) -> Any:
     try:
         return _view_of(tree, fixed, shapes, tuple(layout.readings.items()), tuple(inputs.items()), kind)
     except MissingInputError as missing:
+        if missing.readings:
+            layout.check_readings(missing.reader, missing.name, 0)
         raise UnusableInput(
             f"{layout.where}: no input '{missing.name}', found {listed(layout.inputs, 8) or 'none'}; expected it, "
             f"since {missing.reader} reads it; usual fix: add it to the recording's `inputs`, one row per time"
@@ -361,7 +363,11 @@ def _view_of(
     def view(numbers: list[Any], row: Row) -> Any:
         leaves = [f if n is None else n for f, n in zip(fixed, numbers, strict=True)]
         motion, sensors, start = jax.tree_util.tree_unflatten(tree, leaves)
-        given = row._replace(inputs=GivenInputs(row.inputs, f"the start ({type(start).__name__})"))
+        reader = f"the start ({type(start).__name__})"
+        given = row._replace(
+            readings=GivenInputs(row.readings, reader, readings=True), inputs=GivenInputs(row.inputs, reader)
+        )
+        start.can_start(given)
         state = start.belief(start.candidate(sensors, given), given).mean
         inputs = GivenInputs(row.inputs, f"the motion ({type(motion).__name__})")
         motion.step(state, inputs, row.dt, Vector(*[row.dt] * motion.noise_dimension))

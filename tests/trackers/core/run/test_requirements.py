@@ -56,6 +56,13 @@ class Parked(tw.AbstractStart):
         return tw.Gaussian(Place(Vector(candidate, candidate)), tw.diagonal([1.0, 1.0], candidate))
 
 
+class ParkedAtFix(Parked):
+    """A start by readings whose name is misspelt."""
+
+    def can_start(self, row):
+        return row.readings["fix"].seen[0]
+
+
 class Odometer(AbstractSensor):
     """Reads an input that it does not declare."""
 
@@ -112,6 +119,7 @@ NAMES: dict[str, Any] = {
     "recording": _recording,
     "readings": FIXES,
     "car": tw.Tracker(Car(), {"fixes": tw.FixSensor(0.1, 0.1)}, Parked()),
+    "misspelt": tw.Tracker(Car(), {"fixes": tw.FixSensor(0.1, 0.1)}, ParkedAtFix()),
     "odometer": tw.Tracker(Car(), {"wheel": Odometer()}, Parked()),
     "declared": tw.Tracker(Car(), {"wheel": DeclaredOdometer()}, Parked()),
     "turns": tw.Readings(np.zeros((ROWS, 1)), np.ones((ROWS, 1), bool)),
@@ -243,6 +251,10 @@ MISTAKES = [
         "declared.run(recording({'wheel': turns}))",
         "no input 'wheel', found none; expected one number per row, m, the radius of the wheel, which sensor 'wheel'",
         "usual fix: add it to the recording's `inputs`",
+    ),
+    (
+        "misspelt.run(recording({'fixes': readings}))",
+        "found readings of fixes; expected 'fix', which the start (ParkedAtFix) reads; usual fix: give the readings",
     ),
     # the view of the motion
     (
