@@ -5,7 +5,11 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from traceback import extract_tb
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +17,23 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
+
+
+@contextmanager
+def _told(tracker: str, name: str, function: Callable[..., Any]) -> Iterator[None]:
+    """Raises UnusableInput, with the line, where a function of a user's tracker fails; else the fault as it is."""
+    try:
+        yield
+    except (UnusableInput, MemoryError):
+        raise
+    except Exception as error:
+        code = getattr(function, "__code__", None)
+        if code is None or function.__module__.startswith("trackwright."):
+            raise
+        lines = [at.lineno for at in extract_tb(error.__traceback__) if at.filename == code.co_filename]
+        where = f"{Path(code.co_filename).name}, line {[code.co_firstlineno, *lines][-1]}"
+        what = f"{type(error).__name__}: {error}"
+        raise UnusableInput(f"{tracker}: {name} failed ({what}); correct {where}") from error
 
 
 @dataclass(frozen=True)
@@ -95,16 +116,20 @@ class TrackerSpec:
             refused = self.refusal(folder, name)
             if refused is not None:
                 raise UnusableInput(refused)
-            trajectories = self.trajectories(folder, free_height)
-            if isinstance(trajectories, Trajectories):
-                for key, part in self._parts(trajectories, free_height):
-                    grouped[key].append(part)
-            else:
-                for trajectory in trajectories:
-                    key = self.planar(trajectory, free_height), self.geometry(trajectory)
-                    grouped[key].append(Trajectories.of([trajectory]))
+            with _told(name, "trajectories", self.trajectories):
+                rows = self.trajectories(folder, free_height)
+                rows = rows if isinstance(rows, Trajectories) else list(rows)
+            with _told(name, "planar", self.planar):
+                if isinstance(rows, Trajectories):
+                    for key, part in self._parts(rows, free_height):
+                        grouped[key].append(part)
+                else:
+                    for trajectory in rows:
+                        key = self.planar(trajectory, free_height), self.geometry(trajectory)
+                        grouped[key].append(Trajectories.of([trajectory]))
         joined = {key: Trajectories.joined(parts) for key, parts in grouped.items()}
-        return [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
+        with _told(name, "build", self.build):
+            return [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
 
     def _parts(
         self, trajectories: Trajectories, free_height: bool

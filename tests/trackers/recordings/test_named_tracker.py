@@ -172,3 +172,25 @@ def test_a_trackers_file_may_import_the_one_beside_it(tmp_path, monkeypatch):
 def test_a_name_and_a_number_that_are_nearly_right_are_met_by_the_right_one(tracker, values, words):
     with pytest.raises(UnusableInput, match=words):
         tracker.with_values(values)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ("trajectories=lambda folder, free_height: folder.tables['fix']", "trajectories failed (KeyError: 'fix'"),
+        ("trajectories=lambda folder: []", "trajectories failed (TypeError: <lambda>() takes 1 positional argument"),
+        ("trajectories=lambda folder, free_height: (1 / 0 for _ in 'ab')", "trajectories failed (ZeroDivisionError"),
+        ("planar=lambda trajectory, free_height: trajectory.hight", "planar failed (AttributeError: "),
+        ("build=lambda trajectory, planar: {}[planar]", "build failed (KeyError: "),
+    ],
+)
+def test_a_function_of_ones_own_tracker_that_fails_is_named_with_its_line(
+    folders, tmp_path, monkeypatch, changed, words
+):
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    lines = ["import dataclasses", "import trackwright as tw", "F = tw.TRACKERS['fix-kf']"]
+    (tmp_path / "mine.py").write_text("\n".join([*lines, f"OWN = dataclasses.replace(F, {changed})"]), "utf-8")
+    with pytest.raises(tw.UnusableInput) as refused:
+        tw.build(f"{tmp_path / 'mine.py'}:OWN", folders).run(folders)
+    assert f"mine.py:OWN: {words}" in str(refused.value)
+    assert str(refused.value).endswith("); correct mine.py, line 4")
