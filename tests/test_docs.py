@@ -156,7 +156,9 @@ OWN = ("--tracker", "bistatic.py:TRACKER")
 
 def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_line(hall):
     _as_in_a_new_process()
-    assert "bistatic.parquet (not one of the tables" in trackwright("check", "hall").out
+    ignored = trackwright("check", "hall").out
+    assert "bistatic.parquet (not one of the tables" in ignored
+    assert "; check and track read those of your own kinds by --tracker FILE.py:NAME)" in ignored
     done = trackwright("check", "hall", *OWN)
     assert (done.code, "path noise" in done.out) == (0, True)
     _as_in_a_new_process()
@@ -196,6 +198,7 @@ def test_a_kind_of_ones_own_is_imported_by_a_format_that_imports_its_file(hall):
     own = ("--format", "bistatic_log.py:read", "--tag", "T1", "--rig", "hall/rig.toml", "--out", "imported")
     done = trackwright("import", "bistatic.log", *own)
     assert done.code == 0, done.err
+    assert done.out.endswith("; next: trackwright check imported --tracker FILE.py:NAME\n")
     assert tw.read("imported").tables["bistatic"]["path_m"].to_list() == [1.5, -0.5]
 
 

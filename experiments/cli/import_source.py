@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from cyclopts import Parameter
 
@@ -140,7 +140,8 @@ def import_source(
     for line in written.notices:
         notice(f"notice: {out}: {line}")
     rows = ", ".join(f"{table} {counted(len(rows), 'row')}" for table, rows in tables.items())
-    print(f"wrote {out}: {rows}; next: trackwright check {out}")
+    own = "" if set(tables) <= {*get_args(Table)} else " --tracker FILE.py:NAME"
+    print(f"wrote {out}: {rows}; next: trackwright check {out}{own}")
     return 0
 
 

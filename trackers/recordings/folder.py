@@ -291,7 +291,8 @@ def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
     rig, files, notices, others = folder_contents(path)
     tables, ignored = {}, []
     if others:
-        ignored.append(f"{listed(others)} (not one of the tables {', '.join(table_kinds())})")
+        own = "check and track read those of your own kinds by --tracker FILE.py:NAME"
+        ignored.append(f"{listed(others)} (not one of the tables {', '.join(table_kinds())}; {own})")
     for name, file in files.items():
         tables[name], table_notices, columns = read_table(file, name, rig, placed or name != "ranges")
         notices += table_notices
