@@ -127,7 +127,7 @@ def hall(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     importlib.invalidate_caches()
     made = importlib.import_module("hall")
-    tw.write(made.hall(range(3), 1), "hall")
+    exec(re.search(r'^\$ python -c "(.*)"$', (ROOT / "docs/extending.md").read_text("utf-8"), re.MULTILINE)[1])
     yield made
     for name in ("bistatic", "hall"):
         sys.modules.pop(name, None)
