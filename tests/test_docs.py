@@ -202,6 +202,14 @@ def test_a_kind_of_ones_own_is_imported_by_a_format_that_imports_its_file(hall):
     assert tw.read("imported").tables["bistatic"]["path_m"].to_list() == [1.5, -0.5]
 
 
+def test_a_fit_of_a_start_by_readings_of_a_misspelt_name_is_refused(hall):
+    code = Path("bistatic.py").read_text("utf-8")
+    Path("bistatic.py").write_text(code.replace('readings["bistatic"]', 'readings["bistatc"]'), "utf-8")
+    _as_in_a_new_process()
+    said = trackwright("tune", "hall", *OWN, "--out", "tuned")
+    assert_refused(said, "found readings of bistatic; expected 'bistatc', which the start (InTheMiddle) reads")
+
+
 def test_a_kind_of_ones_own_with_an_unknown_anchor_is_refused_with_its_row(hall):
     table = pl.read_parquet("hall/bistatic.parquet")
     other = table.with_columns(anchor_2=pl.when(pl.int_range(pl.len()) == 4).then(pl.lit("9")).otherwise("anchor_2"))

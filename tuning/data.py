@@ -100,6 +100,7 @@ def fit_data(
     height too, where it is estimated; None for `judged_dimensions`. Raises UnusableInput for an objective that is not
     known, or that needs truth where there is none.
     """
+    check_input(batch.tracker, batch.trajectories[0].recording, "fit")
     dimensions = dimensions or judged_dimensions(batch, objective)
     segmented = replace(batch, trajectories=fit_segments(batch, segment_rows, dimensions))
     return segments_data(segmented, objective, {folder.name for folder in held_out}, dimensions, weigh)
