@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.trajectories import Trajectories, Trajector
 
 
 @contextmanager
-def _told(tracker: str, name: str, function: Callable[..., Any]) -> Iterator[None]:
+def _faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Iterator[None]:
     """Raises UnusableInput, with the line, where a function of a user's tracker fails; else the fault as it is."""
     try:
         yield
@@ -116,10 +116,10 @@ class TrackerSpec:
             refused = self.refusal(folder, name)
             if refused is not None:
                 raise UnusableInput(refused)
-            with _told(name, "trajectories", self.trajectories):
+            with _faults_named(name, "trajectories", self.trajectories):
                 rows = self.trajectories(folder, free_height)
                 rows = rows if isinstance(rows, Trajectories) else list(rows)
-            with _told(name, "planar", self.planar):
+            with _faults_named(name, "planar", self.planar):
                 if isinstance(rows, Trajectories):
                     for key, part in self._parts(rows, free_height):
                         grouped[key].append(part)
@@ -128,7 +128,7 @@ class TrackerSpec:
                         key = self.planar(trajectory, free_height), self.geometry(trajectory)
                         grouped[key].append(Trajectories.of([trajectory]))
         joined = {key: Trajectories.joined(parts) for key, parts in grouped.items()}
-        with _told(name, "build", self.build):
+        with _faults_named(name, "build", self.build):
             return [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
 
     def _parts(
