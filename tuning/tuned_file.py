@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,6 +15,7 @@ from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.input_file import TomlReader
 
 if TYPE_CHECKING:
+    from trackwright.trackers.recordings.named_tracker import NamedTracker
     from trackwright.tuning.fitting import FitResult
     from trackwright.tuning.intervals import Interval
 
@@ -63,12 +65,21 @@ def tuned_content(
 class Tuned(NamedTuple):
     """The content of a tuned.toml: the tracker it was fitted for, None where it names none, and values by name.
 
-    `calibration`: name and fingerprint of that of its recordings, None without one.
+    `calibration`: name and fingerprint of that of its recordings, None without one. `units`: of values, as written.
     """
 
     tracker: str | None
     values: dict[str, Any]
     calibration: Mapping[str, str] | None = None
+    units: Mapping[str, Any] = {}
+
+    def of(self, named: NamedTracker, path: Path | None) -> NamedTracker:
+        """The tracker with the values; raises UnusableInput, naming the file, where they or their units do not fit."""
+        for pattern, unit in self.units.items():
+            for expected in (named.tunables[name].unit for name in fnmatch.filter(named.tunables, pattern)):
+                if unit != expected:
+                    raise UnusableInput(f"{path}: '{pattern}': unit {unit!r}, expected '{expected}'; convert the value")
+        return named.with_values(self.values, path)
 
 
 def read_tuned(path: Path) -> Tuned:
@@ -97,7 +108,7 @@ def read_tuned(path: Path) -> Tuned:
         and all(isinstance(text, str) for text in calibration.values())
     ):
         reader.wrong("calibration", calibration, "its name and fingerprint")
-    return Tuned(tracker, values, calibration)
+    return Tuned(tracker, values, calibration, {name: x["unit"] for name, x in table.items() if "unit" in x})
 
 
 def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:

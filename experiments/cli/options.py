@@ -170,7 +170,7 @@ class TrackerOptions:
     def valued(self, named: NamedTracker) -> NamedTracker:
         """The tracker with the values of the file and then those of `--set`."""
         if self.tuned is not None:
-            named = named.with_values(self.tuned.values, self.file)
+            named = self.tuned.of(named, self.file)
         return named.with_values(self.values, "--set") if self.values else named
 
     def config(self, *without: str) -> dict[str, Any]:

@@ -74,7 +74,7 @@ def tunables(
 
     recording = folders[0] if folders else _simulated(tracker, spec_of(tracker).missing)
     named = build(tracker, recording, free_height)
-    listed = _rows(named if tuned is None else named.with_values(tuned.values, noise))
+    listed = _rows(named if tuned is None else tuned.of(named, noise))
     if json:
         print(json_text({"tracker": tracker, "recording": recording.name, "tunables": listed}))
         return 0

@@ -223,6 +223,10 @@ TUNED = {
     "unknown tunable": ('[tunables."motion.sigma_q"]\nvalue = 0.3\n', "this tracker has no 'motion.sigma_q'"),
     "list for a number": ('[tunables."motion.sigma_a"]\nvalue = [0.3, 0.4]\n', "has 2 numbers, separated by commas"),
     "number for a list": ('[tunables."sensors.*.offsets"]\nvalue = 0.1\n', "has shape ()"),
+    "another unit": (
+        '[tunables."motion.sigma_a"]\nvalue = 3e2\nunit = "mm/s^2"\n',
+        "unit 'mm/s^2', expected 'rad/s^2'",
+    ),
     "list too short": ('[tunables."sensors.*.offsets"]\nvalue = [0.1, 0.2]\n', "has shape (2,)"),
 }
 
