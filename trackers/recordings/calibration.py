@@ -49,7 +49,7 @@ DETERMINED = 0.7
 LARGEST_ANGLES = np.array([np.pi, np.pi / 2])
 """The largest azimuth and elevation, rad."""
 
-_NEWTON_STEPS, _CONVERGED = 20, 1e-10
+_NEWTON_STEPS, _CONVERGED, _LARGEST_BIAS_M = 20, 1e-10, 10.0
 
 FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
@@ -379,10 +379,8 @@ def _entries(names: Sequence[str], terms: np.ndarray, span: np.ndarray, covarian
 
 def read_calibration(path: str | Path) -> Calibration:
     """The calibration in a `calibration.toml`; raises UnusableInput for content that `calibrate` does not write."""
-    path = Path(path)
-    return _Reader(
-        path, "the calibration.toml of `trackwright calibrate`", "write it with `trackwright calibrate`"
-    ).calibration()
+    expected, fix = "the calibration.toml of `trackwright calibrate`", "write it with `trackwright calibrate`"
+    return _Reader(Path(path), expected, fix).calibration()
 
 
 def identity(path: Path) -> dict[str, str]:
@@ -435,6 +433,8 @@ class _Reader(TomlReader):
         terms, span, covariance = self.terms(where, content, _RANGE_TERMS, ("lowest_m", "highest_m"))
         if terms[1] <= -1.0:
             self.wrong(f"{where}.slope", content["slope"], "a number above -1")
+        if abs(terms[0]) > _LARGEST_BIAS_M:
+            self.wrong(f"{where}.bias_m", terms[0], f"at most {_LARGEST_BIAS_M:g} m in size: looks like millimetres")
         position = self.array(f"{where}.position_m", content["position_m"], (3,)) if placed else None
         return AnchorCalibration(terms, covariance, span, self.rows(where, content["rows"]), position)
 
