@@ -21,7 +21,13 @@ Format = Literal["tum", "kitti", "csv", "ros2", "rrd"]
 
 
 def export(
-    run: Path, /, *, format: Format, out: Annotated[Path, Parameter(metavar="PATH")], tag: str | None = None
+    run: Path,
+    /,
+    *,
+    format: Format,
+    out: Annotated[Path, Parameter(metavar="PATH")],
+    tag: str | None = None,
+    force: bool = False,
 ) -> int:
     """Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun.
 
@@ -33,6 +39,7 @@ def export(
         format: of the file; ros2 needs the extra trackwright[ros], rrd the extra trackwright[rerun].
         out: the file; of several tracks in tum or kitti, and for ros2, a new folder.
         tag: this tag alone.
+        force: replace a file that exists.
     """
     import polars as pl
 
@@ -41,6 +48,8 @@ def export(
     from trackwright.trackers.exchange.trajectories import write_trajectory
     from trackwright.trackers.recordings.atomic import atomic_write
 
+    if out.is_file() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
     table, rigs, truths = _table(run, format)
     if tag is not None:
         known = sorted(table["tag"].cast(pl.String).unique())

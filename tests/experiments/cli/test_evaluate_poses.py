@@ -218,7 +218,11 @@ def test_a_heading_is_exported_as_the_attitude_of_a_level_body(tracked):
 
 
 def test_the_csv_twin_has_every_column_and_row(tracked, tmp_path):
-    assert trackwright("export", tracked, "--format", "csv", "--out", tmp_path / "tracks.csv").code == 0
+    words = "export", tracked, "--format", "csv", "--out", tmp_path / "tracks.csv"
+    (tmp_path / "tracks.csv").write_text("precious")
+    assert_refused(trackwright(*words), "exists; expected a new file; --force replaces it")
+    assert (tmp_path / "tracks.csv").read_text() == "precious"
+    assert trackwright(*words, "--force").code == 0
     table = pl.read_parquet(tracked / "tracks.parquet")
     assert pl.read_csv(tmp_path / "tracks.csv", schema_overrides=table.schema).equals(table)
 
