@@ -78,6 +78,13 @@ def test_where_no_tracker_fits_the_nearest_and_what_it_lacks_are_named(tmp_path)
     said = trackwright("track", folder, "--force", "--out", tmp_path / "out")
     last = said._replace(err="".join(x for x in said.err.splitlines(keepends=True) if not x.startswith("notice: ")))
     assert_refused(last, f"{folder}: no tracker fits; the nearest, 'uwb', needs ", word)
+    build, word = REFUSED["no value at all"]
+    build(tmp_path / "empty")
+    for table in (tmp_path / "empty").glob("*.csv"):
+        if table.name not in ("ranges.csv", "truth.csv"):
+            table.unlink()
+    said = trackwright("track", tmp_path / "empty", "--out", tmp_path / "out")
+    assert_refused_last(said, "no tracker fits; the nearest, 'uwb', needs ", word)
 
 
 def test_errors_of_the_check_stop_the_command_before_anything_is_written(tmp_path):
@@ -111,6 +118,14 @@ def test_errors_of_the_check_stop_whatever_is_fitted_to_a_recording(tmp_path):
     assert said.code == 0, said.err
     forced = trackwright("calibrate", tmp_path / "feet", "--force", "--out", out / "feet.toml")
     assert (forced.code, "ranges are feet" in forced.err) == (0, True), forced.err
+
+
+def test_times_that_look_like_milliseconds_are_named_and_stop_nothing(tmp_path):
+    then(lambda folder: "")(tmp_path / "recording")
+    for path in (tmp_path / "recording").glob("*.csv"):
+        pl.read_csv(path).with_columns(pl.col("t_s") * 1000).write_csv(path)
+    lines = errors_of(read_recording(tmp_path / "recording"), force=True, calibrated=True)
+    assert any("t_s: rows" in line and "looks like milliseconds, expected seconds" in line for line in lines), lines
 
 
 def test_warnings_of_an_imu_are_printed_and_stop_nothing(tmp_path):

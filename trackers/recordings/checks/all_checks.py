@@ -83,10 +83,8 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
     """
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in KINDS if name in tables}
-    results = [result for result in check_time_base(measured or tables) if result.level == "error"]
-    missing = list(check_values(measured))
-    # One sensor that gave nothing leaves the others to be tracked.
-    results += missing if len(missing) == len(measured) else []
+    of_time = check_time_base(measured or tables)
+    results = [result for result in of_time if result.level == "error" or "looks like milliseconds" in result.message]
     results += check_clocks(measured)
     results += [result for result in check_units(rig, tables) if result.level != "info"]
     results += check_heights(rig, tables)
