@@ -122,6 +122,7 @@ BROKEN: dict[str, Builder] = {
     ),
     "line cut off": with_file("ranges.csv", lambda data: data[: data.rindex(b",")][: -len(b",1.23")]),
     "semicolons": with_file("ranges.csv", lambda data: data.replace(b",", b";")),
+    "comment first": with_line("ranges", lambda line: f"# by T1\n{line}", 0, "line 1 is '# by T1', expected names"),
     "decimal commas": with_file("fixes.csv", lambda data: data.replace(b".", b",")),
     "a cell too many": with_line("ranges", lambda line: line + ",1", 5, "ranges.csv: row 5 (line 6)"),
     "a cell too few": with_line("ranges", lambda line: line.rpartition(",")[0], 5, "ranges.csv: row 5 (line 6)"),
@@ -154,6 +155,9 @@ BROKEN: dict[str, Builder] = {
     "time missing": with_cell("ranges", "t_s", ""),
     "time not a number": with_cell("truth", "t_s", "nan"),
     "time a clock text": with_cell("ranges", "t_s", "12:00:01"),
+    "time a date": with_table(
+        "ranges", lambda table: table.with_columns(t_s=pl.lit("2026-05-01T12:00:00")), word="by 't_s=t_s in iso'"
+    ),
     "time infinite": with_cell("ranges", "t_s", "inf"),
     "clock that starts again": with_table(
         "ranges",

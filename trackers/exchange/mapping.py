@@ -17,7 +17,7 @@ from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.exchange.formats import beginning_of
 from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
-from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file
+from trackwright.trackers.recordings.table_file import DATE, TableFile, first_row, read_table_file, remedy
 
 # fmt: off
 UNITS: dict[str, dict[str, float]] = {
@@ -44,9 +44,7 @@ _EXPRESSION = re.compile(
 _TARGET = re.compile(r"(?P<name>[\w{}]+)(?:\[(?P<sensor>[^\]]+)\])?")
 _HOLE = re.compile(r"\{(\w+)\}")
 _UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|ns|deg|km|ft)[\])]$", re.IGNORECASE)
-_DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:[T ]|$)")
 _ZONE = re.compile(r":\d.*?(Z|[+-]\d{2}:?(?:\d{2})?)$")
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -454,7 +452,7 @@ def _no_date(file: TableFile, source: str, row: int) -> str:
     """Why the text in a row is no date as those above: a time zone that the first row lacks, or the reverse."""
     texts = file.frame[source]
     first, other = (_ZONE.search(str(texts[k]).strip()) for k in (0, row))
-    if _DATE.match(str(texts[row]).strip()) and (first is None) != (other is None):
+    if DATE.match(str(texts[row]).strip()) and (first is None) != (other is None):
         zones = [f"has {zone[1]}" if zone else "has no time zone" for zone in (other, first)]
         return (
             f"{file.path}: column {source}: row {row + 1} {zones[0]}, row 1 {zones[1]}; expected a time zone in every "
@@ -480,15 +478,6 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
     if wrong.any():
         row = first_row(wrong)
         raise UnusableInput(
-            f"{file.location(row, column)}: {text[row][:40]!r}; expected a number; {_remedy(text[row], column)}"
+            f"{file.location(row, column)}: {text[row][:40]!r}; expected a number; {remedy(text[row], column)}"
         )
     return numbers.fill_nan(None)
-
-
-def _remedy(text: str, column: str) -> str:
-    """What to do about a text where a number is expected."""
-    if _DATE.match(text):
-        return f"it looks like a date, which `trackwright import` reads by 't_s={column} in iso'"
-    if _DECIMAL_COMMA.fullmatch(text):
-        return "it looks like a decimal comma, which `trackwright import --decimal ,` reads"
-    return "leave a missing cell empty"

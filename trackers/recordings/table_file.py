@@ -12,6 +12,7 @@ import csv
 import errno
 import io
 import os
+import re
 import threading
 import zlib
 from collections.abc import Iterator, Sequence
@@ -39,6 +40,12 @@ _PAGES_AT, _DICTIONARY_AT = 9, 11  # of a column in a group
 _PAGE_PACKED, _PAGES, _PAGE_VALUES = 3, (5, 7, 8), 1  # of the header of a page: its data or dictionary
 
 
+DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:[T ]|$)")
+"""The beginning of a date such as 2026-05-01T12:00:00.25."""
+
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
+
+
 @dataclass(frozen=True)
 class TableFile:
     """The columns of a file before any check.
@@ -62,6 +69,15 @@ def first_row(rows: pl.Series) -> int:
     row = rows.arg_max()
     assert row is not None
     return int(row)
+
+
+def remedy(text: str, column: str) -> str:
+    """What to do about a text where a number is expected."""
+    if DATE.match(text):
+        return f"it looks like a date, which `trackwright import` reads by 't_s={column} in iso'"
+    if _DECIMAL_COMMA.fullmatch(text):
+        return "it looks like a decimal comma, which `trackwright import --decimal ,` reads"
+    return "leave a missing cell empty"
 
 
 def read_table_file(path: Path, separator: str = ",") -> TableFile:
@@ -153,7 +169,7 @@ def _text(path: Path, data: bytes, separator: str) -> TableFile:
     text = text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
     head, _, body = text.partition("\n")
     names = [name.strip() for name in next(csv.reader([head], delimiter=separator), [])]
-    if separator == "," and len(names) == 1 and any(mark in head for mark in ";\t"):
+    if separator == "," and len(names) == 1 and (head.startswith("#") or any(mark in head for mark in ";\t")):
         raise UnusableInput(f"{path}: line 1 is {head[:60]!r}, expected names separated by commas; export it again")
     repeated = {name for name in names if names.count(name) > 1}
     if repeated:

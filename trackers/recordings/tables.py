@@ -13,7 +13,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.kinds import QUATERNION, Kind, Layout, table_kinds, unit_of
-from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file
+from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file, remedy
 
 JITTER_S, JITTER = 1.0, 5.0
 """Rows count as late, and are sorted, up to this many s, or median steps of their sensor and tag."""
@@ -128,7 +128,7 @@ def _numbers(file: TableFile, column: str, largest: float) -> pl.Series:
         if wrong.any():
             row = first_row(wrong)
             raise UnusableInput(
-                f"{file.location(row, column)}: {text[row][:40]!r}, expected a number; leave a missing cell empty"
+                f"{file.location(row, column)}: {text[row][:40]!r}, expected a number; {remedy(text[row], column)}"
             )
     elif cells.dtype.is_numeric() or cells.dtype == pl.Null:
         numbers = cells.cast(pl.Float64)
