@@ -22,6 +22,7 @@ from trackwright.experiments.text.wording import figures_drawn
 from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics, associate, evaluate, metric_names
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
+from trackwright.trackers.recordings.checks.units import check_units
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks_table import (
     EVALUATION,
@@ -101,6 +102,10 @@ def sources(folder: Path) -> tuple[Path, ...]:
         raise UnusableInput(
             f"{folder / SOURCES}: names no recording; expected a folder written by `track`; give --truth RECORDING"
         )
+    if moved := [path for path in paths if not path.exists()]:
+        raise UnusableInput(
+            f"{folder / SOURCES}: {moved[0]} does not exist; expected the recordings there; give --truth RECORDING"
+        )
     return tuple(paths)
 
 
@@ -129,6 +134,10 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
         for line in notices:
             notice(f"notice: {source}: {line}")
         tracks = part.of_estimates(assigned(read, truths, tag, source))
+        # Of a truth in a file, there is no geometry beside which estimates may be large.
+        for folder in (folder for folder in folders if folder.rig.places() and poses.align is None):
+            for result in check_units(folder.rig, {"fixes": tracks.filter(pl.col("recording") == folder.name)}):
+                notice(f"notice: {source}: {result.message}")
     from trackwright.experiments.pages.reports.evaluate_text import pose_errors_text
     from trackwright.trackers.exchange.estimates import compare_tracks, pooled, pooled_names
 

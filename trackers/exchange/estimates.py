@@ -26,6 +26,7 @@ from trackwright.trackers.exchange.pose_errors import (
 from trackwright.trackers.exchange.trajectories import Kind, read_trajectory, trajectory_of_table
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
+from trackwright.trackers.recordings.tables import check_stds
 from trackwright.trackers.recordings.tracks_table import is_bearing
 
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
@@ -89,7 +90,11 @@ def _table(file: TableFile) -> pl.DataFrame:
             "optionally z_m, std_x_m …, qw … qz; bring it into this form by `trackwright import`"
         )
     texts = [pl.col(name).cast(pl.String) for name in columns if name in _TEXT]
-    return file.frame.select(texts + [numbers_of(file, name) for name in columns if name not in _TEXT])
+    frame = file.frame.select(texts + [numbers_of(file, name) for name in columns if name not in _TEXT])
+    # That of a known height is 0.
+    stds = frame.select(pl.col("^std_.*$").replace(0.0, None))
+    check_stds(file, stds, stds.columns)
+    return frame
 
 
 class ComparedTrack(NamedTuple):

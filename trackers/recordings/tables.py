@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
@@ -44,7 +45,7 @@ def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl
     quality = [column for column in map(partial(_quality, file), expected.quality) if column is not None]
     ignored = [name for name in ignored if name not in {column.name for column in quality}]
     frame = pl.DataFrame([times, *ids, *numbers, *quality])
-    _check_stds(file, frame, expected)
+    check_stds(file, frame, [column for column in expected.optional if column not in QUATERNION])
     _check_quaternions(file, frame)
     if placed:
         _check_sensors(file, frame, kind, rig)
@@ -153,9 +154,10 @@ def _quality(file: TableFile, column: str) -> pl.Series | None:
         return None
 
 
-def _check_stds(file: TableFile, frame: pl.DataFrame, expected: Layout) -> None:
-    for column in expected.optional:
-        if column in frame.columns and column not in QUATERNION:
+def check_stds(file: TableFile, frame: pl.DataFrame, columns: Iterable[str]) -> None:
+    """Raises UnusableInput with the row of a standard deviation that is not above zero, in one of these columns."""
+    for column in columns:
+        if column in frame.columns:
             wrong = (frame[column] <= 0).fill_null(False)
             if wrong.any():
                 row = first_row(wrong)

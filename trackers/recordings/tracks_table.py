@@ -32,7 +32,11 @@ def read_tracks(folder: Path | str) -> pl.DataFrame:
         raise UnusableInput(
             f"{path}: no such file; expected a folder with {TRACKS}; give the folder that `trackwright track` wrote"
         )
+    if not path.stat().st_size:
+        raise UnusableInput(f"{path}: has 0 bytes; expected the table of `trackwright track`; run it again")
     tracks = read_parquet(path)
+    if not {"x_m", "azimuth_rad"} & {*tracks.columns}:
+        raise UnusableInput(f"{path}: no column x_m; expected the table of `trackwright track`; run it again")
     if tracks.is_empty():
         raise UnusableInput(
             f"{path}: the table is empty; expected one row per estimate; read the output of `trackwright track`"

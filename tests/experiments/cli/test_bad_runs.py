@@ -48,6 +48,14 @@ def _no_times(folder):
     pl.read_parquet(folder / "tracks.parquet").drop("t_s").write_parquet(folder / "tracks.parquet")
 
 
+def _no_positions(folder):
+    pl.read_parquet(folder / "tracks.parquet").drop("x_m").write_parquet(folder / "tracks.parquet")
+
+
+def _nothing(folder):
+    (folder / "tracks.parquet").write_bytes(b"")
+
+
 def _no_sources(folder):
     (folder / "recordings.txt").unlink()
 
@@ -70,10 +78,12 @@ def _lost_sources(folder):
         (_junk, "is not a complete Parquet file"),
         (_no_rows, "the table is empty"),
         (_no_times, "no column t_s"),
+        (_no_positions, "tracks.parquet: no column x_m; expected the table of `trackwright track`; run it again"),
+        (_nothing, "tracks.parquet: has 0 bytes; expected the table of `trackwright track`; run it again"),
         (_no_sources, "names no recording"),
         (_empty_sources, "names no recording"),
         (_junk_sources, "names no recording"),
-        (_lost_sources, "does not exist"),
+        (_lost_sources, "gone does not exist; expected the recordings there; give --truth RECORDING"),
     ],
 )
 def test_a_run_folder_that_is_broken_is_refused(tmp_path, beginnings, change, word):

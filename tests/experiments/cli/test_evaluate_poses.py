@@ -90,6 +90,19 @@ def test_a_table_with_standard_deviations_gets_its_nees(beginnings, truth, tmp_p
     overall = json.loads(said.out)["overall"]
     assert overall["nees_mean"] == pytest.approx(1.0)
     assert overall["rmse_m"] == pytest.approx(0.1)
+    own.with_columns(std_x_m=-0.1, std_z_m=0.0).write_csv(tmp_path / "own.csv")
+    said = trackwright("evaluate", tmp_path / "own.csv", "--truth", beginnings / "good", "--tag", "T1")
+    assert_refused_last(said, "row 1 (line 2), column std_x_m: -0.1, expected a standard deviation above zero")
+
+
+def test_estimates_in_millimetres_and_a_height_that_is_known_exactly_are_scored(beginnings, truth, tmp_path):
+    own = truth.select("t_s", pl.col("x_m", "y_m", "z_m") * 1000, std_x_m=0.1, std_y_m=0.1, std_z_m=0.0)
+    own.write_csv(tmp_path / "own.csv")
+    words = "evaluate", tmp_path / "own.csv", "--truth", beginnings / "good", "--tag", "T1"
+    said = trackwright(*words)
+    assert said.code == 0, said.err
+    assert "m: looks like millimetres" in said.err
+    assert "millimetres" not in trackwright(*words, "--align", "sim3").err
 
 
 @pytest.mark.parametrize(
