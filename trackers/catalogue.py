@@ -240,6 +240,10 @@ def spec_of(name: str) -> TrackerSpec:
         from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 
         return from_file(name, "tracker", "TrackerSpec", lambda x: isinstance(x, TrackerSpec))
+    if "," in name:
+        raise UnusableInput(
+            f"tracker {name}: found {name.count(',') + 1} names; expected one; `track` compares several"
+        )
     raise UnusableInput(
         f"tracker {name}: unknown{near(name, TRACKERS)}; expected FILE.py:NAME or one of {', '.join(TRACKERS)}"
     )

@@ -64,7 +64,7 @@ def new_app(name: str, about: str | None = None, version: Callable[[], str] | No
         help_format="plaintext",
         help_formatter=_Help(),
         default_parameter=Parameter(
-            negative=(), consume_multiple=True, allow_repeating=True, show_default=_shown, converter=_read
+            negative=(), consume_multiple=1, allow_repeating=True, show_default=_shown, converter=_read
         ),
         result_action="return_value",
         exit_on_error=False,

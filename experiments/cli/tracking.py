@@ -67,6 +67,8 @@ def tracker_names(trackers: str | None, noise: Path | None = None) -> list[str]:
     # By which the folder of each is named.
     shorts = [split_name(name)[1] or name for name in names]
     repeated = next((name for k, name in enumerate(shorts) if name in shorts[:k]), None)
+    if "" in names:
+        raise UnusableInput(f"--tracker {trackers}: a name is empty; expected names with commas, without blanks")
     if repeated is not None:
         raise UnusableInput(f"--tracker {trackers}: '{repeated}' twice; expected different names; remove one")
     if len(names) > 1 and noise is not None:

@@ -53,6 +53,7 @@ def near(word: str, names: Iterable[str]) -> str:
     matches = [name for name in known if name.endswith(f".{word}")][:1]
     matches = matches or [name for name in longer if len(name) == min(map(len, longer))]
     matches = matches or difflib.get_close_matches(word, known, 1, 0.6)
+    matches = matches or difflib.get_close_matches(word.lower(), known, 1, 0.6)
     return f" (did you mean {' or '.join(matches)}?)" if matches else ""
 
 

@@ -130,6 +130,7 @@ def test_an_optional_positional_argument_has_its_default():
         (_run, "a --out", "--out: found nothing; expected --out FOLDER"),
         (_run, "a --out --free-height", "--out: found nothing; expected --out FOLDER"),
         (_run, "a --out=", "--out '': expected FOLDER, found an empty name"),
+        (_run, "a --out o --tag", "--tag: found nothing; expected --tag VALUE"),
         (_run, "a --out o --gap 1", "--gap: found 1; expected --gap with 2 values"),
         (_run, "a --out o --steps 1.5", "--steps 1.5: expected a whole number"),
         (_run, "a --out o --steps 0x1", "--steps 0x1: expected a whole number"),

@@ -187,6 +187,13 @@ def test_an_unknown_tracker_is_refused_with_the_known_ones(tmp_path, beginnings)
     for command in ("track", "tune"):
         said = trackwright(command, beginnings / "good", "--tracker", "kalman", "--out", tmp_path / "out")
         assert_refused(said, "tracker kalman: unknown", "direct, cascade, beam, das")
+    for command, name, words in (
+        ("track", "MHK", "tracker MHK: unknown (did you mean mhk?)"),
+        ("track", "mhk,", "--tracker mhk,: a name is empty; expected names with commas, without blanks"),
+        ("tune", "mhk,imm", "tracker mhk,imm: found 2 names; expected one; `track` compares several"),
+    ):
+        said = trackwright(command, beginnings / "good", "--tracker", name, "--out", tmp_path / "out")
+        assert_refused(said, words)
 
 
 def test_a_tracker_without_its_table_is_refused(tmp_path, simulated):
