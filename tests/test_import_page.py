@@ -89,7 +89,7 @@ def test_every_command_of_the_page_runs_on_the_files_that_it_describes(files):
             "{'fixes': pl.DataFrame({'t_s': [0.0], 'x_m': [0.0], 'y_m': [0.0]})}",
             ("no column gives", "an empty one where no height is measured"),
         ),
-        ("path.read()", ("my.log: bad.py:own fails (AttributeError:", "has no attribute 'read'")),
+        ("path.read()", ("my.log: bad.py:own fails (AttributeError in line 5:", "has no attribute 'read'")),
     ],
 )
 def test_what_a_format_of_ones_own_returns_is_refused_in_a_line(tmp_path, monkeypatch, returned, words):

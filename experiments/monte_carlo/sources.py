@@ -16,7 +16,7 @@ from trackwright.experiments.monte_carlo.chunk_store import first_difference, id
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.user_file import run_file, split_name
+from trackwright.trackers.core.user_file import fault_of, run_file, split_name
 from trackwright.trackers.recordings.input_file import read_toml
 
 PAPERS, QUESTIONS = "trackwright.experiments.lab.papers", "trackwright.experiments.lab.questions"
@@ -90,7 +90,9 @@ def _declared(what: str) -> Study:
 def _with_source(module: Any, path: Path) -> Study:
     study = getattr(module, "STUDY", None)
     if not isinstance(study, Study):
-        raise UnusableInput(f"{path}: no STUDY found; expected `STUDY = Study(...)` of experiments.monte_carlo")
+        raise UnusableInput(
+            f"{path}: no STUDY found; expected `STUDY = Study(...)` of trackwright.experiments.monte_carlo"
+        )
     return dataclasses.replace(study, source=path.read_text("utf-8"))
 
 
@@ -102,8 +104,7 @@ def _from_python(path: Path) -> Study:
     except UnusableInput:
         raise
     except Exception as error:
-        line = str(error).splitlines()[0] if str(error) else "no message"
-        raise UnusableInput(f"{path}: raises {type(error).__name__}: {line}; correct the file") from error
+        raise UnusableInput(f"{path}: raises {fault_of(error, path)}; correct the file") from error
     return _with_source(module, path)
 
 

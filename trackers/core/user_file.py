@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import traceback
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, one_line
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -31,14 +32,22 @@ def from_file(name: str, what: str, kind: str, fits: Callable[[Any], bool]) -> A
     try:
         module = _module(file.resolve(), f"trackwright_{what}_{file.stem}", file.stat().st_mtime_ns)
     except Exception as error:
-        line = str(error).splitlines()[0] if str(error) else "no message"
-        raise UnusableInput(f"{file}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
+        notebook = file.read_bytes().lstrip().startswith(b"{")
+        fix = "it is a notebook: export it as a Python file" if notebook else "correct the file"
+        raise UnusableInput(f"{file}: cannot be run ({fault_of(error, file)}); {fix}") from error
     target = getattr(module, attribute, None)
     if not fits(target):
         mine = ", ".join(key for key, value in vars(module).items() if fits(value)) or "none"
         wrong = f"{attribute} is no {kind}" if attribute else f"no {kind} is named"
         raise UnusableInput(f"{file}: {wrong}; the file's are: {mine}; name one as {file}:NAME")
     return target
+
+
+def fault_of(error: Exception, file: Path) -> str:
+    """The kind and the message of what a user's file raised, in one line, with the last line of the file on its way."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [f" in line {x.lineno}" for x in frames if Path(x.filename).resolve() == file.resolve()] or [""]
+    return f"{type(error).__name__}{lines[-1]}: {one_line(error)[:200] or 'no message'}"
 
 
 @lru_cache(maxsize=16)

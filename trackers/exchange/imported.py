@@ -19,7 +19,7 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.core.user_file import from_file
+from trackwright.trackers.core.user_file import fault_of, from_file, split_name
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
 from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, checked, columns_of, mapped_table
 from trackwright.trackers.exchange.ros_reader import topics_in
@@ -55,7 +55,8 @@ def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
     except UnusableInput:
         raise
     except Exception as error:
-        raise UnusableInput(f"{path}: {name} fails ({type(error).__name__}: {error}); correct either") from error
+        fault = fault_of(error, Path(split_name(name)[0]))
+        raise UnusableInput(f"{path}: {name} fails ({fault}); correct either") from error
     if not isinstance(frames, Mapping) or not frames:
         raise UnusableInput(f"{name}: gave {type(frames).__name__} of {path}; expected tables by name, one at least")
     source = Source()

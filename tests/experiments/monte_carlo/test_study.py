@@ -310,7 +310,11 @@ def test_a_tracker_of_a_users_own_file_takes_part(tmp_path):
 def test_the_command_line_refuses_what_is_no_study(tmp_path, whole):
     file = tmp_path / "small.toml"
     file.write_text(TOML)
+    (tmp_path / "none.py").write_text("NOTHING = 1\n")
+    (tmp_path / "failing.py").write_text("STUDY = 1\nSTUDY / 0\n")
     for words, message in (
+        ((tmp_path / "none.py",), "expected `STUDY = Study(...)` of trackwright.experiments.monte_carlo"),
+        ((tmp_path / "failing.py",), "raises ZeroDivisionError in line 2: "),
         (("tabel-1",), "did you mean table-1?"),
         ((file, "--shard", "3/2", "--out", tmp_path / "a"), "--shard 3/2"),
         ((file, "--out", whole[0]), "another study"),

@@ -160,6 +160,17 @@ def test_a_trackers_file_may_import_the_one_beside_it(tmp_path, monkeypatch):
     assert spec_of(f"{tmp_path / 'mine.py'}:MINE").table == "fixes"
 
 
+def test_a_trackers_file_that_fails_is_named_with_its_line_and_a_notebook_as_such(tmp_path):
+    path = tmp_path / "mine.py"
+    for text, words in (
+        ("LEVELS = {}\n\nMINE = LEVELS['sigma']\n", r"\(KeyError in line 3: 'sigma'\); correct the file"),
+        ('{"cells": [{"execution_count": null}]}', "it is a notebook: export it as a Python file"),
+    ):
+        path.write_text(text)
+        with pytest.raises(UnusableInput, match=words):
+            spec_of(f"{path}:MINE")
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [
