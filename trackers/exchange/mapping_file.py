@@ -50,6 +50,8 @@ def read_mapping(path: Path) -> MappingFile:
     path = PRESETS.get(str(path), path)
     content = read_toml(path, expected)
     entries, anchors, tags, bodies = (content.pop(key, None) for key in ("tables", "anchors", "tags", "bodies"))
+    if isinstance(entries, dict):
+        raise UnusableInput(f"{path}: [tables] is one table, expected a list of them; write [[tables]]")
     if content or not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
         raise UnusableInput(
             f"{path}: keys {listed(content) or 'none'}{'' if entries is None else ', tables'}; expected entries "
@@ -77,17 +79,19 @@ def _entry(where: str, entry: dict[str, Any], offsets: Mapping[str, Sequence[flo
     if "table" not in entry:
         raise UnusableInput(f"{where}: no table; expected one of {', '.join(table_kinds())}")
     texts = {key: entry[key] for key in _TEXTS if key in entry}
-    try:
-        kept = {column: [str(value) for value in values] for column, values in entry.get("where", {}).items()}
-        columns, anchors = ({**entry.get(key, {})} for key in ("columns", "anchors"))
-        placed = not anchors or (set(anchors) == {"x_m", "y_m", "z_m"} and "anchor" in columns)
-        if not placed or not all(isinstance(text, str) for one in (texts, columns, anchors) for text in one.values()):
-            raise TypeError
-    except (AttributeError, TypeError) as error:
+    parts = {key: entry.get(key, {}) for key in ("columns", "anchors", "where")}
+    found = [f"{key} = {x!r}" for key, x in parts.items() if not isinstance(x, dict)]
+    columns, anchors, rows = ({} if found else part for part in parts.values())
+    found += [f"{k} = {x!r}" for one in (texts, columns, anchors) for k, x in one.items() if not isinstance(x, str)]
+    found += [f"{column} = {x!r}" for column, x in rows.items() if not isinstance(x, list)]
+    if anchors and (set(anchors) != {"x_m", "y_m", "z_m"} or "anchor" not in columns):
+        found.append(f"anchors with {listed(anchors)}, columns with {listed(columns) or 'none'}")
+    if found:
         raise UnusableInput(
-            f'{where}: expected texts, in columns TARGET = "EXPRESSION", as in anchors for x_m, y_m and z_m beside a '
-            "column of anchor, and in where COLUMN = [VALUE, …]"
-        ) from error
+            f'{where}: {found[0][:80]}; expected texts, in columns TARGET = "EXPRESSION", as in anchors for x_m, y_m '
+            "and z_m beside a column of anchor, and in where COLUMN = [VALUE, …]"
+        )
+    kept = {column: [str(value) for value in values] for column, values in rows.items()}
     try:
         columns, anchors = (columns_of([f"{k}={v}" for k, v in one.items()]) for one in (columns, anchors))
         of_body = offsets if entry.get("body") else {}

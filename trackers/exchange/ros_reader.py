@@ -17,6 +17,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, parsed, sensor_of, spelled_out
 from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, size_of
+from trackwright.trackers.recordings.kinds import layout, table_kinds
 from trackwright.trackers.recordings.table_file import TableFile
 
 RECEIVED = "received"
@@ -172,9 +173,12 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
     columns = {target: text for target, text in standard.items() if target not in given} | asked
     mapping = replace(mapping, columns=columns)
     if not any(e.constant is None for e in columns.values()):
+        wanted = layout(mapping.table, ())
+        names = (*wanted.ids[1:], *(wanted.values or table_kinds()[mapping.table].least))
+        columns_of_table = " ".join(f"'{name}=FIELD'" for name in names)
         raise UnusableInput(
             f"{path}: topic {mapping.topic} has {kinds[0]}, which is no standard message for {mapping.table}; map its "
-            f"fields: --columns 'range_m=FIELD in mm' 'anchor=FIELD' …; fields: {_fields(reader, kinds[0])}"
+            f"fields: --columns {columns_of_table}; fields: {_fields(reader, kinds[0])}"
         )
     rows: dict[str, list[Any]] = {source: [] for source in sorted(mapping.sources)}
     for where, message, stamp in _messages(reader, connections, f"{path}: topic {mapping.topic}"):

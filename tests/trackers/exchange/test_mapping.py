@@ -151,7 +151,10 @@ def test_a_mapping_is_read_from_toml(tmp_path):
     assert mapping == TableMapping("ranges", {"range_m": parsed("range_m", "d in mm")}, "/uwb")
     for text, word in (("x = 1", "expected entries"), ('[[tables]]\ntabel = "x"', "unknown key 'tabel'"),
                        ('[[tables]]\ntable = "range"', "expected one of ranges"), ("[[tables]]\n", "no table"),
-                       ('[[tables]]\ntable="ranges"\ncolumns={range_m=3}', "expected texts")):  # fmt: skip
+                       ('[[tables]]\ntable="ranges"\ncolumns={range_m=3}', "range_m = 3; expected texts"),
+                       ('[[tables]]\ntable="ranges"\ncolumns=["d"]', r"columns = \['d'\]; expected texts"),
+                       ('[[tables]]\ntable="ranges"\nanchors={x_m="x"}', "anchors with x_m, columns with none; exp"),
+                       ('[tables]\ntable = "ranges"', r"write \[\[tables\]\]")):  # fmt: skip
         path.write_text(text)
         with pytest.raises(UnusableInput, match=word):
             read_mapping(path)
