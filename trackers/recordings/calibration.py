@@ -434,7 +434,7 @@ class _Reader(TomlReader):
         if terms[1] <= -1.0:
             self.wrong(f"{where}.slope", content["slope"], "a number above -1")
         if abs(terms[0]) > _LARGEST_BIAS_M:
-            self.wrong(f"{where}.bias_m", terms[0], f"at most {_LARGEST_BIAS_M:g} m in size: looks like millimetres")
+            self.wrong(f"{where}.bias_m", content["bias_m"], f"at most {_LARGEST_BIAS_M:g} m: looks like millimetres")
         position = self.array(f"{where}.position_m", content["position_m"], (3,)) if placed else None
         return AnchorCalibration(terms, covariance, span, self.rows(where, content["rows"]), position)
 

@@ -102,7 +102,7 @@ def test_a_calibration_is_read_back_to_the_bit(path):
         ("slope = 0.01", "slope = nan", "anchors.A.slope = nan, expected a finite number"),
         ("slope = 0.01", "slope = 1e200", "anchors.A.slope = 1e+200, expected a finite number, at most 1e+09 in size"),
         ("slope = 0.01", "slope = -1.5", "slope = -1.5, expected a number above -1"),
-        ("bias_m = 0.", "bias_m = 50.", "expected at most 10 m in size: looks like millimetres"),
+        ("bias_m = 0.", "bias_m = -50.", "anchors.A.bias_m = -50.1, expected at most 10 m: looks like millimetres"),
         ("slope = 0.01", 'slope = "0.01"', "slope = '0.01', expected a finite number"),
         ("position_m = [\n    1.0", "position_m = [\n    nan", "anchors.A.position_m = [nan, 2.0, 2.5], expected a list of 3 finite"),
         ("position_m = [\n    0.0", "place_m = [\n    0.0", "[stations.S 1] has unknown key 'place_m'"),
