@@ -13,6 +13,7 @@ CASES = (
     "envelope",
     "nis_expectation",
     "recovery",
+    "recovery:motion_levels",
     "error_over_bound",
     "surveys",
     "surveys:real_surveys",

@@ -4,7 +4,8 @@ Every replicate has new data and starts a factor of ten too high or too low in m
 every parameter: the coverage of its 95 % intervals, 89 to 99 % for 200 replicates, by the likelihood's curvature, by
 the scatter of rows, and by the wider of both, which `tune` gives; the bias of the unconstrained parameter, at most 3
 standard errors; and that no fit ends worse than it began. Systems: A, the beam tracker; B, the grid on a line; C,
-ranges; D, MH-K's fusion of fixes with a full covariance.
+ranges; D, MH-K's fusion of fixes with a full covariance. `motion-levels`: whether a fit to a single recording of a
+minute finds how much the tag moves.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ REPLICATES = 200
 COVERED = (0.89, 0.99)
 """Accepted coverage of 95 % intervals; its standard error over 200 replicates is 1.5 %."""
 
+LEVELS, NEAR = (0.005, 0.02, 0.1, 0.5, 2.0), 1.5
+"""Levels of motion, m/s² per √Hz, from a creeping trolley to a hand, and the factor within which fits find them."""
+
 UNBIASED = 3.0
 WRONG = np.log(10.0)
 
@@ -49,6 +53,37 @@ def recovery(*systems: str, output: Output = DEFAULTS) -> int:
     note = f"Coverage of 95 % intervals by what they are from, and bias in standard errors; {count} fits each."
     output.publish("validation recovery", Table(rows, note=note))
     return int(not all(row["good"] == "yes" for row in rows))
+
+
+def motion_levels(*, output: Output = DEFAULTS) -> int:
+    """Fits of the level of motion to recordings of a minute of system C, from a start that is none of the levels.
+
+    1 if one of twenty is off by more than a factor of `NEAR`.
+    """
+    system, rows = ranges(), list[Row]()
+    for level in LEVELS:
+        world = replace(
+            system, tracker=replace(system.tracker, motion=tw.ConstantVelocity(level, 3)), trajectories=1, rows=600
+        )
+        tracker = replace(system.tracker, motion=tw.ConstantVelocity(0.3, 3))
+        fits = [
+            fit(tracker, tw.stack(recordings), NegativeLogLikelihood(), ("motion.sigma_a",), FitOptions(starts=4))
+            for recordings in world.replicates(4 if output.small else REPLICATES, seed=3)
+        ]
+        ratios = np.array([float(one.values["motion.sigma_a"]) for one in fits]) / level
+        near = np.mean(np.abs(np.log(ratios)) < np.log(NEAR))
+        rows.append(
+            {
+                "level": level,
+                "median": float(np.median(ratios)),
+                "least": float(ratios.min()),
+                "largest": float(ratios.max()),
+                "near %": 100 * float(near),
+            }
+        )
+    note = f"Fitted by true level of motion; share of recordings within a factor of {NEAR}."
+    output.publish("validation motion-levels", Table(rows, note=note))
+    return int(any(row["near %"] < 95 for row in rows))
 
 
 @dataclass(frozen=True)
