@@ -259,7 +259,7 @@ def test_broken_noise_levels_are_refused(tmp_path, simulated, name, option):
         ),
         (("motion.*", "tied:nothing.*"), "'nothing.*' matches no tunable"),
         (("tied:*",), "ties tunables of different units or shapes"),
-        ((), "nothing to tune"),
+        ((), "found nothing"),
     ],
 )
 def test_patterns_that_name_nothing_are_refused(tmp_path, simulated, patterns, word):
