@@ -172,7 +172,7 @@ def checked(study: Study) -> Study:
     names = (*METRICS, *STUDIES, *study.measures)
     for metric in study.metrics:
         if metric not in names:
-            known = f"{near(metric, names)}; names: {', '.join(names)}"
+            known = f"{near(str(metric), names)}; names: {', '.join(names)}"
             raise UnusableInput(f"{where}: metrics: no metric {metric!r}{known}")
     for world in study.worlds.values():
         for name, value in world.numbers.items():

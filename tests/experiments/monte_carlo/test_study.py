@@ -271,6 +271,7 @@ def test_until_ends_a_condition_as_soon_as_its_interval_is_narrow_enough(tmp_pat
         (("[trackers.fix-kf]", "[trackers.fix-kf]\ntunables = {'motion.sigma_a' = -1.0}"), "motion.sigma_a = -1.0"),
         (("runs = 12", "runs = 0"), "runs = 0"),
         (('metrics = ["rmse_m"', 'metrics = ["rmse"'), "no metric 'rmse' (did you mean rmse_m?); names: "),
+        (('metrics = ["rmse_m"', 'metrics = [5, "rmse_m"'), "no metric 5; names: "),
         (("rate_hz = 1.0", "rate = 1.0"), "parameter 'rate' is unknown; expected one of situation, speed, rate_hz"),
         (("rate_hz = 1.0", "seed = 1"), "parameter 'seed' is unknown; expected one of situation, speed, rate_hz"),
         (
