@@ -61,11 +61,11 @@ def motion_levels(*, output: Output = DEFAULTS) -> int:
     1 if one of twenty is off by more than a factor of `NEAR`.
     """
     system, rows = ranges(), list[Row]()
+    tracker = replace(system.tracker, motion=tw.ConstantVelocity(0.3, 3))
     for level in LEVELS:
         world = replace(
             system, tracker=replace(system.tracker, motion=tw.ConstantVelocity(level, 3)), trajectories=1, rows=600
         )
-        tracker = replace(system.tracker, motion=tw.ConstantVelocity(0.3, 3))
         fits = [
             fit(tracker, tw.stack(recordings), NegativeLogLikelihood(), ("motion.sigma_a",), FitOptions(starts=4))
             for recordings in world.replicates(4 if output.small else REPLICATES, seed=3)
