@@ -8,13 +8,13 @@ from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, 
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from traceback import extract_tb
 from typing import Any
 
 import numpy as np
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.core.user_file import fault_of
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 
@@ -30,10 +30,8 @@ def _faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Iter
         code = getattr(function, "__code__", None)
         if code is None or function.__module__.startswith("trackwright."):
             raise
-        lines = [at.lineno for at in extract_tb(error.__traceback__) if at.filename == code.co_filename]
-        where = f"{Path(code.co_filename).name}, line {[code.co_firstlineno, *lines][-1]}"
-        what = f"{type(error).__name__}: {error}"
-        raise UnusableInput(f"{tracker}: {name} failed ({what}); correct {where}") from error
+        file = Path(code.co_filename)
+        raise UnusableInput(f"{tracker}: {name} failed ({fault_of(error, file)}); correct {file.name}") from error
 
 
 @dataclass(frozen=True)

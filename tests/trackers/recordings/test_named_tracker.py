@@ -188,11 +188,11 @@ def test_a_name_and_a_number_that_are_nearly_right_are_met_by_the_right_one(trac
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ("trajectories=lambda folder, free_height: folder.tables['fix']", "trajectories failed (KeyError: 'fix'"),
+        ("trajectories=lambda folder, free_height: folder.tables['fix']", "trajectories failed (KeyError in line 4: 'fix'"),
         ("trajectories=lambda folder: []", "trajectories failed (TypeError: <lambda>() takes 1 positional argument"),
-        ("trajectories=lambda folder, free_height: (1 / 0 for _ in 'ab')", "trajectories failed (ZeroDivisionError"),
-        ("planar=lambda trajectory, free_height: trajectory.hight", "planar failed (AttributeError: "),
-        ("build=lambda trajectory, planar: {}[planar]", "build failed (KeyError: "),
+        ("trajectories=lambda folder, free_height: (1 / 0 for _ in 'ab')", "trajectories failed (ZeroDivisionError in line 4"),
+        ("planar=lambda trajectory, free_height: trajectory.hight", "planar failed (AttributeError in line 4: "),
+        ("build=lambda trajectory, planar: {}[planar]", "build failed (KeyError in line 4: "),
     ],
 )
 def test_a_function_of_ones_own_tracker_that_fails_is_named_with_its_line(
@@ -204,4 +204,4 @@ def test_a_function_of_ones_own_tracker_that_fails_is_named_with_its_line(
     with pytest.raises(tw.UnusableInput) as refused:
         tw.build(f"{tmp_path / 'mine.py'}:OWN", folders).run(folders)
     assert f"mine.py:OWN: {words}" in str(refused.value)
-    assert str(refused.value).endswith("); correct mine.py, line 4")
+    assert str(refused.value).endswith("); correct mine.py")

@@ -17,6 +17,7 @@ from trackwright.trackers.recordings.checks.coverage import (
     check_overlap,
     check_rates,
     check_time_base,
+    check_time_unit,
     check_truth,
     check_values,
 )
@@ -42,6 +43,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     results = [CheckResult("warning", *notice.partition(": ")[::2]) for notice in notices]
     if not measured:
         results.append(CheckResult("error", "tables", "no measurements, only truth; expected a table to track"))
+    results += check_time_unit(measured or tables)
     results += check_time_base(measured or tables)
     results += check_clocks(measured)
     results += check_values(tables)
@@ -83,8 +85,7 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
     """
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in KINDS if name in tables}
-    of_time = check_time_base(measured or tables)
-    results = [result for result in of_time if result.level == "error" or "looks like milliseconds" in result.message]
+    results = list(check_time_unit(measured or tables))
     results += check_clocks(measured)
     results += [result for result in check_units(rig, tables) if result.level != "info"]
     results += check_heights(rig, tables)

@@ -28,7 +28,9 @@ FAR, FAR_S = 10.0, 600.0
 """Time between two tables of a tag, in their lengths and in s, from which they have two clocks."""
 
 _OUTSIDE = "no measurement lies inside the time span of the truth"
-_EPOCHS = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"), (1e8, "seconds"))
+_FINER_UNITS = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"))
+_SINCE_1970_S = 1e8
+_EXPECTED_TIMES = "expected seconds since the start of recording"
 
 
 def check_ids(rig: Rig, measured: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
@@ -119,22 +121,31 @@ def _span(tables: Mapping[str, pl.DataFrame]) -> tuple[float, float]:
     return min(float(t.min()) for t in times), max(float(t.max()) for t in times)
 
 
-def check_time_base(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
-    """The span of all tables in time; times since 1970, a late start and milliseconds are reported."""
+def check_time_unit(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
+    """An error for times in fractions of seconds since 1970, a warning for times that look like milliseconds."""
     first, last = _span(tables)
-    unit = next((unit for least, unit in _EPOCHS if first > least), None)
+    unit = next((unit for least, unit in _FINER_UNITS if first > least), None)
     if unit is not None:
-        message = f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds since the start of recording"
-        message += "; `trackwright import --origin start` makes them so" if unit == "seconds" else ""
-        yield CheckResult("warning" if unit == "seconds" else "error", "t_s", message)
+        yield CheckResult("error", "t_s", f"starts at {first:.0f}: looks like {unit} since 1970, {_EXPECTED_TIMES}")
         return
-    if abs(first) > START_S:
-        yield CheckResult("warning", "t_s", f"starts at {moment(first)}, expected a start near 0")
     steps = [table["t_s"].unique().diff().median() for table in tables.values()]
     shortest = min((float(step) for step in steps if isinstance(step, float)), default=0.0)
     if shortest >= 5 and last - first > 1000:
         message = f"rows {shortest:.4g} s apart over {last - first:.6g} s: looks like milliseconds, expected seconds"
         yield CheckResult("warning", "t_s", message)
+
+
+def check_time_base(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
+    """The span of all tables in time; warnings for times since 1970 and for a late start."""
+    first, last = _span(tables)
+    if first > _FINER_UNITS[-1][0]:
+        return
+    if first > _SINCE_1970_S:
+        message = f"starts at {first:.0f}: looks like seconds since 1970, {_EXPECTED_TIMES}"
+        yield CheckResult("warning", "t_s", f"{message}; `trackwright import --origin start` makes them so")
+        return
+    if abs(first) > START_S:
+        yield CheckResult("warning", "t_s", f"starts at {moment(first)}, expected a start near 0")
     yield CheckResult("info", "t_s", f"from {span(first, last)}")
 
 
