@@ -13,14 +13,10 @@ import polars as pl
 from scipy.stats import f_oneway
 
 from trackwright.trackers.core.model.rig import Point
-from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import Kind, wrapped
 from trackwright.trackers.recordings.trajectories import known_heights
-from trackwright.trackers.recordings.truth import TruthStatus
-
-PIECE_S, PIECE_M = 5.0, 1.0
-"""Least duration, s, and way, m, of a piece of time: errors of different pieces count as independent."""
+from trackwright.trackers.recordings.truth import TruthStatus, independent_pieces
 
 PLACE_M = 1.0
 """Side of the squares of the floor, m, within which errors count as dependent."""
@@ -89,7 +85,8 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind, quality: Sequen
     heights = rows.of_each(known_heights(folder, rows.tags))
     positions = np.column_stack([positions[:, :2], np.where(np.isnan(positions[:, 2]), heights, positions[:, 2])])
     known = (status == TruthStatus.SCORED) & np.isfinite(positions).all(axis=1) & np.isfinite(raw.values).any(axis=1)
-    piece, place = _pieces(rows, positions, known) + MOST_PIECES * number, _places(positions)
+    piece = independent_pieces(rows.times, positions, rows.starts, known) + MOST_PIECES * number
+    place = _places(positions)
     tag = rows.of_each(np.array(rows.tags))
     true = measured.predicted(positions)
     # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
@@ -127,36 +124,6 @@ def end_factors(pairs: Pairs, anchor: Point) -> np.ndarray:
     x, y = away[:, :2].T / np.maximum(np.linalg.norm(away, axis=1), 1e-6)
     cosine, sine = np.cos(pairs.heading), np.sin(pairs.heading)
     return np.nan_to_num(np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1))
-
-
-def _pieces(rows: TagRows, positions: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """The number of each row's piece of time (N,): a new one after `PIECE_S` and `PIECE_M`, the same for all tags.
-
-    A tag that stands still stays in one piece, since the errors of its readings are those of one place.
-    """
-    piece = np.zeros(len(rows.times), int)
-    if not known.any():
-        return piece
-    # The way of the tag that moves most stands for all of them: tags on one body move together.
-    ways = []
-    for k in range(len(rows.tags)):
-        index = np.arange(rows.starts[k], rows.starts[k + 1])
-        index = index[known[index]]
-        if len(index) > 1:
-            ways.append((rows.times[index], np.append(0.0, np.cumsum(_steps(rows.times[index], positions[index])))))
-    if not ways:
-        return piece
-    times, way = max(ways, key=lambda pair: pair[1][-1])
-    begins, last = [times[0]], (times[0], 0.0)
-    for time, gone in zip(times, way, strict=True):
-        if time - last[0] >= PIECE_S and gone - last[1] >= PIECE_M:
-            begins.append(time)
-            last = (time, gone)
-    return np.searchsorted(np.array(begins), rows.times, side="right")
-
-
-def _steps(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(np.diff(positions, axis=0), axis=1)
 
 
 def _places(positions: np.ndarray) -> np.ndarray:

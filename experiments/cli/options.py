@@ -195,6 +195,9 @@ class TrackOptions(TrackerOptions):
         errors: auto scales the covariances to the errors of this recording (several levels of biases, weighted by how
             well they predict the readings); given takes the noise levels as they are. By default auto for uwb without
             --calibration, --noise, --set, --smooth and --motion auto.
+        protection: an output folder of `track`, tracked as this run is, of other recordings of the site with truth that
+            no calibration or fit has seen; several give protection levels, the radius that holds the true position.
+        probability: that of the protection levels.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself, as --keep-going does, on a Dask cluster, tcp://HOST:8786, or in
             processes here, local:4.
@@ -212,6 +215,8 @@ class TrackOptions(TrackerOptions):
     lag: Seconds | None = None
     motion: Literal["given", "auto"] = "given"
     errors: Literal["given", "auto"] | None = None
+    protection: tuple[Folder, ...] = ()
+    probability: float = 0.999
     seed: int = 0
     cluster: Address | None = None
     no_figures: bool = False
@@ -227,6 +232,8 @@ class TrackOptions(TrackerOptions):
             raise UnusableInput(
                 f"--lag {self.lag:g}: expected seconds above zero; leave it out to use the whole recording"
             )
+        if not 0.5 <= self.probability < 1.0:
+            raise UnusableInput(f"--probability {self.probability:g}: expected a number from 0.5 to below 1, as 0.999")
         if not 0 <= self.seed < 2**64:
             raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import cached_property, partial
+from itertools import pairwise
 
 import numpy as np
 import polars as pl
@@ -12,6 +13,9 @@ import polars as pl
 from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S, first_not_before
 from trackwright.trackers.recordings.columns import TableRows, TagRows, require_columns
 from trackwright.trackers.recordings.kinds import QUATERNION
+
+PIECE_S, PIECE_M = 5.0, 1.0
+"""Least duration, s, and way, m, of a piece of time: errors of different pieces count as independent."""
 
 
 class TruthStatus(IntEnum):
@@ -171,3 +175,28 @@ class TruePaths:
             if (table == table[0]).all():
                 return first[path] + np.searchsorted(table[0], times)
         return first_not_before(self.times, first[path], self.starts[1:][path] - 1, times)
+
+
+def independent_pieces(times: np.ndarray, positions: np.ndarray, starts: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """The number of each row's piece of time (n,): a new one after `PIECE_S` and `PIECE_M`, the same for all tags.
+
+    A tag that stands still stays in one piece, since the errors of its readings are those of one place. `times` (n,) s
+    and `positions` (n, d) m of the tags, whose rows stand one after another from `starts` (tags + 1,); `known` (n,):
+    where there is a position.
+    """
+    # The way of the tag that moves most stands for all of them: tags on one body move together.
+    ways = []
+    for begin, end in pairwise(starts):
+        index = begin + np.flatnonzero(known[begin:end])
+        if len(index) > 1:
+            steps = np.linalg.norm(np.diff(positions[index], axis=0), axis=1)
+            ways.append((times[index], np.append(0.0, np.cumsum(steps))))
+    if not ways:
+        return np.zeros(len(times), int)
+    of_most, way = max(ways, key=lambda pair: pair[1][-1])
+    begins, last = [of_most[0]], (of_most[0], 0.0)
+    for time, gone in zip(of_most, way, strict=True):
+        if time - last[0] >= PIECE_S and gone - last[1] >= PIECE_M:
+            begins.append(time)
+            last = (time, gone)
+    return np.searchsorted(np.array(begins), times, side="right")
