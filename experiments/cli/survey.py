@@ -30,7 +30,8 @@ def survey(
     too.
 
     Args:
-        recordings: recording folders with ranges to the same anchors; truth, if there is any, is not used.
+        recordings: recording folders with ranges to the same anchors, or with range differences where all have rough
+            positions, which are given; truth, if there is any, is not used.
         out: the file to write, as rig.toml; the page and its figure go beside it.
         given: anchors whose positions in rig.toml are known, or all.
         sigma: their standard deviation, m, as 0.05 by tape; default: exact.
@@ -50,7 +51,7 @@ def survey(
     refuse_repeated(recordings)
     folders = [read_recording(path, placed=False) for path in recordings]
     # Positions in rig.toml may be wrong, and no other table is used.
-    ranges = [replace(x, tables={"ranges": x.tables["ranges"]}) for x in folders if "ranges" in x.tables]
+    ranges = [replace(x, tables={k: x.tables[k]}) for x in folders for k in ("ranges", "tdoa") if k in x.tables]
     checked([replace(x, rig=replace(x.rig, anchors={})) for x in ranges], force, calibrated=True)
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.reports.survey import survey_data, write_survey_report

@@ -1,4 +1,4 @@
-"""The most probable anchors, delays and paths for ranges with errors of Student's t.
+"""The most probable anchors, delays and paths for ranges, or range differences, with errors of Student's t.
 
 Levenberg–Marquardt on all of them at once: the banded block of each path is eliminated by its Cholesky factor, which
 leaves a system of four unknowns per anchor. The scale of each anchor's errors and the acceleration density of each path
@@ -73,10 +73,17 @@ class Linearised:
 
 
 def predicted(walk: Walk, anchors: Float[np.ndarray, "A 4"], path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The ranges (n,), m, without errors, and the unit vectors (n, 3) from the anchors to the tag."""
-    offset = walk.positions(path) - anchors[walk.anchor, :3]
-    distance = np.maximum(np.sqrt((offset**2).sum(axis=1)), 1e-9)
-    return distance + anchors[walk.anchor, 3], offset / distance[:, None]
+    """The readings (n,), m, without errors, and their derivatives (n, e, 3) by the tag's offset from each end."""
+    offset = walk.positions(path)[:, None] - anchors[walk.ends, :3]
+    distance = np.maximum(np.sqrt((offset**2).sum(axis=-1)), 1e-9)
+    units = offset / distance[..., None] * walk.signs[:, None]
+    return (distance + anchors[walk.ends, 3]) @ walk.signs, units
+
+
+def scales_of(walk: Walk, solution: Solution) -> np.ndarray:
+    """The scale (n,), m, of the error of each reading, by those of its anchors."""
+    of_ends = solution.scales[walk.ends]
+    return of_ends[:, 0] if walk.second is None else np.sqrt((of_ends**2).sum(axis=1))
 
 
 def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
@@ -87,8 +94,8 @@ def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
 def _linearised(walk: Walk, solution: Solution, k: int, damping: float) -> Linearised:
     ranges, units = predicted(walk, solution.anchors, solution.paths[k])
     residuals = walk.ranges - ranges
-    weights = robust_weights(residuals, solution.scales[walk.anchor])
-    along, partial = walk.along(units), _partial(walk, units, len(solution.anchors))
+    weights = robust_weights(residuals, scales_of(walk, solution))
+    along, partial = walk.along(units.sum(axis=1)), _partial(walk, units, len(solution.anchors))
     rough = walk.roughness / solution.densities[k]
     weighted = along.T.multiply(weights).tocsr()
     information = weighted @ along + rough
@@ -98,10 +105,10 @@ def _linearised(walk: Walk, solution: Solution, k: int, damping: float) -> Linea
 
 
 def _partial(walk: Walk, units: np.ndarray, count: int) -> np.ndarray:
-    """The derivatives (n, 4A) of ranges by the positions and delays of anchors."""
+    """The derivatives (n, 4A) of readings by the positions and delays of anchors."""
     partial = np.zeros((len(units), count, 4))
-    rows = np.arange(len(units))
-    partial[rows, walk.anchor, :3], partial[rows, walk.anchor, 3] = -units, 1.0
+    rows = np.arange(len(units))[:, None]
+    partial[rows, walk.ends, :3], partial[rows, walk.ends, 3] = -units, walk.signs
     return partial.reshape(len(units), -1)
 
 
@@ -120,7 +127,7 @@ def cost_of(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
     cost = 0.5 * away @ prior.precision @ away
     for walk, path, density in zip(walks, solution.paths, solution.densities, strict=True):
         residuals = walk.ranges - predicted(walk, solution.anchors, path)[0]
-        scales = solution.scales[walk.anchor]
+        scales = scales_of(walk, solution)
         cost += 0.5 * (DOF + 1.0) * np.log1p((residuals / scales) ** 2 / DOF).sum() + np.log(scales).sum()
         flat = path.ravel()
         bent = (path.shape[0] - 2) * path.shape[1]
@@ -196,8 +203,10 @@ def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
         probes = random.standard_normal((part.factor.shape[1], PROBES))
         drawn = solve_banded((0, width), part.factor, probes)
         leverage = part.weights * ((part.along @ drawn) ** 2).mean(axis=1)
-        squares += np.bincount(walk.anchor, part.weights * part.residuals**2, count)
-        numbers += np.bincount(walk.anchor, 1.0 - np.minimum(leverage, 1.0), count)
+        # A difference counts for both of its anchors.
+        for end in walk.ends.T:
+            squares += np.bincount(end, part.weights * part.residuals**2, count)
+            numbers += np.bincount(end, 1.0 - np.minimum(leverage, 1.0), count)
         flat = solution.paths[k].ravel()
         bent = (solution.paths[k].shape[0] - 2) * walk.dimensions
         unseen = (drawn * (walk.roughness @ drawn)).sum(axis=0).mean() / solution.densities[k]
@@ -237,7 +246,7 @@ def design_effect(walks: Sequence[Walk], solution: Solution, prior: Prior) -> fl
         anchor.append(walk.anchor)
     score, time, spot, number = map(np.concatenate, (scores, pieces, spots, anchor))
     taken = np.mean([walk.dimensions for walk in walks])
-    seen = np.mean([len(np.unique(walk.anchor)) for walk in walks])
+    seen = np.mean([len(np.unique(walk.ends)) for walk in walks])
     clusters = [(time / length).astype(int)[:, None] for length in LENGTHS]
     clusters += [np.floor(spot / size).astype(int) for size in SIZES]
     effects = []
@@ -262,8 +271,8 @@ def information(walks: Sequence[Walk], solution: Solution) -> np.ndarray:
     system = np.zeros((4 * count, 4 * count))
     for k, walk in enumerate(walks):
         _, units = predicted(walk, solution.anchors, solution.paths[k])
-        weights = FISHER / solution.scales[walk.anchor] ** 2
-        along, partial = walk.along(units), _partial(walk, units, count)
+        weights = FISHER / scales_of(walk, solution) ** 2
+        along, partial = walk.along(units.sum(axis=1)), _partial(walk, units, count)
         weighted = along.T.multiply(weights).tocsr()
         rough = walk.roughness / solution.densities[k]
         factor = cholesky_banded(_banded(weighted @ along + rough, 4 * walk.dimensions - 1, 0.0))

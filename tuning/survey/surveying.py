@@ -14,11 +14,22 @@ from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.tuning.calibrating import check_at_rest
 from trackwright.tuning.survey.result import COMMON_DELAY, NORMAL, OWN_DELAY, Survey
 from trackwright.tuning.survey.solving import Prior, Solution, design_effect, information, predicted, solved
-from trackwright.tuning.survey.starts import descended, misfit, multistart, polished, ranges_to
+from trackwright.tuning.survey.starts import (
+    FIRST_DENSITY,
+    FIRST_SCALE,
+    descended,
+    misfit,
+    multistart,
+    polished,
+    ranges_to,
+)
 from trackwright.tuning.survey.walks import LEAST_RANGES, LEVEL, Walk, common_height, walks_of
 
 EXACT = 1e-3
 """Standard deviation, m, below which a given position counts as exact."""
+
+CLOCK = 0.2
+"""Standard deviation, m, of the offset of an anchor's clock before any range difference."""
 
 UNLIKELY = 4.0
 """Log-likelihood ratio from which a mirror image is excluded."""
@@ -44,7 +55,9 @@ def survey(
     frame: Sequence[str] = (),
     height: float | None = None,
 ) -> Survey:
-    """The positions and delays of the anchors of recordings with ranges, without their truth.
+    """The positions and delays of the anchors of recordings with ranges or range differences, without their truth.
+
+    Range differences refine given positions of all anchors; their delays are relative to the anchors' mean.
 
     `given`: anchors whose positions in the rigs are known with standard deviation `sigma`, m; 0: exactly; or "all".
     Without any, `frame` names three anchors: the origin, one on the x axis, one to the left of it and, where
@@ -55,19 +68,25 @@ def survey(
     folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
     given, frame = (tuple(x.split(",") if isinstance(x, str) else x) for x in (given, frame))
     _require_sense(given, sigma, frame, height)
-    before = folders[0].rig
-    names = _anchors_of(folders)
+    before, table = folders[0].rig, _table_of(folders)
+    names = _anchors_of(folders, table)
     given = names if given == ("all",) else given
     _require_known(names, before, given, frame)
     stated = [{name: f.rig.anchors[name] for name in given if name in f.rig.anchors} for f in folders]
     check_at_rest([replace(f, rig=Rig(f.name, anchors=a)) for f, a in zip(folders, stated, strict=True)])
-    walks = _long_enough(folders, names, height)
+    walks = _long_enough(folders, names, height, table)
     # One known height makes z the vertical.
     flat = any(walk.height is not None for walk in walks)
     notes = _notes(walks, flat)
     known = np.array([before.anchors.get(name, np.full(3, np.nan)) for name in names], float)
-    prior, random = delay_prior(len(names)), np.random.default_rng(0)
-    minima = multistart(walks, known, prior, random)
+    differences = table == "tdoa"
+    if differences and (len(given) < len(names) or not np.isfinite(known).all()):
+        raise UnusableInput(
+            f"{_names(folders)}: range differences refine positions of anchors that are roughly known; expected all of "
+            "them in rig.toml; add them, and give all with their standard deviation"
+        )
+    prior, random = delay_prior(len(names), differences), np.random.default_rng(0)
+    minima = [_tracked(folders, walks, known)] if differences else multistart(walks, known, prior, random)
     if not minima:
         raise UnusableInput(
             f"{_names(folders)}: no arrangement of the anchors fits the ranges; expected walks with ranges to four "
@@ -76,13 +95,16 @@ def survey(
     solution, fixed = minima[0], [names.index(name) for name in given]
     if given:
         _require_frame(known[fixed], given)
-        solution, prior = _onto(walks, solution, known, fixed, sigma, flat)
+        solution, prior = _onto(walks, solution, known, fixed, sigma, flat, prior)
     effect, tempered = 1.0, prior
     for _ in range(ROUNDS):
-        solution = polished(walks, solved(walks, solution, tempered), tempered, random)
+        solution = solved(walks, solution, tempered)
+        # Anchors have a local minimum of their own in ranges; range differences start from given positions.
+        solution = solution if differences else polished(walks, solution, tempered, random)
         effect = design_effect(walks, solution, tempered)
         tempered = replace(prior, precision=prior.precision * effect)
-    solution = min(_off_level(walks, solution, tempered), key=lambda s: s.cost)
+    if not differences:
+        solution = min(_off_level(walks, solution, tempered), key=lambda s: s.cost)
     if not given:
         chosen = _axes(names, frame, solution.anchors[:, :3], 2 if flat else 3)
         solution, prior = _framed(walks, solution, chosen, flat, prior)
@@ -91,7 +113,10 @@ def survey(
             notes.append("the mirror image of all, z as -z, fits as well; tags are assumed below the frame's anchors")
         if not frame:
             notes.append(f"frame: {words}: origin, x axis, and to the left of it; --given or --frame choose another")
-    solution, mirrored = _sided(walks, solution, known if flat or given else None, prior.free.reshape(-1, 4), effect)
+    mirrored = np.zeros(len(names), bool)
+    if not differences:
+        sides = known if flat or given else None
+        solution, mirrored = _sided(walks, solution, sides, prior.free.reshape(-1, 4), effect)
     covariance = _covariance(walks, solution, prior, effect)
     # Given positions are known as well as that, whatever other minima there are.
     searched = np.diag(covariance) > 0.0
@@ -106,12 +131,19 @@ def survey(
     )  # fmt: skip
 
 
-def _anchors_of(folders: Sequence[RecordingFolder]) -> list[str]:
-    """The anchors that have ranges; raises UnusableInput for fewer than four."""
-    tables = [folder.tables["ranges"] for folder in folders if "ranges" in folder.tables]
-    if not tables:
-        raise UnusableInput(f"{_names(folders)}: no table ranges; expected ranges to anchors; give such a recording")
-    names = sorted({name for table in tables for name in table["anchor"].unique()})
+def _table_of(folders: Sequence[RecordingFolder]) -> str:
+    """The table that is surveyed with: ranges, else range differences; raises UnusableInput for neither."""
+    for name in ("ranges", "tdoa"):
+        if any(name in folder.tables for folder in folders):
+            return name
+    raise UnusableInput(f"{_names(folders)}: no table ranges; expected ranges to anchors; give such a recording")
+
+
+def _anchors_of(folders: Sequence[RecordingFolder], table: str) -> list[str]:
+    """The anchors that have readings; raises UnusableInput for fewer than four."""
+    tables = [folder.tables[table] for folder in folders if table in folder.tables]
+    columns = [name for name in ("anchor", "anchor_2") if name in tables[0].columns]
+    names = sorted({name for rows in tables for column in columns for name in rows[column].unique()})
     if len(names) < LEAST_ANCHORS:
         raise UnusableInput(
             f"{_names(folders)}: ranges to {len(names)} anchors; expected {LEAST_ANCHORS} at least; survey more"
@@ -145,25 +177,52 @@ def _require_known(names: Sequence[str], rig: Rig, given: Sequence[str], frame: 
         raise UnusableInput(f"{rig.name}: rig.toml has no anchor {lacking[0]}; expected those given; add its position")
 
 
-def _long_enough(folders: Sequence[RecordingFolder], names: Sequence[str], height: float | None) -> list[Walk]:
-    """The walks; raises UnusableInput for an anchor with too few ranges."""
-    walks = walks_of([folder for folder in folders if "ranges" in folder.tables], names, height)
-    seen = sum((np.bincount(walk.anchor, minlength=len(names)) for walk in walks), np.zeros(len(names), int))
+def _tracked(folders: Sequence[RecordingFolder], walks: Sequence[Walk], known: Float[np.ndarray, "A 3"]) -> Solution:
+    """A start with the given anchors, and paths as the tracker of range differences has them there.
+
+    Raises UnusableInput where nothing is tracked.
+    """
+    # jax takes a second to import, which a survey with ranges need not wait for.
+    from trackwright.trackers.catalogue import build
+    from trackwright.trackers.recordings.tracks import track
+
+    table = track(build("tdoa", folders).smoothing().batches(folders)).table
+    paths = []
+    for walk in walks:
+        mine = (table["recording"] == walk.recording) & (table["tag"] == walk.tag)
+        places = table.filter(mine).select("t_s", "x_m", "y_m", "z_m").drop_nulls(["x_m", "y_m"]).to_numpy()
+        if not len(places):
+            raise UnusableInput(f"{walk.recording}: tag {walk.tag} cannot be tracked; expected range differences of it")
+        at = [np.interp(walk.times, places[:, 0], np.nan_to_num(column)) for column in places[:, 1:].T]
+        paths.append(walk.fitted(np.stack(at, axis=1)))
+    anchors = np.column_stack([known, np.zeros(len(known))])
+    return Solution(anchors, paths, np.full(len(known), FIRST_SCALE), np.full(len(walks), FIRST_DENSITY))
+
+
+def _long_enough(
+    folders: Sequence[RecordingFolder], names: Sequence[str], height: float | None, table: str
+) -> list[Walk]:
+    """The walks; raises UnusableInput for an anchor with too few readings."""
+    walks = walks_of([folder for folder in folders if table in folder.tables], names, height, table)
+    seen = sum((np.bincount(walk.ends.ravel(), minlength=len(names)) for walk in walks), np.zeros(len(names), int))
     if seen.min() < LEAST_RANGES:
         few = names[int(np.argmin(seen))]
         raise UnusableInput(
-            f"{_names(folders)}: {seen.min()} ranges to {few} without gaps; expected {LEAST_RANGES} at least; "
+            f"{_names(folders)}: {seen.min()} readings of {few} without gaps; expected {LEAST_RANGES} at least; "
             "record a longer walk"
         )
     return walks
 
 
 def _residuals(walks: Sequence[Walk], solution: Solution) -> tuple[Int[np.ndarray, " A"], Float[np.ndarray, " A"]]:
-    """The number of ranges of each anchor, and the root mean square of their errors, m."""
-    error = [w.ranges - predicted(w, solution.anchors, path)[0] for w, path in zip(walks, solution.paths, strict=True)]
-    anchor = np.concatenate([walk.anchor for walk in walks])
-    readings = np.bincount(anchor)
-    return readings, np.sqrt(np.bincount(anchor, np.concatenate(error) ** 2) / readings)
+    """The number of readings of each anchor, and the root mean square of their errors, m."""
+    readings, squares = np.zeros(len(solution.anchors), int), np.zeros(len(solution.anchors))
+    for walk, path in zip(walks, solution.paths, strict=True):
+        error = walk.ranges - predicted(walk, solution.anchors, path)[0]
+        for end in walk.ends.T:
+            readings += np.bincount(end, minlength=len(readings))
+            squares += np.bincount(end, error**2, len(readings))
+    return readings, np.sqrt(squares / readings)
 
 
 def _names(folders: Sequence[RecordingFolder]) -> str:
@@ -180,11 +239,16 @@ def _notes(walks: Sequence[Walk], flat: bool) -> list[str]:
     return ["heights of tags estimated; --height states one that is known"]
 
 
-def delay_prior(count: int) -> Prior:
-    """Delays that share most of what they are; nothing about positions."""
+def delay_prior(count: int, differences: bool = False) -> Prior:
+    """Delays that share most of what they are, of range differences with a mean of zero; nothing about positions."""
     precision = np.zeros((4 * count, 4 * count))
     delays = np.arange(3, 4 * count, 4)
-    precision[np.ix_(delays, delays)] = np.linalg.inv(OWN_DELAY**2 * np.eye(count) + COMMON_DELAY**2)
+    if differences:
+        # Clocks: their offsets are larger than delays of antennas. Their mean is in no difference.
+        of_delays = np.eye(count) / CLOCK**2 + 1.0 / (count * EXACT) ** 2
+    else:
+        of_delays = np.linalg.inv(OWN_DELAY**2 * np.eye(count) + COMMON_DELAY**2)
+    precision[np.ix_(delays, delays)] = of_delays
     return Prior(np.zeros(4 * count), precision, np.ones(4 * count, bool))
 
 
@@ -220,10 +284,15 @@ def aligned(points: np.ndarray, onto: np.ndarray, d: int) -> list[tuple[np.ndarr
 
 
 def _onto(
-    walks: Sequence[Walk], solution: Solution, known: np.ndarray, fixed: Sequence[int], sigma: float, flat: bool
+    walks: Sequence[Walk],
+    solution: Solution,
+    known: np.ndarray,
+    fixed: Sequence[int],
+    sigma: float,
+    flat: bool,
+    prior: Prior,
 ) -> tuple[Solution, Prior]:
-    """The solution among the given anchors, and their prior density, exact ones fixed."""
-    prior = delay_prior(len(known))
+    """The solution among the given anchors, and their prior density beside that of delays, exact ones fixed."""
     mean, precision, free = prior.mean.copy(), prior.precision.copy(), prior.free.copy()
     moves = aligned(solution.anchors[fixed, :3], known[fixed], 2 if flat else 3)
     # Of mirror images, that with the tags below the given anchors.

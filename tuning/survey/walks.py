@@ -1,6 +1,6 @@
-"""Walks: the ranges of a tag on its way, and its path as a cubic spline with white acceleration.
+"""Walks: the ranges of a tag on its way, or range differences, and its path as a spline with white acceleration.
 
-The path has knots every `STEP` s. Its prior density, exp(−½∫|x''|²dt / q), is that of white acceleration
+The spline is cubic, with knots every `STEP` s. Its prior density, exp(−½∫|x''|²dt / q), is that of white acceleration
 of spectral density q, m²/s³. Each range depends on four neighbouring coefficients: matrices of a path are banded.
 """
 
@@ -15,6 +15,7 @@ import scipy.sparse as sparse
 from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
 
 STEP = 0.25
 """Interval of the knots of a path, s: a person or a drone turns more slowly."""
@@ -37,6 +38,7 @@ class Walk:
     """n ranges of a tag between gaps: `times` s, `ranges` m, the number of the `anchor` of each (n,).
 
     `height`: of the tag, m, where it is known and constant; its path then has two coordinates instead of three.
+    `second` (n,): of range differences, the number of the anchor whose distance is subtracted.
     """
 
     recording: str
@@ -45,6 +47,17 @@ class Walk:
     ranges: Float[np.ndarray, " n"]
     anchor: Int[np.ndarray, " n"]
     height: float | None
+    second: Int[np.ndarray, " n"] | None = None
+
+    @property
+    def ends(self) -> Int[np.ndarray, "n e"]:
+        """The numbers of the anchors of each reading, whose distances are added, and subtracted, by `signs`."""
+        return self.anchor[:, None] if self.second is None else np.stack([self.anchor, self.second], axis=1)
+
+    @property
+    def signs(self) -> Float[np.ndarray, " e"]:
+        """1, and of range differences −1."""
+        return np.array([1.0]) if self.second is None else np.array([1.0, -1.0])
 
     @property
     def dimensions(self) -> int:
@@ -74,7 +87,7 @@ class Walk:
         return path if self.height is None else np.column_stack([path, np.full(len(path), self.height)])
 
     def along(self, units: Float[np.ndarray, "n 3"]) -> sparse.csr_array:
-        """The derivatives (n, knots · dimensions) of the ranges by the coefficients; `units`: from anchors to tag."""
+        """The derivatives (n, knots · dimensions) of the readings by the coefficients; `units`: by the position."""
         d = self.dimensions
         weights, knot = self.basis.data.reshape(-1, 4), self.basis.indices.reshape(-1, 4)
         values = weights[:, :, None] * units[:, None, :d]
@@ -96,20 +109,25 @@ def common_height(walks: Sequence[Walk]) -> float | None:
     return heights.pop() if len(heights) == 1 else None
 
 
-def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height: float | None) -> list[Walk]:
-    """The walks of all tags to anchors of these ids; `height`: of all tags, m, else those that the rigs give."""
-    walks = []
+def walks_of(
+    folders: Sequence[RecordingFolder], anchors: Sequence[str], height: float | None, table: str = "ranges"
+) -> list[Walk]:
+    """The walks of all tags to anchors of these ids, by ranges or `tdoa`; `height`: of all, m, else those in rigs."""
+    walks, (column, *_) = [], KINDS[table].layout(()).values
     for folder in folders:
-        rows = folder.rows("ranges", AVERAGE)
-        ranges, number = rows.floats(["range_m"])[:, 0], rows.codes("anchor", anchors)
+        rows = folder.rows(table, AVERAGE)
+        values, number = rows.floats([column])[:, 0], rows.codes("anchor", anchors)
+        second = rows.codes("anchor_2", anchors) if KINDS[table].difference else None
+        usable = np.isfinite(values) if second is not None else values > 0.0
         for k, tag in enumerate(rows.tags):
             known = folder.rig.tags[tag].height if height is None and tag in folder.rig.tags else height
             of_tag = np.arange(rows.starts[k], rows.starts[k + 1])
-            of_tag = of_tag[ranges[of_tag] > 0.0]
+            of_tag = of_tag[usable[of_tag]]
             pieces = np.split(of_tag, np.flatnonzero(np.diff(rows.times[of_tag]) > GAP) + 1)
             walks += [
-                Walk(folder.name, tag, rows.times[piece], ranges[piece], number[piece], known)
+                Walk(folder.name, tag, rows.times[piece], values[piece], number[piece], known,
+                     None if second is None else second[piece])
                 for piece in pieces
                 if len(piece) >= LEAST_RANGES
-            ]
+            ]  # fmt: skip
     return walks

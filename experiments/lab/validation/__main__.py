@@ -17,6 +17,7 @@ CASES = (
     "error_over_bound",
     "surveys",
     "surveys:real_surveys",
+    "surveys:difference_surveys",
     "protection_levels",
     "track_loss",
     "bag_tour",

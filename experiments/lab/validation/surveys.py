@@ -36,6 +36,9 @@ HEIGHTS: Mapping[str, tuple[float | None, ...]] = {"space": (None,), "one height
 SECONDS, RATE = 90.0, 4.0
 """Duration of all walks of a survey, and epochs a second."""
 
+DIFFERENCE_SURVEYS, ROUGH = 20, 0.15
+"""Surveys with range differences, and the standard deviation, m, of the positions that they refine."""
+
 REAL = {
     "starloc-fast": (("starloc-fast-s1",), 1.7),
     "rcv-drone": (("rcv-drone-3", "rcv-drone-6"), None),
@@ -71,6 +74,45 @@ def real_surveys(*sites: str, output: Output = DEFAULTS) -> int:
     note = "Median errors of anchors after alignment; RMSE: horizontal, of uwb with the published and the surveyed rig."
     output.publish("validation real-surveys", Table(rows, note=note))
     return 0
+
+
+def difference_surveys(*, output: Output = DEFAULTS) -> int:
+    """Rough positions of anchors refined by range differences: simulated rooms, and flights; 1 if intervals fail."""
+    keep_programs()
+    worlds = {"clear": {"hidden": 0.0}, "hidden for a tenth of the time": {}}
+    rows = []
+    for name, options in worlds.items():
+        seeds = range(1 if output.small else DIFFERENCE_SURVEYS)
+        folders = [[tw.simulate.tdoa(n=1, rows=900, seed=seed, **options).folder()] for seed in seeds]
+        rows.append(_refined(f"simulated, {name}", folders))
+    flights = [[flight] for flight in recorded("util-*")]
+    if flights and not output.small:
+        # Of several rough rigs each: a flight is one sample of its errors.
+        rows += [_refined(flight[0].name, [flight] * 5) for flight in flights]
+    output.publish("validation difference-surveys", Table(rows, note="Errors: root mean squares of a coordinate."))
+    return int(not output.small and any(row["inside 95 %"] < COVERED[0] for row in rows[: len(worlds)]))
+
+
+def _refined(name: str, sites: Sequence[Sequence[tw.RecordingFolder]]) -> Row:
+    """The errors of anchors of `sites`, displaced by `ROUGH`, before and after a survey."""
+    before, after, scaled, seconds = [], [], [], []
+    for seed, folders in enumerate(sites):
+        true = folders[0].rig.anchors
+        random = np.random.default_rng([seed, 36])
+        rough = {anchor: at + ROUGH * random.standard_normal(3) for anchor, at in true.items()}
+        began = time.process_time()
+        found = survey([replace(f, rig=replace(f.rig, anchors=rough)) for f in folders], given="all", sigma=ROUGH)
+        seconds.append(time.process_time() - began)
+        places = np.stack([true[anchor] for anchor in found.names])
+        before.append(np.stack([rough[anchor] for anchor in found.names]) - places)
+        after.append(found.positions - places)
+        scaled.append(after[-1] / found.half_widths[:, :3])
+    size_before, size_after = (100.0 * float(np.sqrt(np.mean(np.square(of)))) for of in (before, after))
+    return {
+        "site": name, "surveys": len(sites), "given, cm": size_before, "surveyed, cm": size_after,
+        "ratio": size_after / size_before, "inside 95 %": 100.0 * float(np.mean(np.abs(scaled) < 1.0)),
+        "s": float(np.median(seconds)),
+    }  # fmt: skip
 
 
 def _row(walk: str, lasting: float, rows: Sequence[Row]) -> Row:
