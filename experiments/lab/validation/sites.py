@@ -204,7 +204,7 @@ def recorded(pattern: str | Sequence[str]) -> list[RecordingFolder]:
 def judged(site: Site) -> Iterator[Judged]:
     """Every recording of a site in both settings, filtered and, where the tracker has a smoother, smoothed."""
     folders = recorded(site.pattern)
-    for folder in filter(_moves, folders):
+    for folder in filter(moves, folders):
         others = [other for other in folders if other is not folder and same_installation(folder, other)]
         seen = folder.name in SEEN_BY_DEFAULTS.get(site.tracker, ())
         yield from _runs(site, DEFAULTS, folder, [folder], {}, (), not seen)
@@ -253,7 +253,7 @@ def same_installation(a: RecordingFolder, b: RecordingFolder) -> bool:
     return bool(stations or anchors) and not moved
 
 
-def _moves(folder: RecordingFolder) -> bool:
+def moves(folder: RecordingFolder) -> bool:
     """Whether a tag covers `LEAST_WAY` between the farthest true positions, along x or y."""
     places = _positions(folder.tables["truth"])
     return bool(np.nanmax(np.nanmax(places, axis=0) - np.nanmin(places, axis=0)) >= LEAST_WAY)
