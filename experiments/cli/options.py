@@ -190,8 +190,8 @@ class TrackOptions(TrackerOptions):
         noise: a tuned.toml of `trackwright tune`.
         smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
         lag: smooth with the readings of the next so many seconds only.
-        motion: auto runs several levels of horizontal motion, the given one and smaller ones, weighted by how well each
-            predicts the readings: for motion unlike that of the defaults, as of a slow trolley.
+        motion: auto runs several levels of motion, horizontal and vertical, the given one and smaller, weighted by
+            how well each predicts the readings: for motion unlike that of the defaults, as of a slow trolley.
         errors: auto scales the covariances to the errors of this recording (several levels of biases, weighted by how
             well they predict the readings); given takes the noise levels as they are. By default auto for uwb without
             --calibration, --noise, --set, --smooth and --motion auto.

@@ -80,7 +80,7 @@ class NamedTracker:
         """
         groups = self._batches(recordings)
         split = [part for group in groups for part in above_rounding(group)]
-        return [replace(group, tracker=self._finished(group.tracker, running=True)) for group in split]
+        return [replace(group, tracker=self._finished(group.tracker, group.planar, True)) for group in split]
 
     def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The batches with this tracker's numbers as they are, not smoothed."""
@@ -99,7 +99,7 @@ class NamedTracker:
         groups = self._batches(recordings)
         if len(groups) != 1:
             raise self._several(len(groups))
-        return replace(groups[0], tracker=self._finished(groups[0].tracker))
+        return replace(groups[0], tracker=self._finished(groups[0].tracker, groups[0].planar))
 
     def batch_by_batch(self, recordings: Iterable[RecordingFolder]) -> Iterator[TrackerBatch]:
         """As `only_batch`, the trajectories of one recording at a time; a recording without any is passed over."""
@@ -109,7 +109,7 @@ class NamedTracker:
                 kinds.add((group.planar, self.spec.geometry(group.trajectories[0])))
                 if len(kinds) > 1:
                     raise self._several(len(kinds))
-                yield replace(group, tracker=self._finished(group.tracker))
+                yield replace(group, tracker=self._finished(group.tracker, group.planar))
 
     def _several(self, count: int) -> UnusableInput:
         return UnusableInput(
@@ -137,10 +137,10 @@ class NamedTracker:
         return replace(self, smoothed=True, lag=lag)._checked()
 
     def with_motion_levels(self) -> NamedTracker:
-        """This tracker at several levels of horizontal motion, weighted by their likelihoods: see `NoiseLevels`.
+        """This tracker at several levels of motion, weighted by their likelihoods: see `NoiseLevels`.
 
-        For motion unlike that of the defaults, as of a slow trolley. Raises UnusableInput for a tracker without a noise
-        level of horizontal motion.
+        For motion unlike that of the defaults, as of a slow trolley; of an estimated height also levels of the vertical
+        motion. Raises UnusableInput for a tracker without a noise level of horizontal motion.
         """
         return replace(self, motion_levels=True)._checked()
 
@@ -154,7 +154,7 @@ class NamedTracker:
         return replace(self, error_levels=on)._checked()
 
     def _checked(self) -> NamedTracker:
-        self._finished(self.tracker)
+        self._finished(self.tracker, False)
         return self
 
     def own_errors(self, tracker: Any) -> bool:
@@ -164,10 +164,11 @@ class NamedTracker:
             return self.spec.error_levels and tracker.lasting_errors and not chosen
         return self.error_levels
 
-    def _finished(self, tracker: Any, running: bool = False) -> AbstractTracker:
+    def _finished(self, tracker: Any, planar: bool, running: bool = False) -> AbstractTracker:
         """A tracker of the catalogue, smoothed and at several levels of noise where this one is.
 
-        `running`: whether for estimates; a fit has levels of errors where they were asked for alone.
+        `planar`: whether the state lies in a plane, where only horizontal motion has levels. `running`: whether for
+        estimates; a fit has levels of errors where they were asked for alone.
         """
         error_levels = self.own_errors(tracker) if running else self.error_levels
         if self.smoothed:
@@ -180,9 +181,9 @@ class NamedTracker:
                     f"tracker '{self.name}' cannot be smoothed: {error}; run it without smoothing"
                 ) from error
         if self.motion_levels or error_levels:
-            from trackwright.trackers.core.run.noise_levels import ERRORS, NoiseLevels
+            from trackwright.trackers.core.run.noise_levels import ERRORS, NoiseLevels, levels_of_motion
 
-            tracker = NoiseLevels(tracker) if self.motion_levels else tracker
+            tracker = NoiseLevels(tracker, levels_of_motion(tracker, planar)) if self.motion_levels else tracker
             tracker = NoiseLevels(tracker, ERRORS, about_first=True) if error_levels else tracker
         finished: AbstractTracker = tracker
         return finished

@@ -37,18 +37,22 @@ Weights = Float[Array, "K T B"]
 class Level(NamedTuple):
     """Factors on a tracker's noise levels, and the probability of the level before any reading.
 
-    `motion`: on the process noise of the axis `horizontal`. `biases`: on the standard deviation of the biases.
-    `readings`: on the measurement noise.
+    `motion`, `vertical`: on the process noise of the axes `horizontal` and `vertical`. `biases`: on the standard
+    deviation of the biases. `readings`: on the measurement noise.
     """
 
     prior: float
     motion: float = 1.0
+    vertical: float = 1.0
     biases: float = 1.0
     readings: float = 1.0
 
 
 MOTION = (Level(0.9), *(Level(0.1 / 3, motion=factor) for factor in (0.2, 0.04, 0.008)))
 """From a hand to a trolley that hardly moves."""
+
+VERTICAL = (Level(0.9), *(Level(0.05, vertical=factor) for factor in (0.2, 0.04)))
+"""From a hand or a drone that climbs to a body that keeps its height."""
 
 ERRORS = (Level(1 / 3), Level(1 / 3, biases=0.5, readings=0.25), Level(1 / 3, biases=2.0, readings=0.25))
 """The given levels, which are robust to errors that come and go within seconds, and readings with the white noise of a
@@ -129,12 +133,29 @@ class NoiseLevels(AbstractEpochwiseTracker):
         return jnp.asarray([[level.prior] for level in self.levels], dtype)
 
 
+def levels_of_motion(tracker: Any, planar: bool) -> tuple[Level, ...]:
+    """The levels of horizontal motion, with each of the vertical one unless `planar` or without process noise of it."""
+    if planar or not _process_noise(tunables(tracker), "vertical"):
+        return MOTION
+    return tuple(h._replace(prior=h.prior * v.prior, vertical=v.vertical) for v in VERTICAL for h in MOTION)
+
+
+def _process_noise(nodes: Mapping[str, Any], axis: str) -> list[str]:
+    """The names of the levels of process noise of an axis."""
+    return [
+        name
+        for name, node in nodes.items()
+        if isinstance(node, Scale) and role_of(node) == "process noise" and node.axis == axis
+    ]
+
+
 def scaled_levels(tracker: Any, levels: tuple[Level, ...]) -> dict[str, tuple[Scale, list[float]]]:
     """The noise levels that differ between levels, by name, each with its factors; raises UnusableInput without any."""
     nodes = {name: node for name, node in tunables(tracker).items() if isinstance(node, Scale)}
     roles = {name: role_of(node) for name, node in nodes.items()}
     kinds = {
-        "motion": [n for n, node in nodes.items() if roles[n] == "process noise" and node.axis == "horizontal"],
+        "motion": _process_noise(nodes, "horizontal"),
+        "vertical": _process_noise(nodes, "vertical"),
         "biases": [n for n in nodes if n.rpartition(".")[2] == "sigma_bias"],
         "readings": [n for n in nodes if roles[n] == "measurement noise"],
     }
@@ -151,6 +172,7 @@ def scaled_levels(tracker: Any, levels: tuple[Level, ...]) -> dict[str, tuple[Sc
 
 KINDS = {
     "motion": "motion: this tracker has no process noise of the horizontal motion; expected one",
+    "vertical": "motion: this tracker has no process noise of the vertical motion; expected one",
     "biases": "errors: this tracker has no biases that drift; expected them",
     "readings": "errors: this tracker has no level of the noise of its readings; expected one",
 }

@@ -17,7 +17,8 @@ from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.run.noise_levels import ERRORS, Level, NoiseLevels, _smoothed, mixture_of
+from trackwright.trackers.core.run import noise_levels
+from trackwright.trackers.core.run.noise_levels import ERRORS, MOTION, Level, NoiseLevels, _smoothed, mixture_of
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import filter_batch
 from trackwright.trackers.from_arrays import fix_recording, range_recording
@@ -270,6 +271,25 @@ def _still(folder):
     tables["ranges"] = ranges.with_columns(range_m=ranges["range_m"].to_numpy() + change)
     tables["truth"] = truth.with_columns(**{f"{a}_m": np.full(len(truth), at[0, k]) for k, a in enumerate("xyz")})
     return dataclasses.replace(folder, tables=tables)
+
+
+def test_an_estimated_height_has_levels_of_its_own():
+    tracker = fix_tracker()
+    levels = noise_levels.levels_of_motion(tracker, False)
+    assert len(levels) == 12
+    assert sum(level.prior for level in levels) == pytest.approx(1.0)
+    assert levels[0].prior == pytest.approx(0.81)
+    assert noise_levels.levels_of_motion(tracker, True) == MOTION
+    # A vehicle that turns briskly on a flat floor.
+    random, times = np.random.default_rng(4), np.arange(0.0, 60.0, 0.2)
+    path = np.stack([4.0 * np.cos(0.4 * times), 4.0 * np.sin(0.4 * times), np.ones(len(times))], axis=1)
+    recording = fix_recording(times, path + 0.1 * random.standard_normal(path.shape), truth=path)
+    horizontal, both = (
+        tw.evaluate(NoiseLevels(tracker, of_motion).run(recording), recording) for of_motion in (MOTION, levels)
+    )
+    assert both["rmse_m"] < 1.02 * horizontal["rmse_m"]
+    height = [np.sqrt(e["rmse_3d_m"] ** 2 - e["rmse_m"] ** 2) for e in (horizontal, both)]
+    assert height[1] < 0.8 * height[0]
 
 
 def test_a_tracker_without_such_a_level_is_refused():
