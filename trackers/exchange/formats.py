@@ -48,6 +48,10 @@ FORMATS: Mapping[str, Format] = {
     "trek1000": Format(
         "a log of a TREK1000 kit", "serial_logs", begins=re.compile(r"m[acr] [0-9a-fA-F]{2} "), has_tables=True,
     ),
+    "fira": Format(
+        "a log of a kit with FiRa, as DWM3001CDK", "serial_logs",
+        begins=re.compile(r'\{"Block":\s*\d+'), has_tables=True,
+    ),
     "tum": Format(
         "a TUM trajectory", "trajectories", (".tum",), begins=_first_line(r"[^,\s]+(?:[ \t]+[^,\s]+){7}")
     ),

@@ -1,7 +1,9 @@
-"""Serial logs of Decawave and Qorvo kits: lines of `les`, `lec` and `lep` (DWM1001), and of `mc` (TREK1000)."""
+"""Serial logs of Decawave and Qorvo kits: `les`, `lec`, `lep` (DWM1001), `mc` (TREK1000), FiRa results (DWM3001C)."""
 
 from __future__ import annotations
 
+import json
+import math
 import re
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -48,14 +50,15 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
         raise UnusableInput(f"{path}: {listed(mapping.columns)}: a log has one column, t_s=time, as t_s=time in ms")
     if name == "dwm1001" and mapping.tag is None:
         raise UnusableInput(f"{path}: DWM1001 lines do not name the tag; give it: --tag ID")
-    log, bad, raw = _Log(mapping.tag, asked.interval, time), [], 0
-    read, begins = {"dwm1001": log.dwm1001, "trek1000": log.trek1000}[name], FORMATS[name].begins
+    log, bad, raw = _Log(mapping.tag, asked.interval, time, path.stem), [], 0
+    read = {"dwm1001": log.dwm1001, "trek1000": log.trek1000, "fira": log.fira}[name]
+    begins = FORMATS[name].begins
     assert begins is not None
     lines = _text(path).rstrip().splitlines()
     for number, line in enumerate(lines, 1):
         line, where = line.strip(), f"{path}: line {number}"
         begin = begins.search(line)
-        if not line or line.startswith("#") or (begin is None and line.startswith(_SHELL)):
+        if not line or line.startswith("#") or (begin is None and (line.startswith(_SHELL) or name == "fira")):
             continue
         body = "" if begin is None else line[begin.start() :]
         if name == "trek1000" and body[:2] in ("mr", "ma") and _TREK.fullmatch(body):
@@ -74,12 +77,20 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
     if not log.ranges and not log.fixes:
         raise UnusableInput(f"{path}: no readings; expected {_EXPECTED[name]}")
     source = Source(anchors=log.anchors)
+    if log.failed:
+        source.notices.append(f"{counted(log.failed, 'exchange')} without a result left out")
     if bad:
         shown = ", ".join(map(str, bad[:5])) + (" …" if len(bad) > 5 else "")
         source.notices.append(f"{counted(len(bad), 'line')} could not be read, left out: {shown}")
     if raw:
         source.notices.append(f"{counted(raw, 'line')} of raw (mr) and anchor (ma) ranges left out; mc lines are used")
-    for table, rows, values in (("ranges", log.ranges, ("anchor", "range_m")), ("fixes", log.fixes, AXES)):
+    angles = ("station", "azimuth_rad", "elevation_rad")
+    kinds = (
+        ("ranges", log.ranges, ("anchor", "range_m")),
+        ("fixes", log.fixes, AXES),
+        ("bearings", log.bearings, angles),
+    )
+    for table, rows, values in kinds:
         if rows:
             source.tables[table] = pl.DataFrame(rows, ["t_s", "tag", *values], orient="row")
     return source
@@ -90,6 +101,7 @@ _EXPECTED = {
     "les": "a line of les, such as '1151[5.00,8.00,2.25]=6.44 est[2.57,1.98,1.68,100]'",
     "lec": "a line of lec, such as 'DIST,1,AN0,1151,5.00,8.00,2.25,6.44' with as many anchors as it says",
     "lep": "a line of lep, such as 'POS,2.57,1.98,1.68,100'",
+    "fira": 'lines such as \'{"Block":0,"results":[{"Addr":"0x0001","Status":"Ok","D_cm":87}]}\'',
     "trek1000": "TREK1000 lines such as 'mc 07 00000663 000005a3 00000512 ffffffff 095f c1 00024c24 a0:0'",
 }
 
@@ -107,14 +119,20 @@ class _NoSuchLine(UnusableInput):
 
 @dataclass
 class _Log:
-    """The rows of a log; `anchors`: the positions, m, that it names. `lines`, `days`, `latest`: of its clock so far."""
+    """The rows of a log; `anchors`: the positions, m, that it names. `lines`, `days`, `latest`: of its clock so far.
+
+    `name`: of the file. `failed`: exchanges without a result.
+    """
 
     tag: str | None
     interval: float | None
     time: Expression
+    name: str
     ranges: list[tuple[float, str, str, float]] = field(default_factory=list)
     fixes: list[tuple[float, str, float, float, float]] = field(default_factory=list)
+    bearings: list[tuple[float, str, str, float, None]] = field(default_factory=list)
     anchors: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    failed: int = 0
     lines: int = 0
     days: int = 0
     latest: float = -1.0
@@ -183,3 +201,28 @@ class _Log:
         for k, millimetres in enumerate(ranges):
             if mask >> k & 1 and millimetres < 0x8000_0000:
                 self.ranges.append((time, self.tag or match[8], str(k), millimetres / 1000))
+
+    def fira(self, where: str, body: str, prefix: str) -> None:
+        """Adds the readings of a line of the makers' FiRa application (INITF); raises UnusableInput.
+
+        Of a kit that is a tag, the distances to the others as anchors, and the angle at which these saw it; else of the
+        kit as an anchor, named as the file, the distances to the others as tags and the angles at which it saw them.
+        """
+        try:
+            content = json.loads(body)
+            results = [(str(r["Addr"]).removeprefix("0x"), r) for r in content["results"]]
+            block = float(content["Block"])
+        except (ValueError, KeyError, TypeError):
+            raise _NoSuchLine(f"{where}: {body[:60]!r}; expected {_EXPECTED['fira']}") from None
+        time = self.time_of(where, prefix, None if self.interval is None else block * self.interval)
+        for other, result in results:
+            distance = result.get("D_cm")
+            if result.get("Status") != "Ok" or not isinstance(distance, int | float):
+                self.failed += 1
+                continue
+            tag, fixed = (other, self.name) if self.tag is None else (self.tag, other)
+            self.ranges.append((time, tag, fixed, distance / 100))
+            angle = result.get("LAoA_deg" if self.tag is None else "RAoA_deg")
+            # Kits without an array of antennas print zeros with no figure of merit.
+            if isinstance(angle, int | float) and (angle or result.get("LFoM")):
+                self.bearings.append((time, tag, fixed, math.radians(angle), None))

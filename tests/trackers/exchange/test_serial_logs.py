@@ -108,3 +108,36 @@ def test_logs_of_other_kinds_are_refused(tmp_path):
         _log(tmp_path, LEC, tag=None)
     with pytest.raises(UnusableInput, match="no readings"):
         _log(tmp_path, TREK.splitlines()[0], "trek1000", None)
+
+
+# DWM3001CDK SDK Developer Guide, results of INITF.
+FIRA = (
+    '{"Block":0, "results":[{"Addr":"0x0001","Status":"Ok","D_cm":9,"LPDoA_deg":113.38,"LAoA_deg":46.35,"LFoM":0,'
+    '"RAoA_deg":-59.33,"CFO_ppm":-0.58}]}\n'
+    '{"Block":2, "results":[{"Addr":"0x0001","Status":"Ok","D_cm":150,"LPDoA_deg":0.00,"LAoA_deg":0.00,"LFoM":0,'
+    '"RAoA_deg":0.00,"CFO_ppm":-0.58},{"Addr":"0x0002","Status":"Err"}]}\n'
+)
+
+
+def test_the_results_of_a_kit_with_fira_are_distances_and_angles_of_an_anchor_or_of_the_tag(tmp_path):
+    (tmp_path / "A1.log").write_text("minicom\nINITF\nok\n" + FIRA)
+    assert format_of(tmp_path / "A1.log") == "fira"
+    log = read_source(tmp_path / "A1.log", "fira", Asked([TableMapping("ranges")], interval=0.2))
+    assert log.tables["ranges"].rows() == [(0.0, "0001", "A1", 0.09), (0.4, "0001", "A1", 1.5)]
+    (bearing,) = log.tables["bearings"].rows(named=True)
+    assert bearing == {
+        "t_s": 0.0, "tag": "0001", "station": "A1", "azimuth_rad": pytest.approx(0.80896, abs=1e-5),
+        "elevation_rad": None,
+    }  # fmt: skip
+    assert log.notices == ["1 exchange without a result left out"]
+    log = _log(tmp_path, "12:00:00.5 " + FIRA.replace("\n{", "\n12:00:00.7 {"), "fira", "T")
+    assert log.tables["ranges"].rows()[1] == (43200.7, "T", "0001", 1.5)
+    assert log.tables["bearings"]["station"].to_list() == ["0001"]
+    assert log.tables["bearings"]["azimuth_rad"][0] == pytest.approx(-1.03550, abs=1e-5)
+
+
+def test_a_cut_result_and_lines_without_times_are_refused(tmp_path):
+    with pytest.raises(UnusableInput, match=r"line 3: .*expected lines such as .*looks cut off"):
+        _log(tmp_path, FIRA + FIRA[:70], "fira", "T", interval=0.2)
+    with pytest.raises(UnusableInput, match="no time before the readings"):
+        _log(tmp_path, FIRA, "fira", "T")
