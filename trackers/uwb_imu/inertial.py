@@ -12,7 +12,7 @@ from trackwright.trackers.core.errors import is_count, require
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Input
-from trackwright.trackers.core.model.motion import Noise
+from trackwright.trackers.core.model.motion import AbstractMotion, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
 from trackwright.trackers.core.model.state import Heading, Rotation, component_names
 from trackwright.trackers.core.model.tunable import Scale
@@ -165,19 +165,17 @@ def inertial_difference_tracker(
     noise: ImuNoise | None = None,
     sigma_d: float = 0.13,
     dof: float = 1.8,
-    sigma_bias: float = 0.12,
-    time_constant: float = 20.0,
-    length: float = 2.0,
+    drift: BiasDrift | None = None,
     yaws: int = 3,
 ) -> Tracker:
     """As `inertial_tracker`, from range differences, `slots` to a row, and an IMU; biases are in the plane, too.
 
-    Numbers of the sensor and of the biases as in `difference_tracker`, whose `difference_levels` serve a calibrated
-    site.
+    Numbers of the sensor as in `difference_tracker`; `drift`: of the biases, by default as there.
     """
     require(is_count(anchors), "inertial_difference_tracker", anchors, "the number of anchors, as len(rig.anchors)")
-    start = InertialStart(planar, anchors if anchors <= MAX_BIASES else 0, sigma_bias=sigma_bias)
-    drift = BiasDrift(sigma_bias, time_constant, length)
+    drift = drift or BiasDrift(0.12, 20.0, 2.0)
+    biases = anchors if anchors <= MAX_BIASES else 0
+    start = InertialStart(planar, biases, sigma_bias=float(drift.sigma_bias.value))
     return _strapdown_tracker(
         {TDOA: RangeDifferenceSensor(slots, sigma_d, dof)}, start, noise or _noise(None), drift, yaws
     )
@@ -192,6 +190,8 @@ def _strapdown_tracker(
     sensors: Mapping[str, AbstractSensor], start: InertialStart, noise: ImuNoise, drift: BiasDrift | None, yaws: int
 ) -> Tracker:
     """The tracker of an IMU and readings to anchors, in the plane or in three dimensions as the start."""
-    biases = {"biases": start.biases, "drift": drift}
-    motion = PlanarStrapdown(noise, **biases) if start.planar else Strapdown(noise, **biases)
+    drift = drift if start.biases else None
+    motion: AbstractMotion = Strapdown(noise, biases=start.biases, drift=drift)
+    if start.planar:
+        motion = PlanarStrapdown(noise, biases=start.biases, drift=drift)
     return Tracker(motion, sensors, start, YawMixtureFilter(count=yaws), TrackScorePolicy(REACH, "m"))

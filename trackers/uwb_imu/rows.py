@@ -14,6 +14,7 @@ import polars as pl
 from trackwright.trackers.core.data.recording import Columns, Readings
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.parts.range_rows import (
     CARRIER,
     anchor_positions,
@@ -440,7 +441,8 @@ def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 
 def _inertial_of_differences(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     levels = difference_levels(trajectory.folder.calibration)
-    tracker = inertial_difference_tracker(_anchors(trajectory), _slots(trajectory), planar, **levels)
+    drift = BiasDrift(**levels) if levels else None
+    tracker = inertial_difference_tracker(_anchors(trajectory), _slots(trajectory), planar, drift=drift)
     return replace(tracker, lasting_errors=not levels)
 
 

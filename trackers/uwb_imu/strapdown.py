@@ -250,9 +250,10 @@ def drifting_at(motion: Any, belief: Any) -> Any:
 
 def biases_after(motion: Any, state: Any, dt: Scalar, w: Sequence[Scalar]) -> Vector:
     """The biases of anchors `dt` s later, given a draw for each."""
-    if not motion.biases or motion.drift is None:
-        return motion.noise.walked(state.bias, dt, w)
-    return motion.drift.drifted(state, dt, w)
+    bias: Vector = state.bias
+    if motion.biases:
+        bias = motion.noise.walked(bias, dt, w) if motion.drift is None else motion.drift.drifted(state, dt, w)
+    return bias
 
 
 def imu_available(inputs: Inputs) -> tuple[Scalar, Scalar]:

@@ -16,13 +16,18 @@ from trackwright.trackers.catalogue import TRACKERS, build, fitting
 from trackwright.trackers.core.data.consistency import nees
 from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.rig import Tag
-from trackwright.trackers.core.model.tunable import with_values
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.tunable import tunables, with_values
+from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.uwb_imu.difference_rows import SHARED, correlations
 from trackwright.trackers.uwb_imu.differences import TDOA
-from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker
+from trackwright.trackers.uwb_imu.fusion import MAX_BIASES
+from trackwright.trackers.uwb_imu.inertial import InertialStart, inertial_difference_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise
+from trackwright.tuning.calibrating import calibrate
 
 ANCHORS = np.array([[0, 0, 0.2], [8, 0, 2.7], [8, 6, 0.3], [0, 6, 2.6]], float)
 PAIRS = np.array([(1, 0), (2, 0), (3, 0)])
@@ -112,7 +117,7 @@ def test_moments_and_likelihood_are_those_of_a_filter_in_numpy():
         "height": np.zeros(rows),
     }
     reported = np.concatenate([np.zeros((rows, 3)), correlations(np.tile(PAIRS, (rows, 1, 1)), seen)], axis=1)
-    tracker = inertial_difference_tracker(4, 3, False, NOISE, SIGMA, 1e8, SIGMA_BIAS, LASTS, 1e9, yaws=1)
+    tracker = inertial_difference_tracker(4, 3, False, NOISE, SIGMA, 1e8, BiasDrift(SIGMA_BIAS, LASTS, 1e9), 1)
     recording = Recording(times, {TDOA: Readings(values, seen, reported)}, inputs)
     found = replace(tracker, track_loss=NEVER_LOST).run(recording)
     sigmas = [1.0, 1.0, 2.0, *[1.0] * 3, *[0.15] * 3, *[0.3] * 3, *[0.03] * 3, *[SIGMA_BIAS] * 4]
@@ -205,3 +210,26 @@ def test_covariances_are_those_of_the_errors_in_worlds_of_its_own_model():
     assert abs(means.mean() - 1.0) < 3.0 * means.std() / np.sqrt(60) + 0.05
     inside = nees(errors[:, late, :2].reshape(-1, 2), estimates.covariance[:, late, :2, :2].reshape(-1, 2, 2)) < 5.991
     assert 0.91 < inside.mean() < 0.98
+
+
+def test_a_calibration_gives_the_biases_that_it_leaves(folder):
+    calibrated = folder.calibrated(calibrate([folder]))
+    (batch,) = build("tdoa-imu", calibrated).batches(calibrated)
+    spread = calibrated.calibration.differences.spread
+    assert float(batch.tracker.motion.drift.sigma_bias.value) == pytest.approx(spread / np.sqrt(2.0))
+    assert float(batch.tracker.motion.drift.time_constant.value) == pytest.approx(5.0)
+    assert not batch.tracker.lasting_errors
+    assert build("tdoa-imu", folder).batches(folder)[0].tracker.lasting_errors
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_more_anchors_than_the_state_may_have_biases_for_have_none(planar):
+    motion = inertial_difference_tracker(MAX_BIASES + 1, planar=planar).motion
+    assert not [name for name in tunables(motion) if name.startswith("drift") or name.endswith("range_walk")]
+    start = InertialStart(planar).belief(
+        np.array([1.0, 2.0, 3.0]), Row(0.0, True, {}, {"rest": np.zeros(7)}, None, None)
+    )
+    still = {"accel": GRAVITY, "gyro": np.zeros(3), "imu": np.ones(2)}
+    after = motion.step(start.mean, still, 0.1, Vector(*[0.0] * motion.noise_dimension))
+    np.testing.assert_allclose([*after.position], [1.0, 2.0, 3.0][: len(after.position)])
+    assert len(after.bias) == 0
