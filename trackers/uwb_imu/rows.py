@@ -44,6 +44,7 @@ from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, tilting_tags, to_level_axes
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker, inertial_tracker
 from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
+from trackwright.trackers.uwb_imu.rows_between import with_rows_between
 from trackwright.trackers.uwb_imu.strapdown import ARM
 from trackwright.trackers.uwb_imu.trilateration import trilateration_tracker
 from trackwright.trackers.uwb_imu.wheels import ODOMETRY, Wheels, odometry_inputs
@@ -104,7 +105,7 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
         return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
     wheels, bodies = folder.rows(ODOMETRY.name), _bodies(folder)
     measured, at = wheels.floats(["speed_mps", "yaw_rate_radps"]), _of_bodies(wheels, bodies)
-    merged = _with_rows_between(rows.tags, rows, {tag: wheels.times[at[tag]] for tag in rows.tags})
+    merged = with_rows_between(rows.tags, rows, {tag: wheels.times[at[tag]] for tag in rows.tags})
     held = [
         odometry_inputs(merged.times[first:end], wheels.times[at[tag]], measured[at[tag]])
         for tag, (first, end) in zip(rows.tags, pairwise(merged.starts), strict=True)
@@ -129,47 +130,6 @@ def _of_bodies(rows: TagRows, bodies: Mapping[str, Sequence[str]]) -> dict[str, 
 def _arms(folder: RecordingFolder, tags: Sequence[str], starts: np.ndarray) -> np.ndarray:
     """The input `arm` (N, 3), m, of the rows of tags."""
     return np.repeat(np.stack([_offset(folder, tag) for tag in tags]), np.diff(starts), axis=0)
-
-
-class RowsBetween(NamedTuple):
-    """Rows of readings and of other times: the first of each tag, then N; `times` (N,) s; `number` (N,): of the former.
-
-    Rows without a reading have the number after the last.
-    """
-
-    starts: np.ndarray
-    times: np.ndarray
-    number: np.ndarray
-
-    def trajectories(
-        self,
-        folder: RecordingFolder,
-        tags: Sequence[str],
-        readings: Mapping[str, Readings],
-        inputs: Mapping[str, np.ndarray],
-        further: Mapping[str, np.ndarray],
-    ) -> Trajectories:
-        """The trajectories with `readings` and `inputs` of their rows, zeros between them, and `further` inputs."""
-        given = {name: _with_zeros(values)[self.number] for name, values in inputs.items()}
-        given |= {**further, **room_of_anchors(folder, len(self.times))}
-        between = {
-            name: Readings(*(_with_zeros(x)[self.number] for x in (r.values, r.seen, r.reported) if x is not None))
-            for name, r in readings.items()
-        }
-        return trajectories_of(folder, tags, self.starts, self.times, between, given)
-
-
-def _with_rows_between(tags: Sequence[str], rows: TagRows | Columns, sampled: Mapping[str, np.ndarray]) -> RowsBetween:
-    """Of the rows of `tags` those of the tags in `sampled`, and further ones at its times, s, where a tag has none."""
-    measured, times, index = {tag: np.arange(*rows.starts[k : k + 2]) for k, tag in enumerate(tags)}, [], []
-    for tag, samples in sampled.items():
-        between = samples[~np.isin(samples, rows.times[measured[tag]])]
-        both = np.concatenate([rows.times[measured[tag]], between])
-        order = np.argsort(both, kind="stable")
-        times.append(both[order])
-        index.append(np.concatenate([measured[tag], np.full(len(between), len(rows.times))])[order])
-    starts = np.cumsum([0, *map(len, times)])
-    return RowsBetween(starts, np.concatenate(times), np.concatenate(index))
 
 
 def _tags_on_bodies(folder: RecordingFolder) -> list[str]:
@@ -231,7 +191,7 @@ def _with_imu(
     samples = folder.rows("imu")
     accel, gyro = _imu_samples(samples)
     at = _of_bodies(samples, bodies)
-    merged = _with_rows_between(tags, rows, {tag: samples.times[at[tag]] for tag in bodies})
+    merged = with_rows_between(tags, rows, {tag: samples.times[at[tag]] for tag in bodies})
     of_tags = [
         imu_inputs(merged.times[first:end], samples.times[at[tag]], accel[at[tag]], gyro[at[tag]])
         for tag, (first, end) in zip(bodies, pairwise(merged.starts), strict=True)
@@ -239,11 +199,6 @@ def _with_imu(
     further = {name: np.concatenate([of_tag[name] for of_tag in of_tags]) for name in of_tags[0]}
     further[ARM.name] = _arms(folder, list(bodies), merged.starts)
     return merged.trajectories(folder, list(bodies), readings, inputs, further)
-
-
-def _with_zeros(values: np.ndarray) -> np.ndarray:
-    """The rows followed by a row of zeros."""
-    return np.concatenate([values, np.zeros((1, *values.shape[1:]), values.dtype)])
 
 
 def _tags_on_body(folder: RecordingFolder, tag: str, free_height: bool) -> list[str]:
