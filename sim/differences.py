@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -33,6 +33,8 @@ class SimulatedDifferences:
     `times` (T,) s; `positions` (n, T, 3) m; `arrivals` (n, T, A) m, up to an offset common to the anchors of a time, in
     the order of `rig.anchors`, where `heard`; `ids` (n,): the trajectory ids.
     """
+
+    table: ClassVar[str] = "tdoa"
 
     times: Times
     positions: Float[np.ndarray, "n T 3"]
@@ -66,7 +68,7 @@ class SimulatedDifferences:
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: a row per difference, truth in space."""
-        tables = {"tdoa": self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
+        tables = {self.table: self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
         return folder_of(name, tables, self.ids, anchors=self.rig.anchors)
 
 

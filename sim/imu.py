@@ -1,7 +1,7 @@
 """An IMU on a moving body: ideal measurements along a true path with attitude, and the errors of real ones.
 
 The corruptions here act on accelerations or angular rates (n, T, 3), as do those of `sim.corruptions` that take any
-shape. Ranges to the same body: `sim.ranging`.
+shape. Ranges to the same body: `sim.ranging`; range differences: `sim.differences`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.sim.corruptions import Corruption, Seen, Times, Values, corrupted
+from trackwright.sim.differences import SimulatedDifferences
 from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
 from trackwright.sim.paths import PathFunction
 from trackwright.sim.ranging import WALK, Protocol, SimulatedRanges, round_robin, simulate_ranges
@@ -159,13 +160,14 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True)
 class SimulatedUwbImu:
-    """Ranges and IMU samples of n bodies with their truth.
+    """Ranges, or range differences, and IMU samples of n bodies with their truth.
 
-    `ranges`: the ranges and their times. `times` (S,) s, of the IMU samples; `positions` (n, S, 3) m, the truth at
-    these times; `seen` (n, S): the samples that are not missing. `sample`: makes the samples, when they are first read.
+    `readings`: those to the anchors, and their times. `times` (S,) s, of the IMU samples; `positions` (n, S, 3) m, the
+    truth at these times; `seen` (n, S): the samples that are not missing. `sample`: makes the samples, when they are
+    first read.
     """
 
-    ranges: SimulatedRanges
+    readings: SimulatedRanges | SimulatedDifferences
     times: Float[np.ndarray, " S"]
     positions: Float[np.ndarray, "n S 3"]
     seen: Bool[np.ndarray, "n S"]
@@ -174,7 +176,7 @@ class SimulatedUwbImu:
     @property
     def ids(self) -> Int[np.ndarray, " n"]:
         """The trajectory ids (n,)."""
-        return self.ranges.ids
+        return self.readings.ids
 
     @cached_property
     def samples(self) -> Samples:
@@ -182,15 +184,15 @@ class SimulatedUwbImu:
         return self.sample()
 
     def folder(self, name: str) -> RecordingFolder:
-        """The recording folder of the ranges, with IMU samples, and truth with attitudes at the samples' times."""
-        ranges = self.ranges.folder(name)
+        """The recording folder of the readings, with IMU samples, and truth with attitudes at the samples' times."""
+        rig = self.readings.folder(name).rig
         true = OnDemand({AXES: lambda: self.positions, QUATERNION: lambda: self.samples.attitudes})
         tables: dict[str, Callable[[], ArrayRows]] = {
-            "ranges": self.ranges.rows,
+            self.readings.table: self.readings.rows,
             "truth": lambda: ArrayRows.regular(self.times, self.ids, true),
             "imu": self._imu_rows,
         }
-        return folder_of(name, OnDemand(tables), ranges.rig.tags, anchors=ranges.rig.anchors)
+        return folder_of(name, OnDemand(tables), rig.tags, anchors=rig.anchors)
 
     def _imu_rows(self) -> ArrayRows:
         tag, row = np.nonzero(self.seen)
@@ -225,10 +227,28 @@ def simulate_uwb_imu(
     ranges = simulate_ranges(
         rig, path, n, seed, rate_hz=rate_hz, n_points=n_points, protocol=protocol, corruptions=corruptions
     )
-    keys = trajectory_keys(seed, ranges.ids)
     times = np.arange((n_points - 1) * SAMPLES + 1) / (rate_hz * SAMPLES)
+    return with_imu(ranges, path, seed, times, accel=accel, gyro=gyro, gap_s=gap_s, attitude=attitude)
+
+
+def with_imu(
+    readings: SimulatedRanges | SimulatedDifferences,
+    path: PathFunction,
+    seed: int,
+    times: Times,
+    *,
+    accel: Mapping[str, Corruption] = MEMS_ACCEL,
+    gyro: Mapping[str, Corruption] = MEMS_GYRO,
+    gap_s: tuple[float, float] | None = None,
+    attitude: Callable[[Keys, Times], Attitudes] = swinging,
+) -> SimulatedUwbImu:
+    """The readings of a world with this path and seed as they are, and the samples of an IMU at `times` (S ≥ 3,) s.
+
+    Further arguments as in `simulate_uwb_imu`.
+    """
+    keys = trajectory_keys(seed, readings.ids)
     (positions,) = in_blocks(lambda keys: (path(stream(keys, "path"), times),), keys, size=32)
-    seen = np.ones((len(ranges.ids), len(times)), bool)
+    seen = np.ones((len(readings.ids), len(times)), bool)
     if gap_s is not None:
         seen &= ~((times >= gap_s[0]) & (times < gap_s[1]))
 
@@ -244,4 +264,4 @@ def simulate_uwb_imu(
     def sample() -> Samples:
         return Samples(*in_blocks(sampled, keys, positions, seen, size=32))
 
-    return SimulatedUwbImu(ranges, times, positions, seen, sample)
+    return SimulatedUwbImu(readings, times, positions, seen, sample)

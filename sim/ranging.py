@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -134,6 +135,8 @@ class SimulatedRanges:
     where not `seen`; `ids` (n,): the trajectory ids.
     """
 
+    table: ClassVar[str] = "ranges"
+
     times: Times
     positions: Float[np.ndarray, "n T 3"]
     ranges: Ranges
@@ -156,7 +159,7 @@ class SimulatedRanges:
         """The recording folder: a row per range, truth in space; constant heights are in the rig."""
         heights = [float(z[0]) if np.ptp(z) == 0 else None for z in self.positions[..., 2]]
         tags = {str(i): Tag(height=height) for i, height in zip(self.ids, heights, strict=True)}
-        tables = {"ranges": self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
+        tables = {self.table: self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
         return folder_of(name, tables, tags, anchors=self.rig.anchors)
 
 

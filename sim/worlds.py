@@ -187,6 +187,7 @@ def tdoa(
     seed: Seed = 0,
     *,
     schedule: Literal["messages", "turns"] = "messages",
+    imu: bool = False,
     rows: Rows = 200,
     rate_hz: Rate = 10.0,
     sigma_d: Level = 0.1,
@@ -200,6 +201,7 @@ def tdoa(
 
     Args:
         schedule: at each time the differences of all anchors heard from the first, or one, of neighbours in turn.
+        imu: whether the tags have an IMU, sampled 100 times per second; it leaves the other numbers as they are.
         rows: times of measurement.
         rate_hz: times per second.
         sigma_d: white noise of a difference, m.
@@ -208,21 +210,29 @@ def tdoa(
         hidden: share of the time for which an anchor has no line of sight, and its signal is late.
         lost: share of an anchor's signals that are lost.
     """
+    import math
+
+    import numpy as np
+
     from trackwright.sim.differences import CORNERS, simulate_differences
-    from trackwright.sim.ranging import chamber
+    from trackwright.sim.imu import with_imu
+    from trackwright.sim.ranging import WALK, chamber
 
     # A difference has the noise of two arrivals.
     errors = _errors_of_anchors(bias, drift, hidden, sigma_d / 2**0.5, lost)
     world = simulate_differences(
         chamber(CORNERS),
-        n=_ids(n, ids),
-        seed=seed,
+        WALK,
+        _ids(n, ids),
+        seed,
         rate_hz=rate_hz,
         n_points=rows,
         schedule=schedule,
         corruptions=errors,
     )
-    return SimulatedWorld(f"simulated-tdoa-{seed}", world)
+    sampled = np.arange(max(3, math.ceil(world.times[-1] * 100.0) + 1)) / 100.0
+    measured = with_imu(world, WALK, seed, sampled) if imu else world
+    return SimulatedWorld(f"simulated-tdoa-{seed}", measured)
 
 
 @checked

@@ -161,7 +161,7 @@ def _of_fixes() -> RecordingFolder:
 
 @cache
 def _of_differences() -> RecordingFolder:
-    """Messages of two to four range differences among five anchors, of which one in ten is missing."""
+    """Messages of two to four range differences among five anchors, of which one in ten is missing, and the IMU."""
     anchors, rng, rows = {**RIG.anchors, "A5": np.array([3.0, 2.0, 0.3])}, np.random.default_rng(1), list[dict]()
     for number, row in enumerate(folder().tables["truth"].rows(named=True)):
         place = np.array([row["x_m"], row["y_m"], row["z_m"]])
@@ -170,7 +170,7 @@ def _of_differences() -> RecordingFolder:
             difference = None if rng.random() < 0.1 else float(arrival[first] - arrival[second])
             pair = {"anchor": first, "anchor_2": second, "range_difference_m": difference}
             rows.append({"t_s": row["t_s"], "tag": row["tag"], **pair, "range_difference_std_m": 0.03})
-    tables = {"tdoa": pl.DataFrame(rows), "truth": folder().tables["truth"]}
+    tables = {"tdoa": pl.DataFrame(rows), **{name: folder().tables[name] for name in ("imu", "truth")}}
     return replace(folder(), rig=replace(RIG, anchors=anchors), tables=tables)
 
 
@@ -292,6 +292,7 @@ def _ready_cases() -> Iterator[Case]:
     yield from both("body", source=_of_bodies)
     yield replace(ready("body", source=_of_wheels), name="body with odometry")
     yield from both("tdoa", source=_of_differences)
+    yield from both("tdoa-imu", source=_of_differences)
     yield from both("fusion", idle=("sensors.bearings.reported_std_scale",))
     yield from both("multilateration", smoothable=False)
     yield ready("trilateration", smoothable=False, idle=("sigma_r",), quick=True)

@@ -110,6 +110,11 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
         # The three of util.
         "range differences": {
             "tdoa": Entry("uwb_imu", "tdoa", "position from range differences, EKF with a drifting bias per anchor"),
+            "tdoa-imu": Entry(
+                "uwb_imu",
+                "tdoa and imu",
+                "position, velocity and attitude from range differences and an IMU, error-state EKF",
+            ),
         },
         # No recording with a floor plan.
         "fixes on a floor plan": {

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from trackwright.sim import worlds
 from trackwright.sim.corruptions import drop_outs, white_noise
 from trackwright.sim.differences import CORNERS, simulate_differences
 from trackwright.sim.ranging import antenna_biases, chamber
@@ -60,3 +61,13 @@ def test_a_clock_offset_is_in_both_differences_of_its_anchor_with_opposite_signs
 def test_one_anchor_is_refused():
     with pytest.raises(ValueError, match="two anchors, found 1"):
         simulate_differences(Rig("one", anchors={"A": np.zeros(3)}))
+
+
+def test_an_imu_leaves_the_differences_as_they_are_and_is_at_the_same_tags():
+    alone, with_imu = (worlds.tdoa(n=2, seed=3, rows=15, imu=imu).folder().tables for imu in (False, True))
+    assert with_imu["tdoa"].equals(alone["tdoa"])
+    assert len(with_imu["imu"]) == len(with_imu["truth"]) == 2 * 141
+    shared = with_imu["truth"].join(alone["truth"], on=["t_s", "tag"])
+    assert len(shared) == 2 * 15
+    assert np.abs(shared["x_m"] - shared["x_m_right"]).max() < 1e-9
+    assert set(worlds.tdoa(n=1, rows=1, imu=True).folder().tables) == {"tdoa", "imu", "truth"}

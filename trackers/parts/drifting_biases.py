@@ -91,6 +91,29 @@ class DriftingBiases(AbstractMotion):
         return BiasedState(position, velocity, drifted(self, state.bias, dt, speed, w.parts[6:]), state.shared)
 
 
+class BiasDrift(eqx.Module):
+    """The drift of the biases of `DriftingBiases`, for another motion; numbers and `at` as there, biases in m."""
+
+    sigma_bias: Noise
+    time_constant: Noise
+    length: Noise
+    speed: Any = None
+
+    def __init__(self, sigma_bias: float, time_constant: float, length: float):
+        self.sigma_bias = Scale(sigma_bias, "m", "bias noise")
+        self.time_constant = Scale(time_constant, "s")
+        self.length = Scale(length, "m")
+        self.speed = None
+
+    def at(self, belief: Gaussian) -> BiasDrift:
+        return eqx.tree_at(lambda drift: drift.speed, self, shrunk_speed(belief), is_leaf=lambda x: x is None)
+
+    def drifted(self, state: Any, dt: Scalar, w: Sequence[Scalar]) -> Vector:
+        """The biases of a state with velocity `dt` s later, given a draw for each."""
+        speed = norm_of(state.velocity) if self.speed is None else self.speed
+        return drifted(self, state.bias, dt, speed, w)
+
+
 class BiasedStart(AbstractNearbyStart):
     """A start at the position in the input `nearby` (4,), at rest, with zero biases.
 

@@ -76,10 +76,15 @@ def to_level_axes(accel: np.ndarray, attitude: np.ndarray, gravity: float) -> tu
     return force, np.where(np.isfinite(force), 0.0, np.nan)
 
 
-def tilting_tags(folder: RecordingFolder, free_height: bool) -> Iterator[str]:
-    """A line for each tag that tilts by its turn rates, while its known height has the tracker take it for level."""
+def tilting_tags(
+    folder: RecordingFolder, free_height: bool, read: str = "ranges", without: str = "uwb"
+) -> Iterator[str]:
+    """A line for each tag that tilts by its turn rates, while its known height has the tracker take it for level.
+
+    `read`: the table of the tags' other readings. `without`: the tracker of these alone, which names that with an IMU.
+    """
     table = folder.tables["imu"]
-    for tag in () if QUATERNION[0] in table.columns else folder.rows("ranges").tags:
+    for tag in () if QUATERNION[0] in table.columns else folder.rows(read).tags:
         rows = None if free_height or known_height(folder, tag) is None else imu_rows(table, tag)
         if rows is None:
             continue
@@ -91,5 +96,5 @@ def tilting_tags(folder: RecordingFolder, free_height: bool) -> Iterator[str]:
         tilt = float(np.sqrt(np.sum(np.var(turns, axis=0)))) if len(turns) else 0.0
         if tilt > TILTING:
             tilts = f"{folder.name}: imu: tag {tag} typically tilts by {np.degrees(tilt):.0f}° in a second"
-            do = "use uwb, or leave out height_m (--free-height)"
-            yield f"{tilts}, but uwb-imu takes a tag with height_m for level: {do}"
+            do = f"use {without}, or leave out height_m (--free-height)"
+            yield f"{tilts}, but {without}-imu takes a tag with height_m for level: {do}"

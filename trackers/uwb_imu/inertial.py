@@ -1,7 +1,8 @@
-"""The assembled trackers of ranges and an IMU: eight states in the plane, fifteen in three dimensions."""
+"""The assembled trackers of an IMU with ranges or range differences: eight states in the plane, fifteen in space."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -11,14 +12,16 @@ from trackwright.trackers.core.errors import is_count, require
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Input
-from trackwright.trackers.core.model.motion import Noise
-from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.motion import AbstractMotion, Noise
+from trackwright.trackers.core.model.sensor import AbstractSensor, Row
 from trackwright.trackers.core.model.state import Heading, Rotation, component_names
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.track_loss import TrackScorePolicy
 from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.start_nearby import NEARBY, AbstractNearbyStart
+from trackwright.trackers.uwb_imu.differences import TDOA, RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.fusion import MAX_BIASES, REACH
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
@@ -149,14 +152,46 @@ def inertial_tracker(
     """
     expected = "the number of anchors, as inertial_tracker(len(rig.anchors))"
     require(is_count(anchors), "inertial_tracker", anchors, expected)
-    noise = noise or ImuNoise(0.2, 0.02, 0.005, 0.0005, 1.5, 0.3, 0.02)
     # In the plane, with three anchors, biases and position are not jointly observable.
     biases = anchors if anchors <= MAX_BIASES and not planar else 0
-    motion = PlanarStrapdown(noise) if planar else Strapdown(noise, biases=biases)
-    return Tracker(
-        motion,
-        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
-        InertialStart(planar, biases),
-        YawMixtureFilter(count=yaws),
-        TrackScorePolicy(REACH, "m"),
+    sensors = {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)}
+    return _strapdown_tracker(sensors, InertialStart(planar, biases), noise or _noise(0.02), None, yaws)
+
+
+def inertial_difference_tracker(
+    anchors: int,
+    slots: int = 1,
+    planar: bool = False,
+    noise: ImuNoise | None = None,
+    sigma_d: float = 0.13,
+    dof: float = 1.8,
+    drift: BiasDrift | None = None,
+    yaws: int = 3,
+) -> Tracker:
+    """As `inertial_tracker`, from range differences, `slots` to a row, and an IMU; biases are in the plane, too.
+
+    Numbers of the sensor as in `difference_tracker`; `drift`: of the biases, by default as there.
+    """
+    require(is_count(anchors), "inertial_difference_tracker", anchors, "the number of anchors, as len(rig.anchors)")
+    drift = drift or BiasDrift(0.12, 20.0, 2.0)
+    biases = anchors if anchors <= MAX_BIASES else 0
+    start = InertialStart(planar, biases, sigma_bias=float(drift.sigma_bias.value))
+    return _strapdown_tracker(
+        {TDOA: RangeDifferenceSensor(slots, sigma_d, dof)}, start, noise or _noise(None), drift, yaws
     )
+
+
+def _noise(sigma_range_walk: float | None) -> ImuNoise:
+    """The default levels of an IMU, with this random walk of the biases of anchors, m per √s."""
+    return ImuNoise(0.2, 0.02, 0.005, 0.0005, 1.5, 0.3, sigma_range_walk)
+
+
+def _strapdown_tracker(
+    sensors: Mapping[str, AbstractSensor], start: InertialStart, noise: ImuNoise, drift: BiasDrift | None, yaws: int
+) -> Tracker:
+    """The tracker of an IMU and readings to anchors, in the plane or in three dimensions as the start."""
+    drift = drift if start.biases else None
+    motion: AbstractMotion = Strapdown(noise, biases=start.biases, drift=drift)
+    if start.planar:
+        motion = PlanarStrapdown(noise, biases=start.biases, drift=drift)
+    return Tracker(motion, sensors, start, YawMixtureFilter(count=yaws), TrackScorePolicy(REACH, "m"))

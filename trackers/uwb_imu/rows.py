@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.core.data.recording import Columns, Readings
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.parts.range_rows import (
     CARRIER,
     anchor_positions,
@@ -41,8 +42,9 @@ from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories
 from trackwright.trackers.uwb_imu.differences import TDOA, difference_levels, difference_tracker
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, tilting_tags, to_level_axes
-from trackwright.trackers.uwb_imu.inertial import inertial_tracker
+from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker, inertial_tracker
 from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
+from trackwright.trackers.uwb_imu.rows_between import with_rows_between
 from trackwright.trackers.uwb_imu.strapdown import ARM
 from trackwright.trackers.uwb_imu.trilateration import trilateration_tracker
 from trackwright.trackers.uwb_imu.wheels import ODOMETRY, Wheels, odometry_inputs
@@ -70,11 +72,21 @@ def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterabl
     bodies = {tag: _tags_on_body(folder, tag, free_height) for tag in sorted(rows.tags)}
     shared = {tag: body for tag, body in bodies.items() if len(body) > 1}
     single = [tag for tag in bodies if tag not in shared]
-    alone = _with_imu(folder, rows, {tag: [tag] for tag in single}, free_height) if single else []
+    alone = _ranges_with_imu(folder, rows, {tag: [tag] for tag in single}, free_height) if single else []
     if not shared:
         return alone
-    together = _with_imu(folder, _ranges_of_bodies(folder, shared), shared, free_height)
+    together = _ranges_with_imu(folder, _ranges_of_bodies(folder, shared), shared, free_height)
     return sorted([*alone, *together], key=lambda trajectory: trajectory.tag) if alone else together
+
+
+def inertial_difference_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
+    """Each tag's range differences, one row per message, and further rows at the times of the IMU's samples.
+
+    The IMU may be that of another tag on the body; the differences are those of the tag alone.
+    """
+    alone = difference_trajectories(folder, free_height)
+    bodies = {tag: _tags_on_body(folder, tag, free_height) for tag in alone.tags}
+    return _with_imu(folder, alone.tags, alone.columns, bodies, alone.columns.readings, alone.columns.inputs)
 
 
 def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
@@ -93,13 +105,13 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
         return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
     wheels, bodies = folder.rows(ODOMETRY.name), _bodies(folder)
     measured, at = wheels.floats(["speed_mps", "yaw_rate_radps"]), _of_bodies(wheels, bodies)
-    merged = _with_rows_between(rows, {tag: wheels.times[at[tag]] for tag in rows.tags})
+    merged = with_rows_between(rows.tags, rows, {tag: wheels.times[at[tag]] for tag in rows.tags})
     held = [
         odometry_inputs(merged.times[first:end], wheels.times[at[tag]], measured[at[tag]])
         for tag, (first, end) in zip(rows.tags, pairwise(merged.starts), strict=True)
     ]
     further = {ODOMETRY.name: np.concatenate(held), ARM.name: _arms(folder, rows.tags, merged.starts)}
-    return merged.trajectories(folder, rows.tags, readings, inputs, further)
+    return merged.trajectories(folder, rows.tags, {RANGES: readings}, inputs, further)
 
 
 def _bodies(folder: RecordingFolder) -> dict[str, tuple[str, ...]]:
@@ -118,45 +130,6 @@ def _of_bodies(rows: TagRows, bodies: Mapping[str, Sequence[str]]) -> dict[str, 
 def _arms(folder: RecordingFolder, tags: Sequence[str], starts: np.ndarray) -> np.ndarray:
     """The input `arm` (N, 3), m, of the rows of tags."""
     return np.repeat(np.stack([_offset(folder, tag) for tag in tags]), np.diff(starts), axis=0)
-
-
-class RowsBetween(NamedTuple):
-    """Rows of ranges and of other times: the first of each tag, then N; `times` (N,) s; `number` (N,): of the range.
-
-    Rows without a range have the number after the last.
-    """
-
-    starts: np.ndarray
-    times: np.ndarray
-    number: np.ndarray
-
-    def trajectories(
-        self,
-        folder: RecordingFolder,
-        tags: Sequence[str],
-        readings: Readings,
-        inputs: Mapping[str, np.ndarray],
-        further: Mapping[str, np.ndarray],
-    ) -> Trajectories:
-        """The trajectories with `readings` and `inputs` of the ranges, zeros between them, and `further` inputs."""
-        assert readings.reported is not None
-        given = {name: _with_zeros(values)[self.number] for name, values in inputs.items()}
-        ranges = Readings(*(_with_zeros(x)[self.number] for x in (readings.values, readings.seen, readings.reported)))
-        given |= {**further, **room_of_anchors(folder, len(self.times))}
-        return trajectories_of(folder, tags, self.starts, self.times, {RANGES: ranges}, given)
-
-
-def _with_rows_between(rows: TagRows, sampled: Mapping[str, np.ndarray]) -> RowsBetween:
-    """The rows of the tags in `sampled`, and further ones at its times, s, where a tag has no row."""
-    ranged, times, index = {tag: np.arange(*rows.starts[k : k + 2]) for k, tag in enumerate(rows.tags)}, [], []
-    for tag, samples in sampled.items():
-        between = samples[~np.isin(samples, rows.times[ranged[tag]])]
-        both = np.concatenate([rows.times[ranged[tag]], between])
-        order = np.argsort(both, kind="stable")
-        times.append(both[order])
-        index.append(np.concatenate([ranged[tag], np.full(len(between), len(rows.times))])[order])
-    starts = np.cumsum([0, *map(len, times)])
-    return RowsBetween(starts, np.concatenate(times), np.concatenate(index))
 
 
 def _tags_on_bodies(folder: RecordingFolder) -> list[str]:
@@ -194,32 +167,38 @@ def _levers(folder: RecordingFolder, rows: TagRows, upright: bool = False) -> np
     return np.asarray(ends[rows.codes(CARRIER, carriers)] - rows.of_each(places))
 
 
-def _with_imu(
+def _ranges_with_imu(
     folder: RecordingFolder, rows: TagRows, bodies: Mapping[str, Sequence[str]], free_height: bool
 ) -> Trajectories:
     """The trajectories of the tags in `bodies`, which holds the tags on the body of each; `rows`: ranges by body."""
     readings, number = range_rows(folder, rows)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
-    tags = list(bodies)
-    if len(bodies[tags[0]]) > 1:
+    if any(len(body) > 1 for body in bodies.values()):
         inputs["levers"] = _levers(folder, rows)
+    return _with_imu(folder, rows.tags, rows, bodies, {RANGES: readings}, inputs)
+
+
+def _with_imu(
+    folder: RecordingFolder,
+    tags: Sequence[str],
+    rows: TagRows | Columns,
+    bodies: Mapping[str, Sequence[str]],
+    readings: Mapping[str, Readings],
+    inputs: Mapping[str, np.ndarray],
+) -> Trajectories:
+    """The trajectories of the tags in `bodies`, with the IMU of the body, from the `rows` of `tags`."""
     samples = folder.rows("imu")
     accel, gyro = _imu_samples(samples)
     at = _of_bodies(samples, bodies)
-    merged = _with_rows_between(rows, {tag: samples.times[at[tag]] for tag in tags})
+    merged = with_rows_between(tags, rows, {tag: samples.times[at[tag]] for tag in bodies})
     of_tags = [
         imu_inputs(merged.times[first:end], samples.times[at[tag]], accel[at[tag]], gyro[at[tag]])
-        for tag, (first, end) in zip(tags, pairwise(merged.starts), strict=True)
+        for tag, (first, end) in zip(bodies, pairwise(merged.starts), strict=True)
     ]
     further = {name: np.concatenate([of_tag[name] for of_tag in of_tags]) for name in of_tags[0]}
-    further[ARM.name] = _arms(folder, tags, merged.starts)
-    return merged.trajectories(folder, tags, readings, inputs, further)
-
-
-def _with_zeros(values: np.ndarray) -> np.ndarray:
-    """The rows followed by a row of zeros."""
-    return np.concatenate([values, np.zeros((1, *values.shape[1:]), values.dtype)])
+    further[ARM.name] = _arms(folder, list(bodies), merged.starts)
+    return merged.trajectories(folder, list(bodies), readings, inputs, further)
 
 
 def _tags_on_body(folder: RecordingFolder, tag: str, free_height: bool) -> list[str]:
@@ -317,6 +296,11 @@ def lacks_ranges_or_imu(folder: RecordingFolder) -> str | None:
     return None if count >= MIN_ANCHORS else f"ranges to at least {MIN_ANCHORS} anchors, found {count}"
 
 
+def lacks_differences_or_imu(folder: RecordingFolder) -> str | None:
+    """What a folder lacks for the tracker of range differences and an IMU, in words."""
+    return lacks_differences(folder) or (None if "imu" in folder.tables else "an imu table, found no such table")
+
+
 def lacks_ranges(folder: RecordingFolder, rows: TagRows | None = None) -> str | None:
     """What a folder lacks for a tracker of ranges, in words: enough anchors, not collinear, and ranges in metres.
 
@@ -410,6 +394,13 @@ def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return replace(inertial_tracker(_anchors(trajectory), planar), lasting_errors=not _is_calibrated(trajectory))
 
 
+def _inertial_of_differences(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    levels = difference_levels(trajectory.folder.calibration)
+    drift = BiasDrift(**levels) if levels else None
+    tracker = inertial_difference_tracker(_anchors(trajectory), _slots(trajectory), planar, drift=drift)
+    return replace(tracker, lasting_errors=not levels)
+
+
 def _slots(trajectory: Trajectory) -> int:
     return int(trajectory.recording.readings[TDOA].values.shape[1])
 
@@ -470,6 +461,18 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         lacks=lacks_differences,
         geometry=lambda trajectory: (
             bias_slots(trajectory),
+            _slots(trajectory),
+            *difference_levels(trajectory.folder.calibration).values(),
+        ),
+    ),
+    "tdoa-imu": partial(
+        TrackerSpec,
+        trajectories=inertial_difference_trajectories,
+        build=_inertial_of_differences,
+        notices=partial(tilting_tags, read=TDOA, without=TDOA),
+        lacks=lacks_differences_or_imu,
+        geometry=lambda trajectory: (
+            _anchors(trajectory),
             _slots(trajectory),
             *difference_levels(trajectory.folder.calibration).values(),
         ),

@@ -11,6 +11,7 @@ Without an accelerometer the acceleration is white noise; without a gyro the att
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +23,7 @@ from trackwright.trackers.core.model.inputs import Input, Inputs, Need
 from trackwright.trackers.core.model.motion import AbstractMotion, Noise, as_scale, process_noise
 from trackwright.trackers.core.model.state import Heading, Rotation
 from trackwright.trackers.core.model.tunable import Real
+from trackwright.trackers.parts.drifting_biases import BiasDrift
 
 _HELPER = "`tw.build('uwb-imu', folder)`, from the table imu of a recording folder"
 ACCEL = Input("accel", (3,), "m/s^2", "specific force in body axes", _HELPER)
@@ -75,7 +77,8 @@ class ImuNoise(eqx.Module):
 
     `sigma_accel` m/s² per √Hz, `sigma_gyro` rad/s per √Hz: white noise. `sigma_accel_walk` m/s² per √s,
     `sigma_gyro_walk` rad/s per √s: random walks of their biases. `sigma_a` m/s² per √Hz: acceleration without an
-    accelerometer; `sigma_turn` rad per √s: rotation without a gyro. `sigma_range_walk` m per √s: random walk of a bias.
+    accelerometer; `sigma_turn` rad per √s: rotation without a gyro. `sigma_range_walk` m per √s: random walk of a bias;
+    None where these drift otherwise.
     """
 
     sigma_accel: Noise
@@ -84,7 +87,7 @@ class ImuNoise(eqx.Module):
     sigma_gyro_walk: Noise
     sigma_a: Noise
     sigma_turn: Noise
-    sigma_range_walk: Noise
+    sigma_range_walk: Noise | None
 
     def __init__(
         self,
@@ -94,7 +97,7 @@ class ImuNoise(eqx.Module):
         sigma_gyro_walk: float | Noise = 0.0005,
         sigma_a: float | Noise = 1.0,
         sigma_turn: float | Noise = 0.5,
-        sigma_range_walk: float | Noise = 0.005,
+        sigma_range_walk: float | Noise | None = 0.005,
     ):
         self.sigma_accel = process_noise(sigma_accel, "m/s^2/sqrt(Hz)")
         self.sigma_gyro = process_noise(sigma_gyro, "rad/s/sqrt(Hz)")
@@ -102,11 +105,13 @@ class ImuNoise(eqx.Module):
         self.sigma_gyro_walk = as_scale(sigma_gyro_walk, "rad/s/sqrt(s)", "bias noise")
         self.sigma_a = process_noise(sigma_a, "m/s^2/sqrt(Hz)")
         self.sigma_turn = process_noise(sigma_turn, "rad/sqrt(s)")
-        self.sigma_range_walk = as_scale(sigma_range_walk, "m/sqrt(s)", "bias noise")
+        walk = sigma_range_walk
+        self.sigma_range_walk = None if walk is None else as_scale(walk, "m/sqrt(s)", "bias noise")
 
-    def range_bias_sigma(self, dt: Scalar) -> Scalar:
-        """Standard deviation of the change of a range bias over `dt`, m."""
-        return self.sigma_range_walk.value * jnp.sqrt(dt)
+    def walked(self, bias: Vector, dt: Scalar, w: Sequence[Scalar]) -> Vector:
+        """Biases of anchors `dt` s later, given a draw for each."""
+        assert self.sigma_range_walk is not None
+        return bias + Vector(*w) * (self.sigma_range_walk.value * jnp.sqrt(dt))
 
     def sigmas(self, inputs: Inputs, dt: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         """Standard deviations over `dt` of velocity m/s, attitude rad, accelerometer bias m/s² and gyro bias rad/s."""
@@ -123,6 +128,8 @@ class ImuNoise(eqx.Module):
 class PlanarStrapdown(AbstractMotion):
     """The paper's planar mechanisation in world axes; `noise`: of the IMU; `biases`: number of range biases.
 
+    `drift`: how these drift, None for the random walk of `noise`.
+
     With `transport` the velocity also changes by −ω × v, Kwon et al. 2021, equation (2). That term belongs to a
     velocity in rotating axes; the paper adds it to a velocity that is integrated to a position in world axes, as does
     this form, whose Jacobian is the corrected matrix (22).
@@ -131,6 +138,10 @@ class PlanarStrapdown(AbstractMotion):
     noise: ImuNoise
     transport: bool = eqx.field(static=True, default=False)
     biases: int = eqx.field(static=True, default=0)
+    drift: BiasDrift | None = None
+
+    def at(self, belief: Any) -> PlanarStrapdown:
+        return drifting_at(self, belief)
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -167,7 +178,7 @@ class PlanarStrapdown(AbstractMotion):
             state.accel_bias + Vector(*w.parts[4:6]) * accel_walk,
             Heading(state.attitude.angle + rate * dt + w[6] * sigma_attitude),
             state.gyro_bias + w[7] * gyro_walk,
-            state.bias + Vector(*w.parts[8:]) * self.noise.range_bias_sigma(dt),
+            biases_after(self, state, dt, w.parts[8:]),
         )
 
 
@@ -175,17 +186,23 @@ class Strapdown(AbstractMotion):
     """The mechanisation in three dimensions, world axes with z up (Solà 2017, section 5.2); `noise`: of the IMU.
 
     `gravity`: specific force at rest, m/s². Optional input `arm` (3,) m: the lever arm, from the IMU in body axes, of
-    the tag whose position is in the state. `biases`: number of range biases in the state.
+    the tag whose position is in the state. `biases`: number of range biases in the state; `drift`: how they drift, None
+    for the random walk of `noise`.
     """
 
     noise: ImuNoise
     gravity: Noise
     biases: int = eqx.field(static=True)
+    drift: BiasDrift | None
 
-    def __init__(self, noise: ImuNoise, gravity: float | Noise = 9.81, biases: int = 0):
+    def __init__(self, noise: ImuNoise, gravity: float | Noise = 9.81, biases: int = 0, drift: BiasDrift | None = None):
         self.noise = noise
         self.biases = biases
+        self.drift = drift
         self.gravity = gravity if isinstance(gravity, Noise) else Real(gravity, "m/s^2", typical=0.1)
+
+    def at(self, belief: Any) -> Strapdown:
+        return drifting_at(self, belief)
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -222,8 +239,21 @@ class Strapdown(AbstractMotion):
             turned,
             state.accel_bias + Vector(*w.parts[9:12]) * accel_walk,
             state.gyro_bias + Vector(*w.parts[12:15]) * gyro_walk,
-            state.bias + Vector(*w.parts[15:]) * self.noise.range_bias_sigma(dt),
+            biases_after(self, state, dt, w.parts[15:]),
         )
+
+
+def drifting_at(motion: Any, belief: Any) -> Any:
+    """The motion with the speed of this belief where its biases drift with the way covered."""
+    return motion if motion.drift is None else eqx.tree_at(lambda m: m.drift, motion, motion.drift.at(belief))
+
+
+def biases_after(motion: Any, state: Any, dt: Scalar, w: Sequence[Scalar]) -> Vector:
+    """The biases of anchors `dt` s later, given a draw for each."""
+    bias: Vector = state.bias
+    if motion.biases:
+        bias = motion.noise.walked(bias, dt, w) if motion.drift is None else motion.drift.drifted(state, dt, w)
+    return bias
 
 
 def imu_available(inputs: Inputs) -> tuple[Scalar, Scalar]:

@@ -261,8 +261,9 @@ InertialState = tuple[np.ndarray, np.ndarray]
 
 
 def inertial(motion: Strapdown, sensor: RangeSensor, recording: Recording) -> Model:
-    """The model of an inertial tracker."""
+    """The model of an inertial tracker of ranges, whose biases walk."""
     inputs, noise = recording.inputs, motion.noise
+    assert noise.sigma_range_walk is not None
     n = 15 + motion.biases
     gravity = np.array([0.0, 0.0, float(motion.gravity.value)])
     arms = inputs.get("arm", np.zeros((len(recording), 3)))

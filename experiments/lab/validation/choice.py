@@ -32,7 +32,7 @@ SIMPLEST_FIRST = (
     "das", "trilateration", "trilateration-compensated", "multilateration", "moving-average", "median",
     # One Kalman filter, by the size of its state; several models; chains; an IMU; grids; particles.
     "fix-kf", "fix-singer", "beam", "direct", "cascade", "bearings", "uwb", "tdoa", "fusion", "body", "imm",
-    "fix-mirror", "mhk", "mhk-stamped", "uwb-imu", "line-grid", "line-pf", "floor-pf",
+    "fix-mirror", "mhk", "mhk-stamped", "uwb-imu", "tdoa-imu", "line-grid", "line-pf", "floor-pf",
 )
 # fmt: on
 """Every tracker of the catalogue, the simplest first: of two with equal errors the earlier one is preferred."""

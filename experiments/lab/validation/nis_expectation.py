@@ -71,6 +71,7 @@ CASES: Mapping[str, Callable[[int], Case]] = {
     "uwb": partial(simulated, "uwb", worlds.ranges),
     "uwb-imu": partial(simulated, "uwb-imu", worlds.tool),
     "tdoa": partial(simulated, "tdoa", worlds.tdoa),
+    "tdoa-imu": partial(simulated, "tdoa-imu", partial(worlds.tdoa, imu=True)),
     "floor-pf": floor,
     "fix-kf": partial(simulated, "fix-kf", worlds.agv, rows=500),
     "fix-singer": partial(simulated, "fix-singer", worlds.agv, rows=500),

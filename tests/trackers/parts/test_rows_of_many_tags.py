@@ -15,14 +15,14 @@ from trackwright.trackers.recordings.trajectories import Trajectories
 CASES = [
     *(("station", name) for name in ("direct", "beam")),
     *(("line", name) for name in ("fix-kf", "line-grid", "mhk")),
-    ("tdoa", "tdoa"),
+    *(("tdoa", name) for name in ("tdoa", "tdoa-imu")),
     ("fusion", "fusion"),
     *(("tool", name) for name in ("uwb-imu", "uwb", "multilateration")),
 ]
 NUMBERS = {
     "station": {"rows": 12, "drop_outs": 0.3},
     "line": {"rate_hz": 0.5},
-    "tdoa": {"rows": 12},
+    "tdoa": {"rows": 12, "imu": True},
     "fusion": {"rows": 12},
     "tool": {"rows": 40},
 }

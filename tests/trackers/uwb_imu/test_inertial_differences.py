@@ -1,0 +1,235 @@
+"""Range differences and an IMU: the filter against one in NumPy, rows, refusals, and recordings from the command line."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation as Turn
+
+from tests.in_process import PLAIN, assert_refused, trackwright
+from tests.known_start import NEVER_LOST
+from tests.oracles import normal_log_density
+from trackwright.experiments.lab.validation.own_worlds import own_world
+from trackwright.sim import worlds
+from trackwright.trackers.catalogue import TRACKERS, build, fitting
+from trackwright.trackers.core.data.consistency import nees
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.rig import Tag
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.tunable import tunables, with_values
+from trackwright.trackers.parts.drifting_biases import BiasDrift
+from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.uwb_imu.difference_rows import SHARED, correlations
+from trackwright.trackers.uwb_imu.differences import TDOA
+from trackwright.trackers.uwb_imu.fusion import MAX_BIASES
+from trackwright.trackers.uwb_imu.inertial import InertialStart, inertial_difference_tracker
+from trackwright.trackers.uwb_imu.strapdown import ImuNoise
+from trackwright.tuning.calibrating import calibrate
+
+ANCHORS = np.array([[0, 0, 0.2], [8, 0, 2.7], [8, 6, 0.3], [0, 6, 2.6]], float)
+PAIRS = np.array([(1, 0), (2, 0), (3, 0)])
+SIGMA, SIGMA_BIAS, LASTS = 0.1, 0.1, 0.5
+NOISE = ImuNoise(0.2, 0.05, 0.01, 0.002, 1.0, 0.1, None)
+GRAVITY = np.array([0.0, 0.0, 9.81])
+
+
+def _added(x, error):
+    """A state (position, velocity, attitude, biases of the IMU and of the anchors) with an error (19,) of its axes."""
+    return SimpleNamespace(
+        p=x.p + error[:3],
+        v=x.v + error[3:6],
+        R=x.R * Turn.from_rotvec(error[6:9]),
+        ba=x.ba + error[9:12],
+        bg=x.bg + error[12:15],
+        b=x.b + error[15:],
+    )
+
+
+def _less(y, x):
+    turned = (x.R.inv() * y.R).as_rotvec()
+    return np.concatenate([y.p - x.p, y.v - x.v, turned, y.ba - x.ba, y.bg - x.bg, y.b - x.b])
+
+
+def _stepped(x, accel, gyro, dt):
+    """The mechanisation of Solà 2017, with the acceleration of the middle of the step."""
+    rate, force = gyro - x.bg, accel - x.ba
+    a = x.R.apply(force + 0.5 * dt * np.cross(rate, force)) - GRAVITY
+    turned = x.R * Turn.from_rotvec(rate * dt)
+    b = x.b * np.exp(-dt / LASTS)
+    return SimpleNamespace(p=x.p + dt * x.v + 0.5 * dt**2 * a, v=x.v + dt * a, R=turned, ba=x.ba, bg=x.bg, b=b)
+
+
+def _derivative(function, size, step=1e-6):
+    return np.stack([(function(step * e) - function(-step * e)) / (2 * step) for e in np.eye(size)], axis=1)
+
+
+def _noise(dt):
+    q = np.repeat([0.2, 0.05, 0.01, 0.002], 3) ** 2 * dt
+    Q = np.diag([*[0.0] * 3, *q, *[SIGMA_BIAS**2 * -np.expm1(-2 * dt / LASTS)] * 4])
+    Q[:3, :3], Q[:3, 3:6] = np.eye(3) * 0.2**2 * dt**3 / 3, np.eye(3) * 0.2**2 * dt**2 / 2
+    Q[3:6, :3] = Q[:3, 3:6]
+    return Q
+
+
+def _predicted(x):
+    distances = np.linalg.norm(x.p - ANCHORS, axis=1) + x.b
+    return distances[PAIRS[:, 0]] - distances[PAIRS[:, 1]]
+
+
+def _filtered(x, P, times, accel, gyro, values, seen):
+    """An error-state filter with numerical Jacobians and all differences of a row at once, with their covariance."""
+    incidence = np.zeros((3, 4))
+    incidence[np.arange(3)[:, None], PAIRS] = [1.0, -1.0]
+    R = SIGMA**2 * (0.5 * SHARED * incidence @ incidence.T + (1 - SHARED) * np.eye(3))
+    out = []
+    for k, dt in enumerate(np.diff(times), 1):
+        ahead = _stepped(x, accel[k], gyro[k], dt)
+        F = _derivative(lambda e, x=x, a=ahead, k=k, dt=dt: _less(_stepped(_added(x, e), accel[k], gyro[k], dt), a), 19)
+        x, P = ahead, F @ P @ F.T + _noise(dt)
+        H = _derivative(lambda e, x=x: _predicted(_added(x, e)), 19)[seen[k]]
+        innovation, S = (values[k] - _predicted(x))[seen[k]], H @ P @ H.T + R[np.ix_(seen[k], seen[k])]
+        K = P @ H.T @ np.linalg.inv(S)
+        x, P = _added(x, K @ innovation), P - K @ S @ K.T
+        out.append((x, P, normal_log_density(innovation, S)))
+    return out
+
+
+def test_moments_and_likelihood_are_those_of_a_filter_in_numpy():
+    rng, rows = np.random.default_rng(4), 60
+    times = np.cumsum(rng.uniform(0.005, 0.03, rows))
+    gyro = 0.5 * np.column_stack([np.sin(3 * times), np.cos(2 * times), 1 + np.sin(times)])
+    accel = GRAVITY + rng.normal(0, 1.0, (rows, 3))
+    seen = (rng.random((rows, 3)) < 0.7) & (np.arange(rows) % 3 == 0)[:, None]
+    place = np.array([3.0, 2.0, 1.2])
+    start = SimpleNamespace(p=place, v=np.zeros(3), R=Turn.identity(), ba=np.zeros(3), bg=np.zeros(3), b=np.zeros(4))
+    values = _predicted(start) + 0.3 * rng.normal(size=(rows, 3))
+    inputs = {
+        "pairs": np.tile(ANCHORS[PAIRS].ravel(), (rows, 1)),
+        "pair": np.tile(PAIRS.ravel().astype(float), (rows, 1)),
+        "nearby": np.tile([*place, 1.0], (rows, 1)),
+        "rest": np.tile([*GRAVITY, 0.0, 0.0, 0.0, 0.0], (rows, 1)),
+        "accel": accel,
+        "gyro": gyro,
+        "imu": np.ones((rows, 2)),
+        "height": np.zeros(rows),
+    }
+    reported = np.concatenate([np.zeros((rows, 3)), correlations(np.tile(PAIRS, (rows, 1, 1)), seen)], axis=1)
+    tracker = inertial_difference_tracker(4, 3, False, NOISE, SIGMA, 1e8, BiasDrift(SIGMA_BIAS, LASTS, 1e9), 1)
+    recording = Recording(times, {TDOA: Readings(values, seen, reported)}, inputs)
+    found = replace(tracker, track_loss=NEVER_LOST).run(recording)
+    sigmas = [1.0, 1.0, 2.0, *[1.0] * 3, *[0.15] * 3, *[0.3] * 3, *[0.03] * 3, *[SIGMA_BIAS] * 4]
+    P = np.diag(np.square(sigmas))
+    P[8, 8] += 1.0  # the unknown yaw
+    expected = _filtered(start, P, times, accel, gyro, np.where(seen, values, 0.0), seen)
+    for k, (x, cov, density) in enumerate(expected, 1):
+        mean = found.mean
+        turn = Turn.from_quat([float(getattr(mean.attitude, q)[k]) for q in "xyzw"])
+        parts = [np.array([float(a[k]) for a in part]) for part in (mean.position, mean.velocity)]
+        biases = [np.array([float(a[k]) for a in part]) for part in (mean.accel_bias, mean.gyro_bias, mean.bias)]
+        estimate = SimpleNamespace(p=parts[0], v=parts[1], R=turn, ba=biases[0], bg=biases[1], b=biases[2])
+        sigma = np.sqrt(np.diag(cov))
+        # In single precision, of a prior of metres: hundredths of a standard deviation.
+        np.testing.assert_allclose(_less(estimate, x) / sigma, 0.0, atol=0.02)
+        np.testing.assert_allclose(
+            found.covariance[k] / np.outer(sigma, sigma), cov / np.outer(sigma, sigma), atol=0.01
+        )
+        np.testing.assert_allclose(found.log_likelihood[k], density, atol=0.02, rtol=0.01)
+
+
+@pytest.fixture(scope="module")
+def folder():
+    return worlds.tdoa(n=2, seed=3, rows=40, imu=True).folder()
+
+
+def test_rows_are_those_of_the_differences_and_of_the_samples_between(folder):
+    alone, with_imu = (TRACKERS[name].trajectories(folder, False)[0].recording for name in ("tdoa", "tdoa-imu"))
+    at = np.isin(with_imu.times, alone.times)
+    assert at.sum() == len(alone.times)
+    np.testing.assert_array_equal(with_imu.readings[TDOA].seen[at], alone.readings[TDOA].seen)
+    np.testing.assert_array_equal(with_imu.inputs["pairs"][at], alone.inputs["pairs"])
+    assert not with_imu.readings[TDOA].seen[~at].any()
+    assert (with_imu.inputs["imu"] == 1.0).all()
+
+
+def test_an_imu_is_used_on_request_and_its_absence_is_said(folder):
+    assert fitting(folder) == "tdoa"
+    without = replace(folder, tables={name: folder.tables[name] for name in ("tdoa", "truth")})
+    with pytest.raises(UnusableInput, match="'tdoa-imu' needs an imu table, found no such table"):
+        build("tdoa-imu", without)
+    with pytest.raises(UnusableInput, match="a tdoa table with at least 4 anchors, found no such table"):
+        build("tdoa-imu", replace(folder, tables={"imu": folder.tables["imu"]}))
+
+
+def test_another_tag_of_the_body_may_have_the_imu(folder):
+    tables = dict(folder.tables) | {"imu": folder.tables["imu"].filter(tag="0")}
+    tags = {"0": Tag(offset=np.zeros(3)), "1": Tag(offset=np.array([0.1, 0.0, 0.0]))}
+    shared = replace(folder, rig=replace(folder.rig, tags=tags, bodies={}), tables=tables)
+    first, second = (t.recording for t in TRACKERS["tdoa-imu"].trajectories(shared, False))
+    np.testing.assert_array_equal(second.inputs["accel"][20:], first.inputs["accel"][20:])
+    np.testing.assert_array_equal(second.inputs["arm"][0], [0.1, 0.0, 0.0])
+
+
+def test_a_tilting_tag_at_a_known_height_is_named(folder):
+    known = replace(folder, rig=replace(folder.rig, tags={tag: Tag(height=1.2) for tag in folder.rig.tags}))
+    lines = [line for line in build("tdoa-imu", known).batches(known)[0].notices if "tilts" in line]
+    assert len(lines) == 2
+    assert "but tdoa-imu takes a tag with height_m for level: use tdoa, or leave out height_m" in lines[0]
+
+
+def test_a_recording_is_tracked_and_smoothed_from_the_command_line(tmp_path):
+    room = tmp_path / "room"
+    options = ("--imu", "--n", 1, "--seed", 4, "--rows", 60, "--bias", 0, "--drift", 0, "--hidden", 0)
+    assert trackwright("simulate", "tdoa", *options, "--out", room).code == 0
+    assert set(read_recording(room).tables) == {"tdoa", "imu", "truth"}
+    for further in ((), ("--smooth",)):
+        out = tmp_path / f"tracks{len(further)}"
+        said = trackwright("track", room, "--tracker", "tdoa-imu", *further, *PLAIN, "--out", out)
+        assert said.code == 0, said
+        # Seven differences of 10 cm a row.
+        assert trackwright("evaluate", out, "--fail-if", "rmse_m > 0.1").code == 0
+    refused = trackwright("track", room, "--tracker", "tdoa-imu", "--motion", "auto", "--out", tmp_path / "none")
+    assert_refused(refused, "no process noise of the horizontal motion")
+
+
+@pytest.mark.slow
+def test_covariances_are_those_of_the_errors_in_worlds_of_its_own_model():
+    world = worlds.tdoa(n=60, seed=2, rows=30, imu=True).folder()
+    (batch,) = build("tdoa-imu", world).batches(world)
+    # With normal noise, and biases of the anchors that do not follow the speed, the filter is exact but for curvature.
+    exact = {"sensors.tdoa.dof": 1e6, "motion.drift.length": 1e6}
+    tracker = replace(with_values(batch.tracker, exact, "test"), track_loss=NEVER_LOST)
+    recordings, priors, states = own_world(tracker, [t.recording for t in batch.trajectories], 5, narrower=10.0)
+    estimates = tracker.run(recordings, initial=priors)
+    errors = np.stack([np.asarray(a) - b.T for a, b in zip(estimates.mean.position, states.position, strict=True)], -1)
+    late = slice(200, None)
+    squares = nees(errors[:, late].reshape(-1, 3), estimates.covariance[:, late, :3, :3].reshape(-1, 3, 3))
+    means = squares.reshape(60, -1).mean(axis=1) / 3
+    assert abs(means.mean() - 1.0) < 3.0 * means.std() / np.sqrt(60) + 0.05
+    inside = nees(errors[:, late, :2].reshape(-1, 2), estimates.covariance[:, late, :2, :2].reshape(-1, 2, 2)) < 5.991
+    assert 0.91 < inside.mean() < 0.98
+
+
+def test_a_calibration_gives_the_biases_that_it_leaves(folder):
+    calibrated = folder.calibrated(calibrate([folder]))
+    (batch,) = build("tdoa-imu", calibrated).batches(calibrated)
+    spread = calibrated.calibration.differences.spread
+    assert float(batch.tracker.motion.drift.sigma_bias.value) == pytest.approx(spread / np.sqrt(2.0))
+    assert float(batch.tracker.motion.drift.time_constant.value) == pytest.approx(5.0)
+    assert not batch.tracker.lasting_errors
+    assert build("tdoa-imu", folder).batches(folder)[0].tracker.lasting_errors
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_more_anchors_than_the_state_may_have_biases_for_have_none(planar):
+    motion = inertial_difference_tracker(MAX_BIASES + 1, planar=planar).motion
+    assert not [name for name in tunables(motion) if name.startswith("drift") or name.endswith("range_walk")]
+    start = InertialStart(planar).belief(
+        np.array([1.0, 2.0, 3.0]), Row(0.0, True, {}, {"rest": np.zeros(7)}, None, None)
+    )
+    still = {"accel": GRAVITY, "gyro": np.zeros(3), "imu": np.ones(2)}
+    after = motion.step(start.mean, still, 0.1, Vector(*[0.0] * motion.noise_dimension))
+    np.testing.assert_allclose([*after.position], [1.0, 2.0, 3.0][: len(after.position)])
+    assert len(after.bias) == 0
