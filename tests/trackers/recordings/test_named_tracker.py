@@ -188,15 +188,9 @@ def test_a_name_and_a_number_that_are_nearly_right_are_met_by_the_right_one(trac
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        (
-            "trajectories=lambda folder, free_height: folder.tables['fix']",
-            "trajectories failed (KeyError in line 4: 'fix'",
-        ),
+        ("trajectories=lambda folder, free_height: folder.tables['fix']", "trajectories failed (KeyError in line 4: 'fix'"),
         ("trajectories=lambda folder: []", "trajectories failed (TypeError: <lambda>() takes 1 positional argument"),
-        (
-            "trajectories=lambda folder, free_height: (1 / 0 for _ in 'ab')",
-            "trajectories failed (ZeroDivisionError in line 4",
-        ),
+        ("trajectories=lambda folder, free_height: (1 / 0 for _ in 'ab')", "trajectories failed (ZeroDivisionError in line 4"),
         ("planar=lambda trajectory, free_height: trajectory.hight", "planar failed (AttributeError in line 4: "),
         ("build=lambda trajectory, planar: {}[planar]", "build failed (KeyError in line 4: "),
     ],
