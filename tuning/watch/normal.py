@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from trackwright.tuning.watch.parity import Blocks
 from trackwright.tuning.watch.readings import SLOT_S, Readings, Source
 
-OFFSET_SIGMA, PLACE_SIGMA = (1.0, 0.5), (0.1, 0.1)
+OFFSET_SIGMA, PLACE_SIGMA = 0.3, 0.1
 """Standard deviations of constant errors of a source, and of those of a place beyond it, m and rad."""
 
 STRETCHES = (1, 2, 4, 8, 16, 32, 64)
@@ -96,7 +96,7 @@ def normal_of(blocks: Blocks, run: Int[np.ndarray, " B"], sources: Sequence[Sour
     place = place_numbers(blocks.cell, places)
     known = blocks.chosen(place >= 0)
     place, run = place[place >= 0], run[place_numbers(blocks.cell, places) >= 0]
-    scatter = np.full(blocks.score.shape[1], 10.0)
+    scatter = _scatter(known.score, known.information)
     fold = _folds(known, run)
     for _ in range(2):
         left = np.zeros_like(known.score)
@@ -108,7 +108,7 @@ def normal_of(blocks: Blocks, run: Int[np.ndarray, " B"], sources: Sequence[Sour
             left[seen] = _without(known.chosen(seen), constants[place[seen]], offsets).score
             usable |= seen
         order = np.lexsort((known.slot[usable], run[usable], fold[usable]))
-        scatter = _scatter(left[usable][order], known.information[usable][order], sources)
+        scatter = _scatter(left[usable][order], known.information[usable][order])
     constants = _constants(known, place, len(places), offsets, scatter)
     information = known.information.sum(axis=0)
     return Normal(offsets, places, constants, scatter, information)
@@ -133,26 +133,25 @@ def _constants(
 ) -> Float[np.ndarray, "C o"]:
     """The constant errors in each place: those of sources, and of places beyond, both with their priors."""
     count = len(offsets)
-    weight = 1.0 / scatter[offsets]
-    scale = np.sqrt(weight[:, None] * weight)
+    weight = 1.0 / float(np.median(scatter[offsets]))
     system = np.zeros((places + 1, count, places + 1, count))
     right = np.zeros((places + 1, count))
     for k in range(places):
         here = place == k
-        F = scale * blocks.information[here][:, offsets][:, :, offsets].sum(axis=0)
+        F = weight * blocks.information[here][:, offsets][:, :, offsets].sum(axis=0)
         g = weight * blocks.score[here][:, offsets].sum(axis=0)
         for row in (k, places):
             right[row] += g
             for column in (k, places):
                 system[row, :, column] += F
-    sigma = np.append(np.full(places * count, PLACE_SIGMA[0]), np.full(count, OFFSET_SIGMA[0]))
+    sigma = np.append(np.full(places * count, PLACE_SIGMA), np.full(count, OFFSET_SIGMA))
     fitted = np.linalg.solve(system.reshape(len(sigma), -1) + np.diag(1.0 / sigma**2), right.ravel()).reshape(
         places + 1, count
     )
     return fitted[:-1] + fitted[-1]
 
 
-def _scatter(score: np.ndarray, information: np.ndarray, sources: Sequence[Source]) -> np.ndarray:
+def _scatter(score: np.ndarray, information: np.ndarray) -> np.ndarray:
     """The long-run variance (P,) of scores, relative to their information: the largest over stretches of blocks."""
     own = np.einsum("bpp->bp", information)
     largest = np.ones(score.shape[1])
