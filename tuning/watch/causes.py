@@ -17,8 +17,8 @@ from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.kinds import wrapped
 from trackwright.tuning.watch.normal import Normal, place_numbers
-from trackwright.tuning.watch.parity import Blocks, blocks_of, doubled, turned
-from trackwright.tuning.watch.readings import SLOT_S, Readings, Source
+from trackwright.tuning.watch.parity import Blocks, blocks_of, doubled, located, turned
+from trackwright.tuning.watch.readings import SLOT_S, Readings, Source, with_weights
 
 BEFORE, AFTER = 24, 60
 """Slots before the onset of an alarm, and after it, to which causes are fitted."""
@@ -83,10 +83,11 @@ def likely_causes(
     normal: Normal,
     onset: int,
     again: tuple[float, float],
+    scales: Mapping[tuple[str, str], np.ndarray],
 ) -> list[Cause]:
     """The causes of an alarm by their scores, the best first; `onset`: the slot from which its statistic rose.
 
-    `blocks`: corrected ones; `again`: the width of windows and the size of places of `blocks_of`.
+    `blocks`: corrected ones; `again`: the width of windows and the size of places of `blocks_of`; `scales`: of errors.
     """
     near = (blocks.slot >= onset - BEFORE) & (blocks.slot < onset + AFTER)
     blocks = blocks.chosen(near)
@@ -100,7 +101,21 @@ def likely_causes(
     fitted = [_fitted(cause, kept, sources, normal, again, start) for cause in closest]
     if any(np.abs(cause.size).max() > SWAPPED_M for cause in closest[:2] if cause.name != "drift"):
         fitted += _swaps(kept, sources, normal, onset, again, blocks)
-    return sorted(fitted, key=lambda cause: -cause.score)
+    best, *others = sorted(fitted, key=lambda cause: -cause.score)
+    return [_reweighted(best, kept, sources, normal, again, scales), *others]
+
+
+def _reweighted(
+    cause: Cause, readings: Mapping[str, Readings], sources: Sequence[Source], normal: Normal,
+    again: tuple[float, float], scales: Mapping[tuple[str, str], np.ndarray],
+) -> Cause:  # fmt: skip
+    """The cause fitted with weights as without it: those under a change that varies draw it to its median."""
+    if not len(cause.size):
+        return cause
+    without = located(undone(readings, cause, normal, again[1]), sources, again[0])
+    weights = {table: each.weights for table, each in with_weights(without, scales)[0].items()}
+    weighted = {table: replace(each, weights=weights[table]) for table, each in readings.items()}
+    return replace(_fitted(replace(cause, gain=-np.inf), weighted, sources, normal, again, 0.0), gain=cause.gain)
 
 
 def _between(each: Readings, first: int, last: int) -> np.ndarray:
@@ -122,7 +137,7 @@ def _linear(
             nothing = np.zeros(len(columns))
             cause = Cause(name, (source,), own[:, columns], onset, nothing, np.diag(nothing))
             yield _with_best_onset(cause, blocks, place, tempered)
-        yield from _walls(source, own[:, [0]], blocks, place, onset, tempered)
+        yield from _walls(source, own[:, [0, 1] if of_station else [0]], blocks, place, onset, tempered)
 
 
 def _sums(cause: Cause, blocks: Blocks, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,19 +167,24 @@ def _walls(
     source: Source, unit: np.ndarray, blocks: Blocks, place: np.ndarray, onset: int, tempered: float
 ) -> Iterator[Cause]:
     """The cause of a constant error at some of the places: of all sets of places the best is one of the largest."""
-    none = Cause("wall", (source,), unit, onset, np.zeros(1), np.zeros((1, 1)))
+    count = unit.shape[1]
+    none = Cause("wall", (source,), unit, onset, np.zeros(count), np.zeros((count, count)))
     score, information = _sums(none, blocks, place)
     seen = np.unique(place[blocks.slot >= onset])
     if len(seen) < 2:
         return
-    sums = np.array([[score[place == k].sum(), information[place == k].sum() + 1e-9] for k in seen])
-    for sign in (1.0, -1.0) if source.table != "ranges" else (1.0,):
-        order = np.argsort(-sign * sums[:, 0] / sums[:, 1])
-        so_far = np.cumsum(sums[order], axis=0)[:-1]
-        gains = np.where(sign * so_far[:, 0] > 0, so_far[:, 0] ** 2 / so_far[:, 1], 0.0)
-        chosen = seen[order[: int(np.argmax(gains)) + 1]]
-        cause = replace(none, places=np.sort(chosen), penalty=len(seen) * np.log(2.0))
-        yield _with_best_onset(cause, blocks, place, tempered)
+    g = np.array([score[place == k].sum(axis=0) for k in seen])
+    F = np.array([information[place == k].sum(axis=0) for k in seen]) + 1e-6 * np.eye(count)
+    # The direction of the error, of a station in both angles, is that of the place that says most.
+    own = np.linalg.solve(F, g[..., None])[..., 0]
+    along = own[np.argmax((own * g).sum(axis=1))]
+    along = np.abs(along) if source.table == "ranges" else along
+    slope, curvature = g @ along, np.einsum("i,kij,j->k", along, F, along)
+    order = np.argsort(-slope / curvature)
+    so_far = np.cumsum(np.stack([slope, curvature])[:, order], axis=1)[:, :-1]
+    gains = np.where(so_far[0] > 0, so_far[0] ** 2 / so_far[1], 0.0)
+    chosen = np.sort(seen[order[: int(np.argmax(gains)) + 1]])
+    yield _with_best_onset(replace(none, places=chosen, penalty=len(seen) * np.log(2.0)), blocks, place, tempered)
 
 
 def _fitted(

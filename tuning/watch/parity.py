@@ -120,7 +120,7 @@ def blocks_of(
     readings: Mapping[str, Readings], sources: Sequence[Source], width: float, cell_m: float, rounds: int = ROUNDS
 ) -> Blocks:
     """The blocks of readings in windows of `width` s and places of `cell_m`, as the tracked positions have them."""
-    parts = [_windows(piece, sources, width, rounds) for piece in _pieces(readings, width)]
+    parts = [_scores(piece, sources, width, rounds) for piece in _pieces(readings, width)]
     track, time, position, score, information, energy = (np.concatenate(x) for x in zip(*parts, strict=True))
     keys = np.column_stack([np.floor(time / SLOT_S), track, np.floor(position / cell_m)]).astype(int)
     unique, number = np.unique(keys, axis=0, return_inverse=True)
@@ -145,52 +145,82 @@ def window_keys(each: Readings, width: float) -> Float[np.ndarray, " N"]:
     return each.track * 2.0**32 + np.floor(each.times / width)
 
 
-def _windows(
+class _Windows:
+    """Readings by windows: W windows of at most L values, and the shifts of their positions that were found so far."""
+
+    def __init__(self, readings: Mapping[str, Readings], width: float) -> None:
+        self.readings, self.given = dict(readings), list(readings.values())
+        keys = np.concatenate([window_keys(each, width) for each in self.given])
+        _, self.first, self.of_reading = np.unique(keys, return_index=True, return_inverse=True)
+        self.of_table = np.split(self.of_reading, np.cumsum([len(each.times) for each in self.given])[:-1])
+        pairs = zip(self.of_table, self.given, strict=True)
+        window = np.concatenate([np.repeat(number, each.weights.shape[1]) for number, each in pairs])
+        self._order = np.argsort(window, kind="stable")
+        starts = np.searchsorted(window[self._order], np.arange(len(self.first)))
+        self._at = window[self._order], np.arange(len(window)) - starts[window[self._order]]
+        self.weight = self.padded([each.weights.ravel() for each in self.given])
+        self.prior = np.full((len(self.first), 3), POSITION_SIGMA**-2)
+        self.prior[self.mean(self.joined("level")) > 0, 2] = _LEVEL
+        self.shift = np.zeros_like(self.prior)
+
+    def joined(self, name: str) -> np.ndarray:
+        """A column of all readings as they were given."""
+        return np.concatenate([getattr(each, name) for each in self.given])
+
+    def padded(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """Values of all readings (n, …) by windows (W, L, …)."""
+        values = np.concatenate(parts)
+        result = np.zeros((len(self.first), int(self._at[1].max()) + 1, *values.shape[1:]))
+        result[self._at] = values[self._order]
+        return result
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """The mean over each window."""
+        return np.bincount(self.of_reading, values) / np.bincount(self.of_reading)
+
+    def solved(self, rows: Sequence[Rows]) -> tuple[np.ndarray, ...]:
+        """The weighted derivatives (W, 3, L), the information (W, 3, 3), the slope and the best shift (W, 3)."""
+        J = self.padded([row.by_position for row in rows])
+        weighted = (J * self.weight[..., None]).transpose(0, 2, 1)
+        A = weighted @ J + self.prior[:, None] * np.eye(3)
+        a = (weighted @ self.padded([row.errors for row in rows])[..., None])[..., 0] - self.prior * self.shift
+        return weighted, A, a, np.linalg.solve(A, a[..., None])[..., 0]
+
+    def correct(self, sources: Sequence[Source], rounds: int) -> None:
+        """Corrects the positions of `readings`, by Gauss and Newton."""
+        for _ in range(rounds):
+            move = self.solved([linearised(each, sources, False) for each in self.readings.values()])[3]
+            self.shift = self.shift + move
+            pairs = zip(self.readings.items(), self.of_table, strict=True)
+            self.readings = {t: replace(r, positions=r.positions + move[number]) for (t, r), number in pairs}
+
+
+def located(readings: Mapping[str, Readings], sources: Sequence[Source], width: float) -> dict[str, Readings]:
+    """The readings about the best positions of their windows."""
+    windows = _Windows(readings, width)
+    windows.correct(sources, ROUNDS + 1)
+    return windows.readings
+
+
+def _scores(
     readings: Mapping[str, Readings], sources: Sequence[Source], width: float, rounds: int
 ) -> tuple[np.ndarray, ...]:
     """Of each window: track, mean time, mean tracked x and y, score, information and energy."""
-    given = list(readings.values())
-    _, first, of_reading = np.unique(
-        np.concatenate([window_keys(each, width) for each in given]), return_index=True, return_inverse=True
+    windows = _Windows(readings, width)
+    windows.correct(sources, rounds)
+    rows = [linearised(each, sources) for each in windows.readings.values()]
+    weighted, A, a, move = windows.solved(rows)
+    error, G = (
+        windows.padded([row.errors for row in rows]),
+        windows.padded([row.by_all(count_of(sources)) for row in rows]),
     )
-    of_table = np.split(of_reading, np.cumsum([len(each.times) for each in given])[:-1])
-    window = np.concatenate([np.repeat(w, r.weights.shape[1]) for w, r in zip(of_table, given, strict=True)])
-    order = np.argsort(window, kind="stable")
-    within = np.arange(len(order)) - np.searchsorted(window[order], np.arange(len(first)))[window[order]]
-    of_padded = window[order], within
-
-    def padded(parts: Sequence[np.ndarray]) -> np.ndarray:
-        values = np.concatenate(parts)
-        result = np.zeros((len(first), int(within.max()) + 1, *values.shape[1:]))
-        result[of_padded] = values[order]
-        return result
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([getattr(each, name) for each in given])
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.bincount(of_reading, values) / np.bincount(of_reading)
-
-    prior = np.full((len(first), 3), POSITION_SIGMA**-2)
-    prior[mean(joined("level")) > 0, 2] = _LEVEL
-    weight, shift, current = padded([each.weights.ravel() for each in given]), np.zeros((len(first), 3)), given
-    for left in range(rounds, -1, -1):
-        rows = [linearised(each, sources, left == 0) for each in current]
-        error, J = padded([row.errors for row in rows]), padded([row.by_position for row in rows])
-        weighted = (J * weight[..., None]).transpose(0, 2, 1)
-        A = weighted @ J + prior[:, None] * np.eye(3)
-        a = (weighted @ error[..., None])[..., 0] - prior * shift
-        move = np.linalg.solve(A, a[..., None])[..., 0]
-        if left:
-            shift = shift + move
-            current = [replace(r, positions=r.positions + move[w]) for r, w in zip(current, of_table, strict=True)]
-    G = padded([row.by_all(count_of(sources)) for row in rows])
-    weighted_G, B = (G * weight[..., None]).transpose(0, 2, 1), weighted @ G
+    weighted_G, B = (G * windows.weight[..., None]).transpose(0, 2, 1), weighted @ G
     gain = np.linalg.solve(A, B).transpose(0, 2, 1)
     score = (weighted_G @ error[..., None] - gain @ a[..., None])[..., 0]
-    energy = (weight * error**2).sum(axis=1) + (prior * shift**2).sum(axis=1) - (move * a).sum(axis=1)
-    where = np.stack([mean(column) for column in joined("positions")[:, :2].T], axis=1)
-    return joined("track")[first], mean(joined("times")), where, score, weighted_G @ G - gain @ B, energy
+    energy = (windows.weight * error**2).sum(axis=1) + (windows.prior * windows.shift**2 - move * a).sum(axis=1)
+    where = np.stack([windows.mean(column) for column in windows.joined("positions")[:, :2].T], axis=1)
+    track, times = windows.joined("track")[windows.first], windows.mean(windows.joined("times"))
+    return track, times, where, score, weighted_G @ G - gain @ B, energy
 
 
 def count_of(sources: Sequence[Source]) -> int:

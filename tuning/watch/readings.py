@@ -104,8 +104,7 @@ def readings_of(
     starts = run_starts(estimates, ["tag"])
     tags = estimates["tag"].cast(pl.String)[starts[:-1]].to_list()
     paths = {
-        tag: (first + k, estimates[a:b])
-        for k, (tag, (a, b)) in enumerate(zip(tags, pairwise(starts), strict=True))
+        tag: (first + k, estimates[a:b]) for k, (tag, (a, b)) in enumerate(zip(tags, pairwise(starts), strict=True))
     }
     result = {}
     for table in WATCHED:

@@ -89,6 +89,7 @@ class Watch:
             parts = (f"{axis} {x:+.2f} ± {h:.2f}" for axis, x, h in zip("xyz", cause.size, half, strict=False))
             return f"by {distance:.2f} ± {along:.2f} m ({', '.join(parts)})"
         if cause.sources[0].table == "bearings":
+            # Of an obstruction what the azimuths and elevations are off by, in the same words.
             turns = [f"{x:+.1f} ± {h:.1f}°" for x, h in zip(np.degrees(cause.size), np.degrees(half), strict=True)]
             return f"by {turns[0]}" + (f", and its elevations by {turns[1]}" if len(turns) > 1 else "")
         return f"by {cause.size[0]:+.2f} ± {half[0]:.2f} m"

@@ -98,7 +98,7 @@ class Watched:
         if course.alarm is not None:
             change = int(course.statistic[course.alarm].argmax())
             onset = int(blocks.slot[course.onset(course.alarm, change)])
-            causes = likely_causes(readings, blocks, self.sources, self.normal, onset, again)
+            causes = likely_causes(readings, blocks, self.sources, self.normal, onset, again, self.scales)
         unseen = 1.0 - len(blocks.slot) / len(every.slot)
         return Watch(self, tuple(folders), starts, blocks, course, tuple(causes), unseen, alarms_a_day, tuple(new))
 

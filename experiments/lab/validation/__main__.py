@@ -17,6 +17,8 @@ CASES = (
     "error_over_bound",
     "surveys",
     "surveys:real_surveys",
+    "watches",
+    "watches:real_watches",
     "track_loss",
     "bag_tour",
 )
