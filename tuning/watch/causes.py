@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.kinds import wrapped
 from trackwright.tuning.watch.normal import Normal, place_numbers
-from trackwright.tuning.watch.parity import Blocks, blocks_of, doubled, located, turned
+from trackwright.tuning.watch.parity import LOST, Blocks, blocks_of, doubled, located, turned
 from trackwright.tuning.watch.readings import SLOT_S, Readings, Source, with_weights
 
 BEFORE, AFTER = 24, 60
@@ -97,10 +97,11 @@ def likely_causes(
     if not any(cause.large for cause in closest[:2]):
         return closest
     kept = {t: r.of_rows(_between(r, onset - BEFORE, onset + AFTER)) for t, r in readings.items()}
-    start = blocks.energy.sum()
+    before = normal.corrected(blocks_of(kept, sources, *again, LOST))
+    start = float(before.energy.sum())
     fitted = [_fitted(cause, kept, sources, normal, again, start) for cause in closest]
     if any(np.abs(cause.size).max() > SWAPPED_M for cause in closest[:2] if cause.name != "drift"):
-        fitted += _swaps(kept, sources, normal, onset, again, blocks)
+        fitted += _swaps(kept, sources, normal, onset, again, before)
     best, *others = sorted(fitted, key=lambda cause: -cause.score)
     return [_reweighted(best, kept, sources, normal, again, scales), *others]
 
@@ -194,7 +195,7 @@ def _fitted(
     """The cause fitted to the readings themselves; `start`: their energy without any."""
     best = replace(cause, gain=-np.inf)
     for step in range(STEPS + 1):
-        blocks = normal.corrected(blocks_of(undone(readings, cause, normal, again[1]), sources, *again))
+        blocks = normal.corrected(blocks_of(undone(readings, cause, normal, again[1]), sources, *again, LOST))
         place = normal.place_of(blocks)
         score, information = (x.sum(axis=0) for x in _sums(cause, blocks, place))
         information = information + 1e-3 * np.eye(len(score))
@@ -221,7 +222,7 @@ def _swaps(
     tried = [_fitted(cause, first, sources, normal, again, 0.0) for cause in swaps]
     for cause in sorted(tried, key=lambda cause: -cause.gain)[:2]:
         always = undone(readings, replace(cause, onset=int(before.slot.min())), normal, again[1])
-        after = normal.corrected(blocks_of(always, sources, *again))
+        after = normal.corrected(blocks_of(always, sources, *again, LOST))
         slots, number = np.unique(before.slot, return_inverse=True)
         less = np.bincount(number, before.energy) - np.bincount(np.searchsorted(slots, after.slot), after.energy)
         since = int(slots[np.argmax(np.cumsum(less[::-1])[::-1])])

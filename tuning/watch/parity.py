@@ -19,11 +19,9 @@ from jaxtyping import Float, Int
 from trackwright.trackers.recordings.kinds import Sensors, wrapped
 from trackwright.tuning.watch.readings import OF_ANCHOR, OF_STATION, SLOT_S, Readings, Source
 
-POSITION_SIGMA = 1.0
-"""Standard deviation, m, of a tracked position before the readings of its window."""
-
-ROUNDS = 1
-"""How often the positions of windows are corrected before scores are computed about them."""
+TRACKED, LOST = (1.0, 1), (5.0, 5)
+"""Standard deviation of a tracked position before the readings of its window, m, and how often it is corrected: as a
+tracker has it, and where a large change has misled the tracker."""
 
 _STEP, _ROWS, _LEVEL = 1e-4, 100_000, 1e6
 
@@ -117,10 +115,17 @@ def turned(angle: float) -> np.ndarray:
 
 
 def blocks_of(
-    readings: Mapping[str, Readings], sources: Sequence[Source], width: float, cell_m: float, rounds: int = ROUNDS
+    readings: Mapping[str, Readings],
+    sources: Sequence[Source],
+    width: float,
+    cell_m: float,
+    about: tuple[float, int] = TRACKED,
 ) -> Blocks:
-    """The blocks of readings in windows of `width` s and places of `cell_m`, as the tracked positions have them."""
-    parts = [_scores(piece, sources, width, rounds) for piece in _pieces(readings, width)]
+    """The blocks of readings in windows of `width` s and places of `cell_m`, as the tracked positions have them.
+
+    `about`: how far tracked positions are off, m, and how often they are corrected before.
+    """
+    parts = [_scores(piece, sources, width, about) for piece in _pieces(readings, width)]
     track, time, position, score, information, energy = (np.concatenate(x) for x in zip(*parts, strict=True))
     keys = np.column_stack([np.floor(time / SLOT_S), track, np.floor(position / cell_m)]).astype(int)
     unique, number = np.unique(keys, axis=0, return_inverse=True)
@@ -148,7 +153,7 @@ def window_keys(each: Readings, width: float) -> Float[np.ndarray, " N"]:
 class _Windows:
     """Readings by windows: W windows of at most L values, and the shifts of their positions that were found so far."""
 
-    def __init__(self, readings: Mapping[str, Readings], width: float) -> None:
+    def __init__(self, readings: Mapping[str, Readings], width: float, sigma: float) -> None:
         self.readings, self.given = dict(readings), list(readings.values())
         keys = np.concatenate([window_keys(each, width) for each in self.given])
         _, self.first, self.of_reading = np.unique(keys, return_index=True, return_inverse=True)
@@ -159,7 +164,7 @@ class _Windows:
         starts = np.searchsorted(window[self._order], np.arange(len(self.first)))
         self._at = window[self._order], np.arange(len(window)) - starts[window[self._order]]
         self.weight = self.padded([each.weights.ravel() for each in self.given])
-        self.prior = np.full((len(self.first), 3), POSITION_SIGMA**-2)
+        self.prior = np.full((len(self.first), 3), sigma**-2)
         self.prior[self.mean(self.joined("level")) > 0, 2] = _LEVEL
         self.shift = np.zeros_like(self.prior)
 
@@ -197,17 +202,17 @@ class _Windows:
 
 def located(readings: Mapping[str, Readings], sources: Sequence[Source], width: float) -> dict[str, Readings]:
     """The readings about the best positions of their windows."""
-    windows = _Windows(readings, width)
-    windows.correct(sources, ROUNDS + 1)
+    windows = _Windows(readings, width, LOST[0])
+    windows.correct(sources, LOST[1])
     return windows.readings
 
 
 def _scores(
-    readings: Mapping[str, Readings], sources: Sequence[Source], width: float, rounds: int
+    readings: Mapping[str, Readings], sources: Sequence[Source], width: float, about: tuple[float, int]
 ) -> tuple[np.ndarray, ...]:
     """Of each window: track, mean time, mean tracked x and y, score, information and energy."""
-    windows = _Windows(readings, width)
-    windows.correct(sources, rounds)
+    windows = _Windows(readings, width, about[0])
+    windows.correct(sources, about[1])
     rows = [linearised(each, sources) for each in windows.readings.values()]
     weighted, A, a, move = windows.solved(rows)
     error, G = (

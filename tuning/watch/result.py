@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +13,7 @@ from trackwright.tuning.watch.causes import WORDS, Cause
 from trackwright.tuning.watch.parity import Blocks
 from trackwright.tuning.watch.readings import SLOT_S
 from trackwright.tuning.watch.sequential import Course
-
-if TYPE_CHECKING:
-    from trackwright.tuning.watch.watching import Watched
+from trackwright.tuning.watch.site import Site
 
 NORMAL = 1.96
 UNDECIDED = 3.0
@@ -33,7 +30,7 @@ class Watch:
     alarm, the likeliest first, none without one. `unseen`: the share of the blocks at places that the baseline lacks.
     """
 
-    site: Watched
+    site: Site
     runs: tuple[RecordingFolder, ...]
     starts: np.ndarray
     blocks: Blocks

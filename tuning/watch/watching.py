@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
 from trackwright.tuning.calibrating import check_at_rest
 from trackwright.tuning.watch.causes import likely_causes
-from trackwright.tuning.watch.normal import Normal, normal_of, place_size
+from trackwright.tuning.watch.normal import normal_of, place_size
 from trackwright.tuning.watch.parity import blocks_of
 from trackwright.tuning.watch.readings import (
     SLOT_S,
@@ -27,80 +27,63 @@ from trackwright.tuning.watch.readings import (
     with_weights,
 )
 from trackwright.tuning.watch.result import Watch
-from trackwright.tuning.watch.sequential import Bank, bank_of, course_of
+from trackwright.tuning.watch.sequential import bank_of, course_of
+from trackwright.tuning.watch.site import Site
 
 LEAST_S = 60.0
 """Shortest baseline, s: twelve blocks."""
 
 
-@dataclass(frozen=True, eq=False)
-class Watched:
-    """A site with its baseline, ready to watch recordings.
+def site_of(baseline: RecordingFolder | Sequence[RecordingFolder], smallest: float = 1.0) -> Site:
+    """The site of baseline recordings; raises UnusableInput as `watch`."""
+    folders = _usable(baseline)
+    check_at_rest(folders)
+    anchors = {name: place for folder in folders for name, place in folder.rig.anchors.items()}
+    stations = {name: station for folder in folders for name, station in folder.rig.stations.items()}
+    rig = replace(folders[0].rig, anchors=anchors, stations=stations)
+    sources = sources_of(folders)
+    readings, starts = _tracked(folders, rig, sources)
+    readings, scales = with_weights(readings)
+    width, cell_m = window_of(readings), place_size(readings)
+    blocks = blocks_of(readings, sources, width, cell_m)
+    seconds = SLOT_S * len(np.unique(blocks.slot))
+    if seconds < LEAST_S:
+        raise UnusableInput(
+            f"{_names(folders)}: a baseline of {seconds:.0f} s; expected {LEAST_S:.0f} s of normal operation at "
+            "least, and ten minutes for changes of 10 cm; record longer"
+        )
+    run = np.searchsorted(starts, SLOT_S * blocks.slot + 1e-6, side="right")
+    normal = normal_of(blocks, run, sources)
+    bank = bank_of(sources, normal, normal.corrected(blocks), smallest)
+    return Site(rig, sources, scales, width, cell_m, normal, bank, tuple(folders), seconds)
 
-    `sources`: what is watched; `scales`: of the errors of each; `width`: of windows, s; `cell_m`: of places; `seconds`:
-    of the baseline.
-    """
 
-    rig: Rig
-    sources: tuple[Source, ...]
-    scales: dict[tuple[str, str], np.ndarray]
-    width: float
-    cell_m: float
-    normal: Normal
-    bank: Bank
-    baseline: tuple[RecordingFolder, ...]
-    seconds: float
-
-    @classmethod
-    def of(cls, baseline: RecordingFolder | Sequence[RecordingFolder], smallest: float = 1.0) -> Watched:
-        """The site of baseline recordings; raises UnusableInput as `watch`."""
-        folders = _usable(baseline)
-        check_at_rest(folders)
-        anchors = {name: place for folder in folders for name, place in folder.rig.anchors.items()}
-        stations = {name: station for folder in folders for name, station in folder.rig.stations.items()}
-        rig = replace(folders[0].rig, anchors=anchors, stations=stations)
-        sources = sources_of(folders)
-        readings, starts = _tracked(folders, rig, sources)
-        readings, scales = with_weights(readings)
-        width, cell_m = window_of(readings), place_size(readings)
-        blocks = blocks_of(readings, sources, width, cell_m)
-        seconds = SLOT_S * len(np.unique(blocks.slot))
-        if seconds < LEAST_S:
-            raise UnusableInput(
-                f"{_names(folders)}: a baseline of {seconds:.0f} s; expected {LEAST_S:.0f} s of normal operation at "
-                "least, and ten minutes for changes of 10 cm; record longer"
-            )
-        run = np.searchsorted(starts, SLOT_S * blocks.slot + 1e-6, side="right")
-        normal = normal_of(blocks, run, sources)
-        bank = bank_of(sources, normal, normal.corrected(blocks), smallest)
-        return cls(rig, sources, scales, width, cell_m, normal, bank, tuple(folders), seconds)
-
-    def watch(self, runs: RecordingFolder | Sequence[RecordingFolder], alarms_a_day: float = 1.0) -> Watch:
-        """Whether the site has changed in runs, in the order given; raises UnusableInput as `watch`."""
-        folders = _usable(runs)
-        refuse_same_names([folder.name for folder in (*self.baseline, *folders)])
-        check_at_rest([*self.baseline, *folders])
-        there = sources_of(folders)
-        known = {(source.table, source.name) for source in self.sources}
-        new = [str(source) for source in there if (source.table, source.name) not in known]
-        if len(new) == len(there):
-            raise UnusableInput(
-                f"{_names(folders)}: has readings of {listed(new)}; expected those of the baseline, "
-                f"{listed(map(str, self.sources))}; give recordings of the same site"
-            )
-        readings, starts = _tracked(folders, _with(self.rig, folders), self.sources)
-        readings, _ = with_weights(readings, self.scales)
-        again = self.width, self.cell_m
-        every = blocks_of(readings, self.sources, *again)
-        blocks = self.normal.corrected(every)
-        course = course_of(blocks, self.bank, self.normal, alarms_a_day)
-        causes = []
-        if course.alarm is not None:
-            change = int(course.statistic[course.alarm].argmax())
-            onset = int(blocks.slot[course.onset(course.alarm, change)])
-            causes = likely_causes(readings, blocks, self.sources, self.normal, onset, again, self.scales)
-        unseen = 1.0 - len(blocks.slot) / len(every.slot)
-        return Watch(self, tuple(folders), starts, blocks, course, tuple(causes), unseen, alarms_a_day, tuple(new))
+def watch_runs(site: Site, runs: RecordingFolder | Sequence[RecordingFolder], alarms_a_day: float = 1.0) -> Watch:
+    """Whether the site has changed in runs, in the order given; raises UnusableInput as `watch`."""
+    folders = _usable(runs)
+    refuse_same_names([folder.name for folder in (*site.baseline, *folders)])
+    check_at_rest([*site.baseline, *folders])
+    there = sources_of(folders)
+    known = {(source.table, source.name) for source in site.sources}
+    new = [str(source) for source in there if (source.table, source.name) not in known]
+    if len(new) == len(there):
+        raise UnusableInput(
+            f"{_names(folders)}: has readings of {listed(new)}; expected those of the baseline, "
+            f"{listed(map(str, site.sources))}; give recordings of the same site"
+        )
+    readings, starts = _tracked(folders, _with(site.rig, folders), site.sources)
+    readings, _ = with_weights(readings, site.scales)
+    again = site.width, site.cell_m
+    every = blocks_of(readings, site.sources, *again)
+    blocks = site.normal.corrected(every)
+    course = course_of(blocks, site.bank, site.normal, alarms_a_day)
+    causes = []
+    if course.alarm is not None:
+        change = int(course.statistic[course.alarm].argmax())
+        onset = int(blocks.slot[course.onset(course.alarm, change)])
+        causes = likely_causes(readings, blocks, site.sources, site.normal, onset, again, site.scales)
+    unseen = 1.0 - len(blocks.slot) / len(every.slot)
+    return Watch(site, tuple(folders), starts, blocks, course, tuple(causes), unseen, alarms_a_day, tuple(new))
 
 
 def watch(
@@ -118,7 +101,8 @@ def watch(
     for name, value in (("smallest", smallest), ("alarms_a_day", alarms_a_day)):
         if not 0.0 < value < np.inf:
             raise UnusableInput(f"{name} {value:g}: expected a number above zero, as 1")
-    return Watched.of(baseline, smallest).watch(runs, alarms_a_day)
+    _usable(runs)
+    return watch_runs(site_of(baseline, smallest), runs, alarms_a_day)
 
 
 def _usable(given: RecordingFolder | Sequence[RecordingFolder]) -> list[RecordingFolder]:

@@ -35,7 +35,7 @@ SITES = {
 
 
 class World(NamedTuple):
-    """A simulated site: its kind, the room (3,) m, its rig, the constant errors (G, m), and waves of those of places."""
+    """A simulated site: its kind, the room (3,) m, its rig, constant errors (G, m), and waves of those of places."""
 
     kind: str
     size: np.ndarray

@@ -33,7 +33,8 @@ from trackwright.experiments.lab.validation.watch_worlds import (
 from trackwright.experiments.text.terminal import progress
 from trackwright.tuning.watch.readings import WATCHED
 from trackwright.tuning.watch.result import Watch
-from trackwright.tuning.watch.watching import Watched
+from trackwright.tuning.watch.site import Site
+from trackwright.tuning.watch.watching import site_of, watch_runs
 
 CHANGES, BASELINE_S, RUN_S, ONSET_S = 100, 600.0, 600.0, 200.0
 HOURS, HOURS_OF_SITE = 24, 2
@@ -83,7 +84,7 @@ def real_watches(*, output: Output = DEFAULTS) -> int:
     quiet = []
     for name in names:
         site, run = _real_site(name)
-        found = site.watch(run)
+        found = watch_runs(site, run)
         least = site.bank.least[site.bank.place < 0]
         unit = "°" if site.sources[0].table == "bearings" else " m"
         scale = np.degrees(1.0) if unit == "°" else 1.0
@@ -108,11 +109,11 @@ def change_of(number: int, table: str, ids: Sequence[str], onset_s: float) -> tu
 
 
 @cache
-def simulated_site(seed: int, kind: str) -> tuple[World, Watched]:
+def simulated_site(seed: int, kind: str) -> tuple[World, Site]:
     """A world and its watch."""
     keep_programs()
     world = world_of(seed, kind)
-    return world, Watched.of(normal_operation(world, "baseline", BASELINE_S, 1000 * seed))
+    return world, site_of(normal_operation(world, "baseline", BASELINE_S, 1000 * seed))
 
 
 def simulated_change(number: int) -> Row:
@@ -136,22 +137,22 @@ def real_change(number: int, name: str) -> Row:
 
 
 @cache
-def _real_site(name: str) -> tuple[Watched, tw.RecordingFolder]:
+def _real_site(name: str) -> tuple[Site, tw.RecordingFolder]:
     other = REAL[name]
     (run,) = recorded((name,))
     if other is not None:
-        return Watched.of(recorded((other,))), run
+        return site_of(recorded((other,))), run
     table = next(t for t in WATCHED if t in run.tables)
     middle = float(run.tables[table]["t_s"].mean())
     first = {t: rows.filter(pl.col("t_s") < middle) if t != "truth" else rows for t, rows in run.tables.items()}
     second = {t: rows.filter(pl.col("t_s") >= middle) if t != "truth" else rows for t, rows in run.tables.items()}
-    return Watched.of(replace(run, name=f"{name}, first half", tables=first)), replace(run, tables=second)
+    return site_of(replace(run, name=f"{name}, first half", tables=first)), replace(run, tables=second)
 
 
-def judged(site: Watched, run: tw.RecordingFolder, change: Change, large: bool, seed: int) -> Row:
+def judged(site: Site, run: tw.RecordingFolder, change: Change, large: bool, seed: int) -> Row:
     """What a watch says of a run with a change."""
     began = time.process_time()
-    found = site.watch(changed(run, change, seed))
+    found = watch_runs(site, changed(run, change, seed))
     seconds = time.process_time() - began
     first = float(min(run.rows(t).times.min() for t in WATCHED if t in run.tables))
     since = change.onset_s - first
@@ -211,7 +212,7 @@ def quiet_hours(seed: int, kind: str) -> Row:
     """Some hours of normal operation of a simulated site, and whether there is an alarm."""
     world, site = simulated_site(5000 + seed, kind)
     run = normal_operation(world, "run", 3600.0 * HOURS_OF_SITE, 1000 * seed + 7)
-    found = site.watch(run)
+    found = watch_runs(site, run)
     highest = float(found.course.statistic.max() / found.course.threshold)
     return {"site": kind, "h": found.minutes / 60.0, "false alarms": int(found.changed), "highest": highest}
 
