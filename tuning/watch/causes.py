@@ -27,7 +27,7 @@ LARGE_M, LARGE_RAD = 0.3, np.radians(8.0)
 """Sizes from which a cause is fitted to the readings themselves."""
 
 SWAPPED_M, SWAPPED_SLOTS = 0.4, 8
-"""Size from which swaps are tried, and slots after the onset on which they are."""
+"""Size from which swaps are tried, and slots after the alarm on which they are."""
 
 STEPS, CLOSEST = 4, 6
 """Steps of a fit to the readings, and the causes that are fitted so."""
@@ -82,10 +82,11 @@ def likely_causes(
     sources: Sequence[Source],
     normal: Normal,
     onset: int,
+    alarm: int,
     again: tuple[float, float],
     scales: Mapping[tuple[str, str], np.ndarray],
 ) -> list[Cause]:
-    """The causes of an alarm by their scores, the best first; `onset`: the slot from which its statistic rose.
+    """The causes of an alarm by their scores, the best first; `onset`, `alarm`: slots of the rise and of the alarm.
 
     `blocks`: corrected ones; `again`: the width of windows and the size of places of `blocks_of`; `scales`: of errors.
     """
@@ -101,7 +102,7 @@ def likely_causes(
     start = float(before.energy.sum())
     fitted = [_fitted(cause, kept, sources, normal, again, start) for cause in closest]
     if any(np.abs(cause.size).max() > SWAPPED_M for cause in closest[:2] if cause.name != "drift"):
-        fitted += _swaps(kept, sources, normal, onset, again, before)
+        fitted += _swaps(kept, sources, normal, alarm, again, before)
     best, *others = sorted(fitted, key=lambda cause: -cause.score)
     return [_reweighted(best, kept, sources, normal, again, scales), *others]
 
@@ -210,15 +211,17 @@ def _fitted(
 
 
 def _swaps(
-    readings: Mapping[str, Readings], sources: Sequence[Source], normal: Normal, onset: int,
+    readings: Mapping[str, Readings], sources: Sequence[Source], normal: Normal, alarm: int,
     again: tuple[float, float], before: Blocks,
 ) -> Iterator[Cause]:  # fmt: skip
-    """The swaps of two sources of a kind that explain most of the first slots after the onset; `before`: without."""
-    first = {t: r.of_rows(_between(r, onset, onset + SWAPPED_SLOTS)) for t, r in readings.items()}
+    """The swaps of two sources of a kind that explain most of the slots after the alarm; `before`: without any."""
+    last_slot = min(alarm + SWAPPED_SLOTS, int(before.slot.max()) + 1)
+    first_slot = min(alarm, last_slot - SWAPPED_SLOTS // 2)
+    first = {t: r.of_rows(_between(r, first_slot, last_slot)) for t, r in readings.items()}
     first = {t: r for t, r in first.items() if len(r.times)}
     empty = np.zeros((normal.scatter.size, 0))
     pairs = [pair for pair in combinations(sources, 2) if pair[0].table == pair[1].table]
-    swaps = [Cause("swapped", pair, empty, onset, np.zeros(0), np.zeros((0, 0))) for pair in pairs]
+    swaps = [Cause("swapped", pair, empty, first_slot, np.zeros(0), np.zeros((0, 0))) for pair in pairs]
     tried = [_fitted(cause, first, sources, normal, again, 0.0) for cause in swaps]
     for cause in sorted(tried, key=lambda cause: -cause.gain)[:2]:
         always = undone(readings, replace(cause, onset=int(before.slot.min())), normal, again[1])

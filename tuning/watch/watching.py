@@ -81,7 +81,8 @@ def watch_runs(site: Site, runs: RecordingFolder | Sequence[RecordingFolder], al
     if course.alarm is not None:
         change = int(course.statistic[course.alarm].argmax())
         onset = int(blocks.slot[course.onset(course.alarm, change)])
-        causes = likely_causes(readings, blocks, site.sources, site.normal, onset, again, site.scales)
+        alarm = int(blocks.slot[course.alarm])
+        causes = likely_causes(readings, blocks, site.sources, site.normal, onset, alarm, again, site.scales)
     unseen = 1.0 - len(blocks.slot) / len(every.slot)
     return Watch(site, tuple(folders), starts, blocks, course, tuple(causes), unseen, alarms_a_day, tuple(new))
 
