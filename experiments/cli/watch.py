@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -41,7 +42,12 @@ def watch(
     from trackwright.experiments.cli.runtime import keep_programs
     from trackwright.trackers.recordings.folder import read_recordings
 
-    folders = checked(read_recordings([*runs, *baseline]), force, calibrated=True)
+    # A truth that disagrees with the readings is what a change looks like, and is not to be refused.
+    read = [
+        replace(x, tables={k: t for k, t in x.tables.items() if k != "truth"})
+        for x in read_recordings([*runs, *baseline])
+    ]
+    folders = checked(read, force, calibrated=True)
     keep_programs()
     # jax and scipy take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.reports.watch import watch_data, write_watch_figure
