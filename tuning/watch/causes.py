@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.kinds import wrapped
-from trackwright.tuning.watch.normal import Normal, place_numbers
+from trackwright.tuning.watch.normal import Normal, place_numbers, scatter_of
 from trackwright.tuning.watch.parity import LOST, Blocks, blocks_of, doubled, located, turned
 from trackwright.tuning.watch.readings import SLOT_S, Readings, Source, with_weights
 
@@ -43,7 +43,8 @@ class Cause:
     """A change of sources from a slot on.
 
     `name`: one of `WORDS`. `sources`: one, or the two that are swapped. `unit` (P, K): parameters of unit sizes;
-    `size` (K,), m or rad, of a drift per second; `covariance` (K, K). `places`: numbers of those that it
+    `size` (K,), m or rad, of a drift per second; `covariance` (K, K), and by how much scores
+    about it scatter more than their information says, `scatter` (K,). `places`: numbers of those that it
     concerns alone, None for all. `gain`: of the tempered log-likelihood; `penalty`: of what was fitted.
     """
 
@@ -53,6 +54,7 @@ class Cause:
     onset: int
     size: Float[np.ndarray, " K"]
     covariance: Float[np.ndarray, "K K"]
+    scatter: Float[np.ndarray, " K"]
     places: Int[np.ndarray, " p"] | None = None
     gain: float = -np.inf
     penalty: float = 0.0
@@ -137,7 +139,7 @@ def _linear(
         shapes = shapes or [("delay", [0]), ("moved", [1, 2]), ("moved", [1, 2, 3]), ("drift", [0])]
         for name, columns in shapes:
             nothing = np.zeros(len(columns))
-            cause = Cause(name, (source,), own[:, columns], onset, nothing, np.diag(nothing))
+            cause = Cause(name, (source,), own[:, columns], onset, nothing, np.diag(nothing), nothing)
             yield _with_best_onset(cause, blocks, place, tempered)
         yield from _walls(source, own[:, [0, 1] if of_station else [0]], blocks, place, onset, tempered)
 
@@ -162,7 +164,14 @@ def _with_best_onset(cause: Cause, blocks: Blocks, place: np.ndarray, tempered: 
         if gain > best.gain:
             best = replace(moved, size=size, gain=gain, covariance=np.linalg.inv(information))
     penalty = 0.5 * cause.unit.shape[1] * np.log(max((blocks.slot >= best.onset).sum(), 2))
-    return replace(best, penalty=cause.penalty + penalty)
+    score, information = _sums(best, blocks, place)
+    return replace(best, penalty=cause.penalty + penalty, scatter=_scatter(score, information, best.size))
+
+
+def _scatter(score: np.ndarray, information: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """By how much the scores (B, K) of blocks that a cause acts on scatter about its size, relative to information."""
+    acts = np.einsum("bkk->b", information) > 0.0
+    return scatter_of(score[acts] - information[acts] @ size, information[acts])
 
 
 def _walls(
@@ -170,7 +179,7 @@ def _walls(
 ) -> Iterator[Cause]:
     """The cause of a constant error at some of the places: of all sets of places the best is one of the largest."""
     count = unit.shape[1]
-    none = Cause("wall", (source,), unit, onset, np.zeros(count), np.zeros((count, count)))
+    none = Cause("wall", (source,), unit, onset, np.zeros(count), np.zeros((count, count)), np.ones(count))
     score, information = _sums(none, blocks, place)
     seen = np.unique(place[blocks.slot >= onset])
     if len(seen) < 2:
@@ -198,11 +207,13 @@ def _fitted(
     for step in range(STEPS + 1):
         blocks = normal.corrected(blocks_of(undone(readings, cause, normal, again[1]), sources, *again, LOST))
         place = normal.place_of(blocks)
-        score, information = (x.sum(axis=0) for x in _sums(cause, blocks, place))
+        of_blocks = _sums(cause, blocks, place)
+        score, information = (x.sum(axis=0) for x in of_blocks)
         information = information + 1e-3 * np.eye(len(score))
         gain = 0.5 * float(start - blocks.energy.sum()) / float(np.median(normal.scatter))
         if gain > best.gain:
-            best = replace(cause, gain=gain, covariance=np.linalg.inv(information))
+            scatter = _scatter(*of_blocks, np.zeros(len(score)))
+            best = replace(cause, gain=gain, covariance=np.linalg.inv(information), scatter=scatter)
         change = np.linalg.solve(information, score)
         if step == STEPS or not len(change) or np.abs(change).max() < 1e-3:
             break
@@ -221,7 +232,7 @@ def _swaps(
     first = {t: r for t, r in first.items() if len(r.times)}
     empty = np.zeros((normal.scatter.size, 0))
     pairs = [pair for pair in combinations(sources, 2) if pair[0].table == pair[1].table]
-    swaps = [Cause("swapped", pair, empty, first_slot, np.zeros(0), np.zeros((0, 0))) for pair in pairs]
+    swaps = [Cause("swapped", pair, empty, first_slot, np.zeros(0), np.zeros((0, 0)), np.zeros(0)) for pair in pairs]
     tried = [_fitted(cause, first, sources, normal, again, 0.0) for cause in swaps]
     for cause in sorted(tried, key=lambda cause: -cause.gain)[:2]:
         always = undone(readings, replace(cause, onset=int(before.slot.min())), normal, again[1])

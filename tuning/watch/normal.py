@@ -96,7 +96,7 @@ def normal_of(blocks: Blocks, run: Int[np.ndarray, " B"], sources: Sequence[Sour
     place = place_numbers(blocks.cell, places)
     known = blocks.chosen(place >= 0)
     place, run = place[place >= 0], run[place_numbers(blocks.cell, places) >= 0]
-    scatter = _scatter(known.score, known.information)
+    scatter = scatter_of(known.score, known.information)
     fold = _folds(known, run)
     for _ in range(2):
         left = np.zeros_like(known.score)
@@ -108,7 +108,7 @@ def normal_of(blocks: Blocks, run: Int[np.ndarray, " B"], sources: Sequence[Sour
             left[seen] = _without(known.chosen(seen), constants[place[seen]], offsets).score
             usable |= seen
         order = np.lexsort((known.slot[usable], run[usable], fold[usable]))
-        scatter = _scatter(left[usable][order], known.information[usable][order])
+        scatter = scatter_of(left[usable][order], known.information[usable][order])
     constants = _constants(known, place, len(places), offsets, scatter)
     information = known.information.sum(axis=0)
     return Normal(offsets, places, constants, scatter, information)
@@ -151,7 +151,7 @@ def _constants(
     return fitted[:-1] + fitted[-1]
 
 
-def _scatter(score: np.ndarray, information: np.ndarray) -> np.ndarray:
+def scatter_of(score: np.ndarray, information: np.ndarray) -> np.ndarray:
     """The long-run variance (P,) of scores, relative to their information: the largest over stretches of blocks."""
     own = np.einsum("bpp->bp", information)
     largest = np.ones(score.shape[1])

@@ -66,7 +66,7 @@ class Watch:
         scatter = (cause.unit**2 * normal.scatter[:, None]).sum(axis=0)
         known = cause.unit.T @ normal.information @ cause.unit + 1e-3 * np.eye(len(scatter))
         drift = 0.0 if cause.name == "drift" else np.diag(np.linalg.inv(known))
-        return NORMAL * np.sqrt(scatter * (np.diag(cause.covariance) + drift))
+        return NORMAL * np.sqrt(np.maximum(scatter, cause.scatter) * np.diag(cause.covariance) + scatter * drift)
 
     def when(self, seconds: float) -> str:
         """A time of the common time axis in words."""

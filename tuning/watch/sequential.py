@@ -24,7 +24,7 @@ LEAST_M, LEAST_RAD = 0.1, np.radians(3.0)
 AT_PLACE = 2.0
 """Smallest change at one place, in units of those: less is common where a tag is carried another way round."""
 
-STANDARD_ERRORS = 4.0
+STANDARD_ERRORS = 6.0
 """Standard errors of the baseline that a change is at least to be told."""
 
 LARGEST = 3.0
