@@ -8,7 +8,7 @@ against another recording of the site, or its first half, and the same recording
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -130,8 +130,8 @@ def real_change(number: int, name: str) -> Row:
     """A change made to a real recording, found or not."""
     site, run = _real_site(name)
     table = site.sources[0].table
-    span = run.tables[table]["t_s"]
-    onset = float(span.min() + (span.max() - span.min()) / 3.0)
+    times = run.rows(table).times
+    onset = float(times.min() + np.ptp(times) / 3.0)
     change, large = change_of(number // len(REAL) + number % len(REAL), table, [s.name for s in site.sources], onset)
     return {"site": name, **judged(site, run, change, large, number)}
 
@@ -143,7 +143,7 @@ def _real_site(name: str) -> tuple[Site, tw.RecordingFolder]:
     if other is not None:
         return site_of(recorded((other,))), run
     table = next(t for t in WATCHED if t in run.tables)
-    middle = float(run.tables[table]["t_s"].mean())
+    middle = float(run.rows(table).times.mean())
     first = {t: rows.filter(pl.col("t_s") < middle) if t != "truth" else rows for t, rows in run.tables.items()}
     second = {t: rows.filter(pl.col("t_s") >= middle) if t != "truth" else rows for t, rows in run.tables.items()}
     return site_of(replace(run, name=f"{name}, first half", tables=first)), replace(run, tables=second)
@@ -198,7 +198,7 @@ def summary(rows: Sequence[Row]) -> list[Row]:
     ]  # fmt: skip
 
 
-def _median(values: Sequence[float]) -> float | None:
+def _median(values: Iterable[float]) -> float | None:
     known = [value for value in values if np.isfinite(value)]
     return float(np.median(known)) if known else None
 
