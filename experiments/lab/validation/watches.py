@@ -198,6 +198,19 @@ def summary(rows: Sequence[Row]) -> list[Row]:
     ]  # fmt: skip
 
 
+def _by_site(rows: Sequence[Row]) -> list[Row]:
+    """How many changes of each recording were found, and their causes named."""
+    result = []
+    for site in dict.fromkeys(row["site"] for row in rows):
+        of_site: Row = {"recording": site}
+        for large, size in ((False, "small"), (True, "large")):
+            own = [row for row in rows if row["site"] == site and row["large"] == large]
+            of_site |= {size: len(own), f"{size}, found": sum(row["found"] for row in own)}
+            of_site |= {f"{size}, right": sum(row["right"] for row in own)}
+        result.append(of_site)
+    return result
+
+
 def _median(values: Iterable[float]) -> float | None:
     known = [value for value in values if np.isfinite(value)]
     return float(np.median(known)) if known else None
