@@ -34,6 +34,8 @@ def _part(module):
         return inside if inside in known else "trackers"
     if module.startswith("tuning.design"):
         return "design"
+    if module.startswith("tuning.watch"):
+        return "watch"
     if package == "experiments":
         return f"experiments.{rest.partition('.')[0]}"
     return package if package in PACKAGES else None
@@ -60,11 +62,12 @@ MAY_IMPORT = {
     "sim": {*LIBRARY, "sim"},
     "tuning": {*BASE, "tuning"},
     "design": {*BASE, *SYSTEMS, "tuning", "design"},
+    "watch": {*LIBRARY, "tuning", "watch"},
 }
 LAYERS = ("text", "jobs", "monte_carlo", "pages", "cli", "lab")
 """The folders of experiments; each imports itself and those before it."""
 
-OUTSIDE = {*LIBRARY, "sim", "tuning", "design"}
+OUTSIDE = {*LIBRARY, "sim", "tuning", "design", "watch"}
 for count, layer in enumerate(LAYERS, 1):
     MAY_IMPORT[f"experiments.{layer}"] = {
         *OUTSIDE,

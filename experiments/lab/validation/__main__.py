@@ -19,6 +19,8 @@ CASES = (
     "surveys:real_surveys",
     "surveys:difference_surveys",
     "protection_levels",
+    "watches",
+    "watches:real_watches",
     "track_loss",
     "bag_tour",
 )

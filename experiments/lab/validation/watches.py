@@ -1,0 +1,243 @@
+"""Watches of sites: changes found and named, and false alarms, in simulated rooms and real recordings.
+
+Simulated: 100 changes, half of them small (10 to 20 cm, 3°, a drift of 2 to 5 cm a minute), after 200 s of runs of
+600 s, against baselines of 600 s; and 24 h of normal operation. Real: changes made to recordings after a third of them,
+against another recording of the site, or its first half, and the same recordings as they are.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import cache
+from multiprocessing import get_context
+
+import numpy as np
+import polars as pl
+
+import trackwright as tw
+from trackwright.experiments.cli.runtime import keep_programs
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
+from trackwright.experiments.lab.validation.sites import recorded
+from trackwright.experiments.lab.validation.watch_worlds import (
+    SITES,
+    Change,
+    World,
+    changed,
+    drawn_change,
+    normal_operation,
+    world_of,
+)
+from trackwright.experiments.text.terminal import progress
+from trackwright.tuning.watch.readings import WATCHED
+from trackwright.tuning.watch.result import Watch
+from trackwright.tuning.watch.site import Site
+from trackwright.tuning.watch.watching import site_of, watch_runs
+
+CHANGES, BASELINE_S, RUN_S, ONSET_S = 100, 600.0, 600.0, 200.0
+HOURS, HOURS_OF_SITE = 24, 2
+OF_ANCHORS = ("moved", "delay", "wall", "drift", "moved", "swapped")
+REAL = {
+    "iasl-drone-2": "iasl-drone-1", "iasl-drone-1": "iasl-drone-2",
+    "ngbui-line-1-2": "ngbui-line-1-1", "ngbui-line-1-1": "ngbui-line-1-2",
+    "ngbui-line-2-2": "ngbui-line-2-1", "ngbui-line-2-1": "ngbui-line-2-2",
+    "ngbui-line-3-2": "ngbui-line-3-1", "ngbui-line-3-1": "ngbui-line-3-2",
+    "ble51-walk-u3-r2": "ble51-walk-u3-r1", "ble51-walk-u3-r1": "ble51-walk-u3-r2",
+    "rcv-drone-3": None, "lias-planar-fast": None,
+}  # fmt: skip
+"""Recordings that changes are made to, with the baseline of each: None for its first half."""
+
+
+def watches(*, output: Output = DEFAULTS) -> int:
+    """Changes and normal operation of simulated sites; 1 if the large ones named or the false alarms fail."""
+    count = 8 if output.small else CHANGES
+    hours = 1 if output.small else HOURS // HOURS_OF_SITE
+    kinds = list(SITES)
+    rows, quiet = [], []
+    with progress("changes", count) as advance, ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        for row in pool.map(simulated_change, range(count)):
+            rows.append(row)
+            advance(1)
+    with progress("normal operation", hours) as advance, ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        for row in pool.map(quiet_hours, range(hours), [kinds[k % len(kinds)] for k in range(hours)]):
+            quiet.append(row)
+            advance(1)
+    alarms = Table(_of_sites(quiet), "Normal operation")
+    output.publish("validation watches", Table(summary(rows), "Changes"), alarms, changes=rows)
+    large = [row for row in rows if row["large"] and row["found"]]
+    right = np.mean([row["right"] for row in large]) if large else 0.0
+    return int(right < 0.9 or sum(row["false alarms"] for row in quiet) > sum(row["h"] for row in quiet) / 24.0)
+
+
+def real_watches(*, output: Output = DEFAULTS) -> int:
+    """Changes made to real recordings, and the recordings as they are."""
+    keep_programs()
+    names = list(REAL)[:2] if output.small else list(REAL)
+    count = 4 if output.small else CHANGES
+    with progress("changes", count) as advance:
+        rows = []
+        for number in range(count):
+            rows.append(real_change(number, names[number % len(names)]))
+            advance(1)
+    quiet = []
+    for name in names:
+        site, run = _real_site(name)
+        found = watch_runs(site, run)
+        least = site.bank.least[site.bank.place < 0]
+        unit = "°" if site.sources[0].table == "bearings" else " m"
+        scale = np.degrees(1.0) if unit == "°" else 1.0
+        quiet.append({
+            "recording": name, "baseline": REAL[name] or "its first half", "min": found.minutes,
+            "baseline, min": site.seconds / 60.0, "told from": f"{scale * np.median(least):.2g}{unit}",
+            "alarm": found.what(found.causes[0]) if found.changed else "no",
+        })  # fmt: skip
+    output.publish(
+        "validation real-watches", Table(summary(rows), "Changes"), Table(quiet, "As they are"), changes=rows
+    )
+    return 0
+
+
+def change_of(number: int, table: str, ids: Sequence[str], onset_s: float) -> tuple[Change, bool]:
+    """The change of this number, and whether it is large."""
+    large = bool(number % 2)
+    of_station = ("turned", "turned", "wall", "turned", "swapped", "turned")
+    name = (of_station if table == "bearings" else OF_ANCHORS)[number // 2 % 6]
+    large = large or name == "swapped"
+    return drawn_change(name, large, table, ids, onset_s, number), large
+
+
+@cache
+def simulated_site(seed: int, kind: str) -> tuple[World, Site]:
+    """A world and its watch."""
+    keep_programs()
+    world = world_of(seed, kind)
+    return world, site_of(normal_operation(world, "baseline", BASELINE_S, 1000 * seed))
+
+
+def simulated_change(number: int) -> Row:
+    """A change in a simulated site, found or not."""
+    kind = list(SITES)[number // 12 % len(SITES)]
+    world, site = simulated_site(number, kind)
+    run = normal_operation(world, "run", RUN_S, 1000 * number + 1)
+    table = next(name for name in WATCHED if name in run.tables)
+    change, large = change_of(number, table, [*world.rig.anchors, *world.rig.stations], ONSET_S)
+    return {"site": kind, **judged(site, run, change, large, number)}
+
+
+def real_change(number: int, name: str) -> Row:
+    """A change made to a real recording, found or not."""
+    site, run = _real_site(name)
+    table = site.sources[0].table
+    times = run.rows(table).times
+    onset = float(times.min() + np.ptp(times) / 3.0)
+    change, large = change_of(number // len(REAL) + number % len(REAL), table, [s.name for s in site.sources], onset)
+    return {"site": name, **judged(site, run, change, large, number)}
+
+
+@cache
+def _real_site(name: str) -> tuple[Site, tw.RecordingFolder]:
+    other = REAL[name]
+    (run,) = recorded((name,))
+    if other is not None:
+        return site_of(recorded((other,))), run
+    table = next(t for t in WATCHED if t in run.tables)
+    middle = float(run.rows(table).times.mean())
+    first = {t: rows.filter(pl.col("t_s") < middle) if t != "truth" else rows for t, rows in run.tables.items()}
+    second = {t: rows.filter(pl.col("t_s") >= middle) if t != "truth" else rows for t, rows in run.tables.items()}
+    return site_of(replace(run, name=f"{name}, first half", tables=first)), replace(run, tables=second)
+
+
+def judged(site: Site, run: tw.RecordingFolder, change: Change, large: bool, seed: int) -> Row:
+    """What a watch says of a run with a change."""
+    began = time.process_time()
+    found = watch_runs(site, changed(run, change, seed))
+    seconds = time.process_time() - began
+    first = float(min(run.rows(t).times.min() for t in WATCHED if t in run.tables))
+    since = change.onset_s - first
+    early = found.changed and found.alarm_s <= since
+    cause = found.cause
+    told = found.changed and not early
+    right = bool(told and cause and cause.name == change.name and {s.name for s in cause.sources} == {*change.sources})
+    row: Row = {
+        "cause": change.name, "large": large, "sources": list(change.sources), "size": change.size, "found": told,
+        "early": early, "right": right, "delay": found.alarm_s - since if told else np.nan,
+        "onset error": abs(found.onset_s - since) if told else np.nan, "s": seconds,
+        "verdict": found.lines()[0],
+        "source right": bool(told and cause and {s.name for s in cause.sources} == {*change.sources}),
+        "listed": bool(told and any(c.name == change.name for c in (found.causes[:1] + tuple(found.others)))),
+    }  # fmt: skip
+    return row | (_inside(found, change) if right and change.name != "swapped" else {})
+
+
+def _inside(found: Watch, change: Change) -> Row:
+    """How many of the sizes are inside of their 95 % intervals."""
+    cause = found.causes[0]
+    error = np.abs(cause.size - (change.size[: len(cause.size)] if change.name == "moved" else change.size[0]))
+    counted = 1 if change.name == "turned" else len(error)
+    inside = (error <= found.half_widths(cause))[:counted]
+    return {"sizes": len(inside), "inside": int(inside.sum())}
+
+
+def summary(rows: Sequence[Row]) -> list[Row]:
+    """A row for each cause and size, and one for all small and all large ones."""
+    keys = [(large, cause) for large in (False, True) for cause in (*dict.fromkeys(r["cause"] for r in rows), None)]
+    return [
+        {
+            "size": "large" if large else "small", "cause": cause or "all", "changes": len(own),
+            "found": len(told), "median delay, s": _median(r["delay"] for r in told),
+            "alarm before": sum(r["early"] for r in own), "source right": sum(r["source right"] for r in told),
+            "cause right": sum(r["right"] for r in told),
+            "onset error, s": _median(r["onset error"] for r in told),
+            "inside 95 %": _share(told),
+        }
+        for large, cause in keys
+        if (own := [r for r in rows if r["large"] == large and cause in (r["cause"], None)])
+        for told in [[r for r in own if r["found"]]]
+    ]  # fmt: skip
+
+
+def _by_site(rows: Sequence[Row]) -> list[Row]:
+    """How many changes of each recording were found, and their causes named."""
+    result = []
+    for site in dict.fromkeys(row["site"] for row in rows):
+        of_site: Row = {"recording": site}
+        for large, size in ((False, "small"), (True, "large")):
+            own = [row for row in rows if row["site"] == site and row["large"] == large]
+            of_site |= {size: len(own), f"{size}, found": sum(row["found"] for row in own)}
+            of_site |= {f"{size}, right": sum(row["right"] for row in own)}
+        result.append(of_site)
+    return result
+
+
+def _median(values: Iterable[float]) -> float | None:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.median(known)) if known else None
+
+
+def _share(rows: Sequence[Row]) -> str | None:
+    total = sum(row.get("sizes", 0) for row in rows)
+    return f"{sum(row.get('inside', 0) for row in rows)} of {total}" if total else None
+
+
+def quiet_hours(seed: int, kind: str) -> Row:
+    """Some hours of normal operation of a simulated site, and whether there is an alarm."""
+    world, site = simulated_site(5000 + seed, kind)
+    run = normal_operation(world, "run", 3600.0 * HOURS_OF_SITE, 1000 * seed + 7)
+    found = watch_runs(site, run)
+    highest = float(found.course.statistic.max() / found.course.threshold)
+    return {"site": kind, "h": found.minutes / 60.0, "false alarms": int(found.changed), "highest": highest}
+
+
+def _of_sites(rows: Sequence[Row]) -> list[Row]:
+    kinds = [*dict.fromkeys(row["site"] for row in rows), None]
+    return [
+        {
+            "site": kind or "all", "sites": len(own), "h": sum(r["h"] for r in own),
+            "false alarms": sum(r["false alarms"] for r in own),
+            "highest statistic / threshold": max(r["highest"] for r in own),
+        }
+        for kind in kinds
+        if (own := [r for r in rows if kind in (r["site"], None)])
+    ]  # fmt: skip

@@ -1,0 +1,66 @@
+"""`trackwright watch`: verdict, exit code, JSON and figure, and what it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.in_process import assert_refused, assert_refused_last, trackwright
+from trackwright.experiments.lab.validation.watch_worlds import Change, changed, normal_operation, world_of
+from trackwright.trackers.recordings.folder import write_recording
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder with a baseline, a normal run, one with an anchor moved after 100 s, and one of 20 s."""
+    there = tmp_path_factory.mktemp("site")
+    world = world_of(2, "ranges, height known")
+    folders = [normal_operation(world, name, 300.0, seed) for seed, name in enumerate(("baseline", "normal", "moved"))]
+    folders[2] = changed(folders[2], Change("moved", "ranges", ("A2",), np.array([0.7, -0.7, 0.0]), 100.0), 0)
+    for folder in (*folders, normal_operation(world, "short", 20.0, 9)):
+        write_recording(folder, there / folder.name)
+    return there
+
+
+def test_a_run_in_normal_operation_is_no_change(site):
+    said = trackwright("watch", site / "normal", "--baseline", site / "baseline")
+    assert said.code == 0, said.err
+    assert said.out.startswith("no change\n")
+    assert "at most 1 false alarm a day" in " ".join(said.out.split())
+
+
+def test_a_change_has_exit_code_1_a_verdict_as_json_and_a_figure(site, tmp_path):
+    out = tmp_path / "watch.png"
+    said = trackwright(
+        "watch", site / "normal", site / "moved", "--baseline", site / "baseline", "--out", out, "--json"
+    )
+    assert said.code == 1, said.err
+    assert out.exists()
+    found = json.loads(said.out)
+    assert found["changed"]
+    first = found["causes"][0]
+    assert (first["cause"], first["sources"]) == ("moved", ["anchor A2"])
+    assert first["size"][0] == pytest.approx(0.7, abs=0.2)
+    assert first["onset_s"] - found["runs_begin_s"][1] == pytest.approx(100.0, abs=15.0)
+    assert "rig.toml" in first["to_do"]
+    refused = trackwright("watch", site / "moved", "--baseline", site / "baseline", "--out", out)
+    assert_refused(refused, "exists", "--force")
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--baseline", "baseline", "--out", "watch.txt"), "expected a file with the ending .png or .pdf"),
+        ((), "no --baseline given"),
+        (("--baseline", "normal"), "given more than once"),
+        (("--baseline", "nowhere"), "nowhere"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(site, monkeypatch, options, word):
+    monkeypatch.chdir(site)
+    assert_refused(trackwright("watch", "normal", *options), word)
+
+
+def test_a_baseline_that_is_too_short_says_how_long_is_needed(site):
+    said = trackwright("watch", site / "normal", "--baseline", site / "short")
+    assert_refused_last(said, "a baseline of 20 s; expected 60 s of normal operation at least, and ten minutes")
