@@ -35,7 +35,7 @@ from trackwright.trackers.recordings.calibration import (
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.trackers.recordings.range_quality import RangeQuality
-from trackwright.tuning.calibrating import calibrate
+from trackwright.tuning.calibrating import systematic
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
 from trackwright.tuning.lasting_errors import LastingErrors, Series, lasting_errors, series_of
 
@@ -241,7 +241,7 @@ def _without_each(folders: Sequence[RecordingFolder]) -> list[Calibration | None
     calibrations: list[Calibration | None] = []
     for left_out in folders:
         try:
-            calibrations.append(calibrate([folder for folder in folders if folder is not left_out]))
+            calibrations.append(systematic([folder for folder in folders if folder is not left_out]))
         except UnusableInput:
             calibrations.append(None)
     return calibrations
