@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, STATION, BearingSensor, bearing_tracker
+from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, STATION, AbstractBearingSensor, bearing_tracker
 from trackwright.trackers.core.filters.quadrature import AbstractPlaceSensor, AtPoints, QuadratureKalman
 from trackwright.trackers.core.model.algebra import Scalar, Vector
 from trackwright.trackers.core.model.inputs import Inputs
@@ -18,19 +19,13 @@ from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import wrap
 from trackwright.trackers.core.model.tunable import Constant
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.ranges import bias_in
+from trackwright.trackers.recordings.bearing_map import FloorGrid
 
 DRIFTING = 0.5
 """Share of the variance about the map that drifts; the rest is white."""
 
 
-class Place(NamedTuple):
-    """A view of positions alone."""
-
-    position: Vector
-
-
-class MappedBearingSensor(BearingSensor, AbstractPlaceSensor):
+class MappedBearingSensor(AbstractBearingSensor, AbstractPlaceSensor):
     """Azimuth and elevation, with the error of the place: its mean m, and s·b + white noise of standard deviation s.
 
     b is the bias of the angle in the state, of unit variance, and s² half of the map's variance at the place. `values`
@@ -44,12 +39,9 @@ class MappedBearingSensor(BearingSensor, AbstractPlaceSensor):
     step: Any
     unknown: Any
 
-    def __init__(self, grid: Any, sigma_azimuth: float, sigma_elevation: float, dof: float):
+    def __init__(self, grid: FloorGrid, sigma_azimuth: float, sigma_elevation: float, dof: float):
         super().__init__(sigma_azimuth, sigma_elevation, dof)
-        self.values, self.corner, self.unknown = (
-            np.asarray(x, float) for x in (grid.values, grid.corner, grid.unknown)
-        )
-        self.step = np.asarray(grid.step, float)
+        self.values, self.corner, self.step, self.unknown = (np.asarray(x, float) for x in grid)
 
     def errors_at(self, inputs: Inputs, x: Any, y: Any) -> list[Any]:
         """Means of azimuth and elevation, and their standard deviations, rad, at x, y (…), m, for a row's station."""
@@ -69,29 +61,23 @@ class MappedBearingSensor(BearingSensor, AbstractPlaceSensor):
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         """As `BearingSensor`, with the map's mean and the bias times its share of the standard deviation."""
         x, y = list(view.position)[:2]
-        errors = self.errors_at(inputs, x, y)
-        angles = super().measure(Place(view.position), inputs)
-        biases = self.biases(view, inputs)
-        return [
-            a + m + np.sqrt(DRIFTING) * s * b for a, m, s, b in zip(angles, errors[:2], errors[2:], biases, strict=True)
-        ]
-
-    def biases(self, view: Any, inputs: Inputs) -> Sequence[Scalar]:
-        return [bias_in(view, BEARINGS, 2 * inputs[STATION.name] + k) for k in range(2)]
+        errors, angles = self.errors_at(inputs, x, y), self.angles(view.position, inputs)
+        parts = zip(angles, errors[:2], errors[2:], self.biases(view, inputs), strict=True)
+        return [angle + mean + math.sqrt(DRIFTING) * sigma * bias for angle, mean, sigma, bias in parts]
 
     def at_points(self, reading: Reading, inputs: Inputs, x: Any, y: Any) -> Sequence[AtPoints]:
-        errors, angles = self.errors_at(inputs, x, y), super().measure(Place(Vector(x, y)), inputs)
+        errors, angles = self.errors_at(inputs, x, y), self.angles(Vector(x, y), inputs)
         reported = [reading.reported[0], reading.reported[2]] if len(reading.reported) else [0.0, 0.0]
         channels = []
         for k, own in enumerate((self.sigma_azimuth.value, self.sigma_elevation.value)):
             sigma = errors[2 + k]
             variance = own**2 + reported[k] * self.reported_std_scale.value**2 + (1.0 - DRIFTING) * sigma**2
             innovation = wrap(reading.values[k] - angles[k] - errors[k])
-            channels.append(AtPoints(innovation, np.sqrt(DRIFTING) * sigma, jnp.sqrt(variance), self.dof.value))
+            channels.append(AtPoints(innovation, math.sqrt(DRIFTING) * sigma, jnp.sqrt(variance), self.dof.value))
         return channels
 
 
-def mapped_bearing_tracker(stations: int, grid: Any) -> Tracker:
+def mapped_bearing_tracker(stations: int, grid: FloorGrid) -> Tracker:
     """The `bearing_tracker` of calibrated stations, at a known height, with a map of theirs, a `FloorGrid`.
 
     The biases have unit variance, which is no tunable: the map has their size.

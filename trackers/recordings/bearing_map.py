@@ -56,6 +56,8 @@ class BearingMap(NamedTuple):
             reader.wrong(f"{where}.stations", stations, "at least one station")
         visits = {}
         for name, rows in stations.items():
+            if name not in reader.content["stations"]:
+                reader.refuse(f"{where} has station {name!r}, which is not calibrated, expected [stations.ID] of it")
             if not isinstance(rows, list) or not rows:
                 reader.wrong(
                     f"{where}.stations.{name}", rows, "a list of visits [x_m, y_m, azimuth_rad, elevation_rad]"

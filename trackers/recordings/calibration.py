@@ -8,7 +8,6 @@ the distances plus the bias of the first anchor less that of the second. The fit
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -218,6 +217,8 @@ class Calibration:
             for name, anchor in self.anchors.items()
             if name in anchors and (anchor.position is None or not has_moved(anchor.position, anchors[name]))
         }
+        places = zip(self.differences.anchors, self.differences.positions, strict=True)
+        unmoved = [name for name, place in places if name in anchors and not has_moved(place, anchors[name])]
         mounted = {
             name: station
             for name, station in self.stations.items()
@@ -227,13 +228,7 @@ class Calibration:
             self,
             stations=mounted,
             anchors=still,
-            differences=self.differences.of(
-                [
-                    name
-                    for name, place in zip(self.differences.anchors, self.differences.positions, strict=True)
-                    if name in anchors and not has_moved(place, anchors[name])
-                ]
-            ),
+            differences=self.differences.of(unmoved),
             range_quality=self.range_quality if still else None,
             bearing_map=None if self.bearing_map is None else self.bearing_map.of(list(mounted)),
         )
@@ -386,11 +381,6 @@ def read_calibration(path: str | Path) -> Calibration:
     """The calibration in a `calibration.toml`; raises UnusableInput for content that `calibrate` does not write."""
     expected, fix = "the calibration.toml of `trackwright calibrate`", "write it with `trackwright calibrate`"
     return _Reader(Path(path), expected, fix).calibration()
-
-
-def identity(path: Path) -> dict[str, str]:
-    """Name and fingerprint of a calibration file: what tells it from others."""
-    return {"name": path.name, "fingerprint": hashlib.sha256(path.read_bytes()).hexdigest()[:16]}
 
 
 class _Reader(TomlReader):

@@ -13,8 +13,9 @@ from tests.tuning.calibration_worlds import LENGTH, RIG, TIME, differences, worl
 from trackwright.experiments.cli.tuning_job import cross_calibrated
 from trackwright.experiments.pages.reports.calibration import report_on
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.recordings.calibration import Calibration, identity, read_calibration, write_calibration
+from trackwright.trackers.recordings.calibration import Calibration, read_calibration, write_calibration
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.trackers.recordings.input_file import identity
 from trackwright.tuning.calibrating import calibrate
 
 

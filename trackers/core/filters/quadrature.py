@@ -24,14 +24,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.filters.ekf import ExtendedKalman, above_resolution
-from trackwright.trackers.core.filters.filter import Innovation
+from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
+from trackwright.trackers.core.filters.rts import RtsGain
 from trackwright.trackers.core.model.algebra import Scalar, SparseRow, compute_once, inverse_or_zero, select, total
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, dot, product, row_for
 from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.linearise import linearise
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, student_t_log_peak
-from trackwright.trackers.core.model.state import component_names, coordinates, retract
+from trackwright.trackers.core.model.state import State, component_names, coordinates, retract
 
 
 class AtPoints(NamedTuple):
@@ -59,20 +61,37 @@ class AbstractPlaceSensor(AbstractSensor):
         """Each channel of a reading at points x, y (q,), m; masked channels have any finite numbers."""
 
 
-class QuadratureKalman(ExtendedKalman):
-    """The filter of this module for sensors that are an `AbstractPlaceSensor`, and the EKF for all others.
+class QuadratureKalman(AbstractSmoothableFilter[Gaussian]):
+    """The filter of this module for sensors that are an `AbstractPlaceSensor`, and the EKF for all else.
 
-    `points`: along each axis. The state's `position` comes first of its fields with that name, x and y in front.
+    `points`: along each axis. The state has a `position` that begins with x and y.
     """
 
     points: int = eqx.field(static=True, default=5)
+    ekf: ExtendedKalman = ExtendedKalman()
+
+    def init(self, belief: Gaussian, key: RawKey) -> Gaussian:
+        return self.ekf.init(belief, key)
+
+    def moments(self, belief: Gaussian) -> tuple[State, AnyCovariance]:
+        return self.ekf.moments(belief)
+
+    def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Gaussian:
+        return self.ekf.predict(belief, motion, inputs, dt)
+
+    def rts_gain(
+        self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
+    ) -> RtsGain:
+        return self.ekf.rts_gain(belief, motion, connected, dt, inputs)
+
+    def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
+        return self.ekf.rts_step(rts_gain, after)
 
     def update(
         self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[Gaussian, Innovation]:
-        """The belief after one reading, and the reading's `Innovation`."""
         if not isinstance(sensor, AbstractPlaceSensor):
-            return super().update(belief, motion, sensor, reading, inputs)
+            return self.ekf.update(belief, motion, sensor, reading, inputs)
         first = component_names(belief.mean).index("position.0")
         innovations = []
         for channel, seen in enumerate(reading.seen):
@@ -80,9 +99,8 @@ class QuadratureKalman(ExtendedKalman):
             belief = compute_once(select(seen, after, belief))
             innovations.append([jnp.where(seen, x, 0.0) for x in innovation])
         mean, cov = belief
-        return Gaussian(mean, above_resolution(cov, coordinates(mean)[0])), Innovation(
-            *map(total, zip(*innovations, strict=True))
-        )
+        sums = Innovation(*(total(x) for x in zip(*innovations, strict=True)))
+        return Gaussian(mean, above_resolution(cov, coordinates(mean)[0])), sums
 
     def _channel(
         self,
@@ -114,7 +132,7 @@ class QuadratureKalman(ExtendedKalman):
         each = [unit[:, 0], unit[:, 1], gain * innovation]
         means = [jnp.sum(posterior * z) for z in each]
         away = [z - mean for z, mean in zip(each, means, strict=True)]
-        change = {(i, j): jnp.sum(posterior * away[i] * away[j]) - (i == j) for i in range(3) for j in range(i, 3)}
+        change = {(i, j): jnp.sum(posterior * away[i] * away[j]) - float(i == j) for i in range(3) for j in range(i, 3)}
         change[2, 2] = jnp.sum(posterior * (away[2] ** 2 - gain * slope))
         step = total(root * mean for root, mean in zip(roots, means, strict=True))
         middle = jnp.sum(weights * innovation)
