@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,21 +16,23 @@ from trackwright.trackers.core.model.algebra import Scalar, Vector
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import wrap
-from trackwright.trackers.core.model.tunable import Constant
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.recordings.bearing_map import FloorGrid
 
 DRIFTING = 0.5
 """Share of the variance about the map that drifts; the rest is white."""
 
+FACTORS = [math.sqrt(DRIFTING) / sigma for sigma in CALIBRATED["sigma_bias"]]
+"""By what the standard deviation about the map is multiplied to be the factor of a bias of azimuth and elevation."""
+
 
 class MappedBearingSensor(AbstractBearingSensor, AbstractPlaceSensor):
     """Azimuth and elevation, with the error of the place: its mean m, and s·b + white noise of standard deviation s.
 
-    b is the bias of the angle in the state, of unit variance, and s² half of the map's variance at the place. `values`
-    (S, X, Y, 4), `corner` (2,), `step`, `unknown` (4,): those of a `FloorGrid`, whose stations are in the order of
-    `inputs["station"]`. Between nodes the map is bilinear. Filters other than `QuadratureKalman` leave out the white
-    part.
+    b is the bias of the angle in the state over its `CALIBRATED` standard deviation, s² half of the map's variance.
+    `values` (S, X, Y, 4), `corner` (2,), `step`, `unknown` (4,): those of a `FloorGrid`, whose stations are in the
+    order of `inputs["station"]`. Between nodes the map is bilinear. Filters other than `QuadratureKalman` leave out
+    the white part, and the reported covariance of the two angles is not used.
     """
 
     values: Any
@@ -62,8 +63,8 @@ class MappedBearingSensor(AbstractBearingSensor, AbstractPlaceSensor):
         """As `BearingSensor`, with the map's mean and the bias times its share of the standard deviation."""
         x, y = list(view.position)[:2]
         errors, angles = self.errors_at(inputs, x, y), self.angles(view.position, inputs)
-        parts = zip(angles, errors[:2], errors[2:], self.biases(view, inputs), strict=True)
-        return [angle + mean + math.sqrt(DRIFTING) * sigma * bias for angle, mean, sigma, bias in parts]
+        parts = zip(angles, errors[:2], errors[2:], FACTORS, self.biases(view, inputs), strict=True)
+        return [angle + mean + factor * sigma * bias for angle, mean, sigma, factor, bias in parts]
 
     def at_points(self, reading: Reading, inputs: Inputs, x: Any, y: Any) -> Sequence[AtPoints]:
         errors, angles = self.errors_at(inputs, x, y), self.angles(Vector(x, y), inputs)
@@ -73,17 +74,12 @@ class MappedBearingSensor(AbstractBearingSensor, AbstractPlaceSensor):
             sigma = errors[2 + k]
             variance = own**2 + reported[k] * self.reported_std_scale.value**2 + (1.0 - DRIFTING) * sigma**2
             innovation = wrap(reading.values[k] - angles[k] - errors[k])
-            channels.append(AtPoints(innovation, math.sqrt(DRIFTING) * sigma, jnp.sqrt(variance), self.dof.value))
+            channels.append(AtPoints(innovation, FACTORS[k] * sigma, jnp.sqrt(variance), self.dof.value))
         return channels
 
 
 def mapped_bearing_tracker(stations: int, grid: FloorGrid) -> Tracker:
-    """The `bearing_tracker` of calibrated stations, at a known height, with a map of theirs, a `FloorGrid`.
-
-    The biases have unit variance, which is no tunable: the map has their size.
-    """
+    """The `bearing_tracker` of calibrated stations, at a known height, with a map of theirs."""
     levels = {name: CALIBRATED[name] for name in ("sigma_azimuth", "sigma_elevation", "dof")}
     tracker = bearing_tracker(stations, planar=True, **CALIBRATED)
-    unit = Constant(np.array(1.0))
-    tracker = eqx.tree_at(lambda t: (t.motion.sigma_bias, t.start.sigma_bias), tracker, (unit, unit))
     return replace(tracker, sensors={BEARINGS: MappedBearingSensor(grid, **levels)}, filter=QuadratureKalman())
