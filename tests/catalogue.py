@@ -20,6 +20,7 @@ from trackwright.sim.stations import facing
 from trackwright.trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
 from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackwright.trackers.aoa.mapped_bearings import MappedBearingSensor
 from trackwright.trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.baselines.switching import MirrorSensor
@@ -56,6 +57,8 @@ from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBias
 from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.singer import Singer
+from trackwright.trackers.recordings.bearing_map import BearingMap
+from trackwright.trackers.recordings.calibration import UNCALIBRATED, Calibration
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory, cut
 from trackwright.trackers.uwb_imu.body import BodyState, TurningBody
@@ -208,6 +211,18 @@ def _of_wheels() -> RecordingFolder:
 
 
 @cache
+def _of_a_map() -> RecordingFolder:
+    """The folder with a calibration that has a map of the errors of bearings, by visits along the path."""
+    rng = np.random.default_rng(2)
+    visits = {
+        name: np.column_stack([rng.uniform(0.5, 3.5, (30, 2)), rng.normal(0.0, [0.1, 0.2], (30, 2))])
+        for name in RIG.stations
+    }
+    stations = dict.fromkeys(RIG.stations, UNCALIBRATED)
+    return folder().calibrated(Calibration(stations, bearing_map=BearingMap(0.3, visits)))
+
+
+@cache
 def trajectories(name: str, free_height: bool, source: Callable[[], RecordingFolder]) -> tuple[Trajectory, ...]:
     """The trajectories of all tags, as the ready tracker of this name reads them from `source()`.
 
@@ -299,6 +314,8 @@ def _ready_cases() -> Iterator[Case]:
     yield ready("trilateration-compensated", smoothable=False)
     # No walk of four seconds has a significant speed, and no reading a standard deviation.
     yield from both("bearings", idle=("motion.length", "*.reported_std_scale"))
+    mapped = ("motion.sigma_z", "*.reported_std_scale", "*.compression")
+    yield Case("bearings with a map", "bearings", source=_of_a_map, idle=mapped)
     yield ready("beam")
     yield flat("beam", quick=True)
     yield ready("das", smoothable=False, quick=True)
@@ -490,6 +507,7 @@ MOTIONS = {
 _S1 = RIG.stations["S1"]
 _GEOMETRY = {"origin": bearing_inputs(_S1)[:3], "axes": bearing_inputs(_S1)[3:]}
 CALIBRATED = np.array([0.1, 0.7, 0.1, 0.05, -0.1, 1.2, -0.1, 0.02, -1.0, 1.0, -0.5, 0.6])
+_VISITS = np.array([[0.5, -2.0, 0.1, -0.2], [1.5, -1.5, -0.1, 0.1]])
 _TWO_ANCHORS = {"anchors": np.array([5.0, 0.0, 2.0, 0.0, 6.0, 1.0]), "anchor": np.array([0.0, 1.0])}
 _TWO_PAIRS = {"pairs": np.tile(_TWO_ANCHORS["anchors"], 2) + np.arange(12.0), "pair": np.array([0.0, 1.0, 1.0, 2.0])}
 _ROOM = Kinematic(Vector(1.0, -2.0, 0.5), Vector(0.3, -0.4))
@@ -512,6 +530,12 @@ SENSORS = {
         BearingSensor(0.1, 0.2, 4.0), MOVING, {**_GEOMETRY, "calibration": CALIBRATED}
     ),
     "bearings with variances": SensorCase(BearingSensor(0.1, 0.2, 4.0), MOVING, _GEOMETRY, (0.01, 0.005, 0.02)),
+    "bearings with a map": SensorCase(
+        MappedBearingSensor(BearingMap(0.3, {"S1": _VISITS}).grid(["S1"]), 0.1, 0.2, 4.0),
+        MOVING,
+        {**_GEOMETRY, "station": np.array(0.0)},
+        (0.01, 0.005, 0.02),
+    ),
     "plane waves": SensorCase(PlanePhases(_S1, 0.3), BEAM),
     "plane waves in the plane of the array": SensorCase(InPlanePhases(_S1, 0.3), FLAT_BEAM),
     "spherical waves": SensorCase(SphericalPhases(_S1, 0.3), MOVING),

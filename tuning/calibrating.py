@@ -18,6 +18,7 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Point
+from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
     NO_DIFFERENCES,
@@ -37,6 +38,7 @@ from trackwright.trackers.recordings.calibration import (
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.trackers.recordings.range_quality import RangeQuality
+from trackwright.tuning.bearing_map import confirmed_map
 from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, end_factors, quality_columns
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 from trackwright.tuning.range_quality import confirmed, errors_about
@@ -52,12 +54,27 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     """The systematic errors of stations, anchors and tags of recordings with truth, with their covariances.
 
     Stations, anchors and tags of one id in several recordings are one. Each recording has the same weight. Those with
-    fewer than 20 rows with truth are left out. Where the noise of ranges follows a column of signal quality, that, too.
+    fewer than 20 rows with truth are left out. Where the noise of ranges follows a column of signal quality, that, too,
+    and of several recordings with bearings a map of what is left of these, where it is confirmed.
     Raises UnusableInput where none is left, and for a station or anchor that stands at several places.
     """
     folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
-    calibration = _systematic(folders)
-    return replace(calibration, range_quality=_range_quality(folders, calibration))
+    calibration = systematic(folders)
+    by_place = _bearing_map(folders, calibration)
+    return replace(calibration, range_quality=_range_quality(folders, calibration), bearing_map=by_place)
+
+
+def _bearing_map(folders: Sequence[RecordingFolder], calibration: Calibration) -> BearingMap | None:
+    """What each recording with bearings confirms when it is left out."""
+    seen = [folder for folder in folders if {"bearings", "truth"} <= folder.tables.keys()]
+    if not calibration.stations or len(seen) < 2:
+        return None
+    pairs = calibration_pairs(seen, KINDS["bearings"])
+    without = [
+        _stations(calibration_pairs([other for other in seen if other is not left_out], KINDS["bearings"]))
+        for left_out in seen
+    ]
+    return confirmed_map(pairs, calibration, without)
 
 
 def _range_quality(folders: Sequence[RecordingFolder], calibration: Calibration) -> RangeQuality | None:
@@ -73,15 +90,15 @@ def _range_quality(folders: Sequence[RecordingFolder], calibration: Calibration)
     for left_out in parts:
         others = [part for part in parts if part is not left_out]
         try:
-            without = _systematic(others)
+            without = systematic(others)
         except UnusableInput:  # too short a half
             return None
         folds.append((errors_about(without, others, columns), errors_about(without, [left_out], columns)))
     return confirmed(errors_about(calibration, ranged, columns), folds)
 
 
-def _systematic(folders: Sequence[RecordingFolder]) -> Calibration:
-    """The calibration without what follows signal quality; raises as `calibrate`."""
+def systematic(folders: Sequence[RecordingFolder]) -> Calibration:
+    """The calibration without what follows signal quality or the place; raises as `calibrate`."""
     check_at_rest(folders)
     stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
     places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}

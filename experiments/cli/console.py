@@ -111,7 +111,7 @@ def ready(
 
 def notice_other_calibration(noise: Path | None, tuned: Tuned, given: Path | None) -> None:
     """A notice where the file `noise` was fitted with a calibration, or without, and another, or none, is `given`."""
-    from trackwright.trackers.recordings.calibration import identity
+    from trackwright.trackers.recordings.input_file import identity
 
     fitted = tuned.calibration
     if fitted is None:

@@ -137,7 +137,7 @@ def _write_run(
     calibration, average = options.used.calibration, options.used.average
     calibration_id = None
     if calibration is not None:
-        from trackwright.trackers.recordings.calibration import identity
+        from trackwright.trackers.recordings.input_file import identity
 
         calibration_id = identity(calibration)
     content = tuned_content(fitted.named.name, objective, result, intervals, calibration_id)

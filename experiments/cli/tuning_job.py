@@ -222,16 +222,30 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
     whole = read_calibration(file)
     seen = [folder for folder in folders if folder.name in whole.recordings]
     parts = [_without_itself(folder, seen, file) if folder in seen else [folder] for folder in folders]
+    if seen and whole.bearing_map is not None:
+        # Each recording would have a map, and a tracker, of its own.
+        notice(f"notice: {file}: for the fit without its map of bearings, which has seen {seen[0].name}")
+        whole = replace(whole, bearing_map=None)
     return [[_spread_of(whole, part) for part in of_folder] for of_folder in parts]
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the file's spreads and quality of ranges, from which `track` has the noise levels."""
+    """The recording with the file's spreads and quality of ranges, from which `track` has the noise levels.
+
+    Without a map of bearings where the file has none.
+    """
     if part.calibration is None:
         return part
     differences = replace(part.calibration.differences, spread=whole.differences.spread)
     spread, quality = whole.range_spread, whole.range_quality
-    own = replace(part.calibration, range_spread=spread, range_quality=quality, differences=differences)
+    by_place = None if whole.bearing_map is None else part.calibration.bearing_map
+    own = replace(
+        part.calibration,
+        range_spread=spread,
+        range_quality=quality,
+        differences=differences,
+        bearing_map=by_place,
+    )
     return replace(part, calibration=own)
 
 

@@ -88,7 +88,7 @@ def measured_angles(true: Sequence[Scalar], calibration: AnyArray) -> tuple[Scal
     return measured(0, azimuth, inside[0], inside[1]), measured(1, elevation, inside[1], inside[0])
 
 
-class BearingSensor(AbstractSensor):
+class AbstractBearingSensor(AbstractSensor):
     """Azimuth and elevation, rad, of a position in the array frame of this row's station.
 
     Inputs: `origin` (3,) m; `axes` (9,), the array's x, y and z axes in world axes; `height` m for a planar state;
@@ -131,20 +131,23 @@ class BearingSensor(AbstractSensor):
         names = ("variance_azimuth", "covariance", "variance_elevation")
         return tuple(Channel(name, "rad^2") for name in names)
 
-    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
-        """Azimuth and elevation, with the calibration of the station or else compressed, and with its biases."""
+    def angles(self, position: Vector, inputs: Inputs) -> list[Scalar]:
+        """Azimuth and elevation of a position, with the calibration of the station or else compressed."""
         axes = [inputs["axes"][k] for k in range(9)]
-        ray = Vector.of(p - inputs["origin"][k] for k, p in enumerate(position_in_space(view.position, inputs)))
+        ray = Vector.of(p - inputs["origin"][k] for k, p in enumerate(position_in_space(position, inputs)))
         x, y, z = (ray.dot(axes[3 * k : 3 * k + 3]) for k in range(3))
         true = jnp.arctan2(x, z), jnp.arctan2(y, jnp.sqrt(x * x + z * z))
         pairs = zip(true, self.compression.value, strict=True)
         angles = tuple(a / jnp.sqrt(jnp.maximum(1.0 + c * a * a, 0.1)) for a, c in pairs)
         if CALIBRATION.name in inputs:
             angles = measured_angles(true, inputs[CALIBRATION.name])
+        return [a + offset for a, offset in zip(angles, self.offsets.value, strict=True)]
+
+    def biases(self, view: Any, inputs: Inputs) -> list[Scalar]:
+        """The biases of both angles of the row's station."""
         # A view without biases needs no number of a station.
         first = 2 * inputs[STATION.name] if hasattr(view, "bias") else 0.0
-        biases = [bias_in(view, BEARINGS, first + k) for k in range(2)]
-        return [a + offset + bias for a, offset, bias in zip(angles, self.offsets.value, biases, strict=True)]
+        return [bias_in(view, BEARINGS, first + k) for k in range(2)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Azimuth first, elevation given azimuth second: whitened by the Cholesky factor of the covariance."""
@@ -164,6 +167,18 @@ class BearingSensor(AbstractSensor):
         log_scale = total(jnp.where(s, student_t_log_peak(self.dof.value) - jnp.log(sigma), 0.0) for s, sigma in scales)
         nis_dof = total(jnp.where(s, jnp.ones_like(azimuth), 0.0) for s, _ in scales)
         return Residual([whitened, second_whitened], log_scale, nis_dof, dof=self.dof.value)
+
+
+class BearingSensor(AbstractBearingSensor):
+    """Azimuth and elevation with the biases of the row's station, rad: see `AbstractBearingSensor`."""
+
+    def __init__(self, sigma_azimuth: float, sigma_elevation: float, dof: float):
+        super().__init__(sigma_azimuth, sigma_elevation, dof)
+
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
+        """Azimuth and elevation, with the calibration of the station or else compressed, and with its biases."""
+        pairs = zip(self.angles(view.position, inputs), self.biases(view, inputs), strict=True)
+        return [angle + bias for angle, bias in pairs]
 
 
 def bearing_inputs(station: Station) -> np.ndarray:

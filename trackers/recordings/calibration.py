@@ -8,7 +8,6 @@ the distances plus the bias of the first anchor less that of the second. The fit
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from jaxtyping import Float
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Point, Rig, Station
 from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.input_file import TomlReader
 from trackwright.trackers.recordings.range_quality import RangeQuality
 
@@ -55,7 +55,7 @@ FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
 
 _TOP = ("format", "recordings", "stations", "anchors", "tags")
-_SPREAD, _QUALITY = "range_spread_m", "range_quality"
+_SPREAD, _QUALITY, _MAP = "range_spread_m", "range_quality", "bearing_map"
 _ANGLE_TERMS = ("offset_rad", "gain", "cubic_per_rad2", "cross_per_rad")
 _ANGLE = (*_ANGLE_TERMS, "lowest_rad", "highest_rad", "covariance")
 _STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
@@ -197,7 +197,7 @@ class Calibration:
 
     `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
     the anchors; None without anchors. `differences`: the biases of anchors in range differences. `range_quality`: what
-    the noise of ranges follows; None for nothing.
+    the noise of ranges follows; None for nothing. `bearing_map`: what the stations leave of bearings by place, or None.
     """
 
     stations: Mapping[str, StationCalibration] = field(default_factory=dict)
@@ -207,6 +207,7 @@ class Calibration:
     range_spread: float | None = None
     differences: DifferenceCalibration = NO_DIFFERENCES
     range_quality: RangeQuality | None = None
+    bearing_map: BearingMap | None = None
 
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""
@@ -216,22 +217,20 @@ class Calibration:
             for name, anchor in self.anchors.items()
             if name in anchors and (anchor.position is None or not has_moved(anchor.position, anchors[name]))
         }
+        places = zip(self.differences.anchors, self.differences.positions, strict=True)
+        unmoved = [name for name, place in places if name in anchors and not has_moved(place, anchors[name])]
+        mounted = {
+            name: station
+            for name, station in self.stations.items()
+            if name in stations and (station.mounted is None or not has_turned(station.mounted, stations[name]))
+        }
         return replace(
             self,
-            stations={
-                name: station
-                for name, station in self.stations.items()
-                if name in stations and (station.mounted is None or not has_turned(station.mounted, stations[name]))
-            },
+            stations=mounted,
             anchors=still,
-            differences=self.differences.of(
-                [
-                    name
-                    for name, place in zip(self.differences.anchors, self.differences.positions, strict=True)
-                    if name in anchors and not has_moved(place, anchors[name])
-                ]
-            ),
+            differences=self.differences.of(unmoved),
             range_quality=self.range_quality if still else None,
+            bearing_map=None if self.bearing_map is None else self.bearing_map.of(list(mounted)),
         )
 
     def of_bearings(
@@ -347,6 +346,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
         "recordings": list(calibration.recordings),
         **({} if calibration.range_spread is None else {_SPREAD: calibration.range_spread}),
         **({} if calibration.range_quality is None else {_QUALITY: calibration.range_quality._asdict()}),
+        **({} if calibration.bearing_map is None else {_MAP: calibration.bearing_map.content()}),
         "stations": stations,
         "anchors": anchors,
         "tags": {
@@ -383,19 +383,15 @@ def read_calibration(path: str | Path) -> Calibration:
     return _Reader(Path(path), expected, fix).calibration()
 
 
-def identity(path: Path) -> dict[str, str]:
-    """Name and fingerprint of a calibration file: what tells it from others."""
-    return {"name": path.name, "fingerprint": hashlib.sha256(path.read_bytes()).hexdigest()[:16]}
-
-
 class _Reader(TomlReader):
     """Converts a `calibration.toml` into a `Calibration`."""
 
     def calibration(self) -> Calibration:
         self.of_format(FORMAT)
         content = self.content
-        spread, quality, differences = ((key,) if key in content else () for key in (_SPREAD, _QUALITY, "tdoa"))
-        self.exactly(content, (*_TOP, *spread, *quality, *differences), "the top level")
+        optional = (_SPREAD, _QUALITY, _MAP, "tdoa")
+        spread, quality, by_place, differences = ((key,) if key in content else () for key in optional)
+        self.exactly(content, (*_TOP, *spread, *quality, *by_place, *differences), "the top level")
         names = content["recordings"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             self.wrong("recordings", names, "a list of names")
@@ -411,7 +407,8 @@ class _Reader(TomlReader):
             tuple(names),
             float(content[_SPREAD]) if spread else None,
             self.differences(self.table("tdoa", content["tdoa"])) if differences else NO_DIFFERENCES,
-            self.quality(self.table(_QUALITY, content[_QUALITY])) if quality else None,
+            self.part(_QUALITY, RangeQuality) if quality else None,
+            self.part(_MAP, BearingMap) if by_place else None,
         )
 
     def station(self, where: str, content: Any) -> StationCalibration:
@@ -447,9 +444,10 @@ class _Reader(TomlReader):
         offsets = [tuple(self.array(f"{where}.{key}", content[key], (2,)).tolist()) for key in placed]
         return TagCalibration(bias, sigma, self.rows(where, content["rows"]), *offsets)
 
-    def quality(self, content: dict[str, Any]) -> RangeQuality:
-        self.exactly(content, RangeQuality._fields, f"[{_QUALITY}]")
-        return RangeQuality.read(self, _QUALITY, content)
+    def part(self, key: str, kind: Any) -> Any:
+        table = self.table(key, self.content[key])
+        self.exactly(table, kind._fields, f"[{key}]")
+        return kind.read(self, key, table)
 
     def differences(self, content: dict[str, Any]) -> DifferenceCalibration:
         self.exactly(content, _DIFFERENCES, "[tdoa]")

@@ -21,6 +21,7 @@ from trackwright.experiments.text.tables import rendered, ruled_table, terminal_
 from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.wording import counted
+from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.calibration import (
     ANGLE_TERMS,
     ANGLES,
@@ -35,7 +36,7 @@ from trackwright.trackers.recordings.calibration import (
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.trackers.recordings.range_quality import RangeQuality
-from trackwright.tuning.calibrating import calibrate
+from trackwright.tuning.calibrating import systematic
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
 from trackwright.tuning.lasting_errors import LastingErrors, Series, lasting_errors, series_of
 
@@ -137,8 +138,8 @@ class Report(NamedTuple):
     """The tables of a calibration, by station and angle, by anchor of ranges and of differences, and by tag if several.
 
     `lasting`: by station and angle and by anchor, how large the errors left out are and how long they last.
-    `undetermined`: each source with the terms that are not determined. `noise`: what the noise of ranges follows, in a
-    sentence.
+    `undetermined`: each source with the terms that are not determined. `noise`: what the noise of ranges follows, and
+    what a map of bearings brings, in sentences.
     """
 
     stations: list[list[str]]
@@ -206,7 +207,8 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     ]
     lasting = [[*key, *_lasting(numbers, *_shown(key[1]))] for key, numbers in lasting_errors(series).items()]
     tags = tags if len(tags) > 1 else []
-    return Report(*tables, tags, lasting, undetermined, sources, _noise(calibration.range_quality))
+    noise = " ".join(filter(None, [_noise(calibration.range_quality), _by_place(calibration.bearing_map)]))
+    return Report(*tables, tags, lasting, undetermined, sources, noise)
 
 
 def _noise(quality: RangeQuality | None) -> str:
@@ -218,6 +220,17 @@ def _noise(quality: RangeQuality | None) -> str:
         f"The noise of ranges follows {quality.column}: their standard deviation is {factor:.2f} times as large (95 % "
         f"interval {low:.2f} to {high:.2f}) with each {quality.spread:.3g} by which it is above {quality.centre:.3g}; "
         f"ranges left out are more probable by {quality.gain:.3f} nats each than with the same noise for all."
+    )
+
+
+def _by_place(by_place: BearingMap | None) -> str:
+    """What the map of the errors of bearings brings; empty for none."""
+    if by_place is None:
+        return ""
+    count = sum(len(visits) for visits in by_place.stations.values())
+    return (
+        f"A map of the errors of bearings over the floor is kept, of {count} visits: visits left out are more probable "
+        f"by {by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
     )
 
 
@@ -241,7 +254,7 @@ def _without_each(folders: Sequence[RecordingFolder]) -> list[Calibration | None
     calibrations: list[Calibration | None] = []
     for left_out in folders:
         try:
-            calibrations.append(calibrate([folder for folder in folders if folder is not left_out]))
+            calibrations.append(systematic([folder for folder in folders if folder is not left_out]))
         except UnusableInput:
             calibrations.append(None)
     return calibrations

@@ -13,8 +13,10 @@ from tests.tuning.calibration_worlds import LENGTH, RIG, TIME, differences, worl
 from trackwright.experiments.cli.tuning_job import cross_calibrated
 from trackwright.experiments.pages.reports.calibration import report_on
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.recordings.calibration import Calibration, identity, read_calibration, write_calibration
+from trackwright.trackers.recordings.bearing_map import BearingMap
+from trackwright.trackers.recordings.calibration import Calibration, read_calibration, write_calibration
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.trackers.recordings.input_file import identity
 from trackwright.tuning.calibrating import calibrate
 
 
@@ -269,3 +271,15 @@ def test_range_differences_are_calibrated_tracked_and_fitted_with_the_file(tmp_p
     parts = cross_calibrated([read_recording(path) for path in paths[:2]], file)
     assert {part.calibration.differences.spread for (part,) in parts} == {known.spread}
     assert parts[0][0].calibration.recordings == ("two",)
+
+
+def test_a_fit_to_recordings_of_a_map_is_without_one(tmp_path, capsys):
+    _, folders = world(3, recordings=3)
+    visits = {name: np.array([[1.0, 2.0, 0.1, 0.0], [3.0, 2.0, -0.1, 0.0]]) for name in RIG.stations}
+    whole = replace(calibrate(folders), bearing_map=BearingMap(0.2, visits))
+    file = write_calibration(whole, tmp_path / "calibration.toml")
+    parts = cross_calibrated([*folders, replace(folders[0], name="new").calibrated(whole)], file)
+    assert [part.calibration.bearing_map for (part,) in parts] == [None] * 4
+    assert "for the fit without its map of bearings, which has seen walk 1" in capsys.readouterr().err
+    ((new,),) = cross_calibrated([replace(folders[0], name="new").calibrated(whole)], file)
+    assert new.calibration.bearing_map is not None

@@ -7,6 +7,7 @@ import pytest
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.calibration import (
     AnchorCalibration,
     Calibration,
@@ -54,6 +55,7 @@ CALIBRATION = Calibration(
         0.0625,
     ),
     RangeQuality("fp power, dBm", -81.5, 4.25, -0.28, 0.04, 0.036),
+    BearingMap(0.41, {"S 1": np.array([[1.5, 2.5, 0.01, -0.2], [3.25, 2.0, 0.05, 0.1]])}),
 )
 
 
@@ -68,6 +70,8 @@ def test_a_calibration_is_read_back_to_the_bit(path):
     assert found.tags == CALIBRATION.tags
     assert found.range_spread == CALIBRATION.range_spread
     assert found.range_quality == CALIBRATION.range_quality
+    assert found.bearing_map.gain == CALIBRATION.bearing_map.gain
+    np.testing.assert_array_equal(found.bearing_map.stations["S 1"], CALIBRATION.bearing_map.stations["S 1"])
     one, other = found.differences, CALIBRATION.differences
     assert (one.anchors, one.rows, one.spread) == (other.anchors, other.rows, other.spread)
     for name in ("biases", "covariance", "positions"):
@@ -112,6 +116,12 @@ def test_a_calibration_is_read_back_to_the_bit(path):
         ("slope = -0.28", 'slope = "no"', "range_quality.slope = 'no', expected a finite number"),
         ('column = "fp power, dBm"', "column = 3", "range_quality.column = 3, expected the name of a column of ranges"),
         ("gain = 0.036\n", "", "[range_quality] has no gain"),
+        ("gain = 0.41\n", "", "[bearing_map] has no gain"),
+        ("gain = 0.41", "gain = inf", "bearing_map.gain = inf, expected a finite number"),
+        ("        3.25,\n", "", "bearing_map.stations.S 1 = [[1.5, 2.5, 0.01, -0.2], [2.0, 0.05, 0.1]], expected 2 lists of 4 finite"),
+        ("        3.25,", "        nan,", "[nan, 2.0, 0.05, 0.1]], expected 2 lists of 4 finite numbers"),
+        ('[bearing_map.stations]\n', '[bearing_map.stations]\n"S 2" = []\n', "bearing_map.stations.S 2 = [], expected a list of visits"),
+        ('[bearing_map.stations]\n', '[bearing_map.stations]\n"S 3" = [[0.0, 0.0, 0.0, 0.0]]\n', "bearing_map has station 'S 3', which is not calibrated"),
         ("spread_m = 0.0625", "spread_m = 0", "tdoa.spread_m = 0, expected a number above zero"),
         ("    70,\n", "", "tdoa.rows = [71], expected a list of 2 counts"),
         ("    70,\n", "    -7,\n", "tdoa.rows = -7, expected a count"),
