@@ -32,10 +32,8 @@ def _part(module):
             return f"core.{beyond.partition('.')[0]}"
         known = ("core", "programs", "recordings", "parts", "evaluation", "exchange", *SYSTEMS)
         return inside if inside in known else "trackers"
-    if module.startswith("tuning.design"):
-        return "design"
-    if module.startswith("tuning.watch"):
-        return "watch"
+    if module.startswith(("tuning.design", "tuning.survey", "tuning.watch")):
+        return module.split(".")[1]
     if package == "experiments":
         return f"experiments.{rest.partition('.')[0]}"
     return package if package in PACKAGES else None
@@ -62,12 +60,13 @@ MAY_IMPORT = {
     "sim": {*LIBRARY, "sim"},
     "tuning": {*BASE, "tuning"},
     "design": {*BASE, *SYSTEMS, "tuning", "design"},
+    "survey": {*LIBRARY, "tuning", "survey"},
     "watch": {*LIBRARY, "tuning", "watch"},
 }
 LAYERS = ("text", "jobs", "monte_carlo", "pages", "cli", "lab")
 """The folders of experiments; each imports itself and those before it."""
 
-OUTSIDE = {*LIBRARY, "sim", "tuning", "design", "watch"}
+OUTSIDE = {*LIBRARY, "sim", "tuning", "design", "survey", "watch"}
 for count, layer in enumerate(LAYERS, 1):
     MAY_IMPORT[f"experiments.{layer}"] = {
         *OUTSIDE,

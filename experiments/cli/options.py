@@ -253,7 +253,8 @@ class TrackOptions(TrackerOptions):
 
     def manifest(self, tracker: str) -> dict[str, Any]:
         """What the manifest of a run of this tracker holds of the options."""
-        return self.config("cluster", "force", "keep_going") | {"tracker": tracker, "set": self.values}
+        unused = () if self.protection else ("protection", "probability")
+        return self.config("cluster", "force", "keep_going", *unused) | {"tracker": tracker, "set": self.values}
 
 
 @OPTIONS

@@ -93,11 +93,11 @@ def _simulated(tracker: str, missing: Any) -> RecordingFolder:
 
 
 def _simulated_folders() -> Iterator[RecordingFolder]:
-    """A recording of each world: as it is, with a floor and heights of tags, and with bearings of its stations."""
+    """A recording of each world: as it is, with a floor and heights, and with bearings; and differences with an IMU."""
     import numpy as np
     import polars as pl
 
-    from trackwright.sim.worlds import WORLDS
+    from trackwright.sim.worlds import WORLDS, tdoa
     from trackwright.trackers.core.model.rig import Tag
 
     for world in WORLDS.values():
@@ -118,6 +118,7 @@ def _simulated_folders() -> Iterator[RecordingFolder]:
         ]
         if bearings:
             yield replace(folder, tables={"bearings": pl.concat(bearings).sort("t_s"), "truth": truth})
+    yield tdoa(1, imu=True).folder()
 
 
 def _rows(named: NamedTracker) -> list[dict[str, Any]]:

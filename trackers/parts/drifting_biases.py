@@ -92,7 +92,10 @@ class DriftingBiases(AbstractMotion):
 
 
 class BiasDrift(eqx.Module):
-    """The drift of the biases of `DriftingBiases`, for another motion; numbers and `at` as there, biases in m."""
+    """The drift of the biases of `DriftingBiases`, for another motion; `at` as there, biases in m.
+
+    `sigma_bias`: standard deviation of the biases, which decay at the rate 1/`time_constant` + speed/`length`, s and m.
+    """
 
     sigma_bias: Noise
     time_constant: Noise
