@@ -79,11 +79,11 @@ def real_surveys(*sites: str, output: Output = DEFAULTS) -> int:
 def difference_surveys(*, output: Output = DEFAULTS) -> int:
     """Rough positions of anchors refined by range differences: simulated rooms, and flights; 1 if intervals fail."""
     keep_programs()
-    worlds = {"clear": {"hidden": 0.0}, "hidden for a tenth of the time": {}}
+    worlds = {"clear": 0.0, "hidden for a tenth of the time": 0.1}
     rows = []
-    for name, options in worlds.items():
+    for name, hidden in worlds.items():
         seeds = range(1 if output.small else DIFFERENCE_SURVEYS)
-        folders = [[tw.simulate.tdoa(n=1, rows=900, seed=seed, **options).folder()] for seed in seeds]
+        folders = [[tw.simulate.tdoa(n=1, rows=900, seed=seed, hidden=hidden).folder()] for seed in seeds]
         rows.append(_refined(f"simulated, {name}", folders))
     flights = [[flight] for flight in recorded("util-*")]
     if flights and not output.small:
