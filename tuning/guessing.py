@@ -96,7 +96,8 @@ def first_guess(
     problem = Problem(tolerant(tracker), [segments], LikelihoodWithLossPenalty(), parameters, chunk)
     search = _Search(problem, flatten(parameters), MIN_GAIN_NATS / measured)
     groups = [group for group in _groups(parameters) if group.any()]
-    for axis in GRIDS:
+    # Levels of biases alone have no grid.
+    for axis in GRIDS if groups else ():
         grid = np.stack(np.meshgrid(*[axis] * len(groups), indexing="ij"), axis=-1).reshape(-1, len(groups))
         search.consider(search.moved(grid @ np.array(groups)))
     search.restore(flatten(parameters))

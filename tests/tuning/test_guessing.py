@@ -172,6 +172,18 @@ def test_what_has_no_levels_or_no_readings_comes_back_as_it_is():
     assert first_guess(tracker, silent) is tracker
 
 
+def test_the_level_of_biases_alone_is_guessed_too():
+    world = simulate_ranges(chamber(), n=4, n_points=80, seed=2, corruptions={"white": white_noise(0.1)})
+    trajectories = list(TRACKERS["uwb"].trajectories(world.folder("ranges"), False))
+    start = range_tracker(8, sigma_bias=5.0)
+    found = _values(
+        first_guess(start, [b for _, b in in_batches(trajectories)], ("*sigma_[arz]", "*shared", "start.*"))
+    )
+    changed = {name for name, value in _values(start).items() if not np.array_equal(value, found[name])}
+    assert changed == {"motion.sigma_bias"}
+    assert found["motion.sigma_bias"] < 2.0
+
+
 def test_long_recordings_are_looked_at_in_pieces():
     batches = [stack(walks([1000, 30], 0)), stack(walks([500], 1))]
     some = sample_segments(batches, 16)
