@@ -38,8 +38,7 @@ class Bank:
     """The changes that are tested, K of them, both signs of each.
 
     `source` (K,): the number of the source; `unit` (P, K): the parameters of a unit change; `place` (K,): −1 for one
-    all over; `least` (K,): its smallest size, m or rad; `scatter` (K,): as of `Normal`. `positive` (K,): whether only
-    that sign is tested.
+    all over; `least` (K,): its smallest size, m or rad; `scatter` (K,): as of `Normal`.
     """
 
     source: Int[np.ndarray, " K"]
