@@ -184,9 +184,8 @@ def _tracked(folders: Sequence[RecordingFolder], walks: Sequence[Walk], known: F
     """
     # jax takes a second to import, which a survey with ranges need not wait for.
     from trackwright.trackers.catalogue import build
-    from trackwright.trackers.recordings.tracks import track
 
-    table = track(build("tdoa", folders).smoothing().batches(folders)).table
+    table = build("tdoa", folders).smoothing().run(folders).table
     paths = []
     for walk in walks:
         mine = (table["recording"] == walk.recording) & (table["tag"] == walk.tag)

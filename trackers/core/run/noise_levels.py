@@ -135,29 +135,28 @@ class NoiseLevels(AbstractEpochwiseTracker):
 
 def levels_of_motion(tracker: Any, planar: bool) -> tuple[Level, ...]:
     """The levels of horizontal motion, with each of the vertical one unless `planar` or without process noise of it."""
-    if planar or not _process_noise(tunables(tracker), "vertical"):
+    if planar or not _named(tunables(tracker), "process noise", "vertical"):
         return MOTION
     return tuple(h._replace(prior=h.prior * v.prior, vertical=v.vertical) for v in VERTICAL for h in MOTION)
 
 
-def _process_noise(nodes: Mapping[str, Any], axis: str) -> list[str]:
-    """The names of the levels of process noise of an axis."""
+def _named(nodes: Mapping[str, Any], role: str, axis: str | None = None) -> list[str]:
+    """The names of the noise levels of a role, and of an axis alone where one is given."""
     return [
         name
         for name, node in nodes.items()
-        if isinstance(node, Scale) and role_of(node) == "process noise" and node.axis == axis
+        if isinstance(node, Scale) and role_of(node) == role and axis in (None, node.axis)
     ]
 
 
 def scaled_levels(tracker: Any, levels: tuple[Level, ...]) -> dict[str, tuple[Scale, list[float]]]:
     """The noise levels that differ between levels, by name, each with its factors; raises UnusableInput without any."""
     nodes = {name: node for name, node in tunables(tracker).items() if isinstance(node, Scale)}
-    roles = {name: role_of(node) for name, node in nodes.items()}
     kinds = {
-        "motion": _process_noise(nodes, "horizontal"),
-        "vertical": _process_noise(nodes, "vertical"),
+        "motion": _named(nodes, "process noise", "horizontal"),
+        "vertical": _named(nodes, "process noise", "vertical"),
         "biases": [n for n in nodes if n.rpartition(".")[2] == "sigma_bias"],
-        "readings": [n for n in nodes if roles[n] == "measurement noise"],
+        "readings": _named(nodes, "measurement noise"),
     }
     scaled: dict[str, tuple[Scale, list[float]]] = {}
     for kind, names in kinds.items():
