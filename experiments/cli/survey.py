@@ -50,9 +50,10 @@ def survey(
 
     refuse_repeated(recordings)
     folders = [read_recording(path, placed=False) for path in recordings]
-    # Positions in rig.toml may be wrong, and no other table is used.
-    ranges = [replace(x, tables={k: x.tables[k]}) for x in folders for k in ("ranges", "tdoa") if k in x.tables]
-    checked([replace(x, rig=replace(x.rig, anchors={})) for x in ranges], force, calibrated=True)
+    # No other table is used. Positions in rig.toml may be wrong where ranges find them; differences refine them.
+    used = [(x, next((k for k in ("ranges", "tdoa") if k in x.tables), None)) for x in folders]
+    alone = [replace(x, tables={k: x.tables[k]}) for x, k in used if k is not None]
+    checked([replace(x, rig=replace(x.rig, anchors={})) if "ranges" in x.tables else x for x in alone], force, True)
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.reports.survey import survey_data, write_survey_report
     from trackwright.trackers.recordings.atomic import atomic_write

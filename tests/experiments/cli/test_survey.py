@@ -54,3 +54,15 @@ def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks
 def test_options_without_sense_are_refused_in_one_line(walks, tmp_path, options, word):
     assert_refused(trackwright("survey", *walks[:2], *options, "--out", tmp_path / "rig.toml"), word)
     assert not list(tmp_path.iterdir())
+
+
+def test_range_differences_refine_the_positions_of_the_rig(tmp_path):
+    room = tmp_path / "room"
+    made = trackwright("simulate", "tdoa", "--n", 1, "--rows", 300, "--sigma-d", 0.03, "--hidden", 0, "--out", room)
+    assert made.code == 0, made.err
+    said = trackwright("survey", room, "--given", "all", "--sigma", 0.1, "--out", tmp_path / "rig.toml", "-q")
+    assert said.code == 0, said.err
+    before, after = (read_rig(path)[0].anchors for path in (room / "rig.toml", tmp_path / "rig.toml"))
+    assert 0.0 < max(np.linalg.norm(after[name] - before[name]) for name in before) < 0.3
+    refused = trackwright("survey", room, "--out", tmp_path / "none.toml", "-q")
+    assert_refused(refused, "refine positions of anchors that are roughly known", "give all")
