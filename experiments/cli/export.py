@@ -11,6 +11,8 @@ from cyclopts import Parameter
 from trackwright.trackers.core.errors import UnusableInput, listed
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     import polars as pl
 
     from trackwright.trackers.core.model.rig import Rig
@@ -45,11 +47,10 @@ def export(
 
     from trackwright.trackers.core.wording import counted
     from trackwright.trackers.exchange.exported_tracks import tracks_of, write_bag, write_rrd
-    from trackwright.trackers.exchange.trajectories import write_trajectory
+    from trackwright.trackers.exchange.trajectories import write_trajectory, written_files
     from trackwright.trackers.recordings.atomic import atomic_write
 
-    if out.is_file() and not force:
-        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    _refuse_existing([out], force)
     table, rigs, truths = _table(run, format)
     if tag is not None:
         known = sorted(table["tag"].cast(pl.String).unique())
@@ -70,10 +71,17 @@ def export(
         atomic_write(out, partial(write_rrd, tracks=tracks, truths=true, rigs=rigs))
         print(f"wrote {out}: {counted(len(tracks), 'track')}; see it: rerun {out}")
     else:
-        for track, path in zip(tracks, _files(out, tracks, format), strict=True):
+        files = _files(out, tracks, format)
+        _refuse_existing([file for path in files for file in written_files(path, format)], force)
+        for track, path in zip(tracks, files, strict=True):
             write_trajectory(track.poses, path, format)
             print(f"wrote {path}: {counted(len(track.poses), 'pose')}")
     return 0
+
+
+def _refuse_existing(files: Iterable[Path], force: bool) -> None:
+    if not force and (old := next((file for file in files if file.is_file()), None)):
+        raise UnusableInput(f"--out {old}: exists; expected a new file; --force replaces it")
 
 
 def _table(run: Path, format: Format) -> tuple[pl.DataFrame, dict[str, Rig], list[pl.DataFrame]]:

@@ -291,7 +291,7 @@ def write_trajectory(trajectory: PoseTrajectory, path: Path | str, kind: Kind | 
         text = _text(rows, " ")
     elif kind == "kitti":
         stamps = "".join(f"{time!r}\n" for time in trajectory.times.tolist())
-        atomic_write(path.with_suffix(".times.txt"), lambda target: target.write_text(stamps, encoding="utf-8"))
+        atomic_write(written_files(path, kind)[1], lambda target: target.write_text(stamps, encoding="utf-8"))
         poses = np.concatenate([rotation_matrices(quaternions), positions[:, :, None]], axis=2)
         text = _text(poses.reshape(-1, 12), " ")
     else:
@@ -299,6 +299,11 @@ def write_trajectory(trajectory: PoseTrajectory, path: Path | str, kind: Kind | 
         lines = _text(np.column_stack([positions, quaternions]), ",").splitlines()
         text = _EUROC_HEADER + "".join(f"{t},{line}\n" for t, line in zip(nanoseconds, lines, strict=True))
     return atomic_write(path, lambda target: target.write_text(text, encoding="utf-8"))
+
+
+def written_files(path: Path, kind: Kind) -> list[Path]:
+    """The files that `write_trajectory` writes: the path, and of KITTI poses that of their times."""
+    return [path, path.with_suffix(".times.txt")] if kind == "kitti" else [path]
 
 
 def _text(rows: np.ndarray, separator: str) -> str:

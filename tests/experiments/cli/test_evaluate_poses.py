@@ -221,6 +221,17 @@ def test_several_tracks_are_exported_to_a_file_each(tracked, tmp_path):
     assert (tmp_path / "b.times.txt").read_text().splitlines()[1] == "0.1"
 
 
+def test_a_file_of_times_is_not_replaced_unasked(tracked, tmp_path):
+    times = tmp_path / "b.times.txt"
+    times.write_text("precious")
+    command = "export", tracked, "--format", "kitti", "--tag", "B", "--out", tmp_path / "b.kitti"
+    assert_refused(trackwright(*command), "b.times.txt: exists", "--force replaces it")
+    assert times.read_text() == "precious"
+    assert not (tmp_path / "b.kitti").exists()
+    assert trackwright(*command, "--force").code == 0
+    assert times.read_text() != "precious"
+
+
 def test_a_heading_is_exported_as_the_attitude_of_a_level_body(tracked):
     table = pl.read_parquet(tracked / "tracks.parquet").filter(tag="B")
     heading = np.linspace(-3.0, 3.0, table.height)
