@@ -2,7 +2,7 @@
 
 The objective is the mean over recordings of the negative log-likelihood of the true horizontal position (`state-nll`),
 minimised by Nelder and Mead's simplex: that of a filter with Student's t has kinks at which a search by gradient ends.
-With `--left-out` each site is judged with levels found on the others.
+With `--left-out` each site is judged with levels found on the others, which `fitted/KIND.toml` keeps.
 """
 
 from __future__ import annotations
@@ -11,22 +11,32 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import tomli_w
 from scipy.optimize import minimize
 
 from trackwright.experiments.cli.runtime import keep_programs
-from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
+from trackwright.experiments.lab.cases import DEFAULTS, LAB, Output, Row, Table, shown
 from trackwright.experiments.lab.validation.sites import DEFAULTS as JUDGED
-from trackwright.experiments.lab.validation.sites import SEEN_BY_DEFAULTS, moves, recorded
+from trackwright.experiments.lab.validation.sites import (
+    SEEN_BY_DEFAULTS,
+    at_levels,
+    left_out_file,
+    moves,
+    recorded,
+    site_of,
+)
 from trackwright.experiments.text.wording import fixed
 from trackwright.trackers.aoa.fusion import CALIBRATED, bearing_tracker
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.selection import Selection
@@ -154,8 +164,10 @@ def default_levels(
     levels = KINDS[kind]
     folders = recorded(SEEN_BY_DEFAULTS[levels.tracker])
     if left_out:
-        most = 4 if output.small else LEFT_OUT_EVALUATIONS
-        output.publish("validation default-levels", *sites_left_out(levels, folders, most))
+        tables, found = sites_left_out(levels, folders, 4 if output.small else LEFT_OUT_EVALUATIONS)
+        if not output.small:
+            write_left_out(kind, found)
+        output.publish("validation default-levels", *tables)
         return 0
     objective = Objective(levels, known_and_new(folders) if levels.calibrated else folders)
     start, best = objective.start(), optimum(objective, 4 if output.small else EVALUATIONS)
@@ -190,20 +202,23 @@ def in_words(values: Mapping[str, Any]) -> dict[str, str]:
     return {name: ", ".join(f"{x:.3g}" for x in np.ravel(level)) for name, level in values.items()}
 
 
-def sites_left_out(levels: Levels, folders: Sequence[RecordingFolder], most: int) -> list[Table]:
+def sites_left_out(
+    levels: Levels, folders: Sequence[RecordingFolder], most: int
+) -> tuple[list[Table], dict[str, dict[str, Any]]]:
     """The recordings of each site of `folders` at the present levels and at those found on all, and on other, sites.
 
-    Recordings whose names begin alike are of one site: one building and one make of tags. `most`: evaluations of each
-    fit. Raises UnusableInput where all are of one site.
+    `most`: evaluations of each fit. Returned beside the tables: by site the levels found on the others. Raises
+    UnusableInput where all are of one site.
     """
-    sites = tuple(dict.fromkeys(site_of(folder) for folder in folders))
+    of = {folder.name: site_of(levels.tracker, folder.name) for folder in folders}
+    sites = tuple(dict.fromkeys(of.values()))
     if len(sites) == 1:
         raise UnusableInput(f"--left-out: all recordings of {levels.tracker} are of one site; expected two sites")
     found, rows = {"present": levels.values()}, []
     for number, site in enumerate((None, *sites)):
         title = "all sites" if site is None else f"without {site}"
         print(f"site {number} of {len(sites)}: {title}", file=sys.stderr, flush=True)
-        objective = Objective(levels, [shortened(folder) for folder in folders if site_of(folder) != site])
+        objective = Objective(levels, [shortened(folder) for folder in folders if of[folder.name] != site])
         found[title] = objective.values(optimum(objective, most))
         shown([in_words(found[title])])
         if site is not None:
@@ -211,18 +226,26 @@ def sites_left_out(levels: Levels, folders: Sequence[RecordingFolder], most: int
             every = (beside(levels.tracker, folder, ways) for folder in recorded(f"{site}*") if moves(folder))
             rows += shown(row for of_recording in every for row in of_recording)
     note = f"Bold: not within limits, {JUDGED.honest}. *: set the present levels."
-    return [Table(rows, "Sites left out", note), by_level(found)]
+    return [Table(rows, "Sites left out", note), by_level(found)], {site: found[f"without {site}"] for site in sites}
+
+
+def write_left_out(kind: str, found: Mapping[str, Mapping[str, Any]]) -> Path:
+    """Write the levels found without each site, to four digits, where `sites.left_out_levels` reads them."""
+    digits = {
+        site: {name: np.vectorize(lambda x: float(f"{x:.4g}"))(level).tolist() for name, level in values.items()}
+        for site, values in found.items()
+    }
+    text = f"# Levels found without the recordings of a site, by `{LAB}.validation default-levels {kind} --left-out`.\n"
+    text += tomli_w.dumps(digits)
+    return atomic_write(left_out_file(kind), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def shortened(folder: RecordingFolder) -> RecordingFolder:
     """The recording up to the last of its first `MOST_RANGES`."""
+    if "ranges" not in folder.tables:
+        return folder
     times = folder.tables["ranges"]["t_s"][:MOST_RANGES]
     return Selection(stop=float(times[-1])).of(folder)
-
-
-def site_of(folder: RecordingFolder) -> str:
-    """The site of a recording, by which its name begins."""
-    return folder.name.partition("-")[0]
 
 
 def beside(tracker: str, folder: RecordingFolder, ways: Mapping[str, Mapping[str, Any]]) -> Iterator[Row]:
@@ -237,14 +260,6 @@ def beside(tracker: str, folder: RecordingFolder, ways: Mapping[str, Mapping[str
             text = f"{100 * metrics['coverage_95']:.1f} %, {fixed(metrics['nees_ratio'], 2)}"
             row[f"inside 95 %, NEES/dof, {way}"] = text if JUDGED.honest.holds(metrics) else f"**{text}**"
         yield row
-
-
-def at_levels(named: NamedTracker, values: Mapping[str, Any]) -> NamedTracker:
-    """The tracker at levels by keyword of its builder, which sensors may have for each anchor."""
-    nodes = {name: (name.rpartition(".")[2], node.value) for name, node in named.tunables.items()}
-    return named.with_values(
-        {name: np.full(np.shape(now), values[word]) for name, (word, now) in nodes.items() if word in values}
-    )
 
 
 def known_and_new(folders: Sequence[RecordingFolder]) -> list[RecordingFolder]:

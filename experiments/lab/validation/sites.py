@@ -1,15 +1,18 @@
 """Sites of real recordings, how each recording of a site is judged, and its limits.
 
-A recording is judged with the tracker's default noise levels, and calibrated on the other recordings of its site that
-have the same installation. Where there is no other one, each half of it, in time, is calibrated on the other half:
-these figures are shown and not counted, since what changes between days does not show in them.
+A recording is judged with the tracker's default noise levels, where its site has set them with those found on other
+sites, and calibrated on the other recordings of its site that have the same installation. Where there is no other one,
+each half of it, in time, is calibrated on the other half: these figures are shown and not counted, since what changes
+between days does not show in them.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from fnmatch import fnmatch
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -23,6 +26,7 @@ from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.calibration import has_moved, has_turned
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
+from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.calibrating import by_halves, calibrate
 from trackwright.tuning.fitting import FitOptions, fit
 
@@ -54,6 +58,9 @@ SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 OTHER_HALF = ("the other half",)
 """What a recording without others of its installation is calibrated on."""
+
+OTHER_SITES = ("other sites",)
+"""What the levels of a recording are found on whose site has set the default ones."""
 
 LEAST_WAY = 1.0
 """Least way, m, of a recording that is judged: errors at one place are one sample, of which no share is inside."""
@@ -168,7 +175,7 @@ class Judged(NamedTuple):
     """The metrics of one recording in one setting, filtered or smoothed, and its estimate farthest outside the room.
 
     `on`: the recordings that it was calibrated or tuned on; none with default levels. `counted`: whether the
-    covariances count: not where half of a recording is calibrated on the other, nor where it has set the default
+    covariances count: not where half of a recording is calibrated on the other, nor where its site has set the default
     levels, nor at several levels of motion, beside which it counts at the given one.
     """
 
@@ -185,6 +192,34 @@ class Judged(NamedTuple):
     def holds(self) -> bool | None:
         """Whether the covariances are within the limits of the setting; None where none is reported."""
         return self.setting.honest.holds(self.metrics)
+
+
+def site_of(tracker: str, name: str) -> str:
+    """What is left out with a recording where levels of this tracker are found on others: what its name begins with.
+
+    One building and one make of tags, but one use case of the walks, all of whose bearings are of one building.
+    """
+    return "-".join(name.split("-")[: 3 if tracker == "bearings" else 1])
+
+
+def left_out_file(tracker: str) -> Path:
+    """Where the levels of a tracker are that are found without a site, by site and keyword."""
+    return Path(__file__).with_name("fitted") / f"{tracker}.toml"
+
+
+def left_out_levels(tracker: str, recording: str) -> dict[str, Any]:
+    """The levels of a tracker found without the site of a recording; none where that has not set the default ones."""
+    file = left_out_file(tracker)
+    found = tomllib.loads(file.read_text("utf-8")) if file.is_file() else {}
+    return dict(found.get(site_of(tracker, recording), {}))
+
+
+def at_levels(named: NamedTracker, values: Mapping[str, Any]) -> NamedTracker:
+    """The tracker at levels by keyword of its builder, which sensors may have for each anchor."""
+    nodes = {name: (name.rpartition(".")[2], node.value) for name, node in named.tunables.items()}
+    return named.with_values(
+        {name: np.full(np.shape(now), values[word]) for name, (word, now) in nodes.items() if word in values}
+    )
 
 
 def recorded(pattern: str | Sequence[str]) -> list[RecordingFolder]:
@@ -204,30 +239,38 @@ def recorded(pattern: str | Sequence[str]) -> list[RecordingFolder]:
 def judged(site: Site) -> Iterator[Judged]:
     """Every recording of a site in both settings, filtered and, where the tracker has a smoother, smoothed."""
     folders = recorded(site.pattern)
+    seen = {site_of(site.tracker, name) for name in SEEN_BY_DEFAULTS.get(site.tracker, ())}
     for folder in filter(moves, folders):
         others = [other for other in folders if other is not folder and same_installation(folder, other)]
-        seen = folder.name in SEEN_BY_DEFAULTS.get(site.tracker, ())
-        yield from _runs(site, DEFAULTS, folder, [folder], {}, (), not seen)
+        as_it_is = [folder]
+        named = build(site.tracker, folder)
+        yield from _runs(
+            site, DEFAULTS, folder, named, as_it_is, counted=site_of(site.tracker, folder.name) not in seen
+        )
+        if not site.levels and (levels := left_out_levels(site.tracker, folder.name)):
+            yield from _runs(site, DEFAULTS, folder, at_levels(named, levels), as_it_is, OTHER_SITES)
         on = tuple(other.name for other in others)
         if site.tuned and others:
-            yield from _runs(site, CALIBRATED, folder, [folder], _tuned(site, others), on, counted=True)
+            tuned = named.with_values(_tuned(site, others), "the fit")
+            yield from _runs(site, CALIBRATED, folder, tuned, as_it_is, on)
         elif others:
-            yield from _runs(site, CALIBRATED, folder, [folder.calibrated(calibrate(others))], {}, on, counted=True)
+            parts = [folder.calibrated(calibrate(others))]
+            yield from _runs(site, CALIBRATED, folder, build(site.tracker, parts), parts, on)
         elif not site.tuned:
-            yield from _runs(site, CALIBRATED, folder, by_halves(folder), {}, OTHER_HALF, counted=False)
+            parts = by_halves(folder)
+            yield from _runs(site, CALIBRATED, folder, build(site.tracker, parts), parts, OTHER_HALF, counted=False)
 
 
 def _runs(
     site: Site,
     setting: Setting,
     folder: RecordingFolder,
+    tracker: NamedTracker,
     parts: list[RecordingFolder],
-    values: Mapping[str, Any],
-    on: tuple[str, ...],
-    counted: bool,
+    on: tuple[str, ...] = (),
+    counted: bool = True,
 ) -> Iterator[Judged]:
-    """The recording, as it is or calibrated in `parts`, filtered and smoothed with these values of tunables."""
-    tracker = build(site.tracker, parts).with_values(values, "the fit")
+    """The recording, as it is or calibrated in `parts`, filtered and smoothed."""
     kinds = [tracker]
     with suppress(UnusableInput):  # Grids and particles have no smoother.
         kinds.append(tracker.smoothing())

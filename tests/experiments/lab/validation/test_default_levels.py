@@ -9,7 +9,9 @@ import pytest
 
 from trackwright.experiments.lab.cases import Output
 from trackwright.experiments.lab.validation import default_levels as module
-from trackwright.experiments.lab.validation.default_levels import KINDS, Objective, at_levels, default_levels, shortened
+from trackwright.experiments.lab.validation import sites
+from trackwright.experiments.lab.validation.default_levels import KINDS, Objective, default_levels, shortened
+from trackwright.experiments.lab.validation.sites import at_levels
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
@@ -29,6 +31,8 @@ def root(tmp_path, monkeypatch):
         write_recording(dataclasses.replace(folder, name=name, rig=rig), tmp_path / name)
     monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(tmp_path))
     monkeypatch.setattr(module, "SEEN_BY_DEFAULTS", {"uwb": ("hall-1", "shed-1"), "bearings": ("hall-1", "hall-2")})
+    for place in (module, sites):
+        monkeypatch.setattr(place, "left_out_file", lambda kind: tmp_path / f"{kind}.toml")
     return tmp_path
 
 
@@ -90,9 +94,15 @@ def test_no_recording_is_judged_with_levels_that_a_recording_of_its_site_has_set
     assert judged["hall-1"]["present"] == KINDS["uwb"].values()
     assert bias[0] < bias[1] < judged["shed-1"]["other sites"]["bias"]
     assert "site 2 of 2: without shed\n" in capsys.readouterr().err
+    # What is kept for the page of real recordings, to four digits.
+    kept = sites.left_out_levels("uwb", "hall-2")
+    assert kept == pytest.approx(judged["hall-1"]["other sites"], rel=1e-3)
+    assert sites.left_out_levels("uwb", "yard-1") == {}
+    assert sites.left_out_levels("bearings", "hall-1") == {}
 
 
-def test_levels_that_one_site_has_set_have_no_other_site(root):
+def test_levels_that_one_site_has_set_have_no_other_site(root, monkeypatch):
+    monkeypatch.setattr(module, "site_of", lambda tracker, name: "hall")
     with pytest.raises(UnusableInput, match="all recordings of bearings are of one site"):
         default_levels("bearings", left_out=True)
 
