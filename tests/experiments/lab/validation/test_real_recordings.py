@@ -14,6 +14,7 @@ from trackwright.experiments.lab.validation.sites import (
     CALIBRATED,
     DEFAULTS,
     OTHER_HALF,
+    OTHER_SITES,
     Errors,
     Judged,
     Outside,
@@ -64,18 +65,21 @@ def root(tmp_path_factory):
 def test_a_recording_is_calibrated_on_the_others_of_its_installation_alone(root, monkeypatch):
     monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(root))
     monkeypatch.setattr(sites, "SEEN_BY_DEFAULTS", {"uwb": ("hall-2",)})
+    monkeypatch.setattr(sites, "left_out_levels", lambda tracker, name: {"sigma_r": 0.5} if name == "hall-2" else {})
     every = list(judged(Site("hall", "uwb", "hall-*")))
-    assert [one.smoothed for one in every] == 6 * [False, True]
-    on = {(one.recording, one.setting.name): (one.on, one.counted) for one in every}
-    assert on == {
-        ("hall-1", "defaults"): ((), True),
-        ("hall-1", "calibrated"): (("hall-2", "hall-4"), True),
-        # The default levels have seen it.
-        ("hall-2", "defaults"): ((), False),
-        ("hall-2", "calibrated"): (("hall-1", "hall-4"), True),
-        ("hall-3", "defaults"): ((), True),
-        ("hall-3", "calibrated"): (("the other half",), False),
+    assert [one.smoothed for one in every] == 7 * [False, True]
+    assert {(one.recording, one.setting.name, one.on): one.counted for one in every} == {
+        # The default levels have seen its site.
+        ("hall-1", "defaults", ()): False,
+        ("hall-1", "calibrated", ("hall-2", "hall-4")): True,
+        ("hall-2", "defaults", ()): False,
+        ("hall-2", "defaults", OTHER_SITES): True,
+        ("hall-2", "calibrated", ("hall-1", "hall-4")): True,
+        ("hall-3", "defaults", ()): False,
+        ("hall-3", "calibrated", OTHER_HALF): False,
     }
+    levels = {one.on: one.metrics["nees_ratio"] for one in every if (one.recording, one.smoothed) == ("hall-2", False)}
+    assert levels[OTHER_SITES] < 0.5 * levels[()]
 
 
 def test_recordings_are_found_by_pattern_or_by_name(root, monkeypatch):
@@ -153,7 +157,7 @@ def test_the_page_gives_each_recording_a_verdict_and_no_mean_of_shares():
     assert [row["not counted"] for row in summary.rows] == ["", "", "1 of 1", ""]
     assert missed.rows == []
     assert [row["covariances"] for row in flights.rows] == [
-        "**too small**", "**too large**", "within limits", "within limits"
+        "**too small**", "**too large**", "(within limits)", "within limits"
     ]  # fmt: skip
     assert [row["setting"] for row in flights.rows] == ["defaults", "defaults", "on the other half", "calibrated"]
     assert [row["baseline"] for row in flights.rows] == ["0.123", "–", "0.123", "–"]
@@ -173,6 +177,15 @@ def test_the_readme_quotes_mean_errors_of_walks_and_how_many_covariances_hold():
     assert "0.70 m with default noise levels, 0.50 m (0.30 m smoothed)" in text
     assert "within limits in 1 of 2 recordings with default levels" in text
     assert "in 1 of 1 calibrated on other recordings of the site (1 of 1 smoothed)" in text
+
+
+@pytest.mark.parametrize(("at_least", "code"), [(0.5, 0), (0.6, 1), (None, 1)])
+def test_a_release_is_refused_below_a_stated_share_within_limits(tmp_path, monkeypatch, capsys, at_least, code):
+    monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(tmp_path))
+    every = [_judged("a"), _judged("b", nees_ratio=3.0), _judged("c", counted=False)]
+    monkeypatch.setattr(page, "judged", lambda site: every if site.name == "walks" else [])
+    assert page.real_recordings(at_least=at_least, output=Output(out=tmp_path / "figures.json")) == code
+    assert ("1 of 2 within limits, defaults, filtered" in capsys.readouterr().out) == (at_least is not None)
 
 
 def test_the_picture_has_a_line_for_each_recording(tmp_path):
