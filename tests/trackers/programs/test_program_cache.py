@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax._src import compilation_cache as jax_cache
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.jax_private import cache_opener, set_cache_opener
 from trackwright.trackers.programs import program_cache
 from trackwright.trackers.programs.program_cache import ProgramStore, cache_programs, default_directory, remove_oldest
 
@@ -21,15 +21,14 @@ X = np.linspace(0.0, 1.0, 7)
 
 
 @pytest.fixture(autouse=True)
-def _without_a_cache(monkeypatch):
+def _without_a_cache():
     """jax without a cache, and with that of the suite again after the test."""
-    monkeypatch.setattr(jax_cache, "get_file_cache", jax_cache.get_file_cache)
-    before = jax.config.jax_compilation_cache_dir
+    opener, before = cache_opener(), jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
-    jax_cache.reset_cache()
+    set_cache_opener(opener)
     yield
     jax.config.update("jax_compilation_cache_dir", before)
-    jax_cache.reset_cache()
+    set_cache_opener(opener)
 
 
 @pytest.fixture
