@@ -135,7 +135,7 @@ def test_a_full_disk_costs_one_line_and_leaves_no_partial_program(tmp_path):
     try:
         lines = []
         folder = cache_programs(tmp_path, report=lines.append)
-        (folder / "filler").write_bytes(bytes(4096))
+        (folder / "filler").write_bytes(bytes(8192))
         right = _computed()
         assert _computed().tobytes() == right.tobytes()
         assert len(lines) == 1
