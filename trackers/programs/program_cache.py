@@ -1,7 +1,8 @@
 """Disk cache of compiled programs in a directory of the user, shared by later processes.
 
 jax looks a program up by its text, the compiler's version and options; the name of the directory adds the processor,
-whose instructions the programs contain, so that machines may share a home. jax's own cache is not used: it writes files
+whose instructions the programs contain, so that machines may share a home, and the version of Python, which from 3.14
+on compresses them in another way that jax does not look up. jax's own cache is not used: it writes files
 in place, never replaces a damaged one, and bounds their size only with another package. Whoever can write to the
 directory can run code as its user.
 """
@@ -53,7 +54,7 @@ def cache_programs(directory: str | Path | None = None, report: Callable[[str], 
     if cache_opener() is None or (present is not None and store_in_use() is None):
         return None
     root = Path(directory or os.environ.get(VARIABLE) or default_directory()).expanduser().absolute()
-    folder = root / f"{PREFIX}{jax.lib.__version__}-{processor()}"
+    folder = root / f"{PREFIX}{jax.lib.__version__}-{platform.python_version()}-{processor()}"
     for path in (root, folder):
         _require_private(path)
     if present != str(folder):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import subprocess
 from pathlib import Path
 
@@ -78,10 +79,11 @@ def test_a_damaged_program_is_compiled_again_and_replaced(tmp_path, found, damag
     assert found == [False, False, True]
 
 
-def test_a_program_of_another_version_or_processor_is_not_looked_at(tmp_path, found, monkeypatch):
+@pytest.mark.parametrize(("module", "name"), [(program_cache, "processor"), (platform, "python_version")])
+def test_a_program_of_another_version_or_processor_is_not_looked_at(module, name, tmp_path, found, monkeypatch):
     cache_programs(tmp_path)
     _computed()
-    monkeypatch.setattr(program_cache, "processor", lambda: "another")
+    monkeypatch.setattr(module, name, lambda: "another")
     cache_programs(tmp_path)
     _computed()
     assert found == [False, False]
