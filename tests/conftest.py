@@ -6,11 +6,16 @@ import tests.checked_shapes  # noqa: F401
 import gc
 import itertools
 import os
+from importlib.metadata import version
 from pathlib import Path
 
 # Before jax computes. The suite compiles more than it computes: code that LLVM does not optimise takes a quarter less,
-# and fusions that do not pass through MLIR a fifth less again. trackwright adds its own flags.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+# and fusions that do not pass through MLIR, which jaxlib 0.11 cannot be told, a fifth less again. trackwright adds its flags.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0"
+    + (" --xla_cpu_use_fusion_emitters=false" if version("jaxlib").startswith("0.10.") else ""),
+)
 # Tests, workers and commands in subprocesses share compiled programs: many of them compile the same tracker.
 os.environ.setdefault("TRACKWRIGHT_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
 

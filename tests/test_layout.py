@@ -151,6 +151,12 @@ def test_the_library_prints_nothing_and_opens_files_in_few_places_only():
     assert not calls
 
 
+def test_parts_of_jax_that_it_does_not_promise_are_imported_in_one_module():
+    private = ("jax._src", "jax.extend", "jax.interpreters")
+    users = {_named(path) for path in SOURCES if any(module.startswith(private) for module in _imported(path))}
+    assert users == {"trackers.core.jax_private"}
+
+
 def test_a_class_of_modules_is_abstract_or_final():
     """No class inherits a concrete `eqx.Module`: whoever reads a method need not ask who overrides it."""
     classes = [

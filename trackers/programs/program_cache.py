@@ -1,7 +1,8 @@
 """Disk cache of compiled programs in a directory of the user, shared by later processes.
 
 jax looks a program up by its text, the compiler's version and options; the name of the directory adds the processor,
-whose instructions the programs contain, so that machines may share a home. jax's own cache is not used: it writes files
+whose instructions the programs contain, so that machines may share a home, and the version of Python, which from 3.14
+on compresses them in another way that jax does not look up. jax's own cache is not used: it writes files
 in place, never replaces a damaged one, and bounds their size only with another package. Whoever can write to the
 directory can run code as its user.
 """
@@ -21,10 +22,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax
-from jax._src import compilation_cache as jax_cache
-from jax._src.compilation_cache_interface import CacheInterface
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.jax_private import cache_opener, set_cache_opener
 
 VARIABLE = "TRACKWRIGHT_CACHE"
 """The environment variable that names the directory, or is `off`."""
@@ -44,21 +44,21 @@ def cache_programs(directory: str | Path | None = None, report: Callable[[str], 
 
     `directory`: by default the value of TRACKWRIGHT_CACHE, else `trackwright` in the user's cache directory; created
     with mode 0700. `report` gets one line if a program cannot be written, after which none is. Returns None and
-    changes nothing where TRACKWRIGHT_CACHE is `off` or jax has a cache already. Numbers are the same with and without.
+    changes nothing where TRACKWRIGHT_CACHE is `off`, where jax has a cache already, or where its release lets none be
+    added. Numbers are the same with and without.
     Raises UnusableInput for a directory that cannot be created, is another user's, or that others can write to.
     """
     if directory is None and os.environ.get(VARIABLE) == "off":
         return None
     present = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    if present is not None and store_in_use() is None:
+    if cache_opener() is None or (present is not None and store_in_use() is None):
         return None
     root = Path(directory or os.environ.get(VARIABLE) or default_directory()).expanduser().absolute()
-    folder = root / f"{PREFIX}{jax.lib.__version__}-{processor()}"
+    folder = root / f"{PREFIX}{jax.lib.__version__}-{platform.python_version()}-{processor()}"
     for path in (root, folder):
         _require_private(path)
     if present != str(folder):
-        jax_cache.reset_cache()
-        jax_cache.get_file_cache = ProgramStore(folder, report)  # type: ignore[assignment]
+        set_cache_opener(ProgramStore(folder, report))
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     return folder
@@ -119,7 +119,7 @@ def compiling_anew() -> Iterator[None]:
         _bypassed.now = False
 
 
-class ProgramStore(CacheInterface):
+class ProgramStore:
     """The programs in one folder, a file each: a digest, then the bytes that it is of.
 
     Files are written atomically, and one with a wrong digest is removed, so that any number of processes may share the
@@ -175,7 +175,7 @@ class ProgramStore(CacheInterface):
 
 def store_in_use() -> ProgramStore | None:
     """The store of `cache_programs`, None where jax has another cache or none."""
-    store, present = jax_cache.get_file_cache, jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    store, present = cache_opener(), jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     return store if isinstance(store, ProgramStore) and str(store._path) == present else None
 
 

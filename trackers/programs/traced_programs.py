@@ -24,9 +24,9 @@ from typing import Any
 
 import equinox as eqx
 import jax
-from jax._src.config import trace_context
 from jax.experimental import serialize_executable
 
+from trackwright.trackers.core.jax_private import trace_settings
 from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.programs.program_cache import ProgramStore, compiling_anew, processor
 
@@ -77,7 +77,8 @@ class TracedPrograms:
     def _key(self, function: Any, leaves: list[Any], structure: Any) -> bytes | None:
         if jax.local_device_count() > 1 or jax.default_backend() != "cpu":
             return None
-        if self._users_files():
+        settings = trace_settings()
+        if settings is None or self._users_files():
             return None
         kinds = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) if eqx.is_array(x) else x for x in leaves]
         made_of = io.BytesIO()
@@ -86,7 +87,7 @@ class TracedPrograms:
             _KeyPickler(made_of, protocol=5).dump((function, jax.tree_util.tree_unflatten(structure, kinds)))
         except (pickle.PicklingError, TypeError, AttributeError):
             return None
-        return b"".join((self.base, _text(trace_context()).encode(), made_of.getvalue()))
+        return b"".join((self.base, _text(settings).encode(), made_of.getvalue()))
 
     def _users_files(self) -> bool:
         """Whether files of users were imported."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import subprocess
 from pathlib import Path
 
@@ -11,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax._src import compilation_cache as jax_cache
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.jax_private import cache_opener, set_cache_opener
 from trackwright.trackers.programs import program_cache
 from trackwright.trackers.programs.program_cache import ProgramStore, cache_programs, default_directory, remove_oldest
 
@@ -21,15 +22,14 @@ X = np.linspace(0.0, 1.0, 7)
 
 
 @pytest.fixture(autouse=True)
-def _without_a_cache(monkeypatch):
+def _without_a_cache():
     """jax without a cache, and with that of the suite again after the test."""
-    monkeypatch.setattr(jax_cache, "get_file_cache", jax_cache.get_file_cache)
-    before = jax.config.jax_compilation_cache_dir
+    opener, before = cache_opener(), jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
-    jax_cache.reset_cache()
+    set_cache_opener(opener)
     yield
     jax.config.update("jax_compilation_cache_dir", before)
-    jax_cache.reset_cache()
+    set_cache_opener(opener)
 
 
 @pytest.fixture
@@ -79,10 +79,11 @@ def test_a_damaged_program_is_compiled_again_and_replaced(tmp_path, found, damag
     assert found == [False, False, True]
 
 
-def test_a_program_of_another_version_or_processor_is_not_looked_at(tmp_path, found, monkeypatch):
+@pytest.mark.parametrize(("module", "name"), [(program_cache, "processor"), (platform, "python_version")])
+def test_a_program_of_another_version_or_processor_is_not_looked_at(module, name, tmp_path, found, monkeypatch):
     cache_programs(tmp_path)
     _computed()
-    monkeypatch.setattr(program_cache, "processor", lambda: "another")
+    monkeypatch.setattr(module, name, lambda: "another")
     cache_programs(tmp_path)
     _computed()
     assert found == [False, False]
@@ -136,7 +137,7 @@ def test_a_full_disk_costs_one_line_and_leaves_no_partial_program(tmp_path):
     try:
         lines = []
         folder = cache_programs(tmp_path, report=lines.append)
-        (folder / "filler").write_bytes(bytes(4096))
+        (folder / "filler").write_bytes(bytes(8192))
         right = _computed()
         assert _computed().tobytes() == right.tobytes()
         assert len(lines) == 1

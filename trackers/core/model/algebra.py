@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
+
+from trackwright.trackers.core import jax_private
 
 Tree = TypeVar("Tree")
 
@@ -161,7 +161,7 @@ def compute_once(tree: Tree) -> Tree:
 
 def _once(x: Any) -> Any:
     floating = hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.floating)
-    return _once_p.bind(x) if floating else x
+    return _marked(x) if floating else x
 
 
 def _divided(x: jax.Array) -> jax.Array:
@@ -169,12 +169,7 @@ def _divided(x: jax.Array) -> jax.Array:
     return x / jax.lax.select(x < jnp.full_like(x, -jnp.inf), two, one)
 
 
-_once_p = Primitive("compute_once")
-_once_p.def_impl(jax.jit(_divided))
-_once_p.def_abstract_eval(lambda x: x)
-ad.deflinear2(_once_p, lambda cotangent, _: [_once(cotangent)])
-batching.defvectorized(_once_p)
-mlir.register_lowering(_once_p, mlir.lower_fun(_divided, multiple_results=False))
+_marked = jax_private.identity("compute_once", _divided)
 
 
 def stored(x: jax.Array) -> jax.Array:
@@ -183,7 +178,7 @@ def stored(x: jax.Array) -> jax.Array:
     XLA's CPU compiler fuses the products of small matrices into whatever uses them, where they are computed entry by
     entry, often twice. It fuses nothing with a condition.
     """
-    result: jax.Array = _stored_p.bind(x)
+    result: jax.Array = _stored(x)
     return result
 
 
@@ -192,14 +187,8 @@ def _by_condition(x: jax.Array) -> jax.Array:
     return jax.lax.cond(x[(0,) * x.ndim] < -jnp.inf, lambda x: -x, lambda x: x, x)
 
 
-_stored_p = Primitive("stored")
-_stored_p.def_impl(lambda x: x)
-_stored_p.def_abstract_eval(lambda x: x)
-ad.deflinear2(_stored_p, lambda cotangent, _: [stored(cotangent)])
-batching.defvectorized(_stored_p)
 # Elsewhere a condition costs more than it saves.
-mlir.register_lowering(_stored_p, lambda _, x: [x])
-mlir.register_lowering(_stored_p, mlir.lower_fun(_by_condition, multiple_results=False), platform="cpu")
+_stored = jax_private.identity("stored", _by_condition, platform="cpu")
 
 
 def mark_dependent(tree: Tree, numbers: Any) -> Tree:

@@ -8,8 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import Literal
 
+from trackwright.trackers.core.jax_private import is_literal
 from trackwright.trackers.core.model.algebra import (
     ONE,
     VARIABLE,
@@ -86,7 +86,7 @@ def _structure(jaxpr: Any, inputs: Sequence[dict[int, int]]) -> list[dict[int, i
     env: dict[Any, dict[int, int]] = dict(zip(jaxpr.invars, inputs, strict=True))
 
     def read(atom: Any) -> dict[int, int]:
-        return {} if isinstance(atom, Literal) else env.get(atom, {})
+        return {} if is_literal(atom) else env.get(atom, {})
 
     for equation in jaxpr.eqns:
         name, parts = equation.primitive.name, [read(atom) for atom in equation.invars]
@@ -130,11 +130,11 @@ def _push(jaxpr: Any, consts: Sequence[Any], inputs: Sequence[Any], fixed: Seque
     tangents = {v for v, f in zip(jaxpr.invars, fixed, strict=True) if not f}
 
     def read(atom: Any) -> Any:
-        return atom.val if isinstance(atom, Literal) else env[atom]
+        return atom.val if is_literal(atom) else env[atom]
 
     for equation in jaxpr.eqns:
         values = [read(atom) for atom in equation.invars]
-        moving = [not isinstance(atom, Literal) and atom in tangents for atom in equation.invars]
+        moving = [not is_literal(atom) and atom in tangents for atom in equation.invars]
         if any(moving):
             tangents.update(equation.outvars)
         if any(moving) and all(x is None for x, m in zip(values, moving, strict=True) if m):
@@ -143,7 +143,7 @@ def _push(jaxpr: Any, consts: Sequence[Any], inputs: Sequence[Any], fixed: Seque
             outputs = _apply(equation, values, moving)
         env.update(zip(equation.outvars, outputs, strict=True))
     # A literal among the outputs of a linear program is a zero.
-    return [None if isinstance(atom, Literal) else env[atom] for atom in jaxpr.outvars]
+    return [None if is_literal(atom) else env[atom] for atom in jaxpr.outvars]
 
 
 def _apply(equation: Any, values: list[Any], moving: list[bool]) -> list[Any]:

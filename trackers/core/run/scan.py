@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.experimental.layout import Layout, with_layout_constraint
-from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, UInt32
 
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
+from trackwright.trackers.core.jax_private import live_part
 from trackwright.trackers.core.model import covariance
 from trackwright.trackers.core.model.algebra import Scalar, mark_dependent, select, total
 from trackwright.trackers.core.model.covariance import (
@@ -232,7 +232,7 @@ def scan_rows(
 def without_dead_code(function: Callable[[Any], Any], argument: Any) -> Any:
     """`function(argument)`, traced without the operations that its results do not need."""
     program, shapes = jax.make_jaxpr(function, return_shape=True)(argument)
-    live, used = dce_jaxpr(program.jaxpr, [True] * len(program.jaxpr.outvars))
+    live, used = live_part(program.jaxpr)
     leaves = jax.tree_util.tree_leaves(argument)
     results = jax.core.eval_jaxpr(live, program.consts, *[x for x, u in zip(leaves, used, strict=True) if u])
     return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(shapes), results)
