@@ -1,4 +1,4 @@
-# Targets: env demo test test-slow mutate digests lint docs papers bench bench-peers bench-gpu clean. Each makes the environment it needs.
+# Targets: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers bench-gpu clean. Each makes the environment it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -7,7 +7,7 @@ GPU := .venv-gpu/bin
 DOCS := .venv-docs/bin
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
-.PHONY: env demo test test-slow mutate digests lint docs papers bench bench-peers bench-gpu clean
+.PHONY: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers bench-gpu clean
 
 env: .venv/installed
 
@@ -62,6 +62,10 @@ lint: env
 docs: .venv-docs/installed
 	$(DOCS)/mkdocs build
 	@echo 'wrote out/site; with search: $(PYTHON) -m http.server -d out/site'
+
+# The pictures of docs/gallery.md, from examples/ and simulated recordings.
+gallery: env
+	$(BIN)/python docs/gallery.py
 
 papers: env
 	$(BIN)/python -m trackwright.experiments.lab.papers.reproduce

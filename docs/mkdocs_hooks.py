@@ -1,5 +1,5 @@
-"""What `make docs` adds to the Markdown of this folder: the README as first page, the notebook with what it shows, and
-API pages from docstrings.
+"""What `make docs` adds to the Markdown of this folder: the README as first page, the notebook with what it shows, code
+of the examples and pages of the program in the gallery, and API pages from docstrings.
 
 Each group of public names in the stub `__init__.pyi` of a package, begun there by a comment, becomes a page.
 """
@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import ast
 import re
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import nbformat
+from gallery import pages
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 from nbclient import NotebookClient
 
 ROOT = Path(__file__).parents[1]
@@ -31,11 +34,28 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     files.append(File.generated(config, "index.md", content=re.sub(r"\]\(docs/", "](", readme)))
     files.append(File.generated(config, "notebook.md", content=_markdown(ROOT / "docs/notebook.ipynb")))
-    pages = {f"api/{page}.md": content for name in PACKAGES for page, content in _api_pages(name)}
-    for path, content in pages.items():
+    api = {f"api/{page}.md": content for name in PACKAGES for page, content in _api_pages(name)}
+    with tempfile.TemporaryDirectory() as folder:
+        shown = {f"pages/{name}.html": content for name, content in pages(Path(folder)).items()}
+    for path, content in (api | shown).items():
         files.append(File.generated(config, path, content=content))
-    config.nav = [*(config.nav or []), {"API": ["api.md", *sorted(pages)]}]
+    config.nav = [*(config.nav or []), {"API": ["api.md", *sorted(api)]}]
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
+    """Has the code of an example follow its link, and a page of the program stand where its picture does."""
+    if page.file.src_uri != "gallery.md":
+        return markdown
+    frame = '<iframe title="\\1" src="pages/\\1.html" loading="lazy" style="width:100%;height:40rem;border:0"></iframe>'
+    framed = re.sub(r"<!-- page: (\w+) -->\n\n!\[.*\n", f"{frame}\n\n[the page alone](pages/\\1.html)\n", markdown)
+    return re.sub(r"\[`(.*)`\]\(\.\./\1\)", lambda link: _folded(ROOT / link[1]), framed)
+
+
+def _folded(path: Path) -> str:
+    """The code of a file, which a click unfolds."""
+    code = re.sub(r"^", "    ", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return f'\n\n??? example "{path.name}"\n\n    ```python\n{code}\n    ```\n'
 
 
 def _api_pages(package: str) -> Iterator[tuple[str, str]]:

@@ -20,6 +20,7 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -87,9 +88,9 @@ class Scratch:
         }
         if DEFAULT_RECORDINGS.is_dir():
             self.environment.setdefault("TRACKWRIGHT_RECORDINGS", str(DEFAULT_RECORDINGS))
-        self.calls = self.recorded()
 
-    def recorded(self) -> Calls:
+    @cached_property
+    def calls(self) -> Calls:
         """Which functions the test files call, by a run of the default suite that traces every program anew."""
         print("recording which tests call which functions ...", flush=True)
         with tempfile.TemporaryDirectory() as calls:

@@ -23,6 +23,7 @@ CASES = (
     "watches:real_watches",
     "track_loss",
     "bag_tour",
+    "promises",
 )
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ PARTS = {
     "validation.envelope": ("fix-kf",),
     "validation.nis_expectation": ("fix-kf",),
     "validation.recovery": ("C",),
+    "validation.promises": ("mutations",),
 }
 """Arguments of those whose other parts take long, or need libraries that are no dependencies."""
 
