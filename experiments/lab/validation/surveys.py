@@ -22,9 +22,11 @@ from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.text.terminal import progress
+from trackwright.tuning.survey.anchors import Ranges
+from trackwright.tuning.survey.frames import aligned, frame_of
 from trackwright.tuning.survey.result import NORMAL, Survey
 from trackwright.tuning.survey.solving import Solution, information
-from trackwright.tuning.survey.surveying import aligned, delay_prior, frame_of, survey
+from trackwright.tuning.survey.surveying import survey
 from trackwright.tuning.survey.walks import walks_of
 
 SURVEYS = 200
@@ -164,7 +166,7 @@ def _bound(found: Survey, folders: Sequence[tw.RecordingFolder], paths: Sequence
         coefficients.append(walk.fitted(at_ranges))
     truth = Solution(np.column_stack([true, found.delays]), coefficients, np.full(len(true), SCALE), found.densities)
     free = np.diag(found.covariance) > 0
-    precision = (information(walks, truth) + delay_prior(len(true)).precision)[np.ix_(free, free)]
+    precision = (information(walks, truth) + Ranges().prior(len(true)).precision)[np.ix_(free, free)]
     bound = np.full(len(free), np.inf)
     bound[free] = np.sqrt(np.diag(np.linalg.inv(precision + 1e-6 * np.eye(free.sum()))))
     return bound.reshape(-1, 4)[:, :3]

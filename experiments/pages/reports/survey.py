@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, ellipses, plan_corners
 from trackwright.experiments.pages.charts.style import BLUE, GREEN, GREY, Chart, write_panels
 from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.tuning.survey.frames import aligned
 from trackwright.tuning.survey.result import HEAD, Survey
-from trackwright.tuning.survey.surveying import aligned
 
 
 def survey_data(survey: Survey) -> dict[str, Any]:
