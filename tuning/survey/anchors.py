@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.survey.frames import EXACT, aligned, framed, onto, require_frame, tags
-from trackwright.tuning.survey.result import COMMON_DELAY, NORMAL, OWN_DELAY, Survey
+from trackwright.tuning.survey.result import COMMON_DELAY, NORMAL, OWN_DELAY, AnchorSurvey
 from trackwright.tuning.survey.site import Site, SurveyedTable, residuals_of
 from trackwright.tuning.survey.solving import Prior, Solution, information, solved
 from trackwright.tuning.survey.starts import (
@@ -44,6 +45,9 @@ class AnchorTable(SurveyedTable[RangeWalk]):
     def walks(self, folders: Sequence[RecordingFolder], names: Sequence[str], height: float | None) -> list[RangeWalk]:
         return walks_of(folders, names, height, self.name)
 
+    def stated(self, site: Site[RangeWalk], rig: Rig) -> Rig:
+        return Rig(rig.name, anchors={name: rig.anchors[name] for name in site.given if name in rig.anchors})
+
     def begun(self, site: Site[RangeWalk], random: np.random.Generator) -> tuple[list[Solution], Prior]:
         prior = self.prior(len(site.names))
         minima = self.starts(site, prior, random)
@@ -56,7 +60,7 @@ class AnchorTable(SurveyedTable[RangeWalk]):
     def finished(
         self, site: Site[RangeWalk], solution: Solution, prior: Prior, effect: float, notes: Sequence[str],
         minima: Sequence[Solution],
-    ) -> Survey:  # fmt: skip
+    ) -> AnchorSurvey:  # fmt: skip
         walks, notes = site.walks, list(notes)
         if not site.given:
             solution, prior, words = framed(walks, solution, site.names, site.frame, site.flat, prior)
@@ -69,12 +73,12 @@ class AnchorTable(SurveyedTable[RangeWalk]):
         covariance += np.diag(np.where(searched, _between(minima, effect, site.flat), 0.0))
         readings, rms = residuals_of(walks, solution)
         before, positions = site.folders[0].rig, solution.sensors[:, :3]
-        return Survey(
-            tuple(site.names), positions, solution.sensors[:, 3], covariance, mirrored, solution.scales,
-            solution.densities, rms, readings, effect,
-            tuple(walk.positions(path) for walk, path in zip(walks, solution.paths, strict=True)),
-            replace(before, anchors={**before.anchors, **dict(zip(site.names, positions, strict=True))}), before,
-            tuple(notes),
+        anchors = {**before.anchors, **dict(zip(site.names, positions, strict=True))}
+        return AnchorSurvey(
+            names=tuple(site.names), positions=positions, delays=solution.sensors[:, 3], covariance=covariance,
+            mirrored=mirrored, scales=solution.scales, densities=solution.densities, rms=rms, readings=readings,
+            effect=effect, paths=site.paths(solution), rig=replace(before, anchors=anchors), before=before,
+            notes=tuple(notes),
         )  # fmt: skip
 
     @abstractmethod

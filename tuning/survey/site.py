@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.survey.result import Survey
 from trackwright.tuning.survey.solving import Prior, Solution
@@ -24,7 +25,8 @@ class Site(Generic[W]):
     """Walks among sensors, anchors or stations, whose ids are `names`, and what is known of their positions.
 
     `known` (S, 3), m: in the first rig, NaN where it has none; those of the `given` ones have the standard deviation
-    `sigma`, m. `frame`: three sensors that define the frame where none is given.
+    `sigma`, m, and all rotations of stations `sigma_turn`, rad, None where they are not known. `frame`: three anchors
+    that define the frame where none is given.
     """
 
     folders: Sequence[RecordingFolder]
@@ -34,6 +36,7 @@ class Site(Generic[W]):
     given: Sequence[str]
     sigma: float
     frame: Sequence[str]
+    sigma_turn: float | None
 
     @property
     def fixed(self) -> list[int]:
@@ -45,6 +48,10 @@ class Site(Generic[W]):
         """Whether a height is known, which makes z the vertical."""
         return any(walk.height is not None for walk in self.walks)
 
+    def paths(self, solution: Solution) -> tuple[Float[np.ndarray, "_ 3"], ...]:
+        """The positions of the tag in each walk, m."""
+        return tuple(walk.positions(path) for walk, path in zip(self.walks, solution.paths, strict=True))
+
     @property
     def where(self) -> str:
         """The recordings, for messages."""
@@ -54,15 +61,20 @@ class Site(Generic[W]):
 class SurveyedTable(ABC, Generic[W]):
     """A table that is surveyed with: what its unknowns are, where the search starts, and what fixes the frame.
 
-    `least`: how many anchors or stations a survey needs.
+    `least`: how many anchors or stations a survey needs; `levels`: how many scales of errors each of them has.
     """
 
     name: ClassVar[str]
     least: ClassVar[int]
+    levels: ClassVar[int] = 1
 
     @abstractmethod
     def walks(self, folders: Sequence[RecordingFolder], names: Sequence[str], height: float | None) -> list[W]:
         """The walks of all tags; `height`: of all, m, else those in rigs."""
+
+    @abstractmethod
+    def stated(self, site: Site[W], rig: Rig) -> Rig:
+        """What the rig states of the given sensors, which must be the same in all recordings."""
 
     @abstractmethod
     def begun(self, site: Site[W], random: np.random.Generator) -> tuple[list[Solution], Prior]:

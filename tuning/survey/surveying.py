@@ -1,14 +1,13 @@
-"""Surveys: where the anchors of an installation stand, from walks without truth, with intervals and verdicts."""
+"""Surveys: where anchors or stations stand, from walks without truth, with intervals and verdicts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from trackwright.trackers.core.errors import UnusableInput, listed, one_or_more
-from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import check_at_rest
@@ -16,9 +15,10 @@ from trackwright.tuning.survey.anchors import Differences, Ranges
 from trackwright.tuning.survey.result import Survey
 from trackwright.tuning.survey.site import Site, SurveyedTable, W, names_of
 from trackwright.tuning.survey.solving import design_effect, solved
+from trackwright.tuning.survey.stations import Bearings
 from trackwright.tuning.survey.walks import LEAST_RANGES, Walk
 
-TABLES: tuple[SurveyedTable, ...] = (Ranges(), Differences())
+TABLES: tuple[SurveyedTable, ...] = (Ranges(), Differences(), Bearings())
 """The tables that are surveyed with; the first that a recording has counts."""
 
 HIGHEST = 1000.0
@@ -34,30 +34,34 @@ def survey(
     sigma: float = 0.0,
     frame: Sequence[str] = (),
     height: float | None = None,
+    sigma_deg: float | None = None,
 ) -> Survey:
-    """The positions and delays of the anchors of recordings with ranges or range differences, without their truth.
+    """The positions of the anchors or stations of recordings without their truth, with delays or rotations.
 
-    Range differences refine given positions of all anchors; their delays are relative to the anchors' mean.
+    Ranges find anchors, range differences refine given positions of all anchors, with delays relative to their mean;
+    bearings find the rotations of stations of which two at least are given, and the positions of others.
 
-    `given`: anchors whose positions in the rigs are known with standard deviation `sigma`, m; 0: exactly; or "all".
-    Without any, `frame` names three anchors: the origin, one on the x axis, one to the left of it and, where
+    `given`: anchors or stations whose positions in the rigs are known with standard deviation `sigma`, m; 0: exactly;
+    or "all". `sigma_deg`: standard deviation, degrees, of the rotations of stations in the rigs; None: not known.
+    Without any given, `frame` names three anchors: the origin, one on the x axis, one to the left of it and, where
     heights are not known, in the plane z = 0; by default the first two and the next aside. `height`: of all tags,
     m, else those that the rigs give; without either, heights are estimated. Raises UnusableInput where that does not
-    fix the frame, for fewer than four anchors with ranges, and for walks to which no arrangement of them fits.
+    fix the frame, for fewer than four anchors or two stations, and for walks to which no arrangement of them fits.
     """
     folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
     given, frame = (tuple(x.split(",") if isinstance(x, str) else x) for x in (given, frame))
     _require_sense(given, sigma, frame, height)
     table = table_of(folders)
+    _require_rotations(table, frame, sigma_deg)
     names = _sensors_of(folders, table)
     given = names if given == ("all",) else given
     known = KINDS[table.name].places(folders[0].rig)
-    _require_known(names, folders[0].rig, given, frame)
-    stated = [{name: f.rig.anchors[name] for name in given if name in f.rig.anchors} for f in folders]
-    check_at_rest([replace(f, rig=Rig(f.name, anchors=a)) for f, a in zip(folders, stated, strict=True)])
+    _require_known(names, folders[0].rig.name, known, given, frame, KINDS[table.name].noun)
     walks = _long_enough(folders, names, height, table)
     places = np.array([known.get(name, np.full(3, np.nan)) for name in names], float)
-    site = Site(folders, names, walks, places, given, sigma, frame)
+    sigma_turn = None if sigma_deg is None else np.deg2rad(sigma_deg)
+    site = Site(folders, names, walks, places, given, sigma, frame, sigma_turn)
+    check_at_rest([replace(folder, rig=table.stated(site, folder.rig)) for folder in folders])
     random = np.random.default_rng(0)
     minima, prior = table.begun(site, random)
     solution, effect, tempered = minima[0], 1.0, prior
@@ -74,11 +78,13 @@ def table_of(folders: Sequence[RecordingFolder]) -> SurveyedTable:
     for table in TABLES:
         if any(table.name in folder.tables for folder in folders):
             return table
-    raise UnusableInput(f"{names_of(folders)}: no table ranges; expected ranges to anchors; give such a recording")
+    raise UnusableInput(
+        f"{names_of(folders)}: no table ranges, tdoa or bearings; expected one of them; give such a recording"
+    )
 
 
 def _sensors_of(folders: Sequence[RecordingFolder], table: SurveyedTable) -> list[str]:
-    """The anchors that have readings; raises UnusableInput for fewer than the table needs."""
+    """The anchors or stations that have readings; raises UnusableInput for fewer than the table needs."""
     tables = [folder.tables[table.name] for folder in folders if table.name in folder.tables]
     kind = KINDS[table.name]
     names = sorted({name for rows in tables for column in kind.sensors for name in rows[column].unique()})
@@ -106,22 +112,40 @@ def _require_sense(given: Sequence[str], sigma: float, frame: Sequence[str], hei
         )
 
 
-def _require_known(names: Sequence[str], rig: Rig, given: Sequence[str], frame: Sequence[str]) -> None:
-    """Raises UnusableInput for anchors without ranges, and for given ones without a position."""
+def _require_rotations(table: SurveyedTable, frame: Sequence[str], sigma_deg: float | None) -> None:
+    """Raises UnusableInput for rotations of anchors, and for a frame of stations."""
+    if sigma_deg is not None and table.name != "bearings":
+        raise UnusableInput(
+            f"sigma_deg {sigma_deg:g}: is that of rotations of stations; expected bearings; leave it out"
+        )
+    if sigma_deg is not None and not 0 <= sigma_deg < 180:
+        raise UnusableInput(f"sigma_deg {sigma_deg:g}: expected degrees, less than 180, or 0 for exact rotations")
+    if frame and table.name == "bearings":
+        raise UnusableInput(f"frame {','.join(frame)}: bearings have that of given stations; expected given; name two")
+
+
+def _require_known(
+    names: Sequence[str], rig: str, known: Mapping[str, object], given: Sequence[str], frame: Sequence[str], noun: str
+) -> None:
+    """Raises UnusableInput for anchors or stations without readings, and for given ones without a position."""
     for name in (*given, *frame):
         if name not in names:
-            raise UnusableInput(f"anchor {name!r} has no ranges; expected some of {listed(names, 12)}; correct its id")
-    lacking = [name for name in given if name not in rig.anchors]
+            raise UnusableInput(
+                f"{noun} {name!r} has no readings; expected some of {listed(names, 12)}; correct its id"
+            )
+    lacking = [name for name in (given if noun == "anchor" else names) if name not in known]
     if lacking:
-        raise UnusableInput(f"{rig.name}: rig.toml has no anchor {lacking[0]}; expected those given; add its position")
+        raise UnusableInput(f"{rig}: rig.toml has no {noun} {lacking[0]}; expected those given; add its position")
 
 
 def _long_enough(
     folders: Sequence[RecordingFolder], names: Sequence[str], height: float | None, table: SurveyedTable[W]
 ) -> list[W]:
-    """The walks; raises UnusableInput for an anchor with too few readings."""
+    """The walks; raises UnusableInput for an anchor or a station with too few readings."""
     walks = table.walks([folder for folder in folders if table.name in folder.tables], names, height)
-    seen = sum((np.bincount(walk.levels.ravel(), minlength=len(names)) for walk in walks), np.zeros(len(names), int))
+    count = table.levels * len(names)
+    by_level = sum((np.bincount(walk.levels.ravel(), minlength=count) for walk in walks), np.zeros(count, int))
+    seen = by_level.reshape(len(names), -1).min(axis=1)
     if seen.min() < LEAST_RANGES:
         few = names[int(np.argmin(seen))]
         raise UnusableInput(

@@ -7,15 +7,16 @@ of spectral density q, m²/s³. Each reading depends on four neighbouring coeffi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sparse
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 
@@ -168,15 +169,22 @@ def walks_of(
         values, number = rows.floats([column])[:, 0], rows.codes("anchor", anchors)
         second = rows.codes("anchor_2", anchors) if KINDS[table].difference else None
         usable = np.isfinite(values) if second is not None else values > 0.0
-        for k, tag in enumerate(rows.tags):
-            known = folder.rig.tags[tag].height if height is None and tag in folder.rig.tags else height
-            of_tag = np.arange(rows.starts[k], rows.starts[k + 1])
-            of_tag = of_tag[usable[of_tag]]
-            pieces = np.split(of_tag, np.flatnonzero(np.diff(rows.times[of_tag]) > GAP) + 1)
-            walks += [
-                RangeWalk(folder.name, tag, rows.times[piece], values[piece], known, number[piece],
-                          None if second is None else second[piece])
-                for piece in pieces
-                if len(piece) >= LEAST_RANGES
-            ]  # fmt: skip
+        walks += [
+            RangeWalk(folder.name, tag, rows.times[piece], values[piece], known, number[piece],
+                      None if second is None else second[piece])
+            for tag, known, piece in pieces(folder, rows, usable, height)
+        ]  # fmt: skip
     return walks
+
+
+def pieces(
+    folder: RecordingFolder, rows: TagRows, usable: Bool[np.ndarray, " N"], height: float | None
+) -> Iterator[tuple[str, float | None, Int[np.ndarray, " n"]]]:
+    """The tag of each piece between gaps, its height, m, if known, and the rows; `height`: of all, else the rig's."""
+    for k, tag in enumerate(rows.tags):
+        known = folder.rig.tags[tag].height if height is None and tag in folder.rig.tags else height
+        of_tag = np.arange(rows.starts[k], rows.starts[k + 1])
+        of_tag = of_tag[usable[of_tag]]
+        for piece in np.split(of_tag, np.flatnonzero(np.diff(rows.times[of_tag]) > GAP) + 1):
+            if len(piece) >= LEAST_RANGES:
+                yield tag, known, piece

@@ -192,11 +192,11 @@ def simulated_site(
     folders, paths = [], []
     for number, height in enumerate(heights):
         times = np.arange(int(SECONDS / len(heights) * RATE)) / RATE
-        path = _path(times, np.append(size, 2.5), random)
+        path = smooth_path(times, np.append(size, 2.5), random)
         if height is not None:
             path[:, 2] = height
         ranges = np.linalg.norm(path[:, None] - anchors, axis=2) + delays
-        ranges += SCALE * random.standard_t(DOF, ranges.shape) + lasting * _lasting(times, count, random)
+        ranges += SCALE * random.standard_t(DOF, ranges.shape) + lasting * lasting_errors(times, count, random)
         row, anchor = np.nonzero((random.random(ranges.shape) < 0.9) & (ranges > 0.05))
         table = pl.DataFrame({
             "t_s": times[row], "tag": ["0"] * len(row), "anchor": [names[k] for k in anchor],
@@ -208,7 +208,7 @@ def simulated_site(
     return folders, anchors, paths
 
 
-def _path(times: np.ndarray, size: np.ndarray, random: np.random.Generator) -> np.ndarray:
+def smooth_path(times: np.ndarray, size: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """A smooth path (n, 3), m, through a room of this size, half a metre from its walls and floor."""
     frequency, phase = random.uniform(0.01, 0.1, (3, 6, 1)), random.uniform(0.0, 2.0 * np.pi, (3, 6, 1))
     waves = np.sin(2.0 * np.pi * frequency * times + phase).sum(axis=1)
@@ -216,7 +216,7 @@ def _path(times: np.ndarray, size: np.ndarray, random: np.random.Generator) -> n
     return np.asarray(0.5 + share.T * (size - 1.0))
 
 
-def _lasting(times: np.ndarray, count: int, random: np.random.Generator) -> np.ndarray:
+def lasting_errors(times: np.ndarray, count: int, random: np.random.Generator) -> np.ndarray:
     """Errors (n, count) of unit variance with an exponential correlation over `LASTS` s."""
     keep = np.exp(-1.0 / (RATE * LASTS))
     steps = random.standard_normal((len(times), count)) * np.sqrt(1.0 - keep**2)

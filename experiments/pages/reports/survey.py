@@ -14,7 +14,7 @@ from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, elli
 from trackwright.experiments.pages.charts.style import BLUE, GREEN, GREY, Chart, write_panels
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.tuning.survey.frames import aligned
-from trackwright.tuning.survey.result import HEAD, Survey
+from trackwright.tuning.survey.result import Survey
 
 
 def survey_data(survey: Survey) -> dict[str, Any]:
