@@ -113,10 +113,10 @@ class Ranges(AnchorTable):
             )
         return minima
 
-    def improved(
-        self, walks: Sequence[RangeWalk], solution: Solution, prior: Prior, random: np.random.Generator
+    def solved(
+        self, walks: Sequence[RangeWalk], start: Solution, prior: Prior, random: np.random.Generator
     ) -> Solution:
-        return polished(walks, solution, prior, random)
+        return polished(walks, solved(walks, start, prior), prior, random)
 
     def settled(self, walks: Sequence[RangeWalk], solution: Solution, prior: Prior) -> Solution:
         return min(_off_level(walks, solution, prior), key=lambda s: s.cost)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import textwrap
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -15,6 +15,7 @@ from trackwright.trackers.core.data.frames import text_lines
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.calibration import RANGE_PRIOR
+from trackwright.tuning.survey.frames import aligned
 
 COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1
 """Standard deviations of delays before any range, m: of what all anchors share, and of each anchor's own."""
@@ -33,8 +34,8 @@ class Survey(ABC):
     """Sensors, anchors or stations, with their positions and what else of them is estimated.
 
     `names` (S,); `positions` (S, 3) m; `covariance` (U, U): of the unknowns of each sensor in turn, zero where the
-    frame or exact values fix them. `scales`, `rms` and `readings`: of errors. `densities` (walks,): of the tags'
-    accelerations, m²/s³. `effect`: by how much errors that last widen variances. `paths`: positions (n, 3), m, of the
+    frame or exact values fix them. `scales`, `rms` and `readings`: of errors. `densities` (walks,) or (walks, 3): of
+    the tags' accelerations, m²/s³. `effect`: by how much errors that last widen variances. `paths`: positions (n, 3), m, of the
     tag in each walk. `rig`: that of the first recording with these sensors; `before`: as it was. `notes`: what was
     assumed, a line each.
     """
@@ -43,7 +44,7 @@ class Survey(ABC):
     positions: Float[np.ndarray, "S 3"]
     covariance: Float[np.ndarray, "U U"]
     scales: Float[np.ndarray, " levels"]
-    densities: Float[np.ndarray, " walks"]
+    densities: Float[np.ndarray, "walks *axes"]
     rms: Float[np.ndarray, " levels"]
     readings: Int[np.ndarray, " levels"]
     effect: float
@@ -53,6 +54,7 @@ class Survey(ABC):
     notes: tuple[str, ...]
 
     noun: ClassVar[str]
+    found: ClassVar[str]
     head: ClassVar[tuple[str, ...]]
 
     @property
@@ -65,10 +67,13 @@ class Survey(ABC):
         size = len(self.covariance) // len(self.names)
         return self.covariance[size * k : size * (k + 1), size * k : size * (k + 1)]
 
-    @property
-    def places_before(self) -> Mapping[str, Float[np.ndarray, " 3"]]:
-        """The positions, m, of those that the rig had."""
-        return self.before.anchors
+    @abstractmethod
+    def before_onto(self) -> Float[np.ndarray, "k 3"]:
+        """Where the rig had sensors, m, in the frame of the survey."""
+
+    @abstractmethod
+    def numbers(self, k: int) -> dict[str, Any]:
+        """What is estimated of sensor `k`, with half-widths of 95 % intervals, by name and unit."""
 
     @abstractmethod
     def verdict(self, name: str) -> str:
@@ -136,8 +141,23 @@ class AnchorSurvey(Survey):
     delays: Float[np.ndarray, " A"]
     mirrored: Bool[np.ndarray, " A"]
 
-    noun = "anchor"
+    noun, found = "anchor", "Positions and delays"
     head = ("anchor", "x, m", "y, m", "z, m", "delay, m", "rms, cm", "ranges", "verdict")
+
+    def before_onto(self) -> Float[np.ndarray, "k 3"]:
+        known = [k for k, name in enumerate(self.names) if name in self.before.anchors]
+        if len(known) < 3:
+            return np.zeros((0, 3))
+        before = np.array([self.before.anchors[self.names[k]] for k in known])
+        turn, shift = aligned(before, self.positions[known], 2)[0]
+        return before @ turn.T + shift
+
+    def numbers(self, k: int) -> dict[str, Any]:
+        return {
+            "position_m": self.positions[k], "half_width_m": self.half_widths[k, :3], "delay_m": self.delays[k],
+            "delay_half_width_m": self.half_widths[k, 3], "delay_determined": self.delay_determined[k],
+            "rms_m": self.rms[k], "ranges": self.readings[k],
+        }  # fmt: skip
 
     @property
     def delay_determined(self) -> Bool[np.ndarray, " A"]:

@@ -14,7 +14,7 @@ from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.survey.result import Survey
-from trackwright.tuning.survey.solving import Prior, Solution
+from trackwright.tuning.survey.solving import Prior, Solution, solved
 from trackwright.tuning.survey.walks import Walk
 
 W = TypeVar("W", bound=Walk)
@@ -80,9 +80,9 @@ class SurveyedTable(ABC, Generic[W]):
     def begun(self, site: Site[W], random: np.random.Generator) -> tuple[list[Solution], Prior]:
         """Minima of the cost, the first one among the given sensors, and the density before any reading."""
 
-    def improved(self, walks: Sequence[W], solution: Solution, prior: Prior, random: np.random.Generator) -> Solution:
-        """The solution, with sensors in local minima of their own moved to better ones."""
-        return solution
+    def solved(self, walks: Sequence[W], start: Solution, prior: Prior, random: np.random.Generator) -> Solution:
+        """The solution from a start; `random`: for sensors in local minima of their own."""
+        return solved(walks, start, prior)
 
     def settled(self, walks: Sequence[W], solution: Solution, prior: Prior) -> Solution:
         """The solution after all else that may improve it once the design effect is known."""

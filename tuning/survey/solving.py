@@ -32,24 +32,28 @@ _STEPS, _CONVERGED = 60, 1e-4
 class Solution:
     """The unknowns of each sensor (S, w), the coefficients of each walk's path (knots, d), m, and noise levels.
 
-    `scales` (levels,): of errors, m or rad. `densities` (walks,): of the accelerations, m²/s³. `cost`: the negative
-    log-likelihood, marginal over the paths, linearised; smaller is better.
+    `scales` (levels,): of errors, m or rad. `densities` (walks,) or, by axis, (walks, 3): of the accelerations, m²/s³.
+    `cost`: the negative log-likelihood, marginal over the paths, linearised; smaller is better.
     """
 
     sensors: Float[np.ndarray, "S w"]
     paths: Sequence[np.ndarray]
     scales: Float[np.ndarray, " levels"]
-    densities: Float[np.ndarray, " walks"]
+    densities: Float[np.ndarray, "walks *axes"]
     cost: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """The normal density of the unknowns (U,) before any reading, by mean and precision; those not `free` are known."""
+    """The normal density of the unknowns (U,) before any reading, by mean and precision; those not `free` are known.
+
+    `tilt` (U,): the slope of what else the cost has.
+    """
 
     mean: Float[np.ndarray, " U"]
     precision: Float[np.ndarray, "U U"]
     free: Bool[np.ndarray, " U"]
+    tilt: Float[np.ndarray, " U"] | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +84,12 @@ def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
     return (DOF + 1.0) / (DOF * scales**2 + residuals**2)
 
 
-def _linearised(walk: Walk, solution: Solution, k: int, damping: float) -> Linearised:
+def linearised(walk: Walk, solution: Solution, k: int, damping: float) -> Linearised:
+    """Walk number `k` at a solution; `damping`: the share by which the diagonal of its path's information grows."""
     residuals, units, partial = walk.linearised(solution.sensors, solution.paths[k])
     weights = robust_weights(residuals, scales_of(walk, solution))
     along = walk.along(units)
-    rough = walk.roughness / solution.densities[k]
+    rough = walk.rough(solution.densities[k])
     weighted = along.T.multiply(weights).tocsr()
     information = weighted @ along + rough
     factor = cholesky_banded(_banded(information, 4 * walk.dimensions - 1, damping))
@@ -104,14 +109,14 @@ def _banded(matrix: sparse.csr_array, width: int, damping: float) -> np.ndarray:
 def cost_of(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
     """The negative log density of readings, paths and sensors, with the noise levels of the solution."""
     away = solution.sensors.ravel() - prior.mean
-    cost = 0.5 * away @ prior.precision @ away
+    cost = 0.5 * away @ prior.precision @ away + float(np.sum(prior.tilt * away))
     for walk, path, density in zip(walks, solution.paths, solution.densities, strict=True):
         residuals = walk.residuals(solution.sensors, path)
         scales = scales_of(walk, solution)
         cost += 0.5 * (DOF + 1.0) * np.log1p((residuals / scales) ** 2 / DOF).sum() + np.log(scales).sum()
         flat = path.ravel()
-        bent = (path.shape[0] - 2) * path.shape[1]
-        cost += 0.5 * (flat @ (walk.roughness @ flat) / density + bent * np.log(density))
+        logs = np.broadcast_to(np.log(density), 3)[: path.shape[1]]
+        cost += 0.5 * (flat @ (walk.rough(density) @ flat) + (path.shape[0] - 2) * logs.sum())
     return float(cost)
 
 
@@ -160,10 +165,10 @@ def _reduced(
 ) -> tuple[np.ndarray, np.ndarray, list[Linearised]]:
     """The information (U, U) of sensors with the paths eliminated, its gradient (U,), and the walks linearised."""
     system = prior.precision.copy()
-    gradient = prior.precision @ (prior.mean - solution.sensors.ravel())
+    gradient = prior.precision @ (prior.mean - solution.sensors.ravel()) - prior.tilt
     parts = []
     for k, walk in enumerate(walks):
-        part = _linearised(walk, solution, k, damping)
+        part = linearised(walk, solution, k, damping)
         eliminated = cho_solve_banded((part.factor, False), np.column_stack([part.cross, part.slope]))
         weighted = part.partial * part.weights[:, None]
         system += part.partial.T @ weighted - part.cross.T @ eliminated[:, :-1]
@@ -178,7 +183,7 @@ def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
     squares, numbers, densities = np.zeros(count), np.zeros(count), []
     random = np.random.default_rng(0)
     for k, walk in enumerate(walks):
-        part = _linearised(walk, solution, k, 0.0)
+        part = linearised(walk, solution, k, 0.0)
         width = part.factor.shape[0] - 1
         probes = random.standard_normal((part.factor.shape[1], PROBES))
         drawn = solve_banded((0, width), part.factor, probes)
@@ -187,10 +192,7 @@ def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
         for end in walk.levels.T:
             squares += np.bincount(end, part.weights * part.residuals**2, count)
             numbers += np.bincount(end, 1.0 - np.minimum(leverage, 1.0), count)
-        flat = solution.paths[k].ravel()
-        bent = (solution.paths[k].shape[0] - 2) * walk.dimensions
-        unseen = (drawn * (walk.roughness @ drawn)).sum(axis=0).mean() / solution.densities[k]
-        densities.append(flat @ (walk.roughness @ flat) / max(bent - unseen, 0.05 * bent))
+        densities.append(_density(walk, solution.paths[k], drawn, solution.densities[k]))
     # Four unknowns of each anchor are fitted to its ranges, too.
     scales = solution.scales * np.sqrt(squares / np.maximum(numbers - 4.0, 1.0))
     return replace(
@@ -199,9 +201,20 @@ def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
     )  # fmt: skip
 
 
+def _density(walk: Walk, path: np.ndarray, drawn: np.ndarray, density: np.ndarray) -> np.ndarray:
+    """The density of accelerations of greatest marginal likelihood, by errors of the path that are `drawn`."""
+    knots, d = path.shape
+    bends = (path * (walk.roughness @ path.ravel()).reshape(path.shape)).sum(axis=0)
+    unseen = (drawn * (walk.rough(density) @ drawn)).mean(axis=1).reshape(path.shape).sum(axis=0)
+    if np.ndim(density) == 0:
+        bent = (knots - 2) * d
+        return bends.sum() / max(bent - unseen.sum(), 0.05 * bent)
+    return np.append(bends / np.maximum(knots - 2 - unseen, 0.05 * (knots - 2)), density[d:])
+
+
 def _log_volume(walks: Sequence[Walk], solution: Solution) -> float:
     """Half the log determinant of the paths' information."""
-    return sum(float(np.log(_linearised(walk, solution, k, 0.0).factor[-1]).sum()) for k, walk in enumerate(walks))
+    return sum(float(np.log(linearised(walk, solution, k, 0.0).factor[-1]).sum()) for k, walk in enumerate(walks))
 
 
 def design_effect(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
@@ -253,7 +266,7 @@ def information(walks: Sequence[Walk], solution: Solution) -> np.ndarray:
         weights = FISHER / scales_of(walk, solution) ** 2
         along = walk.along(units)
         weighted = along.T.multiply(weights).tocsr()
-        rough = walk.roughness / solution.densities[k]
+        rough = walk.rough(solution.densities[k])
         factor = cholesky_banded(_banded(weighted @ along + rough, 4 * walk.dimensions - 1, 0.0))
         cross = weighted @ partial
         system += partial.T @ (partial * weights[:, None]) - cross.T @ cho_solve_banded((factor, False), cross)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -35,12 +35,22 @@ class StationSurvey(Survey):
     rms_before: Float[np.ndarray, " levels"] | None
     fixed_height: bool
 
-    noun = "station"
+    noun, found = "station", "Positions, rotations and gains"
     head = ("station", "x, m", "y, m", "z, m", "yaw, °", "pitch, °", "roll, °", "gain az", "el", "rms, °", "verdict")
 
-    @property
-    def places_before(self) -> Mapping[str, Float[np.ndarray, " 3"]]:
-        return {name: station.position for name, station in self.before.stations.items()}
+    def before_onto(self) -> Float[np.ndarray, "S 3"]:
+        return np.array([self.before.stations[name].position for name in self.names])
+
+    def numbers(self, k: int) -> dict[str, Any]:
+        (heading, tilt), widths = self.turns(k), self.half_widths[k]
+        over, height, turned, tilted = self.determined(self.names[k])
+        return {
+            "position_m": self.positions[k], "half_width_m": widths[:3], "rotation_wxyz": self.rotations[k],
+            "yaw_pitch_roll_deg": np.rad2deg(self.angles()[k]), "heading_half_width_deg": np.rad2deg(heading),
+            "tilt_half_width_deg": np.rad2deg(tilt), "gains": self.gains[k], "gains_half_width": widths[6:],
+            "determined": {"xy": over, "z": height, "heading": turned, "tilt": tilted},
+            "rms_deg": np.rad2deg(self.rms.reshape(-1, 2)[k]), "bearings": self.readings.reshape(-1, 2)[k],
+        }  # fmt: skip
 
     def angles(self) -> Float[np.ndarray, "S 3"]:
         """Yaw, pitch and roll of the stations, rad, as rig.toml has them."""

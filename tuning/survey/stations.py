@@ -31,9 +31,13 @@ from trackwright.tuning.survey.solving import Prior, Solution, information, solv
 from trackwright.tuning.survey.starts import FIRST_DENSITY
 from trackwright.tuning.survey.station_result import StationSurvey
 from trackwright.tuning.survey.station_starts import directions, intersected, path_between, placed, rotations_found
+from trackwright.tuning.survey.volume import volume_slope
 
 FIRST_SCALE = 0.1
 """Scale of errors, rad, with which the search begins."""
+
+TILTS, SETTLED = 8, 1e-3
+"""How often the slope of the paths' volume, and the solution with it, are computed in turn; the last move, m, rad."""
 
 KEPT, APART, FEW, REFINED = 4, 0.3, 10, 3
 """Starts: how many, how far apart, rad, solved in how few steps, and how many of them to the end."""
@@ -66,6 +70,18 @@ class Bearings(SurveyedTable[BearingWalk]):
         tried = [solved(site.walks, start, prior, FEW) for start in starts(site, random)]
         best = sorted(tried, key=lambda s: s.cost)[:REFINED]
         return sorted((solved(site.walks, start, prior) for start in best), key=lambda s: s.cost), prior
+
+    def solved(
+        self, walks: Sequence[BearingWalk], start: Solution, prior: Prior, random: np.random.Generator
+    ) -> Solution:
+        """The solution of greatest likelihood with the paths integrated out."""
+        solution = start
+        for _ in range(TILTS):
+            before = solution
+            solution = solved(walks, before, replace(prior, tilt=volume_slope(walks, before)))
+            if np.abs(solution.sensors - before.sensors).max() < SETTLED:
+                break
+        return solution
 
     def finished(
         self, site: Site[BearingWalk], solution: Solution, prior: Prior, effect: float, notes: Sequence[str],
@@ -147,7 +163,7 @@ def starts(site: Site[BearingWalk], random: np.random.Generator) -> list[Solutio
             sensors[:, TURN] = 0.0
         paths = [path_between(walk, times, part)
                  for walk, (times, _), part in zip(walks, epochs, np.split(way, ends), strict=True)]  # fmt: skip
-        levels = np.full(2 * count, FIRST_SCALE), np.full(len(walks), FIRST_DENSITY)
+        levels = np.full(2 * count, FIRST_SCALE), np.full((len(walks), 3), FIRST_DENSITY)
         found.append(Solution(sensors, paths, *levels))
     return found
 

@@ -14,7 +14,7 @@ from trackwright.tuning.calibrating import check_at_rest
 from trackwright.tuning.survey.anchors import Differences, Ranges
 from trackwright.tuning.survey.result import Survey
 from trackwright.tuning.survey.site import Site, SurveyedTable, W, names_of
-from trackwright.tuning.survey.solving import design_effect, solved
+from trackwright.tuning.survey.solving import design_effect
 from trackwright.tuning.survey.stations import Bearings
 from trackwright.tuning.survey.walks import LEAST_RANGES, Walk
 
@@ -66,7 +66,7 @@ def survey(
     minima, prior = table.begun(site, random)
     solution, effect, tempered = minima[0], 1.0, prior
     for _ in range(ROUNDS):
-        solution = table.improved(walks, solved(walks, solution, tempered), tempered, random)
+        solution = table.solved(walks, solution, tempered, random)
         effect = design_effect(walks, solution, tempered)
         tempered = replace(prior, precision=prior.precision * effect)
     solution = table.settled(walks, solution, tempered)

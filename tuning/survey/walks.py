@@ -89,6 +89,13 @@ class Walk(ABC):
         second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(knots - 2, knots))
         return sparse.csr_array(sparse.kron(second.T @ second / STEP**3, sparse.eye_array(self.dimensions)))
 
+    def rough(self, density: float | Float[np.ndarray, " 3"]) -> sparse.csr_array:
+        """The information, m⁻², of a path of these accelerations, m²/s³: the same along all axes, or one of each."""
+        if np.ndim(density) == 0:
+            return self.roughness / density
+        by_axis = np.tile(1.0 / np.asarray(density)[: self.dimensions], self.basis.shape[1])
+        return sparse.csr_array(self.roughness.multiply(by_axis[:, None]))
+
     def positions(self, coefficients: Float[np.ndarray, "knots d"]) -> Float[np.ndarray, "n 3"]:
         """The positions of the tag, m, at the times of the ranges."""
         path = self.basis @ coefficients

@@ -16,13 +16,12 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+import scipy.sparse as sparse
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 import trackwright as tw
-from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
-from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.lab.validation.surveys import (
     COVERED,
     DOF,
@@ -34,7 +33,7 @@ from trackwright.experiments.lab.validation.surveys import (
     smooth_path,
 )
 from trackwright.experiments.text.terminal import progress
-from trackwright.tuning.survey.bearings import GAINS, POSITION, TURN, BearingWalk, bearing_walks
+from trackwright.tuning.survey.bearings import POSITION, bearing_walks
 from trackwright.tuning.survey.result import NORMAL
 from trackwright.tuning.survey.site import Site
 from trackwright.tuning.survey.solving import FISHER
@@ -142,33 +141,39 @@ def bound_of(
     found: StationSurvey, folder: tw.RecordingFolder, truth: Float[np.ndarray, "S 8"], path: Float[np.ndarray, "n 3"],
     lasting: float, known: Mapping[str, Any],
 ) -> Float[np.ndarray, "S 8"]:  # fmt: skip
-    """The bound of the unknowns at the truth, with the correlation of errors that last.
-
-    Dense: the derivatives by stations and path, whitened by the covariance of each station's angle.
-    """
+    """The bound of the unknowns at the truth; errors that last are unknowns of a Markov process, eliminated like the path."""
     names = found.names
     (walk,) = bearing_walks([folder], names, None)
     times = np.arange(len(path)) / RATE
     at = np.column_stack([np.interp(walk.times, times, column) for column in path.T])
     _, units, partial = walk.linearised(truth, walk.fitted(at))
-    derivatives = np.column_stack([partial, walk.along(units).toarray()])
-    rough = walk.roughness.toarray() / found.densities[0]
-    size = partial.shape[1]
-    whole = np.zeros((derivatives.shape[1],) * 2)
-    whole[size:, size:] = rough + 1e-6 * np.eye(len(rough))
+    weight, rough = FISHER / SCALE**2, walk.rough(found.densities[0])
+    along, errors = walk.along(units), sparse.eye_array(len(walk.times))
+    blocks = [rough + 1e-6 * sparse.eye_array(rough.shape[0])]
+    if lasting > 0.0:
+        along = sparse.hstack([along, errors])
+        blocks.append(_markov(walk.levels[:, 0], walk.times) / lasting**2)
+    eliminated = sparse.csc_array(sparse.block_diag(blocks) + weight * (along.T @ along))
+    cross = weight * (along.T @ partial)
     given = (names if known["given"] == "all" else known["given"], known.get("sigma", 0.0))
     turn = np.deg2rad(known["sigma_deg"]) if "sigma_deg" in known else None
     prior = prior_of(Site([folder], names, [walk], truth[:, POSITION], *given, (), turn))
-    whole[:size, :size] = prior.precision
-    for level in np.unique(walk.levels):
-        own = walk.levels[:, 0] == level
-        apart = np.abs(np.subtract.outer(walk.times[own], walk.times[own]))
-        covariance = lasting**2 * np.exp(-apart / LASTS) + SCALE**2 / FISHER * np.eye(own.sum())
-        whole += derivatives[own].T @ np.linalg.solve(covariance, derivatives[own])
-    kept = np.append(prior.free, np.ones(len(rough), bool))
-    bound = np.full(len(kept), np.inf)
-    bound[kept] = np.sqrt(np.diag(np.linalg.inv(whole[np.ix_(kept, kept)])))
-    return bound[:size].reshape(-1, UNKNOWNS)
+    whole = prior.precision + weight * partial.T @ partial - cross.T @ sparse.linalg.splu(eliminated).solve(cross)
+    bound = np.full(len(whole), np.inf)
+    bound[prior.free] = np.sqrt(np.diag(np.linalg.inv(whole[np.ix_(prior.free, prior.free)])))
+    return bound.reshape(-1, UNKNOWNS)
+
+
+def _markov(levels: np.ndarray, times: np.ndarray) -> sparse.csr_array:
+    """The precision (n, n) of errors of unit variance, of several levels, that are correlated over `LASTS` s."""
+    order = np.lexsort((times, levels))
+    same = np.diff(levels[order]) == 0
+    keep = np.where(same, np.exp(-np.diff(times[order]) / LASTS), 0.0)
+    step = np.append(1.0, 1.0 / np.sqrt(1.0 - keep**2))
+    # Each error less what is kept of the one before, over the standard deviation of what is new.
+    whiten = sparse.diags_array([step, -keep * step[1:]], offsets=[0, -1])
+    placed = sparse.csr_array(whiten)[:, np.argsort(order)]
+    return sparse.csr_array(placed.T @ placed)
 
 
 def simulated_stations(
