@@ -35,9 +35,9 @@ class Survey(ABC):
 
     `names` (S,); `positions` (S, 3) m; `covariance` (U, U): of the unknowns of each sensor in turn, zero where the
     frame or exact values fix them. `scales`, `rms` and `readings`: of errors. `densities` (walks,) or (walks, 3): of
-    the tags' accelerations, m²/s³. `effect`: by how much errors that last widen variances. `paths`: positions (n, 3), m, of the
-    tag in each walk. `rig`: that of the first recording with these sensors; `before`: as it was. `notes`: what was
-    assumed, a line each.
+    the tags' accelerations, m²/s³. `effect`: by how much errors that last widen variances. `paths`: positions (n, 3),
+    m, of the tag in each walk. `rig`: that of the first recording with these sensors; `before`: as it was. `notes`:
+    what was assumed, a line each.
     """
 
     names: tuple[str, ...]

@@ -25,8 +25,8 @@ class StationSurvey(Survey):
 
     `rotations` (S, 4): unit quaternions w, x, y, z, array frame to world frame. `gains` (S, 2): of azimuth and
     elevation, by which a station's angles are larger than true ones. `covariance` (8S, 8S): of the position, m, of
-    turns about the array's axes, rad, and of the gains of each station in turn. `scales`, `rms`, `rms_before` (of the rig as
-    it was, None where it states no rotations), rad, and `readings` (2S,): of azimuths and elevations in turn.
+    turns about the array's axes, rad, and of the gains of each station in turn. `scales`, `rms`, `rms_before` (of the
+    rig as it was, None where it states no rotations), rad, and `readings` (2S,): of azimuths and elevations in turn.
     `fixed_height`: whether the tags' heights are known.
     """
 

@@ -31,7 +31,7 @@ FARTHEST = 40.0
 ROUGHLY = 0.15
 """Scale of errors of directions, rad, in the search."""
 
-PLACES, SHRINKS, MARGIN = 1500, 4, 5.0
+PLACES, SHRINKS, MARGIN = 400, 5, 5.0
 """Places of a station that are tried, how often closer together, and how far, m, outside of what is known."""
 
 
@@ -167,7 +167,7 @@ def _facing(
     """The rotations of a station that sees points in these directions, robustly, and the lengths of the misses."""
     ahead, _ = misses(points, place, np.eye(3), local)
     weights = (np.isfinite(points[..., 0]) & np.isfinite(local[:, 0])).astype(float)
-    for _ in range(3):
+    for _ in range(2):
         turns = turned_onto(local, ahead, weights)
         lengths = misses(points, place, turns, local)[1]
         weights = weights_of(lengths)
@@ -184,7 +184,7 @@ def placed(
         tried = random.uniform(low, high, (PLACES, 3))
         turns, lengths = _facing(np.broadcast_to(points[seen], (PLACES, seen.sum(), 3)), tried, local[seen])
         best = int(np.argmin(cost_of_misses(lengths)))
-        size = 0.15 * (high - low)
+        size = 0.25 * (high - low)
         low, high = tried[best] - size, tried[best] + size
     return tried[best], turns[best]
 

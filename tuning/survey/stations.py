@@ -36,10 +36,10 @@ from trackwright.tuning.survey.volume import volume_slope
 FIRST_SCALE = 0.1
 """Scale of errors, rad, with which the search begins."""
 
-TILTS, SETTLED = 8, 1e-3
-"""How often the slope of the paths' volume, and the solution with it, are computed in turn; the last move, m, rad."""
+TILTS, STEPS, SETTLED = 8, 6, 1e-3
+"""How often the slope of the paths' volume, and so many steps with it, are taken in turn; the last move, m or rad."""
 
-KEPT, APART, FEW, REFINED = 4, 0.3, 10, 3
+KEPT, APART, FEW, REFINED = 6, 0.3, 8, 2
 """Starts: how many, how far apart, rad, solved in how few steps, and how many of them to the end."""
 
 
@@ -67,9 +67,9 @@ class Bearings(SurveyedTable[BearingWalk]):
     def begun(self, site: Site[BearingWalk], random: np.random.Generator) -> tuple[list[Solution], Prior]:
         _require_frame(site)
         prior = prior_of(site)
-        tried = [solved(site.walks, start, prior, FEW) for start in starts(site, random)]
-        best = sorted(tried, key=lambda s: s.cost)[:REFINED]
-        return sorted((solved(site.walks, start, prior) for start in best), key=lambda s: s.cost), prior
+        tried = sorted((solved(site.walks, start, prior, FEW) for start in starts(site, random)), key=lambda s: s.cost)
+        refined = [solved(site.walks, start, prior) for start in tried[:REFINED]]
+        return sorted([*refined, *tried[REFINED:]], key=lambda s: s.cost), prior
 
     def solved(
         self, walks: Sequence[BearingWalk], start: Solution, prior: Prior, random: np.random.Generator
@@ -78,7 +78,7 @@ class Bearings(SurveyedTable[BearingWalk]):
         solution = start
         for _ in range(TILTS):
             before = solution
-            solution = solved(walks, before, replace(prior, tilt=volume_slope(walks, before)))
+            solution = solved(walks, before, replace(prior, tilt=volume_slope(walks, before)), STEPS)
             if np.abs(solution.sensors - before.sensors).max() < SETTLED:
                 break
         return solution

@@ -21,7 +21,9 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 import trackwright as tw
+from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
+from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.lab.validation.surveys import (
     COVERED,
     DOF,
@@ -54,7 +56,8 @@ CASES: Mapping[str, dict[str, Any]] = {
 HEIGHTS = (None, 1.2)
 """Of the tag, m; None: through space."""
 
-WALKS = tuple(f"ble51-walk-u{k}-*" for k in (1, 2, 3))
+WALKS, ROUGHLY = ("ble51-walk-*",), 10.0
+"""Recordings, and the standard deviation, °, about each axis of rotations that are refined in them."""
 
 
 def bearing_surveys(*, output: Output = DEFAULTS) -> int:
@@ -71,6 +74,60 @@ def bearing_surveys(*, output: Output = DEFAULTS) -> int:
     note = "Errors and bounds: root mean squares; medians of the errors of a position and of a turn; s: processor time."
     output.publish("validation bearing-surveys", Table(rows, note=note))
     return int(any(row["good"] == "no" for row in rows))
+
+
+def real_bearing_surveys(*, output: Output = DEFAULTS) -> int:
+    """Rotations of the stations of Bluetooth walks, without their truth, against the published ones, and tracking."""
+    keep_programs()
+    folders = recorded(WALKS)[: 1 if output.small else None]
+    rows = [real_survey(folder, seed, sigma) for seed, folder in enumerate(folders) for sigma in (None, ROUGHLY)]
+    note = (
+        "Turns: medians of the angles between rotations and the published ones; wrong: determined and off by more than "
+        "three standard deviations; RMSE: horizontal, of bearings with the rig as published, as given, and as surveyed."
+    )
+    output.publish("validation real-bearing-surveys", Table(rows, note=note))
+    return int(any(row["wrong"] for row in rows))
+
+
+def real_survey(folder: tw.RecordingFolder, seed: int, sigma: float | None) -> Row:
+    """Rotations found from published positions alone, or given ones off by `sigma` degrees about each axis refined."""
+    random, true = np.random.default_rng([seed, 39]), folder.rig.stations
+    # Unknown ones are all the same in the file.
+    rough = {
+        name: replace(
+            station,
+            rotation=(1.0, 0.0, 0.0, 0.0)
+            if sigma is None
+            else turned(station.rotation, np.deg2rad(sigma) * random.standard_normal(3)),
+        )
+        for name, station in true.items()
+    }
+    given = replace(folder, rig=replace(folder.rig, stations=rough))
+    began = time.process_time()
+    found = survey([given], given="all", sigma_deg=sigma)
+    seconds = time.process_time() - began
+    assert isinstance(found, StationSurvey)
+    errors = errors_of(found, folder.rig)[:, 3:]
+    before = errors_of(replace(found, rotations=np.array([rough[name].rotation for name in found.names])), folder.rig)
+    sigmas = found.half_widths[:, 3:6] / NORMAL
+    stated = np.array([[heading and tilt] * 3 for *_, heading, tilt in map(found.determined, found.names)])
+    rmse = [_rmse(replace(folder, rig=rig)) for rig in (folder.rig, given.rig, found.rig)]
+    return {
+        "recording": folder.name, "rotations given": "no" if sigma is None else f"to {sigma:g}°",
+        "effect": float(found.effect), "given, °": _median_turn(before[:, 3:]) if sigma else np.nan,
+        "surveyed, °": _median_turn(errors), "inside 95 %": 100.0 * float(np.mean(np.abs(errors) < NORMAL * sigmas)),
+        "determined %": 100.0 * float(np.mean(stated)), "wrong": int((np.abs(errors) > 3.0 * sigmas)[stated].sum()),
+        "RMSE published, m": rmse[0], "given, m": rmse[1] if sigma else np.nan, "surveyed, m": rmse[2], "s": seconds,
+    }  # fmt: skip
+
+
+def _median_turn(turns: Float[np.ndarray, "S 3"]) -> float:
+    return float(np.rad2deg(np.median(np.linalg.norm(turns, axis=1))))
+
+
+def _rmse(folder: tw.RecordingFolder) -> float:
+    """The horizontal RMSE, m, of `bearings` on a recording with truth."""
+    return float(tw.evaluate(tw.build("bearings", [folder]).run([folder]), [folder])["rmse_m"])
 
 
 def _row(case: str, lasting: float, rows: Sequence[Row]) -> Row:
@@ -96,7 +153,7 @@ def simulated_survey(seed: int, case: str, lasting: float) -> Row:
         name: replace(
             station,
             position=station.position + known.get("sigma", 0.0) * random.standard_normal(3),
-            rotation=_turned(station.rotation, np.deg2rad(known["sigma_deg"]) * random.standard_normal(3))
+            rotation=turned(station.rotation, np.deg2rad(known["sigma_deg"]) * random.standard_normal(3))
             if "sigma_deg" in known
             else (1.0, 0.0, 0.0, 0.0),
         )
@@ -132,7 +189,8 @@ def errors_of(found: StationSurvey, true: tw.Rig) -> Float[np.ndarray, "S 6"]:
     return np.column_stack([found.positions - [s.position for s in stations], turned])
 
 
-def _turned(rotation: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def turned(rotation: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """A quaternion w, x, y, z turned about its own axes by a rotation vector, rad."""
     whole = Rotation.from_quat(rotation, scalar_first=True) * Rotation.from_rotvec(turn)
     return whole.as_quat(scalar_first=True)
 
@@ -141,7 +199,7 @@ def bound_of(
     found: StationSurvey, folder: tw.RecordingFolder, truth: Float[np.ndarray, "S 8"], path: Float[np.ndarray, "n 3"],
     lasting: float, known: Mapping[str, Any],
 ) -> Float[np.ndarray, "S 8"]:  # fmt: skip
-    """The bound of the unknowns at the truth; errors that last are unknowns of a Markov process, eliminated like the path."""
+    """The bound of the unknowns at the truth, with errors that last as unknowns that are eliminated like the path."""
     names = found.names
     (walk,) = bearing_walks([folder], names, None)
     times = np.arange(len(path)) / RATE
@@ -190,7 +248,7 @@ def simulated_stations(
     stations = {}
     for k, position in enumerate(positions):
         towards = tw.sim.facing(position, np.append(0.5 * size, 1.0), (0.0, 0.0, 1.0))
-        stations[f"S{k}"] = tw.Station(position, _turned(towards, 0.15 * random.standard_normal(3)))
+        stations[f"S{k}"] = tw.Station(position, turned(towards, 0.15 * random.standard_normal(3)))
     gains = 1.0 + GAIN * random.standard_normal((count, 2))
     times = np.arange(int(SECONDS * RATE)) / RATE
     path = smooth_path(times, np.append(size, 2.5), random)
