@@ -16,11 +16,11 @@ from trackwright.tuning.survey.bearings import BearingWalk
 EPOCHS, NEAR = 60, 0.75
 """Times of a walk, and the largest time, s, to the next bearings of a station on either side of such a time."""
 
-DRAWS, REFINED, TURNS = 1500, 40, 12
+DRAWS, REFINED, TURNS = 800, 20, 12
 """Rotations of the first station that are drawn, how many of the best are refined, and in how many turns."""
 
-LEVEL_SHARE, TILT = 0.6, 0.15
-"""Share of drawn rotations of stations that are about level, and the standard deviation of their tilt, rad."""
+TILT = 0.15
+"""Standard deviation of the tilt of stations that are about level, rad."""
 
 HEIGHTS = 0.3, 2.5
 """Distances of an unknown height of the tag from the station's, m, that are drawn above and below."""
@@ -119,24 +119,30 @@ def cost_of_misses(lengths: Float[np.ndarray, "*c k"]) -> Float[np.ndarray, "*c"
     return np.log1p((np.minimum(lengths, np.sqrt(2.0)) / ROUGHLY) ** 2).sum(axis=-1)
 
 
-def drawn_rotations(count: int, random: np.random.Generator) -> Float[np.ndarray, "c 3 3"]:
-    """Rotations of stations, array frame to world frame: about level ones to all sides, and any."""
-    level = int(LEVEL_SHARE * count)
-    about = Rotation.from_euler("z", random.uniform(0.0, 2.0 * np.pi, (level, 1))).as_matrix()
-    tilts = Rotation.from_rotvec(TILT * random.standard_normal((level, 3))).as_matrix()
+def level_rotations(random: np.random.Generator) -> Float[np.ndarray, "c 3 3"]:
+    """Rotations of stations that look to all sides and are about level, array frame to world frame."""
+    about = Rotation.from_euler("z", random.uniform(0.0, 2.0 * np.pi, (DRAWS, 1))).as_matrix()
+    tilts = Rotation.from_rotvec(TILT * random.standard_normal((DRAWS, 3))).as_matrix()
     # The array's x axis is left of its boresight z, and y points up.
-    mounted = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    return np.concatenate([about @ mounted @ tilts, Rotation.random(count - level, random).as_matrix()])
+    return about @ np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]) @ tilts
+
+
+def any_rotations(random: np.random.Generator) -> Float[np.ndarray, "c 3 3"]:
+    """Rotations of stations that are mounted in any way."""
+    return Rotation.random(DRAWS, random).as_matrix()
 
 
 def rotations_found(
     places: Float[np.ndarray, "S 3"], local: Float[np.ndarray, "k S 3"], heights: Float[np.ndarray, " k"],
-    random: np.random.Generator,
+    drawn: Float[np.ndarray, "c 3 3"], random: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "c S 3 3"], Float[np.ndarray, "c k 3"]]:  # fmt: skip
-    """Rotations of stations at known places, and points of the tag, m, that fit directions; the best first."""
+    """Rotations of stations at known places, and points of the tag, m, that fit directions; the best first.
+
+    `drawn`: rotations that are tried of the station that is seen most.
+    """
     first = int(np.argmax(np.isfinite(local[..., 0]).sum(axis=0)))
-    rays = np.einsum("cij,kj->cki", drawn_rotations(DRAWS, random), local[:, first])
-    away = random.choice([-1.0, 1.0], DRAWS, p=[0.8, 0.2]) * random.uniform(*HEIGHTS, DRAWS)
+    rays = np.einsum("cij,kj->cki", drawn, local[:, first])
+    away = random.choice([-1.0, 1.0], len(drawn), p=[0.8, 0.2]) * random.uniform(*HEIGHTS, len(drawn))
     drop = np.where(np.isfinite(heights), heights - places[first, 2], away[:, None])
     with np.errstate(divide="ignore", invalid="ignore"):
         length = drop / rays[..., 2]

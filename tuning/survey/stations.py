@@ -30,7 +30,15 @@ from trackwright.tuning.survey.site import Site, SurveyedTable, residuals_of
 from trackwright.tuning.survey.solving import Prior, Solution, information, solved
 from trackwright.tuning.survey.starts import FIRST_DENSITY
 from trackwright.tuning.survey.station_result import StationSurvey
-from trackwright.tuning.survey.station_starts import directions, intersected, path_between, placed, rotations_found
+from trackwright.tuning.survey.station_starts import (
+    any_rotations,
+    directions,
+    intersected,
+    level_rotations,
+    path_between,
+    placed,
+    rotations_found,
+)
 from trackwright.tuning.survey.volume import volume_slope
 
 FIRST_SCALE = 0.1
@@ -39,7 +47,7 @@ FIRST_SCALE = 0.1
 TILTS, STEPS, SETTLED = 8, 6, 1e-3
 """How often the slope of the paths' volume, and so many steps with it, are taken in turn; the last move, m or rad."""
 
-KEPT, APART, FEW, REFINED = 6, 0.3, 8, 2
+KEPT, APART, FEW, REFINED = 3, 0.3, 8, 3
 """Starts: how many, how far apart, rad, solved in how few steps, and how many of them to the end."""
 
 
@@ -144,9 +152,13 @@ def starts(site: Site[BearingWalk], random: np.random.Generator) -> list[Solutio
         [np.full(len(times), walk.height, float) for walk, (times, _) in zip(walks, epochs, strict=True)]
     )
     if site.sigma_turn is None:
-        turns, points = rotations_found(site.known[fixed], local[:, fixed], heights, random)
-        chosen = _different(turns)
-        turns, points = turns[chosen], points[chosen]
+        # Stations that hang upside down fit some walks as well: both are tried.
+        pools = []
+        for drawn in (level_rotations(random), any_rotations(random)):
+            turns, points = rotations_found(site.known[fixed], local[:, fixed], heights, drawn, random)
+            chosen = _different(turns)
+            pools.append((turns[chosen], points[chosen]))
+        turns, points = (np.concatenate(of) for of in zip(*pools, strict=True))
     else:
         turns = references[fixed][None]
         points = intersected(site.known[fixed], np.einsum("csij,ksj->cksi", turns, local[:, fixed]), heights)
