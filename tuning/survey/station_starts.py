@@ -97,8 +97,8 @@ def intersected(
 
 def misses(
     points: Float[np.ndarray, "c k 3"],
-    place: Float[np.ndarray, "*c 3"],
-    turns: Float[np.ndarray, "c 3 3"],
+    place: Float[np.ndarray, "*p 3"],
+    turns: Float[np.ndarray, "*t 3 3"],
     local: Float[np.ndarray, "k 3"],
 ) -> tuple[Float[np.ndarray, "c k 3"], Float[np.ndarray, "c k"]]:
     """Directions from a station to points, and the lengths of what the measured ones lack; infinite for none."""
@@ -134,7 +134,7 @@ def any_rotations(random: np.random.Generator) -> Float[np.ndarray, "c 3 3"]:
 
 def rotations_found(
     places: Float[np.ndarray, "S 3"], local: Float[np.ndarray, "k S 3"], heights: Float[np.ndarray, " k"],
-    drawn: Float[np.ndarray, "c 3 3"], random: np.random.Generator,
+    drawn: Float[np.ndarray, "draws 3 3"], random: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "c S 3 3"], Float[np.ndarray, "c k 3"]]:  # fmt: skip
     """Rotations of stations at known places, and points of the tag, m, that fit directions; the best first.
 
@@ -168,8 +168,8 @@ def _turned(
 
 
 def _facing(
-    points: Float[np.ndarray, "*c k 3"], place: Float[np.ndarray, "*c 3"], local: Float[np.ndarray, "k 3"]
-) -> tuple[Float[np.ndarray, "*c 3 3"], Float[np.ndarray, "*c k"]]:
+    points: Float[np.ndarray, "c k 3"], place: Float[np.ndarray, "*p 3"], local: Float[np.ndarray, "k 3"]
+) -> tuple[Float[np.ndarray, "c 3 3"], Float[np.ndarray, "c k"]]:
     """The rotations of a station that sees points in these directions, robustly, and the lengths of the misses."""
     ahead, _ = misses(points, place, np.eye(3), local)
     weights = (np.isfinite(points[..., 0]) & np.isfinite(local[:, 0])).astype(float)

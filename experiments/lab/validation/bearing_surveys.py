@@ -97,7 +97,7 @@ def real_survey(folder: tw.RecordingFolder, seed: int, sigma: float | None) -> R
     rough = {
         name: replace(
             station,
-            rotation=(1.0, 0.0, 0.0, 0.0)
+            rotation=np.eye(4)[0]
             if sigma is None
             else turned(station.rotation, np.deg2rad(sigma) * random.standard_normal(3)),
         )
@@ -156,7 +156,7 @@ def simulated_survey(seed: int, case: str, lasting: float) -> Row:
             position=station.position + known.get("sigma", 0.0) * random.standard_normal(3),
             rotation=turned(station.rotation, np.deg2rad(known["sigma_deg"]) * random.standard_normal(3))
             if "sigma_deg" in known
-            else (1.0, 0.0, 0.0, 0.0),
+            else np.eye(4)[0],
         )
         for name, station in folder.rig.stations.items()
     }
