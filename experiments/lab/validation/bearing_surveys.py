@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 import trackwright as tw
 from trackwright.experiments.cli.runtime import keep_programs
-from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
+from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.lab.validation.surveys import (
     COVERED,
@@ -56,7 +56,7 @@ CASES: Mapping[str, dict[str, Any]] = {
 HEIGHTS = (None, 1.2)
 """Of the tag, m; None: through space."""
 
-WALKS, ROUGHLY = ("ble51-walk-*",), 10.0
+WALKS, ROUGHLY = [f"ble51-walk-u{use}-r{run}" for use in (1, 2, 3) for run in (1, 2)], 10.0
 """Recordings, and the standard deviation, °, about each axis of rotations that are refined in them."""
 
 
@@ -77,11 +77,18 @@ def bearing_surveys(*, output: Output = DEFAULTS) -> int:
     return int(not output.small and rows[-1]["good"] == "no")
 
 
-def real_bearing_surveys(*, output: Output = DEFAULTS) -> int:
-    """Rotations of the stations of Bluetooth walks, without their truth, against the published ones, and tracking."""
+def real_bearing_surveys(*walks: str, output: Output = DEFAULTS) -> int:
+    """Rotations of the stations of Bluetooth walks, without their truth, against the published ones, and tracking.
+
+    Args:
+        walks: these alone.
+    """
     keep_programs()
-    folders = recorded(WALKS)[: 1 if output.small else None]
-    rows = [real_survey(folder, seed, sigma) for seed, folder in enumerate(folders) for sigma in (None, ROUGHLY)]
+    rows = []
+    for name in chosen(walks, WALKS, WALKS[:1] if output.small else ()):
+        for folder in recorded((name,)):
+            published = _rmse(folder)
+            rows += [real_survey(folder, WALKS.index(name), sigma, published) for sigma in (None, ROUGHLY)]
     note = (
         "Turns: medians of the angles between rotations and the published ones; wrong: determined and off by more than "
         "three standard deviations; RMSE: horizontal, of bearings with the rig as published, as given, and as surveyed."
@@ -90,8 +97,11 @@ def real_bearing_surveys(*, output: Output = DEFAULTS) -> int:
     return int(any(row["wrong"] for row in rows))
 
 
-def real_survey(folder: tw.RecordingFolder, seed: int, sigma: float | None) -> Row:
-    """Rotations found from published positions alone, or given ones off by `sigma` degrees about each axis refined."""
+def real_survey(folder: tw.RecordingFolder, seed: int, sigma: float | None, published: float) -> Row:
+    """Rotations found from published positions alone, or given ones off by `sigma` degrees about each axis refined.
+
+    `published`: the RMSE of tracking with the published rig, m.
+    """
     random, true = np.random.default_rng([seed, 39]), folder.rig.stations
     # Unknown ones are all the same in the file.
     rough = {
@@ -112,13 +122,13 @@ def real_survey(folder: tw.RecordingFolder, seed: int, sigma: float | None) -> R
     before = errors_of(replace(found, rotations=np.array([rough[name].rotation for name in found.names])), folder.rig)
     sigmas = found.half_widths[:, 3:6] / NORMAL
     stated = np.array([[heading and tilt] * 3 for *_, heading, tilt in map(found.determined, found.names)])
-    rmse = [_rmse(replace(folder, rig=rig)) for rig in (folder.rig, given.rig, found.rig)]
     return {
         "recording": folder.name, "rotations given": "no" if sigma is None else f"to {sigma:g}°",
         "effect": float(found.effect), "given, °": _median_turn(before[:, 3:]) if sigma else np.nan,
         "surveyed, °": _median_turn(errors), "inside 95 %": 100.0 * float(np.mean(np.abs(errors) < NORMAL * sigmas)),
         "determined %": 100.0 * float(np.mean(stated)), "wrong": int((np.abs(errors) > 3.0 * sigmas)[stated].sum()),
-        "RMSE published, m": rmse[0], "given, m": rmse[1] if sigma else np.nan, "surveyed, m": rmse[2], "s": seconds,
+        "RMSE published, m": published, "given, m": _rmse(given) if sigma else np.nan,
+        "surveyed, m": _rmse(replace(folder, rig=found.rig)), "s": seconds,
     }  # fmt: skip
 
 
