@@ -25,7 +25,8 @@ def volume_slope(walks: Sequence[Walk], solution: Solution) -> Float[np.ndarray,
 
     Paths follow the sensors as they do where the cost is least; robust weights are held. Each reading is of one sensor.
     """
-    slope, random = np.zeros(solution.sensors.shape), np.random.default_rng(0)
+    count, width = solution.sensors.shape
+    slope, random = np.zeros((count, width)), np.random.default_rng(0)
     for k, (walk, path) in enumerate(zip(walks, solution.paths, strict=True)):
         part = linearised(walk, solution, k, 0.0)
         knots, d = path.shape
@@ -35,16 +36,19 @@ def volume_slope(walks: Sequence[Walk], solution: Solution) -> Float[np.ndarray,
         units = walk.linearised(solution.sensors, path)[1][:, :d]
         spread = part.weights[:, None] * (away * np.einsum("nip,ni->np", away, units)[:, None]).mean(axis=2)
 
-        def change(sensors: np.ndarray, moved: np.ndarray) -> np.ndarray:
-            return ((walk.linearised(sensors, moved)[1][:, :d] - units) / STEP * spread).sum(axis=1)  # noqa: B023
-
-        for column in range(slope.shape[1]):
+        for column in range(width):
             sensors = solution.sensors.copy()
             sensors[:, column] += STEP
-            sensor = walk.levels[:, 0] // (len(solution.scales) // len(sensors))
-            slope[:, column] += np.bincount(sensor, change(sensors, path), len(sensors))
+            sensor = walk.levels[:, 0] // (len(solution.scales) // count)
+            slope[:, column] += np.bincount(sensor, _change(walk, sensors, path, units, spread), count)
         # All coefficients of an axis move the path as a whole.
-        towards = np.stack([change(solution.sensors, path + STEP * axis) for axis in np.eye(d)], axis=1)
+        moved = [path + STEP * axis for axis in np.eye(d)]
+        towards = np.stack([_change(walk, solution.sensors, at, units, spread) for at in moved], axis=1)
         by_path = (walk.basis.T @ towards).ravel()
         slope -= (part.cross.T @ cho_solve_banded((part.factor, False), by_path)).reshape(slope.shape)
     return slope.ravel()
+
+
+def _change(walk: Walk, sensors: np.ndarray, path: np.ndarray, units: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """The change (n,) of each reading's part by one `STEP`, from derivatives `units` (n, d) by the tag's position."""
+    return ((walk.linearised(sensors, path)[1][:, : path.shape[1]] - units) / STEP * spread).sum(axis=1)

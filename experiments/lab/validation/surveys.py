@@ -24,7 +24,7 @@ from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.text.terminal import progress
 from trackwright.tuning.survey.anchors import Ranges
 from trackwright.tuning.survey.frames import aligned, frame_of
-from trackwright.tuning.survey.result import NORMAL, Survey
+from trackwright.tuning.survey.result import NORMAL, AnchorSurvey, Survey
 from trackwright.tuning.survey.solving import Solution, information
 from trackwright.tuning.survey.surveying import survey
 from trackwright.tuning.survey.walks import walks_of
@@ -137,6 +137,7 @@ def simulated_survey(seed: int, walk: str, lasting: float) -> Row:
     began = time.process_time()
     found = survey(folders)
     seconds = time.process_time() - began
+    assert isinstance(found, AnchorSurvey)
     turn, shift = frame_of(anchors[:3], np.concatenate(paths), walk != "space")
     true = anchors @ turn.T + shift
     if walk == "space" and np.abs(found.positions - true * [1, 1, -1]).sum() < np.abs(found.positions - true).sum():
@@ -156,7 +157,9 @@ def simulated_survey(seed: int, walk: str, lasting: float) -> Row:
     }  # fmt: skip
 
 
-def _bound(found: Survey, folders: Sequence[tw.RecordingFolder], paths: Sequence[np.ndarray], true: np.ndarray) -> Any:
+def _bound(
+    found: AnchorSurvey, folders: Sequence[tw.RecordingFolder], paths: Sequence[np.ndarray], true: np.ndarray
+) -> Any:
     """The bound (A, 3), m, of the coordinates that the survey estimates, from the information at the truth."""
     walks = walks_of(folders, found.names, None)
     coefficients = []
@@ -252,7 +255,7 @@ def real_survey(name: str) -> Row:
 
 def _turned_sigmas(found: Survey, turn: np.ndarray) -> np.ndarray:
     """The standard deviations (A, 3), m, of positions turned by a matrix (3, 3)."""
-    blocks = [found.covariance[4 * k : 4 * k + 3, 4 * k : 4 * k + 3] for k in range(len(found.names))]
+    blocks = [found.block(k)[:3, :3] for k in range(len(found.names))]
     return np.sqrt([np.diag(turn @ block @ turn.T) for block in blocks])
 
 

@@ -49,7 +49,7 @@ def _plan(axes: Axes, survey: Survey) -> None:
     """Walks, sensors with the ellipses of their intervals, and where the rig had them."""
     whole = np.concatenate(survey.paths)[:, :2]
     rows = np.arange(len(survey.names))
-    covs = np.stack([survey.block(k)[:2, :2] for k in rows])
+    covs = np.stack([survey.block(k)[:2, :2] for k in rows.tolist()])
     drawn = np.array([survey.half_widths[k, :2].max() < 2.0 for k in rows])
     paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
     paths.append(
