@@ -109,7 +109,8 @@ class Survey(ABC):
 
     def _number(self, name: str) -> int:
         if name not in self.names:
-            raise UnusableInput(f"{name!r}; expected {self.noun} of the survey; name one of {listed(self.names, 12)}")
+            expected = f"expected one of {listed(self.names, 12)}; correct its id"
+            raise UnusableInput(f"{name!r}: no {self.noun} of the survey; {expected}")
         return self.names.index(name)
 
     def _worded(self, k: int, doubts: Sequence[tuple[float, str]]) -> str:
