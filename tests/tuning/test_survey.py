@@ -165,7 +165,7 @@ def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
         found.verdict("B")
     with pytest.raises(UnusableInput, match="leave a rotation about their line"):
         survey(placed, given=names[:2])
-    with pytest.raises(UnusableInput, match="has no ranges"):
+    with pytest.raises(UnusableInput, match="has no readings"):
         survey(placed, frame=("A00", "A01", "B"))
 
 
