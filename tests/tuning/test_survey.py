@@ -9,10 +9,12 @@ from trackwright.experiments.lab.validation.surveys import simulated_site
 from trackwright.sim import worlds as simulate
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.tuning.survey import surveying
+from trackwright.tuning.survey import anchors as of_anchors
+from trackwright.tuning.survey import frames
+from trackwright.tuning.survey.anchors import Ranges
+from trackwright.tuning.survey.frames import frame_of
 from trackwright.tuning.survey.solving import FISHER, Solution, cost_of, information, solved
-from trackwright.tuning.survey.solving import predicted as predicted_readings
-from trackwright.tuning.survey.surveying import delay_prior, frame_of, survey
+from trackwright.tuning.survey.surveying import survey
 from trackwright.tuning.survey.walks import walks_of
 
 
@@ -49,15 +51,15 @@ def _ranges(walk, unknown, path):
 def test_the_information_is_the_schur_complement_of_the_dense_one(height, differences):
     walk, solution = _small(height)
     if differences:
-        walk = replace(walk, second=(walk.anchor + 1) % len(solution.anchors))
+        walk = replace(walk, second=(walk.anchor + 1) % len(solution.sensors))
         np.testing.assert_allclose(
-            predicted_readings(walk, solution.anchors, solution.paths[0])[0],
-            _ranges(walk, solution.anchors, solution.paths[0]),
+            walk.values - walk.residuals(solution.sensors, solution.paths[0]),
+            _ranges(walk, solution.sensors, solution.paths[0]),
             atol=1e-9,
         )
     (path,) = solution.paths
-    point = np.concatenate([solution.anchors.ravel(), path.ravel()])
-    size = solution.anchors.size
+    point = np.concatenate([solution.sensors.ravel(), path.ravel()])
+    size = solution.sensors.size
 
     def predicted(x):
         return _ranges(walk, x[:size].reshape(-1, 4), x[size:].reshape(path.shape))
@@ -74,13 +76,13 @@ def test_the_information_is_the_schur_complement_of_the_dense_one(height, differ
 
 def test_the_solution_is_a_minimum_of_the_cost():
     walk, start = _small()
-    prior, random, h = delay_prior(len(start.anchors)), np.random.default_rng(1), 1e-3
+    prior, random, h = Ranges().prior(len(start.sensors)), np.random.default_rng(1), 1e-3
     found = solved([walk], start, prior, levels=False)
     for _ in range(20):
-        anchors, path = (random.standard_normal(x.shape) for x in (found.anchors, found.paths[0]))
+        anchors, path = (random.standard_normal(x.shape) for x in (found.sensors, found.paths[0]))
         below, at, above = (
             cost_of(
-                [walk], replace(found, anchors=found.anchors + k * anchors, paths=[found.paths[0] + k * path]), prior
+                [walk], replace(found, sensors=found.sensors + k * anchors, paths=[found.paths[0] + k * path]), prior
             )
             for k in (-h, 0.0, h)
         )
@@ -91,9 +93,9 @@ def test_the_solution_is_a_minimum_of_the_cost():
 def test_a_turned_room_has_the_same_cost():
     walk, start = _small()
     turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
-    turned = np.column_stack([start.anchors[:, :3] @ turn.T + [1.0, 2.0, 3.0], start.anchors[:, 3]])
-    moved = replace(start, anchors=turned, paths=[start.paths[0] @ turn.T + [1.0, 2.0, 3.0]])
-    prior = delay_prior(len(start.anchors))
+    turned = np.column_stack([start.sensors[:, :3] @ turn.T + [1.0, 2.0, 3.0], start.sensors[:, 3]])
+    moved = replace(start, sensors=turned, paths=[start.paths[0] @ turn.T + [1.0, 2.0, 3.0]])
+    prior = Ranges().prior(len(start.sensors))
     assert cost_of([walk], moved, prior) == pytest.approx(cost_of([walk], start, prior), rel=1e-9)
 
 
@@ -137,9 +139,9 @@ def test_anchors_that_define_the_height_zero_have_no_other_side():
 
 def test_the_third_anchor_of_the_frame_is_the_first_that_stands_aside():
     anchors = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [5.0, 0.01, 2.0], [5.0, 4.0, 2.0]])
-    assert surveying._axes("ABCD", (), anchors, 3) == [0, 1, 3]
+    assert frames.axes("ABCD", (), anchors, 3) == [0, 1, 3]
     with pytest.raises(UnusableInput, match="A, B, C: stand in a line"):
-        surveying._axes("ABCD", "ABC", anchors, 3)
+        frames.axes("ABCD", "ABC", anchors, 3)
 
 
 def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
@@ -151,7 +153,7 @@ def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
     np.testing.assert_array_equal(found.positions[:3], anchors[:3])
     assert np.median(np.abs(found.positions - anchors)) < 0.15
     # Other minima a metre away widen what is searched for alone.
-    monkeypatch.setattr(surveying, "_between", lambda minima, *_: np.ones(minima[0].anchors.size))
+    monkeypatch.setattr(of_anchors, "_between", lambda minima, *_: np.ones(minima[0].sensors.size))
     taped = survey(placed, given=names[:3], sigma=0.05)
     assert (taped.half_widths[:3, :3] <= 1.96 * 0.05 + 1e-9).all()
     assert (taped.half_widths[3:, :3] >= 1.96).all()
@@ -159,11 +161,11 @@ def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
     with pytest.raises(UnusableInput, match="anchor 'A02' stands elsewhere than in"):
         survey([placed[0], replace(placed[1], rig=elsewhere)], given=names[:3])
     assert survey(placed[:1], given=",".join(names[:3])).verdict("A00") == "determined"
-    with pytest.raises(UnusableInput, match="'B'; expected an anchor of the survey"):
+    with pytest.raises(UnusableInput, match="'B': no anchor of the survey"):
         found.verdict("B")
     with pytest.raises(UnusableInput, match="leave a rotation about their line"):
         survey(placed, given=names[:2])
-    with pytest.raises(UnusableInput, match="has no ranges"):
+    with pytest.raises(UnusableInput, match="has no readings"):
         survey(placed, frame=("A00", "A01", "B"))
 
 

@@ -1,9 +1,9 @@
-"""The most probable anchors, delays and paths for ranges, or range differences, with errors of Student's t.
+"""The most probable anchors or stations and paths for readings with errors of Student's t.
 
 Levenberg–Marquardt on all of them at once: the banded block of each path is eliminated by its Cholesky factor, which
-leaves a system of four unknowns per anchor. The scale of each anchor's errors and the acceleration density of each path
-are those of the greatest marginal likelihood, linearised (MacKay 1992): the directions that the ranges determine are
-counted with random probes.
+leaves a system of a few unknowns per sensor, an anchor or a station. The scales of errors and the acceleration density
+of each path are those of the greatest marginal likelihood, linearised (MacKay 1992): the directions that the readings
+determine are counted with random probes.
 """
 
 from __future__ import annotations
@@ -21,9 +21,6 @@ from trackwright.tuning.survey.walks import Walk
 DOF = 4.0
 """Degrees of freedom of Student's t of the errors."""
 
-LEAST_SCALE = 0.01
-"""Smallest scale of errors, m, about the resolution of ranges."""
-
 PROBES = 12
 _RIDGE = 1e-6
 """Information, m⁻², of each coefficient of a path: for directions that no range determines."""
@@ -33,34 +30,38 @@ _STEPS, _CONVERGED = 60, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Anchors' positions and delays (A, 4), m, the coefficients of each walk's path (knots, d), m, and noise levels.
+    """The unknowns of each sensor (S, w), the coefficients of each walk's path (knots, d), m, and noise levels.
 
-    `scales` (A,): of each anchor's errors, m. `densities` (walks,): of the accelerations, m²/s³. `cost`: the negative
-    log-likelihood, marginal over the paths, linearised; smaller is better.
+    `scales` (levels,): of errors, m or rad. `densities` (walks,) or, by axis, (walks, 3): of the accelerations, m²/s³.
+    `cost`: the negative log-likelihood, marginal over the paths, linearised; smaller is better.
     """
 
-    anchors: Float[np.ndarray, "A 4"]
+    sensors: Float[np.ndarray, "S w"]
     paths: Sequence[np.ndarray]
-    scales: Float[np.ndarray, " A"]
-    densities: Float[np.ndarray, " walks"]
+    scales: Float[np.ndarray, " levels"]
+    densities: Float[np.ndarray, "walks *axes"]
     cost: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """The normal density of the unknowns (4A,) before any range, by mean and precision; those not `free` are known."""
+    """The normal density of the unknowns (U,) before any reading, by mean and precision; those not `free` are known.
+
+    `tilt` (U,): the slope of what else the cost has.
+    """
 
     mean: Float[np.ndarray, " U"]
     precision: Float[np.ndarray, "U U"]
     free: Bool[np.ndarray, " U"]
+    tilt: Float[np.ndarray, " U"] | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A walk at a solution: residuals (n,), m, the factors of the path, and the parts of the reduced system.
+    """A walk at a solution: residuals (n,), m or rad, the factors of the path, and the parts of the reduced system.
 
-    `factor`: of the path's banded information. `cross` (m, 4A): its coupling to the anchors. `weights` (n,), m⁻².
-    `partial` (n, 4A) and `along` (n, m): the derivatives of the predicted ranges by anchors and by the path.
+    `factor`: of the path's banded information. `cross` (m, U): its coupling to the sensors. `weights` (n,): of the
+    residuals. `partial` (n, U) and `along` (n, m): the derivatives of the readings by sensors and by the path.
     """
 
     residuals: np.ndarray
@@ -72,44 +73,28 @@ class Linearised:
     slope: np.ndarray
 
 
-def predicted(walk: Walk, anchors: Float[np.ndarray, "A 4"], path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The readings (n,), m, without errors, and their derivatives (n, e, 3) by the tag's offset from each end."""
-    offset = walk.positions(path)[:, None] - anchors[walk.ends, :3]
-    distance = np.maximum(np.sqrt((offset**2).sum(axis=-1)), 1e-9)
-    units = offset / distance[..., None] * walk.signs[:, None]
-    return (distance + anchors[walk.ends, 3]) @ walk.signs, units
-
-
 def scales_of(walk: Walk, solution: Solution) -> np.ndarray:
-    """The scale (n,), m, of the error of each reading, by those of its anchors."""
-    of_ends = solution.scales[walk.ends]
-    return of_ends[:, 0] if walk.second is None else np.sqrt((of_ends**2).sum(axis=1))
+    """The scale (n,), m or rad, of the error of each reading."""
+    by_level = solution.scales[walk.levels]
+    return by_level[:, 0] if by_level.shape[1] == 1 else np.sqrt((by_level**2).sum(axis=1))
 
 
 def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """The weights, m⁻², with which residuals, m, of these scales count as normal ones."""
+    """The weights with which residuals of these scales count as normal ones."""
     return (DOF + 1.0) / (DOF * scales**2 + residuals**2)
 
 
-def _linearised(walk: Walk, solution: Solution, k: int, damping: float) -> Linearised:
-    ranges, units = predicted(walk, solution.anchors, solution.paths[k])
-    residuals = walk.ranges - ranges
+def linearised(walk: Walk, solution: Solution, k: int, damping: float) -> Linearised:
+    """Walk number `k` at a solution; `damping`: the share by which the diagonal of its path's information grows."""
+    residuals, units, partial = walk.linearised(solution.sensors, solution.paths[k])
     weights = robust_weights(residuals, scales_of(walk, solution))
-    along, partial = walk.along(units.sum(axis=1)), _partial(walk, units, len(solution.anchors))
-    rough = walk.roughness / solution.densities[k]
+    along = walk.along(units)
+    rough = walk.rough(solution.densities[k])
     weighted = along.T.multiply(weights).tocsr()
     information = weighted @ along + rough
     factor = cholesky_banded(_banded(information, 4 * walk.dimensions - 1, damping))
     slope = weighted @ residuals - rough @ solution.paths[k].ravel()
     return Linearised(residuals, weights, partial, along, factor, weighted @ partial, slope)
-
-
-def _partial(walk: Walk, units: np.ndarray, count: int) -> np.ndarray:
-    """The derivatives (n, 4A) of readings by the positions and delays of anchors."""
-    partial = np.zeros((len(units), count, 4))
-    rows = np.arange(len(units))[:, None]
-    partial[rows, walk.ends, :3], partial[rows, walk.ends, 3] = -units, walk.signs
-    return partial.reshape(len(units), -1)
 
 
 def _banded(matrix: sparse.csr_array, width: int, damping: float) -> np.ndarray:
@@ -122,16 +107,16 @@ def _banded(matrix: sparse.csr_array, width: int, damping: float) -> np.ndarray:
 
 
 def cost_of(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
-    """The negative log density of ranges, paths and anchors, with the noise levels of the solution."""
-    away = solution.anchors.ravel() - prior.mean
-    cost = 0.5 * away @ prior.precision @ away
+    """The negative log density of readings, paths and sensors, with the noise levels of the solution."""
+    away = solution.sensors.ravel() - prior.mean
+    cost = 0.5 * away @ prior.precision @ away + float(np.sum(prior.tilt * away))
     for walk, path, density in zip(walks, solution.paths, solution.densities, strict=True):
-        residuals = walk.ranges - predicted(walk, solution.anchors, path)[0]
+        residuals = walk.residuals(solution.sensors, path)
         scales = scales_of(walk, solution)
         cost += 0.5 * (DOF + 1.0) * np.log1p((residuals / scales) ** 2 / DOF).sum() + np.log(scales).sum()
         flat = path.ravel()
-        bent = (path.shape[0] - 2) * path.shape[1]
-        cost += 0.5 * (flat @ (walk.roughness @ flat) / density + bent * np.log(density))
+        logs = np.broadcast_to(np.log(density), 3)[: path.shape[1]]
+        cost += 0.5 * (flat @ (walk.rough(density) @ flat) + (path.shape[0] - 2) * logs.sum())
     return float(cost)
 
 
@@ -148,7 +133,7 @@ def solved(walks: Sequence[Walk], start: Solution, prior: Prior, steps: int = _S
             damping *= 10.0
         else:
             break
-        change = np.abs(moved.anchors - solution.anchors).max()
+        change = np.abs(moved.sensors - solution.sensors).max()
         solution, damping = moved, max(damping / 5.0, 1e-9)
         if levels:
             solution = _levelled(walks, moved)
@@ -172,18 +157,18 @@ def _stepped(walks: Sequence[Walk], solution: Solution, prior: Prior, damping: f
         path + cho_solve_banded((part.factor, False), part.slope - part.cross @ move).reshape(path.shape)
         for path, part in zip(solution.paths, parts, strict=True)
     ]
-    return replace(solution, anchors=solution.anchors + move.reshape(-1, 4), paths=paths)
+    return replace(solution, sensors=solution.sensors + move.reshape(solution.sensors.shape), paths=paths)
 
 
 def _reduced(
     walks: Sequence[Walk], solution: Solution, prior: Prior, damping: float
 ) -> tuple[np.ndarray, np.ndarray, list[Linearised]]:
-    """The information (4A, 4A) of anchors with the paths eliminated, its gradient (4A,), and the walks linearised."""
+    """The information (U, U) of sensors with the paths eliminated, its gradient (U,), and the walks linearised."""
     system = prior.precision.copy()
-    gradient = prior.precision @ (prior.mean - solution.anchors.ravel())
+    gradient = prior.precision @ (prior.mean - solution.sensors.ravel()) - prior.tilt
     parts = []
     for k, walk in enumerate(walks):
-        part = _linearised(walk, solution, k, damping)
+        part = linearised(walk, solution, k, damping)
         eliminated = cho_solve_banded((part.factor, False), np.column_stack([part.cross, part.slope]))
         weighted = part.partial * part.weights[:, None]
         system += part.partial.T @ weighted - part.cross.T @ eliminated[:, :-1]
@@ -198,30 +183,38 @@ def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
     squares, numbers, densities = np.zeros(count), np.zeros(count), []
     random = np.random.default_rng(0)
     for k, walk in enumerate(walks):
-        part = _linearised(walk, solution, k, 0.0)
+        part = linearised(walk, solution, k, 0.0)
         width = part.factor.shape[0] - 1
         probes = random.standard_normal((part.factor.shape[1], PROBES))
         drawn = solve_banded((0, width), part.factor, probes)
         leverage = part.weights * ((part.along @ drawn) ** 2).mean(axis=1)
         # A difference counts for both of its anchors.
-        for end in walk.ends.T:
+        for end in walk.levels.T:
             squares += np.bincount(end, part.weights * part.residuals**2, count)
             numbers += np.bincount(end, 1.0 - np.minimum(leverage, 1.0), count)
-        flat = solution.paths[k].ravel()
-        bent = (solution.paths[k].shape[0] - 2) * walk.dimensions
-        unseen = (drawn * (walk.roughness @ drawn)).sum(axis=0).mean() / solution.densities[k]
-        densities.append(flat @ (walk.roughness @ flat) / max(bent - unseen, 0.05 * bent))
+        densities.append(_density(walk, solution.paths[k], drawn, solution.densities[k]))
     # Four unknowns of each anchor are fitted to its ranges, too.
     scales = solution.scales * np.sqrt(squares / np.maximum(numbers - 4.0, 1.0))
     return replace(
-        solution, scales=np.where(squares > 0, np.maximum(scales, LEAST_SCALE), solution.scales),
+        solution, scales=np.where(squares > 0, np.maximum(scales, walks[0].least_scale), solution.scales),
         densities=np.clip(densities, 1e-4, 1e3),
     )  # fmt: skip
 
 
+def _density(walk: Walk, path: np.ndarray, drawn: np.ndarray, density: np.ndarray) -> np.ndarray:
+    """The density of accelerations of greatest marginal likelihood, by errors of the path that are `drawn`."""
+    knots, d = path.shape
+    bends = (path * (walk.roughness @ path.ravel()).reshape(path.shape)).sum(axis=0)
+    unseen = (drawn * (walk.rough(density) @ drawn)).mean(axis=1).reshape(path.shape).sum(axis=0)
+    if np.ndim(density) == 0:
+        bent = (knots - 2) * d
+        return bends.sum() / max(bent - unseen.sum(), 0.05 * bent)
+    return np.append(bends / np.maximum(knots - 2 - unseen, 0.05 * (knots - 2)), density[d:])
+
+
 def _log_volume(walks: Sequence[Walk], solution: Solution) -> float:
     """Half the log determinant of the paths' information."""
-    return sum(float(np.log(_linearised(walk, solution, k, 0.0).factor[-1]).sum()) for k, walk in enumerate(walks))
+    return sum(float(np.log(linearised(walk, solution, k, 0.0).factor[-1]).sum()) for k, walk in enumerate(walks))
 
 
 def design_effect(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
@@ -235,7 +228,7 @@ def design_effect(walks: Sequence[Walk], solution: Solution, prior: Prior) -> fl
     values, vectors = np.linalg.eigh((system - prior.precision)[np.ix_(free, free)])
     kept = values > 1e-6 * values[-1]
     whiten = vectors[:, kept] / np.sqrt(values[kept])
-    scores, pieces, spots, anchor = [], [], [], []
+    scores, pieces, spots, level = [], [], [], []
     began = 0.0
     for k, (walk, part) in enumerate(zip(walks, parts, strict=True)):
         partial = part.partial - part.along @ cho_solve_banded((part.factor, False), part.cross)
@@ -243,10 +236,10 @@ def design_effect(walks: Sequence[Walk], solution: Solution, prior: Prior) -> fl
         pieces.append(walk.times - walk.times[0] + began)
         began += np.ptp(walk.times) + max(LENGTHS)
         spots.append(walk.positions(solution.paths[k]))
-        anchor.append(walk.anchor)
-    score, time, spot, number = map(np.concatenate, (scores, pieces, spots, anchor))
+        level.append(walk.levels[:, 0])
+    score, time, spot, number = map(np.concatenate, (scores, pieces, spots, level))
     taken = np.mean([walk.dimensions for walk in walks])
-    seen = np.mean([len(np.unique(walk.ends)) for walk in walks])
+    seen = np.mean([len(np.unique(walk.levels)) for walk in walks])
     clusters = [(time / length).astype(int)[:, None] for length in LENGTHS]
     clusters += [np.floor(spot / size).astype(int) for size in SIZES]
     effects = []
@@ -266,15 +259,14 @@ LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
 
 
 def information(walks: Sequence[Walk], solution: Solution) -> np.ndarray:
-    """The Fisher information (4A, 4A) of the ranges about anchors, with the paths eliminated."""
-    count = len(solution.anchors)
-    system = np.zeros((4 * count, 4 * count))
+    """The Fisher information (U, U) of the readings about sensors, with the paths eliminated."""
+    system = np.zeros((solution.sensors.size, solution.sensors.size))
     for k, walk in enumerate(walks):
-        _, units = predicted(walk, solution.anchors, solution.paths[k])
+        _, units, partial = walk.linearised(solution.sensors, solution.paths[k])
         weights = FISHER / scales_of(walk, solution) ** 2
-        along, partial = walk.along(units.sum(axis=1)), _partial(walk, units, count)
+        along = walk.along(units)
         weighted = along.T.multiply(weights).tocsr()
-        rough = walk.roughness / solution.densities[k]
+        rough = walk.rough(solution.densities[k])
         factor = cholesky_banded(_banded(weighted @ along + rough, 4 * walk.dimensions - 1, 0.0))
         cross = weighted @ partial
         system += partial.T @ (partial * weights[:, None]) - cross.T @ cho_solve_banded((factor, False), cross)

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from trackwright.tuning.survey.solving import DOF, LEAST_SCALE, Prior, Solution, robust_weights, solved
-from trackwright.tuning.survey.walks import Walk
+from trackwright.tuning.survey.solving import DOF, Prior, Solution, robust_weights, solved
+from trackwright.tuning.survey.walks import RangeWalk
 
 DRAWS, KEPT = 150, 4
 """Draws of times, of each walk and rank, and how many of the best are refined."""
@@ -39,7 +39,7 @@ _RESECTIONS, _RESECTED, _DESCENT = 12, 100, 20
 _ROUNDS, _FEW, _REFINED = 3, 10, 3
 
 
-def epochs(walk: Walk, count: int) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k A"]]:
+def epochs(walk: RangeWalk, count: int) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k A"]]:
     """Times, s, of a walk, and the ranges, m, to `count` anchors at each, interpolated; NaN where none is near."""
     times = np.linspace(walk.times[0], walk.times[-1], EPOCHS + 2)[1:-1]
     ranges = np.full((len(times), count), np.nan)
@@ -47,7 +47,7 @@ def epochs(walk: Walk, count: int) -> tuple[Float[np.ndarray, " k"], Float[np.nd
         own = np.flatnonzero(walk.anchor == k)
         if len(own) < 5:
             continue
-        windows = np.lib.stride_tricks.sliding_window_view(np.pad(walk.ranges[own], 1, mode="edge"), 3)
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(walk.values[own], 1, mode="edge"), 3)
         at = walk.times[own]
         after = np.clip(np.searchsorted(at, times), 1, len(at) - 1)
         near = (times - at[after - 1] <= NEAR) & (at[after] - times <= NEAR) & (times >= at[0])
@@ -87,7 +87,7 @@ def factorised(
     return tags, anchors, heights + constant - centre @ centre
 
 
-def distance_geometry(walk: Walk, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
+def distance_geometry(walk: RangeWalk, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
     """Anchors (count, 3), m, NaN where not found, from the ranges of a walk alone; the best draws first."""
     _, ranges = epochs(walk, count)
     seen = np.isfinite(ranges)
@@ -125,7 +125,7 @@ def distance_geometry(walk: Walk, count: int, random: np.random.Generator) -> It
         yield from (places for _, places in sorted(found, key=lambda pair: pair[0])[:KEPT])
 
 
-def located(walk: Walk, anchors: Float[np.ndarray, "A 4"], scale: float) -> np.ndarray:
+def located(walk: RangeWalk, anchors: Float[np.ndarray, "A 4"], scale: float) -> np.ndarray:
     """The coefficients of the path of a walk among known anchors."""
     count = len(anchors)
     times, ranges = epochs(walk, count)
@@ -173,7 +173,7 @@ def descended(
         offset = places[:, None] - positions
         distance = np.maximum(np.sqrt((offset**2).sum(axis=2)), 1e-6)
         residuals = ranges - delay - distance
-        scale = np.maximum(1.5 * np.median(np.abs(residuals), axis=1, keepdims=True), LEAST_SCALE)
+        scale = np.maximum(1.5 * np.median(np.abs(residuals), axis=1, keepdims=True), RangeWalk.least_scale)
         weighted = offset / distance[:, :, None] * robust_weights(residuals, scale)[:, :, None]
         system = np.einsum("sni,snj->sij", weighted, offset / distance[:, :, None])
         system += 1e-4 * np.trace(system, axis1=1, axis2=2)[:, None, None] * np.eye(3)
@@ -200,15 +200,15 @@ def misfit(place: np.ndarray, positions: np.ndarray, distances: np.ndarray, scal
     return 0.5 * (DOF + 1.0) * float(np.log1p((errors / scale) ** 2 / DOF).sum())
 
 
-def ranges_to(walks: Sequence[Walk], solution: Solution, k: int) -> tuple[np.ndarray, np.ndarray]:
+def ranges_to(walks: Sequence[RangeWalk], solution: Solution, k: int) -> tuple[np.ndarray, np.ndarray]:
     """The positions (n, 3) of the tags, m, when they measured the ranges (n,), m, to anchor `k`."""
     own = [walk.anchor == k for walk in walks]
     positions = [w.positions(path)[rows] for w, path, rows in zip(walks, solution.paths, own, strict=True)]
-    return np.concatenate(positions), np.concatenate([w.ranges[rows] for w, rows in zip(walks, own, strict=True)])
+    return np.concatenate(positions), np.concatenate([w.values[rows] for w, rows in zip(walks, own, strict=True)])
 
 
 def completed(
-    walks: Sequence[Walk], places: Float[np.ndarray, "A 3"], first: int, random: np.random.Generator
+    walks: Sequence[RangeWalk], places: Float[np.ndarray, "A 3"], first: int, random: np.random.Generator
 ) -> Solution | None:
     """A start with all anchors and paths, from the anchors that the walk number `first` gave; None where some lack."""
     anchors = np.column_stack([places, np.zeros(len(places))])
@@ -224,14 +224,14 @@ def completed(
         walk = walks[k]
         use = known[walk.anchor]
         numbers = np.flatnonzero(known)
-        part = Walk(walk.recording, walk.tag, walk.times[use], walk.ranges[use],
-                    np.searchsorted(numbers, walk.anchor[use]), walk.height)  # fmt: skip
+        anchor = np.searchsorted(numbers, walk.anchor[use])
+        part = replace(walk, times=walk.times[use], values=walk.values[use], anchor=anchor)
         path = located(part, anchors[known], FIRST_SCALE)
         positions = walk.positions(walk.fitted(_at(part, path, walk.times)))
         paths[k] = walk.fitted(positions)
         for new in np.setdiff1d(np.unique(walk.anchor), numbers):
             rows = walk.anchor == new
-            anchors[new, :3] = resected(positions[rows], walk.ranges[rows], 0.0, random)
+            anchors[new, :3] = resected(positions[rows], walk.values[rows], 0.0, random)
             anchors[new, 3] = 0.0
     if not np.isfinite(anchors).all():
         return None
@@ -239,16 +239,16 @@ def completed(
     return Solution(anchors, [path for path in paths if path is not None], *levels)
 
 
-def _at(part: Walk, path: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _at(part: RangeWalk, path: np.ndarray, times: np.ndarray) -> np.ndarray:
     """The positions of a path at other times, m."""
     positions = part.positions(path)
     return np.column_stack([np.interp(times, part.times, column) for column in positions.T])
 
 
-def polished(walks: Sequence[Walk], solution: Solution, prior: Prior, random: np.random.Generator) -> Solution:
+def polished(walks: Sequence[RangeWalk], solution: Solution, prior: Prior, random: np.random.Generator) -> Solution:
     """The solution, with anchors that stand in a local minimum of their own moved to a better one."""
     for _ in range(_ROUNDS):
-        anchors = solution.anchors.copy()
+        anchors = solution.sensors.copy()
         for k in np.flatnonzero(prior.free.reshape(-1, 4)[:, :3].all(axis=1)).tolist():
             positions, ranges = ranges_to(walks, solution, k)
             place, scale = resected(positions, ranges, anchors[k, 3], random), solution.scales[k]
@@ -256,9 +256,9 @@ def polished(walks: Sequence[Walk], solution: Solution, prior: Prior, random: np
             gain -= misfit(place, positions, ranges - anchors[k, 3], scale)
             if gain > 2.0 and np.linalg.norm(place - anchors[k, :3]) > 0.2:
                 anchors[k, :3] = place
-        if (anchors == solution.anchors).all():
+        if (anchors == solution.sensors).all():
             break
-        better = solved(walks, replace(solution, anchors=anchors), prior)
+        better = solved(walks, replace(solution, sensors=anchors), prior)
         if better.cost >= solution.cost:
             break
         solution = better
@@ -266,14 +266,14 @@ def polished(walks: Sequence[Walk], solution: Solution, prior: Prior, random: np
 
 
 def multistart(
-    walks: Sequence[Walk], known: Float[np.ndarray, "A 3"], prior: Prior, random: np.random.Generator
+    walks: Sequence[RangeWalk], known: Float[np.ndarray, "A 3"], prior: Prior, random: np.random.Generator
 ) -> list[Solution]:
     """The best solutions from many starts, in any frame, that of least cost first; none where there is no start.
 
     `known`: positions, m, that are one more start where all are there.
     """
     # A walk of known height gives the vertical.
-    longest = sorted(range(len(walks)), key=lambda k: (walks[k].height is None, -len(walks[k].ranges)))[:2]
+    longest = sorted(range(len(walks)), key=lambda k: (walks[k].height is None, -len(walks[k].values)))[:2]
     starts = [(first, places) for first in longest for places in distance_geometry(walks[first], len(known), random)]
     if np.isfinite(known).all():
         starts.append((longest[0], known))

@@ -18,6 +18,8 @@ CASES = (
     "surveys",
     "surveys:real_surveys",
     "surveys:difference_surveys",
+    "bearing_surveys",
+    "bearing_surveys:real_bearing_surveys",
     "protection_levels",
     "watches",
     "watches:real_watches",

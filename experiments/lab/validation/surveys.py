@@ -22,9 +22,11 @@ from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.text.terminal import progress
-from trackwright.tuning.survey.result import NORMAL, Survey
+from trackwright.tuning.survey.anchors import Ranges
+from trackwright.tuning.survey.frames import aligned, frame_of
+from trackwright.tuning.survey.result import NORMAL, AnchorSurvey, Survey
 from trackwright.tuning.survey.solving import Solution, information
-from trackwright.tuning.survey.surveying import aligned, delay_prior, frame_of, survey
+from trackwright.tuning.survey.surveying import survey
 from trackwright.tuning.survey.walks import walks_of
 
 SURVEYS = 200
@@ -135,6 +137,7 @@ def simulated_survey(seed: int, walk: str, lasting: float) -> Row:
     began = time.process_time()
     found = survey(folders)
     seconds = time.process_time() - began
+    assert isinstance(found, AnchorSurvey)
     turn, shift = frame_of(anchors[:3], np.concatenate(paths), walk != "space")
     true = anchors @ turn.T + shift
     if walk == "space" and np.abs(found.positions - true * [1, 1, -1]).sum() < np.abs(found.positions - true).sum():
@@ -154,7 +157,9 @@ def simulated_survey(seed: int, walk: str, lasting: float) -> Row:
     }  # fmt: skip
 
 
-def _bound(found: Survey, folders: Sequence[tw.RecordingFolder], paths: Sequence[np.ndarray], true: np.ndarray) -> Any:
+def _bound(
+    found: AnchorSurvey, folders: Sequence[tw.RecordingFolder], paths: Sequence[np.ndarray], true: np.ndarray
+) -> Any:
     """The bound (A, 3), m, of the coordinates that the survey estimates, from the information at the truth."""
     walks = walks_of(folders, found.names, None)
     coefficients = []
@@ -164,7 +169,7 @@ def _bound(found: Survey, folders: Sequence[tw.RecordingFolder], paths: Sequence
         coefficients.append(walk.fitted(at_ranges))
     truth = Solution(np.column_stack([true, found.delays]), coefficients, np.full(len(true), SCALE), found.densities)
     free = np.diag(found.covariance) > 0
-    precision = (information(walks, truth) + delay_prior(len(true)).precision)[np.ix_(free, free)]
+    precision = (information(walks, truth) + Ranges().prior(len(true)).precision)[np.ix_(free, free)]
     bound = np.full(len(free), np.inf)
     bound[free] = np.sqrt(np.diag(np.linalg.inv(precision + 1e-6 * np.eye(free.sum()))))
     return bound.reshape(-1, 4)[:, :3]
@@ -190,11 +195,11 @@ def simulated_site(
     folders, paths = [], []
     for number, height in enumerate(heights):
         times = np.arange(int(SECONDS / len(heights) * RATE)) / RATE
-        path = _path(times, np.append(size, 2.5), random)
+        path = smooth_path(times, np.append(size, 2.5), random)
         if height is not None:
             path[:, 2] = height
         ranges = np.linalg.norm(path[:, None] - anchors, axis=2) + delays
-        ranges += SCALE * random.standard_t(DOF, ranges.shape) + lasting * _lasting(times, count, random)
+        ranges += SCALE * random.standard_t(DOF, ranges.shape) + lasting * lasting_errors(times, count, random)
         row, anchor = np.nonzero((random.random(ranges.shape) < 0.9) & (ranges > 0.05))
         table = pl.DataFrame({
             "t_s": times[row], "tag": ["0"] * len(row), "anchor": [names[k] for k in anchor],
@@ -206,7 +211,7 @@ def simulated_site(
     return folders, anchors, paths
 
 
-def _path(times: np.ndarray, size: np.ndarray, random: np.random.Generator) -> np.ndarray:
+def smooth_path(times: np.ndarray, size: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """A smooth path (n, 3), m, through a room of this size, half a metre from its walls and floor."""
     frequency, phase = random.uniform(0.01, 0.1, (3, 6, 1)), random.uniform(0.0, 2.0 * np.pi, (3, 6, 1))
     waves = np.sin(2.0 * np.pi * frequency * times + phase).sum(axis=1)
@@ -214,7 +219,7 @@ def _path(times: np.ndarray, size: np.ndarray, random: np.random.Generator) -> n
     return np.asarray(0.5 + share.T * (size - 1.0))
 
 
-def _lasting(times: np.ndarray, count: int, random: np.random.Generator) -> np.ndarray:
+def lasting_errors(times: np.ndarray, count: int, random: np.random.Generator) -> np.ndarray:
     """Errors (n, count) of unit variance with an exponential correlation over `LASTS` s."""
     keep = np.exp(-1.0 / (RATE * LASTS))
     steps = random.standard_normal((len(times), count)) * np.sqrt(1.0 - keep**2)
@@ -250,7 +255,7 @@ def real_survey(name: str) -> Row:
 
 def _turned_sigmas(found: Survey, turn: np.ndarray) -> np.ndarray:
     """The standard deviations (A, 3), m, of positions turned by a matrix (3, 3)."""
-    blocks = [found.covariance[4 * k : 4 * k + 3, 4 * k : 4 * k + 3] for k in range(len(found.names))]
+    blocks = [found.block(k)[:3, :3] for k in range(len(found.names))]
     return np.sqrt([np.diag(turn @ block @ turn.T) for block in blocks])
 
 

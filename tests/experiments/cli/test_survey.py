@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.in_process import assert_refused, trackwright
+from trackwright.experiments.lab.validation.bearing_surveys import simulated_stations
 from trackwright.experiments.lab.validation.surveys import simulated_site
 from trackwright.trackers.recordings.folder import write_recording
 from trackwright.trackers.recordings.rig_file import read_rig
@@ -46,7 +47,7 @@ def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks
         (("--frame", "A00,A01"), "expected three different anchors"),
         (("--frame", "A00,A01,A01"), "expected three different anchors"),
         (("--frame", "A00,A01,A02", "--given", "all"), "leave one out"),
-        (("--frame", "A00,A01,B"), "'B' has no ranges"),
+        (("--frame", "A00,A01,B"), "'B' has no readings"),
         (("--height", "nan"), "expected metres"),
         (("--height", "1e9"), "expected metres"),
     ],
@@ -66,3 +67,19 @@ def test_range_differences_refine_the_positions_of_the_rig(tmp_path):
     assert 0.0 < max(np.linalg.norm(after[name] - before[name]) for name in before) < 0.3
     refused = trackwright("survey", room, "--out", tmp_path / "none.toml", "-q")
     assert_refused(refused, "refine positions of anchors that are roughly known", "give all")
+
+
+def test_bearings_find_the_rotations_of_stations(tmp_path):
+    folder, *_ = simulated_stations(0, 1.2, 0.0)
+    write_recording(folder, tmp_path / "walk")
+    out = tmp_path / "site" / "rig.toml"
+    said = trackwright("survey", tmp_path / "walk", "--given", "all", "--sigma-deg", 5, "--out", out, "--json")
+    assert said.code == 0, said.err
+    found = json.loads(said.out)["stations"]["S0"]
+    assert found["half_width_m"] == [0.0, 0.0, 0.0]
+    assert found["heading_half_width_deg"] < 5.0
+    turned, true = (rig.stations["S0"].rotation for rig in (read_rig(out)[0], folder.rig))
+    assert 0.99 < abs(np.dot(turned, true)) < 1.0
+    assert "heading" in out.with_suffix(".html").read_text("utf-8")
+    refused = trackwright("survey", tmp_path / "walk", "--given", "S0", "--out", tmp_path / "none.toml")
+    assert_refused(refused, "neither the origin nor the scale", "name them as given")
