@@ -25,6 +25,7 @@ CASES = (
     "watches:real_watches",
     "track_loss",
     "bag_tour",
+    "bag_tour:survey_tour",
 )
 
 if __name__ == "__main__":
