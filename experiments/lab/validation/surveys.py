@@ -198,7 +198,7 @@ def _bound(
 def simulated_site(
     seed: int, heights: Sequence[float | None], lasting: float, seconds: float = SECONDS
 ) -> tuple[list[tw.RecordingFolder], np.ndarray, list[np.ndarray]]:
-    """Recordings of a room, `seconds` in all, the true anchors (A, 3) and the true positions (n, 3) of each epoch, m."""
+    """Recordings of a room, `seconds` in all, true anchors (A, 3) and true positions (n, 3) of each epoch, m."""
     random = np.random.default_rng([seed, 35])
     size, count = random.uniform([5.0, 4.0], [12.0, 10.0]), int(random.integers(4, 13))
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) * size
