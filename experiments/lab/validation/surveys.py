@@ -128,8 +128,7 @@ def _row(walk: str, lasting: float, rows: Sequence[Row]) -> Row:
         "walk": walk, "errors that last, cm": 100 * lasting, "surveys": len(rows), "inside 95 %": covered,
         "error / bound": ratio, "median error, cm": 100 * float(np.median(np.concatenate([r["error"] for r in rows]))),
         "determined %": 100.0 * float(stated.mean()), "wrong": wrong,
-        "by chance": 2.0 * float(stated.sum() * norm.sf(3.0)), "s": float(np.median([row["s"] for row in rows])),
-        "good": "yes" if good else "no",
+        "s": float(np.median([row["s"] for row in rows])), "good": "yes" if good else "no",
     }  # fmt: skip
 
 
