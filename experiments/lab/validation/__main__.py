@@ -20,6 +20,7 @@ CASES = (
     "surveys:difference_surveys",
     "bearing_surveys",
     "bearing_surveys:real_bearing_surveys",
+    "offsets",
     "protection_levels",
     "watches",
     "watches:real_watches",
