@@ -20,7 +20,7 @@ import trackwright as tw
 from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
 from trackwright.experiments.text.terminal import progress
-from trackwright.sim.imu import simulate_uwb_imu
+from trackwright.sim.imu import SAMPLES, simulate_uwb_imu
 from trackwright.sim.paths import hand_motion
 from trackwright.sim.ranging import WALK_VOLUME, chamber
 from trackwright.trackers.core.model.rig import rotation_matrices
@@ -78,7 +78,9 @@ def inertial_world(seed: int) -> tuple[tw.RecordingFolder, np.ndarray]:
     anchors = np.stack([folder.rig.anchors[anchor] for anchor in ranges["anchor"].cast(pl.String)])
     longer = np.linalg.norm(imu + turned - anchors, axis=1) - np.linalg.norm(imu - anchors, axis=1)
     moved = ranges.with_columns(pl.col("t_s") + late, pl.col("range_m") + pl.Series(longer))
-    return replace(folder, tables={"ranges": moved, "imu": folder.tables["imu"]}), np.array([late, *arm])
+    # Up to a range between two samples of the IMU the first is held, and so late itself.
+    held = late % (1.0 / (RATE * SAMPLES)) / SAMPLES
+    return replace(folder, tables={"ranges": moved, "imu": folder.tables["imu"]}), np.array([late - held, *arm])
 
 
 def fused_world(seed: int) -> tuple[tw.RecordingFolder, np.ndarray]:
