@@ -1,7 +1,8 @@
 """Offsets of clocks and the lever arm of an IMU, fitted by the likelihood of a tracker: simulated worlds against truth.
 
 An IMU of 30 samples a second beside ten ranges a second that come up to 0.1 s late or early, from a tag up to 15 cm off
-along each axis; and angles beside ranges, up to 0.15 s late or early. Noise levels are about those of the worlds.
+along each axis; angles beside ranges, up to 0.15 s late or early; and odometry beside ranges of a tag up to 30 cm off
+the axle. Noise levels are about those of the worlds.
 """
 
 from __future__ import annotations
@@ -35,6 +36,10 @@ LEVELS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
         **_EXACT_RANGES, "motion.noise.sigma_accel": 0.03, "motion.noise.sigma_gyro": 0.003,
         "sensors.ranges.sigma_r": 0.03, "motion.noise.sigma_range_walk": 0.001,
     },
+    "body": {
+        **_EXACT_RANGES, "sensors.ranges.sigma_r": 0.05, "motion.place.sigma_bias": 0.01, "start.sigma_bias": 0.01,
+        "start.sigma_shared": 0.01, "sensors.ranges.bias": np.zeros(8),
+    },
     "fusion": {
         **_EXACT_RANGES, "sensors.ranges.sigma_r": 0.05, "sensors.bearings.sigma_azimuth": 0.05,
         "sensors.bearings.sigma_elevation": 0.05, "sensors.bearings.dof": 30.0,
@@ -50,10 +55,11 @@ def offsets(*, output: Output = DEFAULTS) -> int:
     keep_programs()
     seeds = range(1, 1 + (1 if output.small else WORLDS))
     rows = list[Row]()
-    with progress("worlds", 2 * len(seeds)) as advance:
+    with progress("worlds", 3 * len(seeds)) as advance:
         for name, world, tuned in (
             ("uwb-imu", inertial_world, ("sensors.ranges.late", "motion.arm")),
             ("fusion", fused_world, ("sensors.bearings.late",)),
+            ("body", driven_world, ("motion.wheels.arm",)),
         ):
             fits = []
             for seed in seeds:
@@ -71,16 +77,29 @@ def inertial_world(seed: int) -> tuple[tw.RecordingFolder, np.ndarray]:
     late, arm = random.uniform(-0.1, 0.1), random.uniform(-0.15, 0.15, 3)
     path = partial(hand_motion, volume=WALK_VOLUME, speed=1.0)
     folder = simulate_uwb_imu(chamber(), path, 1, seed, rate_hz=RATE, n_points=RANGES).folder(f"offset {seed}")
-    truth, ranges = folder.tables["truth"], folder.tables["ranges"]
-    at = np.searchsorted(truth["t_s"].to_numpy(), ranges["t_s"].to_numpy() - 1e-6)
-    imu = truth.select("x_m", "y_m", "z_m").to_numpy()[at]
-    turned = rotation_matrices(truth.select("qw", "qx", "qy", "qz").to_numpy()[at]) @ arm
-    anchors = np.stack([folder.rig.anchors[anchor] for anchor in ranges["anchor"].cast(pl.String)])
-    longer = np.linalg.norm(imu + turned - anchors, axis=1) - np.linalg.norm(imu - anchors, axis=1)
-    moved = ranges.with_columns(pl.col("t_s") + late, pl.col("range_m") + pl.Series(longer))
+    moved = _from_aside(folder, arm).with_columns(pl.col("t_s") + late)
     # Up to a range between two samples of the IMU the first is held, and so late itself.
     held = late % (1.0 / (RATE * SAMPLES)) / SAMPLES
     return replace(folder, tables={"ranges": moved, "imu": folder.tables["imu"]}), np.array([late - held, *arm])
+
+
+def driven_world(seed: int) -> tuple[tw.RecordingFolder, np.ndarray]:
+    """Ranges of a tag on a trolley beside its odometry, and the lever arm of the tag, ahead and to the left, m (2,)."""
+    arm = np.append(np.random.default_rng([seed, 79]).uniform(-0.3, 0.3, 2), 0.0)
+    world = tw.simulate.body(n=1, tags=1, odometry=True, rows=600, seed=seed, bias=0.0, hidden=0.0).folder()
+    tables = {"ranges": _from_aside(world, arm), "odometry": world.tables["odometry"]}
+    return replace(world, tables=tables), arm[:2]
+
+
+def _from_aside(folder: tw.RecordingFolder, arm: np.ndarray) -> pl.DataFrame:
+    """The ranges of a tag that is at an arm (3,), m, in body axes, from where it is."""
+    truth, ranges = folder.tables["truth"], folder.tables["ranges"]
+    at = np.searchsorted(truth["t_s"].to_numpy(), ranges["t_s"].to_numpy() - 1e-6)
+    place = truth.select("x_m", "y_m", "z_m").to_numpy()[at]
+    turned = rotation_matrices(truth.select("qw", "qx", "qy", "qz").to_numpy()[at]) @ arm
+    anchors = np.stack([folder.rig.anchors[anchor] for anchor in ranges["anchor"].cast(pl.String)])
+    longer = np.linalg.norm(place + turned - anchors, axis=1) - np.linalg.norm(place - anchors, axis=1)
+    return ranges.with_columns(pl.col("range_m") + pl.Series(longer))
 
 
 def fused_world(seed: int) -> tuple[tw.RecordingFolder, np.ndarray]:
@@ -118,7 +137,8 @@ def _rows(name: str, fits: Sequence[Row]) -> list[Row]:
     error, inside, half = (np.stack([fit[key] for fit in fits]) for key in ("error", "inside", "half width"))
     checked = np.array([fit["check"] for fit in fits])
     by_check = 1e3 * np.sqrt(np.nanmean(checked**2)) if np.isfinite(checked).any() else np.nan
-    numbers = ("late, ms", "arm x, cm", "arm y, cm", "arm z, cm")[: error.shape[1]]
+    late = name != "body"
+    numbers = (("late, ms", 1e3),) * late + (("arm x, cm", 1e2), ("arm y, cm", 1e2), ("arm z, cm", 1e2))
     return [
         {
             "tracker": name, "number": number, "worlds": len(fits), "mean error": unit * float(error[:, k].mean()),
@@ -126,5 +146,5 @@ def _rows(name: str, fits: Sequence[Row]) -> list[Row]:
             "inside 95 %": 100.0 * float(inside[:, k].mean()), "check": None if k else by_check,
             "s": float(np.median([fit["s"] for fit in fits])),
         }
-        for k, (number, unit) in enumerate(zip(numbers, (1e3, 1e2, 1e2, 1e2), strict=False))
+        for k, (number, unit) in enumerate(numbers[: error.shape[1]])
     ]  # fmt: skip
