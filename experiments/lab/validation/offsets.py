@@ -66,7 +66,7 @@ def offsets(*, output: Output = DEFAULTS) -> int:
                 fits.append(_fitted(name, *world(seed), tuned))
                 advance(1)
             rows += _rows(name, fits)
-    note = "Errors: root mean squares; check: by `trackwright check`, of the worlds in which it is certain."
+    note = "Errors: root mean squares; interval: median half-width; check: error of the clock by `trackwright check`."
     output.publish("validation offsets", Table(rows, note=note))
     return int(not output.small and any(not COVERED[0] <= row["inside 95 %"] for row in rows))
 
@@ -136,7 +136,7 @@ def _rows(name: str, fits: Sequence[Row]) -> list[Row]:
     """A row for each number: in ms, and in cm."""
     error, inside, half = (np.stack([fit[key] for fit in fits]) for key in ("error", "inside", "half width"))
     checked = np.array([fit["check"] for fit in fits])
-    by_check = 1e3 * np.sqrt(np.nanmean(checked**2)) if np.isfinite(checked).any() else np.nan
+    by_check = 1e3 * np.sqrt(np.nanmean(checked**2)) if np.isfinite(checked).any() else None
     late = name != "body"
     numbers = (("late, ms", 1e3),) * late + (("arm x, cm", 1e2), ("arm y, cm", 1e2), ("arm z, cm", 1e2))
     return [
