@@ -173,7 +173,7 @@ class AbstractBearingSensor(AbstractSensor):
 class BearingSensor(AbstractBearingSensor):
     """Azimuth and elevation with the biases of the row's station, rad: see `AbstractBearingSensor`.
 
-    `late`: as in `RangeSensor`.
+    `late`: by how many seconds the times of angles are later than those of the other readings at the same position.
     """
 
     late: Noise | None

@@ -51,7 +51,8 @@ class RangeDifferenceSensor(AbstractSensor):
 
     Noise is Student's t with `dof` degrees of freedom and scale `sigma_d` m. Reported are a variance, m², of each slot,
     which adds to that of `sigma_d`, and the correlation of each pair of slots, row by row of the upper triangle, by
-    which the differences are whitened. `late`: as in `RangeSensor`.
+    which the differences are whitened. `late`: by how many seconds the times of differences are later than those of the
+    other readings at the same position.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
