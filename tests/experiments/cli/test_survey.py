@@ -47,7 +47,7 @@ def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks
         (("--frame", "A00,A01"), "expected three different anchors"),
         (("--frame", "A00,A01,A01"), "expected three different anchors"),
         (("--frame", "A00,A01,A02", "--given", "all"), "leave one out"),
-        (("--frame", "A00,A01,B"), "'B' has no ranges"),
+        (("--frame", "A00,A01,B"), "'B' has no readings"),
         (("--height", "nan"), "expected metres"),
         (("--height", "1e9"), "expected metres"),
     ],
