@@ -141,7 +141,8 @@ def import_source(
         notice(f"notice: {out}: {line}")
     rows = ", ".join(f"{table} {counted(len(rows), 'row')}" for table, rows in tables.items())
     own = "" if set(tables) <= {*get_args(Table)} else " --tracker FILE.py:NAME"
-    print(f"wrote {out}: {rows}; next: trackwright check {out}{own}")
+    follows = "check" if written.rig.anchors or "ranges" not in written.tables else "survey"
+    print(f"wrote {out}: {rows}; next: trackwright {follows} {out}{own}")
     return 0
 
 

@@ -29,7 +29,7 @@ PROMISED = {
     "beam": "motion.sigma_a sensors.*.sigma_p sensors.*.offsets",
     "line-grid": "motion.sigma_a motion.halting motion.rest sensors.fixes.sigma_p start.sigma_start",
     "line-pf": "motion.sigma_a motion.halting motion.rest sensors.ranges.sigma_r start.sigma_start",
-    "uwb-imu in space": "motion.noise.sigma_accel motion.noise.sigma_gyro motion.noise.*_walk motion.gravity sensors.*.bias",
+    "uwb-imu in space": "motion.noise.sigma_accel motion.noise.sigma_gyro motion.noise.*_walk motion.gravity motion.arm sensors.*.bias sensors.*.late",
     "uwb": "motion.sigma_a motion.sigma_bias motion.time_constant sensors.ranges.sigma_r sensors.ranges.bias track_loss.score_limit",
     "fix-kf": "motion.sigma_a sensors.fixes.sigma_horizontal sensors.fixes.dof sensors.fixes.latency track_loss.nis_limit",
     "fix-singer": "motion.sigma_a motion.tau sensors.fixes.latency",

@@ -23,6 +23,7 @@ from trackwright.trackers.core.model.sensor import (
     Channel,
     Reading,
     Residual,
+    delayed_position,
     position_in_space,
     student_t_log_peak,
 )
@@ -170,15 +171,21 @@ class AbstractBearingSensor(AbstractSensor):
 
 
 class BearingSensor(AbstractBearingSensor):
-    """Azimuth and elevation with the biases of the row's station, rad: see `AbstractBearingSensor`."""
+    """Azimuth and elevation with the biases of the row's station, rad: see `AbstractBearingSensor`.
+
+    `late`: by how many seconds the times of angles are later than those of the other readings at the same position.
+    """
+
+    late: Noise | None
 
     def __init__(self, sigma_azimuth: float, sigma_elevation: float, dof: float):
         super().__init__(sigma_azimuth, sigma_elevation, dof)
+        self.late = None
 
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         """Azimuth and elevation, with the calibration of the station or else compressed, and with its biases."""
-        pairs = zip(self.angles(view.position, inputs), self.biases(view, inputs), strict=True)
-        return [angle + bias for angle, bias in pairs]
+        angles = self.angles(delayed_position(view, inputs, self.late), inputs)
+        return [angle + bias for angle, bias in zip(angles, self.biases(view, inputs), strict=True)]
 
 
 def bearing_inputs(station: Station) -> np.ndarray:

@@ -145,9 +145,11 @@ def assembled(
 ) -> RecordingFolder:
     """The recording of tables, with a rig or the anchors that a log names; raises UnusableInput for unknown sensors.
 
+    Ranges of a rig that is given without anchors are those of a site to survey.
     `name`: of the recording, by default that of the rig. `offsets`, `bodies`: places of tags on their body, m, and the
     tags of each, of which those of the tables are added to the rig's.
     """
+    to_survey = "ranges" if rig is not None and not rig.anchors else None
     if rig is None:
         rig = Rig(name or "imported", {key: np.array(place) for key, place in (anchors or {}).items()})
     there = {tag for table in tables.values() for tag in table["tag"].unique()}
@@ -157,13 +159,14 @@ def assembled(
     rig = replace(rig, name=name or rig.name, tags=tags | dict(rig.tags), bodies=on_bodies | dict(rig.bodies))
     for table, kind in KINDS.items():
         section, known = f"{kind.noun}s", kind.places(rig)
-        for column in kind.sensors if table in tables else ():
+        for column in kind.sensors if table in tables and table != to_survey else ():
             ids = tables[table][column].unique(maintain_order=True).to_list()
             unknown = [sensor for sensor in ids if sensor not in known]
             if unknown:
                 raise UnusableInput(
                     f"{table}: {column} {listed(map(repr, unknown))} without a position; the rig has "
                     f"{listed(known) or 'none'}; give a rig.toml with [{section}] by --rig (in Python: rig=)"
+                    + ("" if known or table != "ranges" else ", or without, for trackwright survey to find them")
                 )
     return RecordingFolder(rig.name, None, rig, dict(tables))
 
@@ -194,7 +197,7 @@ def save(folder: RecordingFolder, out: Path) -> RecordingFolder:
 
 
 def _added(folder: RecordingFolder, out: Path) -> RecordingFolder:
-    there = read_recording(out)
+    there = _read(out)
     twice = [name for name in folder.tables if name in there.tables]
     if twice:
         raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another table; remove it first")
@@ -214,9 +217,14 @@ def _written(folder: RecordingFolder, path: Path) -> RecordingFolder:
     """The recording after it was written to `path` and read back."""
     write_recording(folder, path)
     try:
-        return read_recording(path)
+        return _read(path)
     except UnusableInput as problem:
         raise UnusableInput(str(problem).replace(f"{path}/", "imported ").replace(str(path), "imported")) from problem
+
+
+def _read(path: Path) -> RecordingFolder:
+    """The recording; its ranges may be to anchors that are to be surveyed where its rig has none."""
+    return read_recording(path, placed=bool(read_rig(path / RIG_FILE)[0].anchors))
 
 
 def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:

@@ -24,6 +24,7 @@ from trackwright.trackers.parts.drifting_biases import (
     norm_of,
     shrunk_speed,
 )
+from trackwright.trackers.parts.ranges import with_delay
 from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
 from trackwright.trackers.uwb_imu.fusion import REACH
 
@@ -129,6 +130,9 @@ def fused_tracker(trackers: Mapping[str, Tracker], planar: bool = False) -> Trac
         for name, motion in sorted(motions.items())
         if motion.biases
     }
+    # Times of one kind are what those of the others are late against; fixes have a latency of their own.
+    others = [name for name, tracker in trackers.items() if hasattr(tracker.sensors[name], "late")][1:]
+    delayed = {name: with_delay(trackers[name].sensors[name]) for name in others}
     start = FusedStart(
         Scale(START_STD, "m"),
         Scale(1.0, "m/s"),
@@ -139,7 +143,7 @@ def fused_tracker(trackers: Mapping[str, Tracker], planar: bool = False) -> Trac
     )
     return Tracker(
         FusedMotion(levels.sigma_a, levels.sigma_z, levels.memory, drifts),
-        {name: tracker.sensors[name] for name, tracker in trackers.items()},
+        {name: tracker.sensors[name] for name, tracker in trackers.items()} | delayed,
         start,
         track_loss=TrackScorePolicy(REACH, "m"),
         lasting_errors=any(tracker.lasting_errors for tracker in trackers.values()),

@@ -21,7 +21,7 @@ from trackwright.trackers.core.model.sensor import (
     Channel,
     Reading,
     Residual,
-    position_in_space,
+    delayed_position,
     rounding_variance,
     student_t_log_peak,
 )
@@ -47,7 +47,8 @@ class RangeSensor(AbstractSensor):
     Residuals follow a two-piece Student's t with `dof` degrees of freedom, of scale `sigma_r` m below zero and
     `positive_skew`·`sigma_r` above: ranges are too long more often than too short. Reported variances, m², one per
     slot, add to that of `sigma_r`. `quality_slope`: by how much log σ of a range changes with its quality z, where
-    ranges have one; z are further reported columns, one per slot, and `sigma_r` is that at z = 0.
+    ranges have one; z are further reported columns, one per slot, and `sigma_r` is that at z = 0. `late`: by how many
+    seconds the times of ranges are later than those of the other readings at the same position.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
@@ -58,6 +59,7 @@ class RangeSensor(AbstractSensor):
     bias: Noise
     quality_slope: Noise | None
     slots: int = eqx.field(static=True)
+    late: Noise | None
 
     def __init__(
         self,
@@ -78,6 +80,7 @@ class RangeSensor(AbstractSensor):
         self.positive_skew = Scale(positive_skew)
         self.dof = Scale(dof)
         self.bias = Real(np.full(anchors, bias), "m", typical=0.1)
+        self.late = None
         self.quality_slope = None if quality_slope is None else Real(quality_slope, typical=0.3)
 
     @property
@@ -115,7 +118,7 @@ class RangeSensor(AbstractSensor):
         return tuple(Channel(f"{kind}_{k + 1}", unit) for kind, unit in kinds.items() for k in range(self.slots))
 
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
-        position = position_in_space(view.position, inputs)
+        position = delayed_position(view, inputs, self.late)
         ranges = []
         for slot in range(self.slots):
             tag = position
@@ -146,6 +149,11 @@ class RangeSensor(AbstractSensor):
             log_scales.append(jnp.where(seen, peak, 0.0))
         nis_dof = total(jnp.where(seen, jnp.ones_like(whitened[0]), 0.0) for seen in reading.seen)
         return Residual(whitened, total(log_scales), nis_dof, dof=dof)
+
+
+def with_delay(sensor: AbstractSensor) -> AbstractSensor:
+    """The sensor with the tunable `late`, which shows beside readings of another clock, such as those of an IMU."""
+    return eqx.tree_at(lambda x: x.late, sensor, Real(0.0, "s", typical=0.05), is_leaf=lambda x: x is None)
 
 
 def in_world_axes(attitude: Any, vector: Vector) -> Vector:

@@ -23,7 +23,7 @@ from trackwright.trackers.core.model.sensor import (
     Channel,
     Reading,
     Residual,
-    position_in_space,
+    delayed_position,
     rounding_variance,
 )
 from trackwright.trackers.core.model.tunable import Scale
@@ -51,7 +51,8 @@ class RangeDifferenceSensor(AbstractSensor):
 
     Noise is Student's t with `dof` degrees of freedom and scale `sigma_d` m. Reported are a variance, m², of each slot,
     which adds to that of `sigma_d`, and the correlation of each pair of slots, row by row of the upper triangle, by
-    which the differences are whitened.
+    which the differences are whitened. `late`: by how many seconds the times of differences are later than those of the
+    other readings at the same position.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
@@ -59,12 +60,14 @@ class RangeDifferenceSensor(AbstractSensor):
     sigma_d: Noise
     dof: Noise
     slots: int = eqx.field(static=True)
+    late: Noise | None
 
     def __init__(self, slots: int, sigma_d: float, dof: float):
         """`slots`: differences per row."""
         self.slots = slots
         self.sigma_d = Scale(sigma_d, "m", "measurement noise")
         self.dof = Scale(dof)
+        self.late = None
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -83,7 +86,7 @@ class RangeDifferenceSensor(AbstractSensor):
         return (*variances, *(Channel(f"correlation_{i}_{j}", "") for i, j in pairs))
 
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
-        position = position_in_space(view.position, inputs)
+        position = delayed_position(view, inputs, self.late)
         result = []
         for slot in range(self.slots):
             distances = []

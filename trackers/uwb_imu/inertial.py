@@ -19,7 +19,7 @@ from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.track_loss import TrackScorePolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import BiasDrift
-from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor, with_delay
 from trackwright.trackers.parts.start_nearby import NEARBY, AbstractNearbyStart
 from trackwright.trackers.uwb_imu.differences import TDOA, RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.fusion import MAX_BIASES, REACH
@@ -191,6 +191,7 @@ def _strapdown_tracker(
 ) -> Tracker:
     """The tracker of an IMU and readings to anchors, in the plane or in three dimensions as the start."""
     drift = drift if start.biases else None
+    sensors = {name: with_delay(sensor) for name, sensor in sensors.items()}
     motion: AbstractMotion = Strapdown(noise, biases=start.biases, drift=drift)
     if start.planar:
         motion = PlanarStrapdown(noise, biases=start.biases, drift=drift)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
 
 from trackwright.trackers.core.model.algebra import Scalar, Vector
@@ -186,12 +187,13 @@ class Strapdown(AbstractMotion):
     """The mechanisation in three dimensions, world axes with z up (Solà 2017, section 5.2); `noise`: of the IMU.
 
     `gravity`: specific force at rest, m/s². Optional input `arm` (3,) m: the lever arm, from the IMU in body axes, of
-    the tag whose position is in the state. `biases`: number of range biases in the state; `drift`: how they drift, None
-    for the random walk of `noise`.
+    the tag whose position is in the state; the tunable `arm` (3,) m adds to it. `biases`: number of range biases in the
+    state; `drift`: how they drift, None for the random walk of `noise`.
     """
 
     noise: ImuNoise
     gravity: Noise
+    arm: Noise
     biases: int = eqx.field(static=True)
     drift: BiasDrift | None
 
@@ -199,6 +201,7 @@ class Strapdown(AbstractMotion):
         self.noise = noise
         self.biases = biases
         self.drift = drift
+        self.arm = Real(np.zeros(3), "m", typical=0.05)
         self.gravity = gravity if isinstance(gravity, Noise) else Real(gravity, "m/s^2", typical=0.1)
 
     def at(self, belief: Any) -> Strapdown:
@@ -231,7 +234,7 @@ class Strapdown(AbstractMotion):
         position, velocity = accelerated(state.position, state.velocity, acceleration, dt, sigma_velocity, w)
         turned = renormalised(state.attitude @ Rotation.exp(rate * dt + Vector(*w.parts[6:9]) * sigma_attitude), dt)
         if "arm" in inputs:
-            arm = Vector.of(inputs["arm"][k] for k in range(3))
+            arm = Vector.of(inputs["arm"][k] + self.arm.value[k] for k in range(3))
             position = position + (turned.apply(arm) - state.attitude.apply(arm))
         return Inertial(
             position,

@@ -18,6 +18,7 @@ from trackwright.trackers.core.model.algebra import Scalar, Vector
 from trackwright.trackers.core.model.inputs import Input, Inputs
 from trackwright.trackers.core.model.motion import Noise, process_noise
 from trackwright.trackers.core.model.state import Heading
+from trackwright.trackers.core.model.tunable import Real
 from trackwright.trackers.parts.ranges import in_world_axes
 from trackwright.trackers.uwb_imu.strapdown import ARM
 
@@ -41,15 +42,17 @@ class Wheels(eqx.Module):
     """The motion by odometry, with white errors.
 
     `sigma_slip`: of the velocity, m/s per √Hz, forward and sideways alike. `sigma_yaw_rate`: of the turning rate, rad/s
-    per √Hz.
+    per √Hz. `arm` (2,): adds to the lever arm of the rig, ahead and to the left, m.
     """
 
     sigma_slip: Noise
     sigma_yaw_rate: Noise
+    arm: Noise
 
     def __init__(self, sigma_slip: float | Noise = 0.01, sigma_yaw_rate: float | Noise = 0.04):
         self.sigma_slip = process_noise(sigma_slip, "m/s/sqrt(Hz)")
         self.sigma_yaw_rate = process_noise(sigma_yaw_rate, "rad/s/sqrt(Hz)")
+        self.arm = Real(np.zeros(2), "m", typical=0.05)
 
     def driven(self, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> dict[str, Any]:
         """Position and velocity over the floor, heading and turning rate `dt` s later; `w`: six draws.
@@ -61,7 +64,8 @@ class Wheels(eqx.Module):
         middle, turned = (Heading(state.attitude.angle + share * turn) for share in (0.5, 1.0))
         after = Heading(turned.angle + self.sigma_yaw_rate.value * root * w[4])
         chord = in_world_axes(middle, Vector(speed * dt * jnp.sinc(turn / (2 * np.pi)), 0.0, 0.0))
-        arm = Vector.of(inputs[ARM.name][k] for k in range(3))
+        added = self.arm.value
+        arm = Vector(inputs[ARM.name][0] + added[0], inputs[ARM.name][1] + added[1], inputs[ARM.name][2])
         moved = chord + (in_world_axes(after, arm) - in_world_axes(state.attitude, arm))
         velocity = in_world_axes(turned, Vector(speed - rate * arm[1], rate * arm[0], 0.0))
         slip = self.sigma_slip.value

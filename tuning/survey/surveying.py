@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from trackwright.trackers.core.errors import UnusableInput, listed, one_or_more
+from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import check_at_rest
@@ -70,7 +71,16 @@ def survey(
         effect = design_effect(walks, solution, tempered)
         tempered = replace(prior, precision=prior.precision * effect)
     solution = table.settled(walks, solution, tempered)
-    return table.finished(site, solution, prior, effect, _notes(walks, site.flat), minima)
+    found = table.finished(site, solution, prior, effect, _notes(walks, site.flat), minima)
+    return replace(found, rig=_of_every_walk(found.rig, folders))
+
+
+def _of_every_walk(rig: Rig, folders: Sequence[RecordingFolder]) -> Rig:
+    """The rig without the heights of tags that differ from walk to walk."""
+    heights = {tag: {folder.rig.tags.get(tag, Tag()).height for folder in folders} for tag in rig.tags}
+    return replace(
+        rig, tags={k: replace(tag, height=None) if len(heights[k]) > 1 else tag for k, tag in rig.tags.items()}
+    )
 
 
 def table_of(folders: Sequence[RecordingFolder]) -> SurveyedTable:

@@ -20,12 +20,14 @@ CASES = (
     "surveys:difference_surveys",
     "bearing_surveys",
     "bearing_surveys:real_bearing_surveys",
+    "offsets",
     "protection_levels",
     "watches",
     "watches:real_watches",
     "track_loss",
     "bag_tour",
     "promises",
+    "bag_tour:survey_tour",
 )
 
 if __name__ == "__main__":

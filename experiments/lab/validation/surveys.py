@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
-from typing import Any
 
 import numpy as np
 import polars as pl
 from scipy.signal import lfilter
+from scipy.stats import binom, norm
 
 import trackwright as tw
 from trackwright.experiments.cli.runtime import keep_programs
@@ -25,13 +25,13 @@ from trackwright.experiments.text.terminal import progress
 from trackwright.tuning.survey.anchors import Ranges
 from trackwright.tuning.survey.frames import aligned, frame_of
 from trackwright.tuning.survey.result import NORMAL, AnchorSurvey, Survey
-from trackwright.tuning.survey.solving import Solution, information
+from trackwright.tuning.survey.solving import FISHER
 from trackwright.tuning.survey.surveying import survey
 from trackwright.tuning.survey.walks import walks_of
 
 SURVEYS = 200
-COVERED, ERRORS = (90.0, 98.0), 1.3
-"""Accepted coverage of 95 % intervals, and error over bound of surveys without errors that last."""
+COVERED, ERRORS, CHANCE = (90.0, 98.0), 1.3, 0.99
+"""Accepted coverage of 95 % intervals, error over bound, and probability of as few determined numbers beyond 3 σ."""
 
 SCALE, DOF, LASTING, LASTS = 0.1, 4.0, 0.05, 3.0
 HEIGHTS: Mapping[str, tuple[float | None, ...]] = {"space": (None,), "one height": (1.2,), "two heights": (0.5, 1.9)}
@@ -121,13 +121,14 @@ def _row(walk: str, lasting: float, rows: Sequence[Row]) -> Row:
     z, bound = (np.concatenate([row[key] for row in rows]) for key in ("z", "over bound"))
     covered = 100.0 * float(np.mean(np.abs(z) < NORMAL)) if len(z) else np.nan
     ratio = float(np.sqrt(np.mean(bound**2))) if len(bound) else np.nan
-    wrong = sum(row["wrong"] for row in rows)
-    good = COVERED[0] <= covered <= COVERED[1] and wrong == 0 and (lasting > 0 or ratio <= ERRORS)
+    stated = np.concatenate([row["determined"] for row in rows])
+    wrong, most = sum(row["wrong"] for row in rows), binom.ppf(CHANCE, stated.sum(), 2.0 * norm.sf(3.0))
+    good = COVERED[0] <= covered <= COVERED[1] and wrong <= most and ratio <= ERRORS
     return {
         "walk": walk, "errors that last, cm": 100 * lasting, "surveys": len(rows), "inside 95 %": covered,
         "error / bound": ratio, "median error, cm": 100 * float(np.median(np.concatenate([r["error"] for r in rows]))),
-        "determined %": 100.0 * float(np.mean(np.concatenate([row["determined"] for row in rows]))),
-        "wrong": wrong, "s": float(np.median([row["s"] for row in rows])), "good": "yes" if good else "no",
+        "determined %": 100.0 * float(stated.mean()), "wrong": wrong,
+        "s": float(np.median([row["s"] for row in rows])), "good": "yes" if good else "no",
     }  # fmt: skip
 
 
@@ -149,7 +150,7 @@ def simulated_survey(seed: int, walk: str, lasting: float) -> Row:
     counted = (found.half_widths[:, :3] > 0) & ~(found.mirrored[:, None] & (np.arange(3) == 2))
     sigma = found.half_widths[:, :3] / NORMAL
     stated = np.array([[over, over, height] for over, height in map(found.determined, found.names)])
-    bound = _bound(found, folders, [path @ turn.T + shift for path in paths], true)
+    bound = _bound(found, folders, [path @ turn.T + shift for path in paths], true, lasting)
     return {
         "z": (error / np.where(counted, sigma, 1.0))[counted], "over bound": (error / bound)[counted & (bound < 1.0)],
         "error": np.linalg.norm(error[:, :2], axis=1), "determined": stated[counted],
@@ -158,27 +159,45 @@ def simulated_survey(seed: int, walk: str, lasting: float) -> Row:
 
 
 def _bound(
-    found: AnchorSurvey, folders: Sequence[tw.RecordingFolder], paths: Sequence[np.ndarray], true: np.ndarray
-) -> Any:
-    """The bound (A, 3), m, of the coordinates that the survey estimates, from the information at the truth."""
-    walks = walks_of(folders, found.names, None)
-    coefficients = []
-    for walk, path in zip(walks, paths, strict=True):
+    found: AnchorSurvey,
+    folders: Sequence[tw.RecordingFolder],
+    paths: Sequence[np.ndarray],
+    true: np.ndarray,
+    lasting: float,
+) -> np.ndarray:
+    """The bound (A, 3), m, of the coordinates that the survey estimates: dense, with the covariance of the errors.
+
+    Errors that last are normal and unknown beside anchors and paths: of the readings of an anchor, those of Student's t
+    count as normal ones of the same Fisher information.
+    """
+    precision = Ranges().prior(len(true)).precision
+    for walk, path, density in zip(walks_of(folders, found.names, None), paths, found.densities, strict=True):
         times = np.arange(len(path)) / RATE
-        at_ranges = np.column_stack([np.interp(walk.times, times, column) for column in path.T])
-        coefficients.append(walk.fitted(at_ranges))
-    truth = Solution(np.column_stack([true, found.delays]), coefficients, np.full(len(true), SCALE), found.densities)
+        offset = np.column_stack([np.interp(walk.times, times, column) for column in path.T]) - true[walk.anchor]
+        units = offset / np.linalg.norm(offset, axis=1)[:, None]
+        along, partial = walk.along(units).toarray(), np.zeros((len(units), len(true), 4))
+        partial[np.arange(len(units)), walk.anchor] = np.column_stack([-units, np.ones(len(units))])
+        derivatives = np.column_stack([along, partial.reshape(len(units), -1)])
+        information = np.zeros((derivatives.shape[1],) * 2)
+        for k in range(len(true)):
+            own = walk.anchor == k
+            apart = np.abs(np.subtract.outer(walk.times[own], walk.times[own]))
+            covariance = lasting**2 * np.exp(-apart / LASTS) + SCALE**2 / FISHER * np.eye(own.sum())
+            information += derivatives[own].T @ np.linalg.solve(covariance, derivatives[own])
+        size = along.shape[1]
+        information[:size, :size] += walk.roughness.toarray() / density + 1e-6 * np.eye(size)
+        cross = information[:size, size:]
+        precision = precision + information[size:, size:] - cross.T @ np.linalg.solve(information[:size, :size], cross)
     free = np.diag(found.covariance) > 0
-    precision = (information(walks, truth) + Ranges().prior(len(true)).precision)[np.ix_(free, free)]
     bound = np.full(len(free), np.inf)
-    bound[free] = np.sqrt(np.diag(np.linalg.inv(precision + 1e-6 * np.eye(free.sum()))))
+    bound[free] = np.sqrt(np.diag(np.linalg.inv(precision[np.ix_(free, free)] + 1e-6 * np.eye(free.sum()))))
     return bound.reshape(-1, 4)[:, :3]
 
 
 def simulated_site(
-    seed: int, heights: Sequence[float | None], lasting: float
+    seed: int, heights: Sequence[float | None], lasting: float, seconds: float = SECONDS
 ) -> tuple[list[tw.RecordingFolder], np.ndarray, list[np.ndarray]]:
-    """Recordings of a room, the true anchors (A, 3), m, and the true positions (n, 3), m, of each epoch."""
+    """Recordings of a room, `seconds` in all, true anchors (A, 3) and true positions (n, 3) of each epoch, m."""
     random = np.random.default_rng([seed, 35])
     size, count = random.uniform([5.0, 4.0], [12.0, 10.0]), int(random.integers(4, 13))
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) * size
@@ -194,7 +213,7 @@ def simulated_site(
     names = [f"A{k:02d}" for k in range(count)]
     folders, paths = [], []
     for number, height in enumerate(heights):
-        times = np.arange(int(SECONDS / len(heights) * RATE)) / RATE
+        times = np.arange(int(seconds / len(heights) * RATE)) / RATE
         path = smooth_path(times, np.append(size, 2.5), random)
         if height is not None:
             path[:, 2] = height

@@ -69,6 +69,15 @@ def test_a_log_of_a_kit_brings_its_anchors(there):
     assert {name: len(table) for name, table in recording.tables.items()} == {"ranges": 15, "fixes": 5}
 
 
+def test_ranges_to_anchors_without_positions_are_imported_for_a_survey_where_the_rig_says_so(there):
+    (there / "site.toml").write_text("format = 1\n\n[tags.T1]\nheight_m = 0.5\n")
+    said = trackwright("import", "log.csv", *CSV, "--rig", "site.toml", "--out", "site")
+    assert said.code == 0, said.err
+    assert said.out.endswith("next: trackwright survey site\n")
+    assert read_recording(there / "site", placed=False).rig.tags["T1"].height == 0.5
+    assert_refused_last(trackwright("track", "site", "--out", "tracks"), "is not in rig.toml")
+
+
 def test_a_log_in_milliseconds_takes_a_unit_and_no_other_column(there):
     line = "POS,2.57,2.00,1.67,97"
     (there / "tag.log").write_text(f"1500 {line}\n2500 {line}\n")

@@ -29,7 +29,10 @@ FAR, NORMAL = 1e7, 1e6
 
 
 def test_likelihood_and_moments_are_those_of_dense_conditioning():
-    """All four kinds at once, anchors and the station so far that readings are linear: everything is jointly normal."""
+    """All four kinds at once, anchors and the station so far that readings are linear: everything is jointly normal.
+
+    Two kinds come from clocks of their own.
+    """
     rng, rows, sigma_a, sigma_shared = np.random.default_rng(1), 12, 0.6, 0.2
     levels = {RANGES: (0.3, 7.0), TDOA: (0.2, 5.0), BEARINGS: (0.25 / FAR, 3.0)}
     tracker = fused_tracker(
@@ -48,6 +51,7 @@ def test_likelihood_and_moments_are_those_of_dense_conditioning():
             FIXES: fix_tracker(sigma_horizontal=0.4, sigma_vertical=0.5, dof=NORMAL),
         }
     )
+    tracker = tracker.with_values({f"sensors.{TDOA}.late": 0.3, f"sensors.{BEARINGS}.late": -0.2})
     towards = rng.normal(size=(4, 3))
     towards /= np.linalg.norm(towards, axis=1)[:, None]
     ranged, paired, number = towards[:2], towards[2:], rng.integers(0, 2, rows)
@@ -59,6 +63,7 @@ def test_likelihood_and_moments_are_those_of_dense_conditioning():
     difference, bearings, fixes = np.zeros((1, 13)), np.eye(2, 13, 6), np.eye(3, 13)
     difference[0, :3], difference[0, 10:12], bearings[:, :3] = paired[0] - paired[1], [1.0, -1.0], angles
     H = np.concatenate([range_rows, difference, bearings, fixes])
+    H[:, 3:6] = -np.array([0.0, 0.0, 0.3, -0.2, -0.2, 0.0, 0.0, 0.0])[:, None] * H[:, :3]
     R = np.diag([0.1, 0.1, 0.15, 0.2 / FAR, 0.3 / FAR, 0.4, 0.4, 0.5]) ** 2
     values = 3.0 * np.sqrt(np.diag(R)) * rng.normal(size=(rows, 8))
     seen = rng.random((rows, 8)) > 0.4

@@ -1,5 +1,6 @@
 """Strapdown mechanisation against finite differences, the paper's corrected matrix, and physics."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,7 @@ from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.linearise import linearise
 from trackwright.trackers.core.model.state import Heading, Rotation, coordinates, local
-from trackwright.trackers.core.model.tunable import freeze
+from trackwright.trackers.core.model.tunable import Real, freeze
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 
 ATTITUDE = np.array([0.9, 0.2, -0.3, 0.1]) / np.linalg.norm([0.9, 0.2, -0.3, 0.1])
@@ -122,14 +123,15 @@ def test_a_body_on_a_circle_is_followed_to_second_order_in_the_step():
     np.testing.assert_allclose([*after.position], [radius, 0], atol=radius * steps * (omega * dt) ** 3)
 
 
-def test_a_tag_on_a_turning_arm_moves_while_the_imu_stands():
+@pytest.mark.parametrize("stated", [0.0, 0.4, 1.0])
+def test_a_tag_on_a_turning_arm_moves_while_the_imu_stands(stated):
+    """The arm is that of the rig and what a fit adds to it."""
+    motion = eqx.tree_at(lambda m: m.arm, Strapdown(NOISE), Real([1.0 - stated, 0.0, 0.0], "m"))
     state = Inertial(
         Vector(1.0, 0.0, 0.0), Vector(0.0, 0.0, 0.0), Rotation(1.0, 0.0, 0.0, 0.0), *[Vector(0.0, 0.0, 0.0)] * 2
     )
-    inputs = {"accel": [0, 0, 9.81], "gyro": [0, 0, np.pi / 2], "imu": [1, 1], "arm": [1, 0, 0]}
-    after = _run(
-        Strapdown(NOISE), state, {k: np.tile(np.array(v, float), (100, 1)) for k, v in inputs.items()}, 0.01, 100
-    )
+    inputs = {"accel": [0, 0, 9.81], "gyro": [0, 0, np.pi / 2], "imu": [1, 1], "arm": [stated, 0, 0]}
+    after = _run(motion, state, {k: np.tile(np.array(v, float), (100, 1)) for k, v in inputs.items()}, 0.01, 100)
     np.testing.assert_allclose([*after.position, *after.velocity], [0, 1, 0, 0, 0, 0], atol=1e-12)
 
 

@@ -1,5 +1,6 @@
 """Odometry of wheels: the motion against fine steps, the filter against dense conditioning, and what it finds."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
@@ -13,6 +14,7 @@ from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.state import Heading
+from trackwright.trackers.core.model.tunable import Real
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import DriftingBiases
@@ -36,7 +38,9 @@ def _stepped(motion, x, odometry, arm, dt):
 
 
 @pytest.mark.parametrize(("speed", "rate"), [(0.5, 0.0), (0.8, -2.0), (0.0, 3.0)])
-def test_a_tag_beside_the_axle_moves_as_by_fine_steps(speed, rate):
+@pytest.mark.parametrize("stated", [0.4, 1.0])
+def test_a_tag_beside_the_axle_moves_as_by_fine_steps(speed, rate, stated):
+    """The lever arm is that of the rig and what a fit adds to it."""
     start, arm, dt, n = np.array([1.0, 2.0, 0.4, 0.0, 0.0, 0.0]), np.array([0.3, -0.2]), 0.5, 20_000
     headings = start[2] + rate * dt * (np.arange(n) + 0.5) / n
     axle = np.array([speed * dt * np.cos(headings).mean(), speed * dt * np.sin(headings).mean()])
@@ -48,7 +52,9 @@ def test_a_tag_beside_the_axle_moves_as_by_fine_steps(speed, rate):
     (before, _), (after, ahead) = tag(start[2]), tag(start[2] + rate * dt)
     expected = [*(start[:2] + axle + after - before), start[2] + rate * dt]
     expected += [*(ahead + rate * np.array([-after[1], after[0]])), rate]
-    np.testing.assert_allclose(_stepped(DRIVEN, start, (speed, rate, 1.0), (*arm, 0.0), dt), expected, atol=1e-5)
+    motion = eqx.tree_at(lambda m: m.wheels.arm, DRIVEN, Real((1.0 - stated) * arm, "m"))
+    found = _stepped(motion, start, (speed, rate, 1.0), (*(stated * arm), 0.0), dt)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_a_body_whose_odometry_is_missing_moves_as_one_without_wheels():

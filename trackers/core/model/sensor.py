@@ -108,6 +108,17 @@ def position_in_space(position: Vector, inputs: Inputs) -> Vector:
     return position if len(position) == 3 else Vector(*position, inputs["height"])
 
 
+def delayed_position(view: Any, inputs: Inputs, late: Any | None) -> Vector:
+    """The position in three dimensions `late` s before that of a view with a velocity, for straight motion; None: 0.
+
+    A view without a velocity has its position alone.
+    """
+    position = view.position
+    if late is not None and hasattr(view, "velocity"):
+        position = Vector.of(p - v * late.value for p, v in zip(position, view.velocity, strict=True))
+    return position_in_space(position, inputs)
+
+
 def rounding_variance(reading: Scalar) -> Scalar:
     """The square of the spacing of numbers at a reading, the variance of its rounding."""
     return (float(jnp.finfo(jnp.result_type(reading)).eps) * reading) ** 2
