@@ -71,13 +71,14 @@ def conditioned(world: World, number: int) -> Conditioned:
         X = F @ X
         X[:, n + q * k : n + q * (k + 1)] += G
         for name in model.sensors:
-            seen = np.asarray(row.readings[name].seen, bool)
             predicted = _affine("measure", lambda x, row=row, name=name: of_sensors[name](x, row), n)
-            whitening = _whitening(model, name, row)[np.ix_(seen, seen)]
+            whitening = _whitening(model, name, row)
+            read = np.asarray(row.readings[name].seen, bool) & whitening.any(axis=0)
+            W = whitening[whitening.any(axis=1)][:, read]
             z = np.asarray(row.readings[name].values, float)
-            residuals.append((z - predicted.value - predicted.slope @ mean)[seen])
-            lines.append((predicted.slope @ X)[seen])
-            noises.append(np.linalg.inv(whitening.T @ whitening))
+            residuals.append((z - predicted.value - predicted.slope @ mean)[read])
+            lines.append((predicted.slope @ X)[read])
+            noises.append(np.linalg.inv(W.T @ W))
     r, L = np.concatenate(residuals), np.concatenate(lines)
     S = L @ C @ L.T
     at = 0

@@ -173,7 +173,10 @@ def sensor_checks(
         dof = residual_of(arrays(predicted()), np.ones(m, bool)).dof
         dof = None if dof is None else float(dof)
         wraps, worst = np.array([channel.wraps for channel in sensor.channels]), 0.0
+        unread = ~np.any(np.asarray(by_reading(arrays(predicted()), np.ones(m, bool))), axis=0)
         for seen in _windows(m):
+            if np.any(seen & unread):
+                continue
             n_redundant = round(seen.sum() - residual(np.zeros(m), seen)[2])
             free = np.flatnonzero(seen)[n_redundant:]
             if not len(free):

@@ -19,8 +19,11 @@ from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
 
-STEP = 1e-5
+STEP = 3e-4
 """Half the interval of a difference quotient, of the unconstrained value of a tunable."""
+
+RESOLUTION = 1e-9
+"""Relative rounding of a sum: an update of a diffuse prior loses digits to cancellation."""
 
 
 class Sums:
@@ -34,9 +37,9 @@ class Sums:
         self.labels = [name for name, node in self.nodes.items() for _ in range(np.size(node.raw))]
         self.point = np.concatenate([np.ravel(np.asarray(x.raw)) for x in self.nodes.values()] or [np.zeros(0)])
         shifts = STEP * np.eye(len(self.point))
-        points = self.point + np.concatenate([np.zeros((1, len(self.point))), shifts, -shifts])
+        points = self.point + np.concatenate([0.0 * shifts[:1], shifts, -shifts, 2 * shifts, -2 * shifts])
         self.values = np.asarray(jax.jit(lambda vs: jax.lax.map(self.sums, vs))(jnp.asarray(points)))
-        self.output: Output = jax.jit(filter_batch)(self.model, self.batch)
+        self.output: Output = eqx.filter_jit(filter_batch)(self.model, self.batch)
 
     def sums(self, vector: Float[Array, " p"]) -> Float[Array, " 2"]:
         """The sums by `accumulate`, (2,), with the unconstrained values of all tunables."""
@@ -62,7 +65,7 @@ class Sums:
     def compare_alone(self) -> str:
         """Raises unless a recording alone has the estimates that it has in a batch, to rounding."""
         with jax.enable_x64(True):
-            alone = jax.jit(filter_batch)(self.model, self.batch.columns(0, 1))
+            alone = eqx.filter_jit(filter_batch)(self.model, self.batch.columns(0, 1))
         pairs = zip(*(jax.tree_util.tree_leaves((x.mean, x.cov, *x[2:6])) for x in (alone, self.output)), strict=True)
         apart = max(_in_roundings(np.asarray(a)[..., 0], np.asarray(b)[..., 0]) for a, b in pairs)
         if not apart <= 1.0:
@@ -78,14 +81,16 @@ class Sums:
             raise NotApplicable("the tracker has no tunables")
         if draws_random_numbers(self.ran):
             raise NotApplicable("estimates depend on random numbers, whose derivative is no difference quotient")
-        p = len(self.point)
         with jax.enable_x64(True):
             slopes = np.asarray(jax.jit(jax.jacfwd(self.sums))(jnp.asarray(self.point)))
-        here, up, down = self.values[0], self.values[1 : p + 1].T, self.values[p + 1 :].T
+        here = self.values[0]
+        up, down, far_up, far_down = np.split(self.values[1:].T, 4, axis=1)
         numeric = (up - down) / (2 * STEP)
-        noise = 1e-6 * np.maximum(np.abs(here), 1.0)[:, None]
-        corner = np.abs(up + down - 2 * here[:, None]) / STEP > 0.01 * np.abs(numeric) + noise
-        wrong = (np.abs(slopes - numeric) > 1e-4 * np.abs(numeric) + noise) & ~corner
+        noise = RESOLUTION * np.maximum(np.abs(here), 1.0)[:, None] / STEP
+        # Of a smooth function the slopes on both sides differ twice as much over twice the interval.
+        bends = ((far_up + far_down - 2 * here[:, None]) / 2 - 2 * (up + down - 2 * here[:, None])) / STEP
+        corner = np.abs(bends) > 0.01 * np.abs(numeric) + noise
+        wrong = (np.abs(slopes - numeric) > 1e-3 * np.abs(numeric) + noise) & ~corner
         if wrong.any() or not np.isfinite(slopes).all():
             figure, k = np.argwhere(wrong | ~np.isfinite(slopes))[0]
             raise BrokenContract(
@@ -94,7 +99,9 @@ class Sums:
                 "stop_gradient, rounding or NumPy on its way, and smooth = True for a start that reads it"
             )
         at_corner = sorted({self.labels[k] for k in np.argwhere(corner)[:, 1]})
-        return f"{p} tunables" + (f"; at a corner, and left out: {', '.join(at_corner)}" if at_corner else "")
+        return f"{len(self.point)} tunables" + (
+            f"; at a corner, and left out: {', '.join(at_corner)}" if at_corner else ""
+        )
 
 
 def _score(output: Output, truth: Any) -> tuple[Any, Any]:

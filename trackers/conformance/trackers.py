@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -15,13 +16,15 @@ from trackwright.trackers.conformance.dense import Conditioned, conditioned
 from trackwright.trackers.conformance.identities import identity_checks
 from trackwright.trackers.conformance.ran import FEWEST, Ran
 from trackwright.trackers.conformance.sums import Sums
+from trackwright.trackers.conformance.work import computed_numbers
 from trackwright.trackers.conformance.worlds import World, drawn_world, own_recordings
 from trackwright.trackers.core.data.consistency import nees
 from trackwright.trackers.core.data.estimates import Estimates
-from trackwright.trackers.core.data.recording import Recording, each_array
+from trackwright.trackers.core.data.recording import Recording, each_array, stack
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.state import component_names, coordinates
-from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
 
 TOGETHER = 8
 """Recordings of a world that run together."""
@@ -32,8 +35,8 @@ WORLD = 128
 SLACK = 1.5
 """Factor by which the mean NEES may differ from its expectation: filters of nonlinear models are not exact."""
 
-LENGTHS, GROWTH, NOISE_S = (256, 768, 2304), 2.0, 2e-6
-"""Rows of three runs, the factor by which the time of a further row may grow, and what the clock resolves of it."""
+LENGTHS, GROWTH = (64, 512), 1.2
+"""Rows of two programs, and the factor by which the numbers that one row computes may grow."""
 
 
 def check_tracker(
@@ -140,23 +143,28 @@ def _check_consistency(world: World, estimates: Estimates) -> str:
 
 
 def _check_speed(tracker: AbstractTracker, recording: Recording) -> str:
-    compiling, seconds = 0.0, []
+    per_row = []
     for rows in LENGTHS:
-        longer, each = _repeated(recording, rows), []
-        for _ in range(5):
-            started = time.process_time()
-            tracker.run(longer)
-            each.append(time.process_time() - started)
-        seconds.append(min(each[1:]))
-        compiling = max(compiling, each[0] - seconds[-1])
-    first, later = np.diff(seconds) / np.diff(LENGTHS)
-    words = f"{1e6 * later:.2g} µs a further row after {LENGTHS[1]}, {1e6 * first:.2g} µs after {LENGTHS[0]}"
-    if later > GROWTH * max(first, NOISE_S):
+        batch = stack([_repeated(recording, rows)])._replace(truth={})
+        program = eqx.filter_make_jaxpr(filter_batch)(as_dtype(tracker, batch.dt.dtype), batch)[0]
+        per_row.append(computed_numbers(program.jaxpr) / rows)
+    few, many = per_row
+    if many > GROWTH * few:
         raise BrokenContract(
-            f"{words}: the time of a row grows with the rows, expected the same; usual fix: jax.lax.scan with a carry "
-            "of fixed size, no array with an axis of rows inside"
+            f"each of {LENGTHS[1]} rows computes {many:.0f} numbers, each of {LENGTHS[0]} rows {few:.0f}, expected as "
+            "many: the time is not linear in the rows; usual fix: jax.lax.scan with a carry of fixed size, no array "
+            "with an axis of rows inside"
         )
-    return f"{words}; {compiling:.2g} s to compile"
+    longer, seconds = _repeated(recording, LENGTHS[1]), []
+    for _ in range(4):
+        started = time.process_time()
+        tracker.run(longer)
+        seconds.append(time.process_time() - started)
+    fastest = min(seconds[1:])
+    return (
+        f"{many:.0f} numbers and {1e6 * fastest / LENGTHS[1]:.2g} µs a row of {LENGTHS[1]}, "
+        f"{max(seconds[0] - fastest, 0.0):.2g} s to compile"
+    )
 
 
 def _repeated(recording: Recording, rows: int) -> Recording:

@@ -15,7 +15,7 @@ from trackwright.trackers.conformance.contract import NotApplicable
 from trackwright.trackers.core.data.estimates import Estimates, Status
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.core.model.algebra import Scalar, Vector
+from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian, matrix
 from trackwright.trackers.core.model.inputs import Input, Need
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Row
@@ -58,6 +58,8 @@ def drawn_world(tracker: AbstractTracker, recording: Recording, estimates: Estim
     """
     if not isinstance(tracker, Tracker):
         raise NotApplicable(f"a {type(tracker).__name__} has no motion and sensors to draw a world from")
+    if isinstance(tracker.filter, InteractingModels):
+        raise NotApplicable("the filter switches between models, none of which is that of the world")
     inert = replace(tracker, track_loss=TrackLossPolicy(np.inf, max_gap=np.inf), latency_of=None)
     if tracker.position_alone:
         raise NotApplicable("estimates have the covariance of positions alone: position_alone")
@@ -148,11 +150,12 @@ def _world(tracker: Tracker, recording: Recording, prior: Gaussian, n: int, seed
 def _reading(sensor: AbstractSensor, view: Any, inputs: Any, reading: Reading, key: Array) -> Float[Array, " m"]:
     """A reading whose whitened residual is unit noise, normal or Student's t; without noise where it is not seen."""
     predicted = jnp.stack([jnp.asarray(z) for z in sensor.measure(view, inputs)])
+    exact = reading._replace(values=predicted)
 
     def whitened(values: Float[Array, " m"]) -> Float[Array, " m"]:
         return jnp.stack(list(sensor.residual(reading._replace(values=values), list(predicted)).whitened))
 
-    dof: Scalar | None = sensor.residual(reading._replace(values=predicted), list(predicted)).dof
-    shape = predicted.shape
+    jacobian, dof = jax.jacfwd(whitened)(predicted), sensor.residual(exact, list(predicted)).dof
+    shape = jacobian.shape[:1]
     unit = jax.random.normal(key, shape) if dof is None else jax.random.t(key, dof, shape)
-    return predicted + jnp.linalg.pinv(jax.jacfwd(whitened)(predicted)) @ unit
+    return predicted + jnp.linalg.pinv(jacobian) @ unit

@@ -88,7 +88,7 @@ FAULTS = {
         "log-likelihood is .* off by 0.919 for each number; usual fix: log_scale",
     ),
     "consistency": (lambda: kalman(Altered(of_cov=0.25)), {"conditioning", "consistency"}, "NEES .* are too small"),
-    "speed": (lambda: averaged(_and(_of_all_pairs_of_rows)), {"speed"}, "time of a row grows with the rows"),
+    "speed": (lambda: averaged(_and(_of_all_pairs_of_rows)), {"speed"}, "each of 512 rows computes .* not linear in the rows"),
     "run": (lambda: kalman(start=Unsure()), {"run"}, "a track runs in 0% of the rows"),
 }  # fmt: skip
 """By the check that finds it: a tracker with a fault, all checks that fail with it, and what the sentence says."""
