@@ -37,7 +37,7 @@ class Sums:
         self.labels = [name for name, node in self.nodes.items() for _ in range(np.size(node.raw))]
         self.point = np.concatenate([np.ravel(np.asarray(x.raw)) for x in self.nodes.values()] or [np.zeros(0)])
         shifts = STEP * np.eye(len(self.point))
-        points = self.point + np.concatenate([0.0 * shifts[:1], shifts, -shifts, 2 * shifts, -2 * shifts])
+        points = self.point + np.concatenate([np.zeros((1, len(shifts))), shifts, -shifts, 2 * shifts, -2 * shifts])
         self.values = np.asarray(jax.jit(lambda vs: jax.lax.map(self.sums, vs))(jnp.asarray(points)))
         self.output: Output = eqx.filter_jit(filter_batch)(self.model, self.batch)
 

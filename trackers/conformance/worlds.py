@@ -15,6 +15,7 @@ from trackwright.trackers.conformance.contract import NotApplicable
 from trackwright.trackers.core.data.estimates import Estimates, Status
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.filters.imm import InteractingModels
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian, matrix
 from trackwright.trackers.core.model.inputs import Input, Need
