@@ -39,45 +39,52 @@ def kind_checks(kind: Kind, rig: Rig, seed: int = 0) -> list[Check]:
     same where a site is moved as a whole, since recordings in map coordinates are tracked about an origin nearby; the
     numbers fit what the kind declares; a recording of them is written, read and checked without an error.
     """
-    world = _World(kind, rig, seed)
+
+    @cache
+    def world() -> _World:
+        return _World(kind, rig, seed)
 
     @cache
     def values() -> Float[np.ndarray, "N m"]:
         if kind.predicted is None:
             raise NotApplicable("positions do not predict the kind: predicted is None")
-        return kind.values_at(world.positions, world.sensors())
+        return kind.values_at(world().positions, world().sensors())
 
     def check_values() -> str:
         bad = np.argwhere(~np.isfinite(values()))
         if len(bad):
             raise BrokenContract(
-                f"kind {kind.name}: predicted gives {values()[tuple(bad[0])]} at {world.positions[bad[0, 0]].round(2)} "
-                "m, expected a finite number; usual fix: np.maximum around the argument of a root"
+                f"kind {kind.name}: predicted gives {values()[tuple(bad[0])]} at "
+                f"{world().positions[bad[0, 0]].round(2)} m, expected a finite number; usual fix: np.maximum around "
+                "the argument of a root"
             )
         return f"{values().shape[1]} for each of {ROWS} readings, {values().min():.3g} to {values().max():.3g}"
 
     def check_rows() -> None:
-        order, sensors = np.random.default_rng(seed).permutation(ROWS), world.sensors()
-        mixed = kind.values_at(world.positions[order], sensors._replace(number=sensors.number[order]))
-        _require_equal(kind, mixed, values()[order], "in another order of the rows", "no sum or sort over rows")
+        order, sensors = np.random.default_rng(seed).permutation(ROWS)[: ROWS // 2], world().sensors()
+        mixed = kind.values_at(world().positions[order], sensors._replace(number=sensors.number[order]))
+        _require_equal(
+            kind, mixed, values()[order], "for half of the rows in another order", "no mean, sum or sort over rows"
+        )
 
-    def check_numbering() -> None:
+    def check_numbering() -> str | None:
         if not kind.sensors:
-            raise NotApplicable("the kind has no anchors or stations")
-        other = kind.values_at(world.positions, world.sensors(world.ids[::-1]))
+            return "no anchors or stations"
+        other = kind.values_at(world().positions, world().sensors(world().ids[::-1]))
         fix = "the places of a reading are sensors.places[sensors.number[:, k]], as `sensors.distances` takes them"
         _require_equal(kind, other, values(), "in another numbering of the anchors or stations", fix)
+        return None
 
     def check_moved() -> None:
         if kind.position:
             raise NotApplicable("the values are a position, which moves with the site")
-        sensors = world.sensors()
-        moved = kind.values_at(world.positions + SHIFT, sensors._replace(places=sensors.places + SHIFT))
+        sensors = world().sensors()
+        moved = kind.values_at(world().positions + SHIFT, sensors._replace(places=sensors.places + SHIFT))
         fix = "positions less sensors.places, as `sensors.distances` has it"
         _require_equal(kind, moved, values(), f"of the site moved by {SHIFT[:2].round()} m as a whole", fix)
 
     def check_declared() -> str:
-        for column, name, each in zip(world.columns, world.names, values().T, strict=True):
+        for column, name, each in zip(world().columns, world().names, values().T, strict=True):
             if column.positive and each.min() <= 0:
                 raise BrokenContract(
                     f"kind {kind.name}: predicted {name} is {each.min():.3g} in a row, though the column is positive; "
@@ -89,7 +96,7 @@ def kind_checks(kind: Kind, rig: Rig, seed: int = 0) -> list[Check]:
                     f"{column.bound:.3g}; usual fix: radians, wrapped by np.arctan2"
                 )
         if kind.difference:
-            first, second = (world.sensors().places[world.sensors().number[:, k]] for k in range(2))
+            first, second = (world().sensors().places[world().sensors().number[:, k]] for k in range(2))
             apart = np.linalg.norm(first - second, axis=1)
             over = np.abs(values()[:, 0]) - apart
             if over.max() > 1e-6:
@@ -102,15 +109,15 @@ def kind_checks(kind: Kind, rig: Rig, seed: int = 0) -> list[Check]:
 
     def read_back() -> RecordingFolder:
         with _known(kind), tempfile.TemporaryDirectory() as scratch:
-            write_recording(world.recording(wrapped(values(), world.names)), Path(scratch) / "recording")
+            write_recording(world().recording(wrapped(values(), world().names)), Path(scratch) / "recording")
             return read_recording(Path(scratch) / "recording")
 
     def check_file() -> None:
-        read = read_back().tables[kind.name].select(world.names).to_numpy()
+        read = read_back().tables[kind.name].select(world().names).to_numpy()
         _require_equal(
             kind,
             read,
-            wrapped(values(), world.names),
+            wrapped(values(), world().names),
             "after a recording is written and read",
             "columns in m, rad or m/s",
         )
@@ -127,14 +134,17 @@ def kind_checks(kind: Kind, rig: Rig, seed: int = 0) -> list[Check]:
         return f"{len(found)} results, none an error"
 
     begun = Check("values", check_values)
+    rows = Check("rows", check_rows, begun)
+    numbering = Check("numbering", check_numbering, rows)
+    declared = Check("declared", check_declared, numbering)
     return [
         begun,
-        Check("rows", check_rows, begun),
-        Check("numbering", check_numbering, begun),
-        Check("moved site", check_moved, begun),
-        Check("declared", check_declared, begun),
-        Check("file", check_file, begun),
-        Check("recording", check_recording, begun),
+        rows,
+        numbering,
+        Check("moved site", check_moved, numbering),
+        declared,
+        Check("file", check_file, numbering),
+        Check("recording", check_recording, declared),
     ]
 
 

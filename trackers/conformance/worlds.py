@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from trackwright.trackers.conformance.contract import NotApplicable
 from trackwright.trackers.core.data.estimates import Estimates, Status
@@ -116,7 +116,7 @@ def _world(tracker: Tracker, recording: Recording, prior: Gaussian, n: int, seed
     rows = jax.tree_util.tree_map(lambda x: jnp.asarray(x[..., 0]), (batch.dt, batch.readings, batch.inputs))
     factor = np.linalg.cholesky(np.asarray(matrix(prior.cov)) + 1e-12 * np.eye(size))
 
-    def trajectory(keys: Array) -> tuple[State, Mapping[str, Array]]:
+    def trajectory(keys: Array) -> tuple[State, Mapping[str, tuple[Array, Array]]]:
         first = retract(prior.mean, list(jnp.asarray(factor) @ jax.random.normal(keys[0], (size,))))
 
         def row(state: State, given: Any) -> Any:
@@ -132,7 +132,14 @@ def _world(tracker: Tracker, recording: Recording, prior: Gaussian, n: int, seed
 
         return jax.lax.scan(row, first, (keys[1:], rows))[1]
 
-    states, values = jax.jit(jax.vmap(trajectory, out_axes=1))(keys)
+    states, drawn = jax.jit(jax.vmap(trajectory, out_axes=1))(keys)
+    values = {name: x for name, (x, _) in drawn.items()}
+    for name, (_, fits) in drawn.items():
+        # Angles far out wrap.
+        if np.mean(fits) < 0.99:
+            raise NotApplicable(
+                f"the whitened residual of '{name}' is not linear in the reading, as of noise to one side"
+            )
     recordings = [
         replace(
             recording,
@@ -148,8 +155,13 @@ def _world(tracker: Tracker, recording: Recording, prior: Gaussian, n: int, seed
     return World(tracker, prior, recordings, jax.tree_util.tree_map(np.asarray, states))
 
 
-def _reading(sensor: AbstractSensor, view: Any, inputs: Any, reading: Reading, key: Array) -> Float[Array, " m"]:
-    """A reading whose whitened residual is unit noise, normal or Student's t; without noise where it is not seen."""
+def _reading(
+    sensor: AbstractSensor, view: Any, inputs: Any, reading: Reading, key: Array
+) -> tuple[Float[Array, " m"], Bool[Array, ""]]:
+    """A reading whose whitened residual is unit noise, normal or Student's t, and whether its residual is that.
+
+    Without noise where it is not seen.
+    """
     predicted = jnp.stack([jnp.asarray(z) for z in sensor.measure(view, inputs)])
     exact = reading._replace(values=predicted)
 
@@ -159,4 +171,6 @@ def _reading(sensor: AbstractSensor, view: Any, inputs: Any, reading: Reading, k
     jacobian, dof = jax.jacfwd(whitened)(predicted), sensor.residual(exact, list(predicted)).dof
     shape = jacobian.shape[:1]
     unit = jax.random.normal(key, shape) if dof is None else jax.random.t(key, dof, shape)
-    return predicted + jnp.linalg.pinv(jacobian) @ unit
+    offset = jnp.linalg.pinv(jacobian) @ unit
+    values = predicted + offset
+    return values, jnp.allclose(whitened(values), jacobian @ offset, rtol=1e-6, atol=1e-6)
