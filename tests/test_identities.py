@@ -10,13 +10,22 @@ BITS = (
     "one program",
 )  # fmt: skip
 NUMBERS = ("single and batch", "accumulate", "gradient", "conditioning", "consistency", "speed")
+"""Further programs for each case: in the default suite `tests/trackers/conformance` has them for its own trackers."""
+
+RESUMED = ("fix-kf", "particles", "median", "das")
+"""One of each kind: a Kalman filter, random numbers, a window, a tracker without memory."""
+
+
+def _slow(case, name):
+    return not case.quick or name in NUMBERS or (name == "cut and resume" and case.name not in RESUMED)
 
 
 def _params():
-    for case in CASES.values():
-        for name in (*BITS, *NUMBERS):
-            quick = case.quick if name in BITS else case.name == "fix-kf"
-            yield pytest.param(case, name, id=f"{case.name}-{name}", marks=[] if quick else [pytest.mark.slow])
+    return [
+        pytest.param(case, name, id=f"{case.name}-{name}", marks=pytest.mark.slow if _slow(case, name) else ())
+        for case in CASES.values()
+        for name in (*BITS, *NUMBERS)
+    ]
 
 
 @pytest.fixture(scope="module")

@@ -41,6 +41,7 @@ class Averaged(AbstractEpochwiseTracker):
     sigma: tw.Scale
     change: Callable[[Output, tw.Batch], Output] = eqx.field(static=True, default=_plain)
     forgets: bool = eqx.field(static=True, default=False)
+    held: bool = eqx.field(static=True, default=False)
     label: Any = None
 
     def check_layout(self, layout):
@@ -55,11 +56,13 @@ class Averaged(AbstractEpochwiseTracker):
         else:
             before = tuple(jnp.moveaxis(jnp.asarray(x), 0, -1) for x in initial)
 
+        sigma = jax.lax.stop_gradient(self.sigma.value) if self.held else self.sigma.value
+
         def step(carry, row):
             (mean, known), (value, there) = carry, row
             moved = jnp.where(known, mean + self.share.value * (value - mean), value)
-            off = jnp.where(there & known, (value - mean) / self.sigma.value, 0.0)
-            density = jnp.where(there & known, -0.5 * off**2 - jnp.log(self.sigma.value) - 0.5 * LOG_2PI, 0.0)
+            off = jnp.where(there & known, (value - mean) / sigma, 0.0)
+            density = jnp.where(there & known, -0.5 * off**2 - jnp.log(sigma) - 0.5 * LOG_2PI, 0.0)
             mean, known = jnp.where(there, moved, mean), known | there
             return (mean, known), (mean, known.all(axis=0), density.sum(axis=0), (off**2).sum(axis=0))
 
@@ -108,11 +111,10 @@ def averaged(change: Callable[[Output, tw.Batch], Output] = _plain, **facts: Any
 
 
 class Places(tw.AbstractSensor):
-    """The position, m, with independent normal noise, whose residual and sigma a test changes."""
+    """The position, m, with independent normal noise, whose residual a test changes."""
 
     sigma: tw.Scale
     change: Callable[[Any, Any], Any] = eqx.field(static=True, default=lambda residual, reading: residual)
-    held: bool = eqx.field(static=True, default=False)
 
     @property
     def channels(self):
@@ -122,9 +124,8 @@ class Places(tw.AbstractSensor):
         return list(view.position)
 
     def residual(self, reading, predicted):
-        sigma = jax.lax.stop_gradient(self.sigma.value) if self.held else self.sigma.value
         off = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-        return self.change(tw.independent(off, [sigma] * 2, reading.seen), reading)
+        return self.change(tw.independent(off, [self.sigma.value] * 2, reading.seen), reading)
 
 
 class AtTheFirst(tw.AbstractStart):

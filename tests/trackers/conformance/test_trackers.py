@@ -81,7 +81,7 @@ FAULTS = {
         "alone and in a batch differ by",
     ),
     "accumulate": (lambda: CountedTwice(averaged()), {"accumulate"}, "by `accumulate`, .* by `scan`; usual fix"),
-    "gradient": (lambda: kalman(held=True), {"gradient"}, "by sensors.places.sigma is 0, by difference quotients"),
+    "gradient": (lambda: averaged(held=True), {"gradient"}, "by sigma is 0, by difference quotients"),
     "conditioning": (
         lambda: kalman(change=lambda r, z: r._replace(log_scale=r.log_scale + 0.919 * r.nis_dof)),
         {"conditioning"},
@@ -94,7 +94,9 @@ FAULTS = {
 """By the check that finds it: a tracker with a fault, all checks that fail with it, and what the sentence says."""
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n == "consistency" else ()) for n in FAULTS]
+)
 def test_a_fault_is_found_by_its_check(name):
     tracker, _, message = FAULTS[name]
     check = next(c for c in tw.tracker_checks(tracker(), recordings()) if str(c) == name)
@@ -112,6 +114,7 @@ def test_a_fault_fails_no_other_check(name):
     assert {one.name for one in report.failures} == failing, report
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -134,10 +137,14 @@ def test_values_that_are_not_finite_are_named_with_their_row():
     ), found
 
 
-def test_a_linear_tracker_passes_all_checks_and_one_that_is_no_filter_all_that_apply():
+@pytest.mark.slow
+def test_a_linear_tracker_passes_all_checks():
     report = tw.check_tracker(kalman())
     assert {one.outcome for one in report} == {"pass"}, report
     assert "joint distribution" in repr(report)
+
+
+def test_a_tracker_that_is_no_filter_passes_all_checks_that_apply():
     report = tw.check_tracker(averaged(), recordings(3))
     assert not report.failures, report
     assert {one.name for one in report if one.outcome == "skip"} == {"conditioning", "consistency"}
