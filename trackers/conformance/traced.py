@@ -32,7 +32,7 @@ def attributes_named(what: str, role: str, given: Any) -> Iterator[None]:
             has = f"a vector; expected its components by number, [0] to [{len(error.obj) - 1}]"
         else:
             raise
-        raise BrokenContract(f"{what} reads '{error.name}' of {has}") from None
+        raise BrokenContract(f"{what} reads '{error.name}' of {has}; usual fix: one of these") from None
 
 
 def known_inputs(what: str, declared: Sequence[Input], channels: int, view: Any, inputs: Inputs | None) -> GivenInputs:
