@@ -88,8 +88,8 @@ def motion_checks(
         same_tree = jax.tree_util.tree_structure(after) == jax.tree_util.tree_structure(here)  # type: ignore[operator]
         if not same_tree or shapes_of(after) != shapes_of(here):
             raise BrokenContract(
-                f"{name}.step returns {described(after)}, expected a state like the given one: {described(here)}; usual "
-                "fix: the same class, with a scalar for a scalar"
+                f"{name}.step returns {described(after)}, expected a state like the given one: {described(here)}; "
+                "usual fix: the same class, with a scalar for a scalar"
             )
 
     def check_zero_interval() -> None:

@@ -103,10 +103,9 @@ def own_recordings(tracker: AbstractTracker, n: int, seed: int) -> list[Recordin
 
 def row_of(batch: Batch, row: int) -> Row:
     """One row of the first trajectory of a batch."""
-    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, batch.key[None], np.arange(len(batch.dt))[:, None])
-    return jax.tree_util.tree_map(lambda x: jnp.asarray(x[row, ..., 0]), rows._replace(key=None))._replace(
-        key=jnp.asarray(batch.key[:, 0])
-    )
+    arrays = (batch.dt, batch.valid, batch.readings, dict(batch.inputs))
+    dt, valid, readings, inputs = jax.tree_util.tree_map(lambda x: jnp.asarray(x[row, ..., 0]), arrays)
+    return Row(dt, valid, readings, inputs, jnp.asarray(batch.key[:, 0]), jnp.asarray(row, jnp.uint32))
 
 
 def _world(tracker: Tracker, recording: Recording, prior: Gaussian, n: int, seed: int) -> World:
