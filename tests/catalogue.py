@@ -25,6 +25,7 @@ from trackwright.trackers.aoa.phases import InPlanePhases, PlanePhases, Spherica
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.baselines.switching import MirrorSensor
 from trackwright.trackers.catalogue import TRACKERS
+from trackwright.trackers.conformance.sensors import Still
 from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.imm import SwitchingMotion
@@ -44,7 +45,6 @@ from trackwright.trackers.core.model.rig import Rig, Station, Tag
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.state import Heading, Rotation
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.checks import Still
 from trackwright.trackers.core.run.noise_levels import NoiseLevels
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker

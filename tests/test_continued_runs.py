@@ -1,4 +1,4 @@
-"""Runs that continue others, seeds, and the pure function behind a run, for every tracker of the catalogue."""
+"""One row at a time, seeds, and the pure function behind a run, for every tracker of the catalogue."""
 
 from dataclasses import replace
 
@@ -24,38 +24,11 @@ CAUSAL = [
 
 
 class Whole:
-    """A case of the catalogue and the estimates of its recordings, each run from the first row to the last.
-
-    The last recording is never cut: it keeps all runs at one number of rows, and so at one compiled program.
-    """
+    """A case of the catalogue and the estimates of its recordings, each run from the first row to the last."""
 
     def __init__(self, case):
-        self.case, self.tracker = case, case.tracker()
-        every = case.recordings()
-        self.recordings = [*every[:-1], replace(max(every, key=len), id=len(every))]
+        self.case, self.tracker, self.recordings = case, case.tracker(), case.recordings()
         self.estimates = self.tracker.run(self.recordings)
-
-    def pieces(self, cuts, seed):
-        """The recordings in `cuts` + 1 pieces, cut at random rows of their own: per piece the list, and the rows."""
-        rng = np.random.default_rng(seed)
-        *cut_up, last = self.recordings
-        inner = [np.sort(rng.choice(np.arange(1, len(r)), cuts, replace=False)) for r in cut_up]
-        ends = [[0, *(int(k) for k in rows), len(r)] for r, rows in zip(cut_up, inner, strict=True)]
-        for j in range(cuts + 1):
-            later = replace(last, times=last.times + 1000.0 * j)
-            yield [*(_part(r, e[j], e[j + 1]) for r, e in zip(cut_up, ends, strict=True)), later], [e[j] for e in ends]
-
-    def identical(self, cuts, seed):
-        """Whether the run in pieces has the bits of the one run, for each recording that is cut."""
-        state, same = None, np.ones(len(self.recordings) - 1, bool)
-        for pieces, begins in self.pieces(cuts, seed):
-            run = self.tracker.run(pieces, initial=state)
-            state = run.final
-            for k, (piece, begin) in enumerate(zip(pieces, begins, strict=False)):
-                rows, there = slice(len(piece)), slice(begin, begin + len(piece))
-                pairs = zip(_leaves(run[k], rows), _leaves(self.estimates[k], there), strict=True)
-                same[k] &= all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
-        return same
 
 
 @pytest.fixture(scope="module", params=CAUSAL)
@@ -80,10 +53,6 @@ def _assert_same_bits(mine, other):
 
 def _same(mine, other):
     return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(_leaves(mine), _leaves(other), strict=True))
-
-
-def test_recordings_cut_at_ten_random_rows_give_the_one_run_to_the_bit(whole):
-    assert whole.identical(cuts=10, seed=0).all()
 
 
 @pytest.mark.slow

@@ -3,7 +3,8 @@
 import pytest
 
 from tests.catalogue import MOTIONS, SENSORS
-from trackwright.trackers.core.run.checks import check_motion, check_sensor
+from trackwright.trackers.conformance.motions import motion_checks
+from trackwright.trackers.conformance.sensors import sensor_checks
 
 SLOW = {
     *(name for name in MOTIONS if name.endswith(", no accelerometer")),
@@ -11,18 +12,35 @@ SLOW = {
 }  # fmt: skip
 """Of classes that another case has with more of its code: an IMU that is whole or missing, noise that is reported."""
 
+DIFFERENCES = {
+    "ground",
+    "halting, at rest",
+    "damped velocity",
+    "driven body",
+    "fixes on the floor",
+    "plane waves",
+    "bearings with variances",
+}
+"""Whose derivatives are held against difference quotients in the default suite: a program more for each."""
 
-def _names(cases):
-    return [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in cases]
+
+def _params(cases, checks):
+    return [
+        pytest.param(check, id=f"{name}-{check}", marks=pytest.mark.slow if _slow(name, f"{check}") else ())
+        for name, case in cases.items()
+        for check in checks(case)
+    ]
 
 
-@pytest.mark.parametrize("name", _names(MOTIONS))
-def test_every_motion_keeps_its_contract(name):
-    case = MOTIONS[name]
-    check_motion(case.motion, case.state, case.inputs, case.dt)
+def _slow(name, check):
+    return name in SLOW or (check == "derivatives" and name not in DIFFERENCES)
 
 
-@pytest.mark.parametrize("name", _names(SENSORS))
-def test_every_sensor_keeps_its_contract(name):
-    case = SENSORS[name]
-    check_sensor(case.sensor, case.view, case.inputs, case.reported)
+@pytest.mark.parametrize("check", _params(MOTIONS, lambda c: motion_checks(c.motion, c.state, c.inputs, c.dt)))
+def test_every_motion_keeps_its_contract(check):
+    check()
+
+
+@pytest.mark.parametrize("check", _params(SENSORS, lambda c: sensor_checks(c.sensor, c.view, c.inputs, c.reported)))
+def test_every_sensor_keeps_its_contract(check):
+    check()

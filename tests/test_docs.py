@@ -44,6 +44,16 @@ def test_a_motion_and_a_sensor_of_ones_own_take_under_30_lines_together():
 
 
 @pytest.mark.slow
+def test_the_parts_of_the_page_of_extending_keep_their_contracts(extended):
+    for report in (
+        extended["report"],
+        tw.check_motion(extended["walking"], extended["somewhere"]),
+        tw.check_sensor(extended["ranges"], extended["somewhere"]),
+    ):
+        assert not report.failures, report
+
+
+@pytest.mark.slow
 def test_the_extended_tracker_follows_its_walk(extended):
     estimates, true = extended["estimates"], extended["walks"][0].truth["position"][0]
     error = np.linalg.norm(np.stack(list(estimates.mean.position), axis=-1) - true, axis=-1)
@@ -102,6 +112,14 @@ def test_a_tracker_of_ones_own_is_tracked_by_file(turning):
     apart = tracks.join(truth, on=["tag", "t_s"]).filter(pl.col("t_s") > 1)
     # The fixes have 0.1 m of noise in x and in y.
     assert apart.select(((pl.col("x_m") - pl.col("x_m_right")) ** 2).mean().sqrt()).item() < 0.2
+
+
+@pytest.mark.slow
+def test_a_tracker_of_ones_own_is_checked_by_file(turning, capsys):
+    """The rows of a vehicle that turns fast: its covariances are those of a linearised model."""
+    (block,) = (b for b in _blocks("docs/extending.md") if b.startswith("# check_turning.py"))
+    exec(block, {})
+    assert ", 0 failed," in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -201,6 +219,14 @@ def test_a_kind_of_ones_own_is_imported_by_a_format_that_imports_its_file(hall):
     assert done.code == 0, done.err
     assert done.out.endswith("; next: trackwright check imported --tracker FILE.py:NAME\n")
     assert tw.read("imported").tables["bistatic"]["path_m"].to_list() == [1.5, -0.5]
+
+
+def test_a_kind_and_a_format_of_ones_own_are_checked_by_file(hall, capsys):
+    lines = [f"{k / 10} {k % 4 + 1}-{(k + 1) % 4 + 1} {6.0 + 0.01 * k}" for k in range(40)]
+    Path("bistatic.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (block,) = (b for b in _blocks("docs/extending.md") if b.startswith("# check_bistatic.py"))
+    exec(block, {})
+    assert capsys.readouterr().out.count(", 0 failed,") == 2
 
 
 def test_a_fit_of_a_start_by_readings_of_a_misspelt_name_is_refused(hall):

@@ -30,7 +30,7 @@ def _part(module):
         inside, _, beyond = rest.partition(".")
         if inside == "core" and beyond.partition(".")[0] in CORE:
             return f"core.{beyond.partition('.')[0]}"
-        known = ("core", "programs", "recordings", "parts", "evaluation", "exchange", *SYSTEMS)
+        known = ("core", "programs", "recordings", "parts", "evaluation", "exchange", "conformance", *SYSTEMS)
         return inside if inside in known else "trackers"
     if module.startswith(("tuning.design", "tuning.survey", "tuning.watch")):
         return module.split(".")[1]
@@ -42,7 +42,7 @@ def _part(module):
 CORE = ("model", "filters", "data", "run")
 ENGINE = {"core", *(f"core.{folder}" for folder in CORE)}
 BASE = {*ENGINE, "recordings", "parts"}
-LIBRARY = {*BASE, *SYSTEMS, "programs", "evaluation", "exchange", "trackers"}
+LIBRARY = {*BASE, *SYSTEMS, "programs", "evaluation", "exchange", "conformance", "trackers"}
 MAY_IMPORT = {
     "core": {"core"},
     "core.model": {"core", "core.model"},
@@ -56,6 +56,7 @@ MAY_IMPORT = {
     "fusion": {*BASE, *SYSTEMS},
     "evaluation": {*BASE, *SYSTEMS, "evaluation"},
     "exchange": {*ENGINE, "recordings", "evaluation", "exchange"},
+    "conformance": {*ENGINE, "recordings", "exchange", "conformance"},
     "trackers": LIBRARY,
     "sim": {*LIBRARY, "sim"},
     "tuning": {*BASE, "tuning"},

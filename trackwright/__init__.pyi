@@ -22,6 +22,19 @@ from trackwright.trackers.baselines.windows import MovingWindow as MovingWindow
 from trackwright.trackers.catalogue import TRACKERS as TRACKERS
 from trackwright.trackers.catalogue import build as build
 from trackwright.trackers.catalogue import tracker_for as tracker_for
+from trackwright.trackers.conformance.contract import BrokenContract as BrokenContract
+from trackwright.trackers.conformance.contract import Check as Check
+from trackwright.trackers.conformance.contract import Report as Report
+from trackwright.trackers.conformance.importers import check_importer as check_importer
+from trackwright.trackers.conformance.importers import importer_checks as importer_checks
+from trackwright.trackers.conformance.kinds import check_kind as check_kind
+from trackwright.trackers.conformance.kinds import kind_checks as kind_checks
+from trackwright.trackers.conformance.motions import check_motion as check_motion
+from trackwright.trackers.conformance.motions import motion_checks as motion_checks
+from trackwright.trackers.conformance.sensors import check_sensor as check_sensor
+from trackwright.trackers.conformance.sensors import sensor_checks as sensor_checks
+from trackwright.trackers.conformance.trackers import check_tracker as check_tracker
+from trackwright.trackers.conformance.trackers import tracker_checks as tracker_checks
 from trackwright.trackers.core.data.estimates import Estimates as Estimates
 from trackwright.trackers.core.data.estimates import Status as Status
 from trackwright.trackers.core.data.recording import Batch as Batch
@@ -58,9 +71,6 @@ from trackwright.trackers.core.model.tunable import Fraction as Fraction
 from trackwright.trackers.core.model.tunable import Real as Real
 from trackwright.trackers.core.model.tunable import Scale as Scale
 from trackwright.trackers.core.model.tunable import tunables as tunables
-from trackwright.trackers.core.run.checks import BrokenContract as BrokenContract
-from trackwright.trackers.core.run.checks import check_motion as check_motion
-from trackwright.trackers.core.run.checks import check_sensor as check_sensor
 from trackwright.trackers.core.run.noise_levels import Level as Level
 from trackwright.trackers.core.run.noise_levels import NoiseLevels as NoiseLevels
 from trackwright.trackers.core.run.smoother import Smoothed as Smoothed
@@ -217,7 +227,6 @@ __all__ = [
     "draw_log_density",
     "ConstantVelocity",
     "Polyline",
-    "check_motion",
     # sensors
     "AbstractSensor",
     "Channel",
@@ -228,8 +237,6 @@ __all__ = [
     "independent",
     "FixSensor",
     "RangeSensor",
-    "check_sensor",
-    "BrokenContract",
     # numbers that can be tuned
     "Scale",
     "Fraction",
@@ -246,6 +253,20 @@ __all__ = [
     "Column",
     "Sensors",
     "add_kind",
+    # whether one's own parts keep their contracts: a report of each, and checks for pytest
+    "check_motion",
+    "check_sensor",
+    "check_tracker",
+    "check_kind",
+    "check_importer",
+    "motion_checks",
+    "sensor_checks",
+    "tracker_checks",
+    "kind_checks",
+    "importer_checks",
+    "Check",
+    "Report",
+    "BrokenContract",
     # fits
     "fit",
     "FitOptions",

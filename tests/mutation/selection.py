@@ -20,7 +20,7 @@ OF_TEXT = ("tests/mutation", "tests/test_docs.py", "tests/test_layout.py")
 """Tests of pages and source text, which no figure depends on."""
 
 NOT_NUMERIC = (
-    "trackers/core/run/checks.py",
+    "trackers/conformance",
     "trackers/recordings/checks",
     "trackers/recordings/rig_file.py",
     "trackers/recordings/table_file.py",

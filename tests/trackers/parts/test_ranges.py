@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student_t
 
+from trackwright.trackers.conformance.sensors import Still
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.model.algebra import Vector, diagonal
 from trackwright.trackers.core.model.covariance import Gaussian
@@ -13,7 +14,6 @@ from trackwright.trackers.core.model.motion import Placed
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import Heading, Rotation
 from trackwright.trackers.core.model.tunable import Real, freeze, replaced
-from trackwright.trackers.core.run.checks import Still
 from trackwright.trackers.parts.ranges import RangeSensor, in_world_axes
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])

@@ -7,12 +7,12 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 from scipy.stats import t as student_t
 
+from trackwright.trackers.conformance.sensors import Still
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.quadrature import AbstractPlaceSensor, AtPoints, QuadratureKalman
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian, as_scalars, matrix
 from trackwright.trackers.core.model.sensor import Channel, Reading, independent
-from trackwright.trackers.core.run.checks import Still
 from trackwright.trackers.parts.drifting_biases import BiasedState
 
 MEAN = np.array([1.0, 2.0, 0.3, -0.2, 0.4, -0.6])

@@ -16,7 +16,6 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.inputs import HEIGHT, Input
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackwright.trackers.core.run.checks import BrokenContract, check_sensor
 from trackwright.trackers.core.run.requirements import check_input
 
 ROWS = 30
@@ -345,17 +344,36 @@ def test_a_position_by_phases_takes_three_antennas_or_more_of_a_station():
     assert check_input(tw.direct_tracker(few), recording, "run") is recording
 
 
-def test_a_check_of_a_sensor_names_a_missing_input():
-    flat = tw.Kinematic(Vector(1.0, 2.0), Vector(0.1, 0.2))
-    with pytest.raises(BrokenContract, match=r"FixSensor\.measure reads the input 'height', found no input; expected"):
-        check_sensor(tw.FixSensor(0.1, 0.1), flat)
-    check_sensor(tw.FixSensor(0.1, 0.1), flat, {HEIGHT.name: np.array(1.0)})
-    with pytest.raises(BrokenContract, match=r"found shape \(3,\); expected height, shape \(\), m: the known height"):
-        check_sensor(tw.FixSensor(0.1, 0.1), flat, {"height": np.ones(3)})
-    with pytest.raises(BrokenContract, match="reads 'velocity' of the view; expected a view with it, found Place"):
-        check_sensor(tw.FixSensor(0.1, 0.1), Place(Vector(1.0, 2.0, 0.0)))
-    with pytest.raises(BrokenContract, match="reads the input 'wheel', which is neither declared nor given"):
-        check_sensor(Odometer(), Place(Vector(1.0, 2.0)))
+FLAT = tw.Kinematic(Vector(1.0, 2.0), Vector(0.1, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("sensor", "view", "inputs", "message"),
+    [
+        (tw.FixSensor(0.1, 0.1), FLAT, {}, "FixSensor.measure reads the input 'height', found no input; expected"),
+        (
+            tw.FixSensor(0.1, 0.1),
+            FLAT,
+            {HEIGHT.name: np.ones(3)},
+            "found shape (3,); expected height, shape (), m: the known",
+        ),
+        (
+            tw.FixSensor(0.1, 0.1),
+            Place(Vector(1.0, 2.0, 0.0)),
+            {},
+            "reads 'velocity' of the view; expected a view with it",
+        ),
+        (Odometer(), Place(Vector(1.0, 2.0)), {}, "reads the input 'wheel', which is neither declared nor given"),
+    ],
+)
+def test_a_check_of_a_sensor_names_a_missing_input(sensor, view, inputs, message):
+    with pytest.raises(tw.BrokenContract) as refused:
+        tw.sensor_checks(sensor, view, inputs)[0]()
+    assert message in str(refused.value)
+
+
+def test_a_check_of_a_sensor_passes_with_its_inputs():
+    assert not tw.check_sensor(tw.FixSensor(0.1, 0.1), FLAT, {HEIGHT.name: np.array(1.0)}).failures
 
 
 def test_the_check_of_a_large_batch_reads_no_more_than_the_numbers_of_anchors():

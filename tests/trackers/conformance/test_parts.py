@@ -1,0 +1,217 @@
+"""The checks of motions and sensors name what is wrong with parts that break their contracts."""
+
+import re
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from trackwright.sim.stations import work_station
+from trackwright.trackers.aoa.beam import Beam
+from trackwright.trackers.aoa.phases import PlanePhases
+from trackwright.trackers.conformance.motions import check_motion
+from trackwright.trackers.conformance.sensors import check_sensor, sensor_checks
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import (
+    AbstractMotion,
+    ConstantPosition,
+    Placed,
+)
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual, independent
+
+
+def _fails(report, check, message):
+    """Whether the check of this name fails with the message, and no other one fails."""
+    assert [one.name for one in report.failures] == [check]
+    assert re.search(message, report.failures[0].sentence), report.failures[0].sentence
+
+
+def test_the_papers_form_is_no_density_over_all_phases_of_three_antennas():
+    # Phases a third of a turn apart all wrap and average to zero: their whitened residual is zero.
+    station = next(iter(work_station(work_station().stations["1"].antennas[:4]).stations.values()))
+    report = check_sensor(PlanePhases(station, 0.3, paper_form=True), Beam(0.1, 0.2, 0.3, 0.4))
+    _fails(report, "density", "integrates to 1.8")
+
+
+class Walk(AbstractMotion):
+    """A motion whose step a test breaks."""
+
+    move: object = eqx.field(static=True)
+
+    @property
+    def noise_dimension(self):
+        return 2
+
+    def step(self, state, inputs, dt, w):
+        return self.move(state.position, dt, w)
+
+    def view(self, state):
+        return state
+
+
+@pytest.mark.parametrize(
+    ("move", "check", "message"),
+    [
+        (
+            lambda p, dt, w: Placed(p + w * 0.1),
+            "zero interval",
+            r"dt = 0 changes position\.[01] by .*whatever the noise",
+        ),
+        (lambda p, dt, w: Placed(p * jnp.exp(dt) * 1.0000001), "zero interval", "dt = 0 changes"),
+        (lambda p, dt, w: p + w * dt, "state", "returns Vector with shapes .*expected a state like"),
+        (lambda p, dt, w: Placed(p + w * dt if p[0] > 0 else p), "state", "cannot be traced"),
+        (
+            lambda p, dt, w: Placed(p + w * (dt * np.random.default_rng().normal())),
+            "randomness",
+            "other numbers when traced again",
+        ),
+        (
+            lambda p, dt, w: Placed(p + w * dt * jnp.sqrt((p - p).dot(p) + 0.0 * w[0])),
+            "finite",
+            "derivative of Walk.step at dt = 0.0 s is not finite at pos",
+        ),
+        (
+            lambda p, dt, w: Placed(Vector(p[0] + w[0] * dt, p[1] + jax.lax.stop_gradient(p[0]) * dt + w[1] * dt)),
+            "derivatives",
+            r"covariance of position\.[01] and position\.1 .* by difference quotients .*no stop_gradient",
+        ),
+    ],
+    ids=["noise", "drift", "another kind", "if", "random", "root of zero", "cut derivative"],
+)
+def test_a_broken_motion_is_named_with_what_is_wrong(move, check, message):
+    _fails(check_motion(Walk(move), Placed(Vector(0.4, 0.7))), check, message)
+
+
+def test_stages_that_are_not_the_step_are_named():
+    class Staged(Walk):
+        @property
+        def stages(self):
+            return (lambda state, inputs, dt, w: Placed(state.position + w * (2.0 * dt)),)
+
+    walk = Staged(lambda p, dt, w: Placed(p + w * dt))
+    _fails(check_motion(walk, Placed(Vector(0.4, 0.7))), "derivatives", "`stages` that together are `step`")
+
+
+def test_a_log_density_without_its_normalisation_is_named():
+    class Scored(ConstantPosition):
+        def log_density(self, state, inputs, dt, w):
+            held = w[0] * jax.lax.stop_gradient(self.sigma_v.value)
+            return -0.5 * (held / self.sigma_v.value) ** 2
+
+    report = check_motion(Scored(0.5, 2), Placed(Vector(0.4, 0.7)))
+    _fails(report, "log density", r"by sigma_v has the mean 1\.\d+ ± .* expected zero")
+    assert not check_motion(ConstantPosition(0.5, 2), Placed(Vector(0.4, 0.7))).failures
+
+
+class Ruler(AbstractSensor):
+    """Both coordinates with sigmas of 0.1 and 0.3 m, whose residual a test breaks."""
+
+    change: object = eqx.field(static=True)
+
+    @property
+    def channels(self):
+        return Channel("x", "m"), Channel("y", "m")
+
+    def measure(self, view, inputs):
+        return list(view.position)
+
+    def residual(self, reading, predicted):
+        good = independent([z - p for z, p in zip(reading.values, predicted, strict=True)], [0.1, 0.3], reading.seen)
+        return self.change(good, reading, predicted)
+
+
+def test_a_sound_sensor_of_ones_own_passes():
+    assert not check_sensor(Ruler(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7))).failures
+
+
+def _unmasked(good, reading, predicted):
+    return good._replace(whitened=[(z - p) / 0.1 for z, p in zip(reading.values, predicted, strict=True)])
+
+
+def _root(good, reading, predicted):
+    return good._replace(whitened=[jnp.sign(w) * jnp.sqrt(jnp.abs(w)) for w in good.whitened])
+
+
+@pytest.mark.parametrize(
+    ("change", "check", "message"),
+    [
+        (lambda g, z, p: g._replace(log_scale=0.0 * g.log_scale), "density", "integrates to .* usual fix: log_scale"),
+        (lambda g, z, p: g._replace(dof=jnp.asarray(4.0)), "density", "integrates to"),
+        (lambda g, z, p: g._replace(whitened=[w * 2.0 for w in g.whitened]), "density", "integrates to 0.5 over x"),
+        (_unmasked, "mask", "expected 0 for a masked channel"),
+        (lambda g, z, p: g._replace(log_scale=g.log_scale + 0.1), "mask", "no channel seen has nis_dof 0 and log_scale 0.1"),
+        (
+            lambda g, z, p: g._replace(log_scale=g.log_scale + 0.1 * z.values[1]),
+            "mask",
+            "expected 0 and 0|changes with the value",
+        ),
+        (lambda g, z, p: g._replace(nis_dof=g.nis_dof + 1.0), "residual", "counts 3 numbers"),
+        (lambda g, z, p: g._replace(whitened=g.whitened[:1]), "residual", "has 1 whitened numbers, expected one per channel, 2"),
+        (lambda g, z, p: g._replace(whitened=[w + 1.0 for w in g.whitened]), "residual", "equal to the prediction"),
+        (_root, "finite", "derivative of Ruler.residual of a reading off by 0 is not finite at x"),
+        (lambda g, z, p: g._replace(whitened=[jnp.sinh(w) for w in g.whitened]), "finite", r"off by 1e\+06 is not finite at x"),
+        (lambda g, z, p: Residual(g.whitened, g.log_scale, 2.0), "mask", "counts 2 numbers where|nis_dof 2"),
+        (
+            lambda g, z, p: independent([v - jax.lax.stop_gradient(q) for v, q in zip(z.values, p, strict=True)], [0.1, 0.3], z.seen),
+            "derivatives",
+            r"whitened x by position\.0 is 0, by difference quotients -10",
+        ),
+    ],
+    ids=[
+        "no scale", "scale of another law", "half the sigma", "mask ignored", "scale of nothing", "scale by hidden value",
+        "count", "too few", "biased", "infinite slope", "overflow", "constant count", "cut derivative",
+    ],
+)  # fmt: skip
+def test_a_broken_sensor_is_named_with_what_is_wrong(change, check, message):
+    report = check_sensor(Ruler(change), Placed(Vector(0.4, 0.7)))
+    found = {one.name: one.sentence for one in report.failures}
+    # A density of a reading whose residual is wrong elsewhere is wrong, too.
+    assert found.keys() - {"density"} == {check} - {"density"}
+    assert re.search(message, found[check]), found
+
+
+def test_a_motion_that_reads_a_field_that_the_state_lacks_is_named_with_those_it_has():
+    class Typing(Walk):
+        def step(self, state, inputs, dt, w):
+            return Placed(state.pos + w * dt)
+
+    report = check_motion(Typing(None), Placed(Vector(0.4, 0.7)))
+    _fails(report, "state", r"Typing\.step reads 'pos' of the state, a Placed, which has position")
+
+
+def test_a_sensor_that_predicts_too_few_channels_is_named():
+    class Short(Ruler):
+        def measure(self, view, inputs):
+            return [view.position[0]]
+
+    report = check_sensor(Short(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7)))
+    _fails(report, "measure", r"Short\.measure returns numbers of shapes \[\(\)\], expected 2 scalars: x, y")
+
+
+def test_a_sensor_that_reads_a_field_that_the_view_lacks_is_named_with_those_it_has():
+    class Typing(Ruler):
+        def measure(self, view, inputs):
+            return list(view.pos)
+
+    class Broken(Ruler):
+        def measure(self, view, inputs):
+            return [np.pie, view.position[1]]
+
+    def sound(good, reading, predicted):
+        return good
+
+    class Lettered(Ruler):
+        def measure(self, view, inputs):
+            return [view.position.x, view.position.y]
+
+    here = Placed(Vector(0.4, 0.7))
+    reads = r"Typing\.measure reads 'pos' of the view, a Placed, which has .*position"
+    _fails(check_sensor(Typing(sound), here), "measure", reads)
+    by_number = r"expected its components by number, \[0\] to \[1\]"
+    _fails(check_sensor(Lettered(sound), here), "measure", rf"Lettered\.measure reads 'x' of a vector; {by_number}")
+    # A slip of the sensor's own stays what it is.
+    _fails(check_sensor(Broken(sound), here), "measure", "AttributeError: .*pie")
+    with pytest.raises(AttributeError, match="pie"):
+        sensor_checks(Broken(sound), here)[0]()

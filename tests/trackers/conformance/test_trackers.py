@@ -1,0 +1,173 @@
+"""A sound tracker of one's own passes all checks, and one with a fault fails the check of that fault with its fix."""
+
+from __future__ import annotations
+
+import re
+
+import jax.numpy as jnp
+import pytest
+
+import trackwright as tw
+from tests.trackers.conformance.own_trackers import (
+    Altered,
+    AtTheFirst,
+    CountedTwice,
+    Unsettled,
+    averaged,
+    kalman,
+    recordings,
+)
+
+
+def _and(add):
+    """A change of the output: `add(output, batch)` more in the NIS of each row and trajectory."""
+    return lambda output, batch: output._replace(nis=output.nis + add(output, batch))
+
+
+def _of_padding(output, batch):
+    return jnp.max(jnp.where(batch.valid, 0.0, batch.dt), axis=0)[None]
+
+
+def _of_later_rows(output, batch):
+    return jnp.flip(jnp.cumsum(jnp.flip(jnp.where(batch.valid, output.nis, 0.0), 0), axis=0), 0)
+
+
+def _of_garbage(output, batch):
+    reading = batch.readings["places"]
+    largest = jnp.max(jnp.where(reading.seen & batch.valid[:, None], jnp.abs(reading.values), 0.0))
+    return jnp.where(largest > 20.0, 1.0, 0.0)
+
+
+def _of_the_number(output, batch):
+    return jnp.mean(jnp.asarray(batch.valid)[0].astype(output.nis.dtype))
+
+
+def _of_all_pairs_of_rows(output, batch):
+    times = jnp.cumsum(batch.dt, axis=0)
+    return 0.0 * jnp.sum(jnp.sin(times[:, None] - times[None]), axis=1)
+
+
+class Unsure(tw.AbstractStart):
+    """Starts nowhere."""
+
+    def can_start(self, row):
+        return row.dt < 0
+
+    candidate, belief = AtTheFirst.candidate, AtTheFirst.belief
+
+
+FAULTS = {
+    "padding": (lambda: averaged(_and(_of_padding)), {"padding"}, "in rows of padding.*changes nis"),
+    "later rows": (lambda: averaged(_and(_of_later_rows)), {"later rows", "cut and resume"}, "leaving out later rows"),
+    "number of tags": (lambda: averaged(_and(_of_the_number)), {"number of tags"}, "recordings but the first 5 changes nis"),
+    "order of tags": (
+        lambda: averaged(_and(lambda output, batch: jnp.arange(batch.size, dtype=output.nis.dtype)[None])),
+        {"order of tags"},
+        r"the order \[.*\] of the recordings changes nis",
+    ),
+    "other tags": (lambda: averaged(_and(_of_garbage)), {"other tags"}, "a reading of 1e\\+30 in recording 2 changes nis"),
+    "hidden values": (
+        lambda: kalman(change=lambda r, z: r._replace(
+            log_scale=r.log_scale + 1e-3 * jnp.where(z.seen[0], 0.0, jnp.asarray(z.values[0]))
+        )),
+        {"hidden values"},
+        "the value 1e\\+30 of a channel that is not seen changes log_likelihood",
+    ),
+    "cut and resume": (lambda: averaged(forgets=True), {"cut and resume"}, "continues another from row .*`scan` returns"),
+    "one program": (lambda: averaged(label=Unsettled()), {"one program"}, "traces [1-9].* programs anew, expected none"),
+    "single and batch": (
+        lambda: averaged(lambda output, batch: output._replace(nis=output.nis * (1.0 + 1e-3 * batch.size))),
+        {"single and batch"},
+        "alone and in a batch differ by",
+    ),
+    "accumulate": (lambda: CountedTwice(averaged()), {"accumulate"}, "by `accumulate`, .* by `scan`; usual fix"),
+    "gradient": (lambda: averaged(held=True), {"gradient"}, "by sigma is 0, by difference quotients"),
+    "conditioning": (
+        lambda: kalman(change=lambda r, z: r._replace(log_scale=r.log_scale + 0.919 * r.nis_dof)),
+        {"conditioning"},
+        "log-likelihood is .* off by 0.919 for each number; usual fix: log_scale",
+    ),
+    "consistency": (lambda: kalman(Altered(of_cov=0.25)), {"conditioning", "consistency"}, "NEES .* are too small"),
+    "speed": (lambda: averaged(_and(_of_all_pairs_of_rows)), {"speed"}, "each of 512 rows computes .* not linear in the rows"),
+    "run": (lambda: kalman(start=Unsure()), {"run"}, "a track runs in 0% of the rows"),
+}  # fmt: skip
+"""By the check that finds it: a tracker with a fault, all checks that fail with it, and what the sentence says."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n == "consistency" else ()) for n in FAULTS]
+)
+def test_a_fault_is_found_by_its_check(name):
+    tracker, _, message = FAULTS[name]
+    check = next(c for c in tw.tracker_checks(tracker(), recordings()) if str(c) == name)
+    assert check.result.outcome == "fail", check.result
+    assert re.search(message, check.result.sentence), check.result
+    assert "usual fix: " in check.result.sentence
+    with pytest.raises(tw.BrokenContract):
+        check()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_fails_no_other_check(name):
+    tracker, failing, _ = FAULTS[name]
+    report = tw.check_tracker(tracker(), recordings())
+    assert {one.name for one in report.failures} == failing, report
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"of_mean": 1e-3}, "the last estimate of .* is off the mean given all readings"),
+        ({"of_cov": 1.0 + 1e-3}, "the last covariance of .* given all readings"),
+    ],
+    ids=["mean", "covariance"],
+)
+def test_moments_that_are_not_those_of_conditioning_are_named(change, message):
+    checks = {str(c): c for c in tw.tracker_checks(kalman(Altered(**change)), recordings())}
+    found = checks["conditioning"].result
+    assert re.search(message, found.sentence), found
+
+
+def test_values_that_are_not_finite_are_named_with_their_row():
+    broken = kalman(change=lambda r, z: r._replace(log_scale=r.log_scale / (z.values[0] - z.values[0])))
+    found = tw.tracker_checks(broken, recordings())[0].result
+    assert re.search(
+        "the log-likelihood of row .* of recording 0 is not finite; usual fix: check_motion", found.sentence
+    ), found
+
+
+@pytest.mark.slow
+def test_a_linear_tracker_passes_all_checks():
+    report = tw.check_tracker(kalman())
+    assert {one.outcome for one in report} == {"pass"}, report
+    assert "joint distribution" in repr(report)
+
+
+def test_a_tracker_that_is_no_filter_passes_all_checks_that_apply():
+    report = tw.check_tracker(averaged(), recordings(3))
+    assert not report.failures, report
+    assert {one.name for one in report if one.outcome == "skip"} == {"conditioning", "consistency"}
+
+
+def test_a_tracker_that_reads_inputs_or_is_no_filter_needs_recordings():
+    with pytest.raises(tw.UnusableInput, match="found a Averaged; expected recordings"):
+        tw.check_tracker(averaged())
+    with pytest.raises(
+        tw.UnusableInput, match=r"reads the inputs height.*; usual fix: check_tracker\(mine, recordings\)"
+    ):
+        tw.check_tracker(tw.fix_tracker(planar=True))
+
+
+def test_recordings_without_what_a_tracker_reads_are_refused_in_the_first_check():
+    other = [tw.Recording(r.times, {"fixes": r.readings["places"]}) for r in recordings()]
+    first, *others = tw.check_tracker(averaged(), other)
+    assert first.outcome == "fail"
+    assert "found readings of fixes; expected 'places'" in first.sentence
+    assert {one.outcome for one in others} == {"skip"}
+
+
+@pytest.mark.parametrize("check", tw.tracker_checks(averaged(), recordings())[:3], ids=str)
+def test_checks_are_parameters_of_pytest(check):
+    check()
