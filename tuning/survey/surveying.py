@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trackwright.trackers.core.data.consistency import NORMAL
 from trackwright.trackers.core.errors import UnusableInput, listed, one_or_more
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.tuning.calibrating import check_at_rest
-from trackwright.tuning.survey.result import COMMON_DELAY, NORMAL, OWN_DELAY, Survey
+from trackwright.tuning.survey.result import COMMON_DELAY, OWN_DELAY, Survey
 from trackwright.tuning.survey.solving import Prior, Solution, design_effect, information, predicted, solved
 from trackwright.tuning.survey.starts import (
     FIRST_DENSITY,

@@ -20,6 +20,7 @@ CASES = (
     "surveys:difference_surveys",
     "protection_levels",
     "watches",
+    "watches:quiet_watches",
     "watches:real_watches",
     "track_loss",
     "bag_tour",
