@@ -19,6 +19,7 @@ CASES = (
     "surveys:real_surveys",
     "surveys:difference_surveys",
     "protection_levels",
+    "closing_checks",
     "watches",
     "watches:quiet_watches",
     "watches:real_watches",
