@@ -183,7 +183,7 @@ def _with_best_onset(cause: Cause, blocks: Blocks, place: np.ndarray, tempered: 
 
 
 def _covariance(cause: Cause, blocks: Blocks, information: np.ndarray) -> np.ndarray:
-    """The inverse of the information (B, K, K) about the size; of a drift with a constant, as its onset is not known."""
+    """The inverse of the information (B, K, K) on the size; of a drift beside a constant, as its onset is not known."""
     total = information.sum(axis=0)
     if cause.name != "drift":
         return np.linalg.inv(total + LITTLE * np.eye(len(total)))

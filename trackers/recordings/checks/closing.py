@@ -41,13 +41,16 @@ On no real recording is the best ratio below 0.6; of the changes none may come a
 
 ALIKE, NAMED, NOTHING = 1.1, 3, {"m": 0.08, "rad": 0.03}
 """Ratio up to which changes explain them alike, as in a symmetric rig, how many of these are named, and contradictions,
-m or rad, that are all alike: one spare reading is soon explained."""
+m or rad, up to which all explain them: one spare reading is soon explained."""
 
-LEAST_MOVE_M, LEAST_TURN, FITTED = 0.6, np.radians(15.0), 0.75
-"""Move of an anchor and turn of a station that are a mistake, and the ratio of contradictions that they must reach.
+LEAST_MOVE_M, LEAST_TURN, FITTED, AS_WELL = 0.6, np.radians(15.0), 0.75, 1.5
+"""Move of an anchor and turn of a station that are a mistake, the ratio of contradictions that they must reach, and that
+to those without it, which are smaller in any case.
 
 On real recordings as they are, the place that fits best is up to 0.5 m away, or leaves more than 0.8.
 """
+
+ELSEWHERE = "its place in rig.toml is wrong, or its readings are; measure it again"
 
 SPANS_S = (0.1, 0.25, 0.5, 1.0)
 """Times within which readings are taken for those of one moment, s; the first in which enough of them come."""
@@ -84,8 +87,10 @@ class Moments(NamedTuple):
         return np.where(np.isfinite(self.values), self.parity()[1][..., None], np.nan)
 
     def parity(self) -> tuple[np.ndarray, ...]:
-        """Of ranges or differences: the positions (E, 3), the errors (E, G) that they leave, 0 where a reading is missing,
-        the derivatives (E, G, 3), and the share (E, G) of an error of each reading alone that its position leaves."""
+        """Positions (E, 3) of ranges or differences, errors (E, G), derivatives (E, G, 3), and shares (E, G).
+
+        Of an error of one reading alone the position leaves that share; both are 0 where a reading is missing.
+        """
         known = np.isfinite(self.values[..., 0])
         r = np.where(known, self.values[..., 0], 0.0)
         free = np.isnan(self.heights)
@@ -182,9 +187,9 @@ def check_closing(recording: RecordingFolder, table: str) -> Iterator[CheckResul
     if readings is None or (before := readings.closing()) <= ONE_LARGE[kind.unit]:
         return
     large = before > LARGE[kind.unit]
-    changes = _changes(readings) if large else ()
-    tried = sorted((changed.closing(), words, cause) for words, cause, changed in changes)
-    least = tried[0][0] if tried else before
+    tried = sorted((changed.closing(), words, cause) for words, cause, changed in _changes(readings))
+    least = min(tried[0][0], before)
+    explained = least <= min((SMALLER if large else CLEARER) * before, REMAINING[kind.unit])
     apart, without = min(_without_each(readings), default=(np.inf, ""))
     fitted = sorted(_turned_each(readings) if kind.angles else () if kind.difference else _moved_each(readings))
     unit, factor = kind.shown
@@ -198,13 +203,15 @@ def check_closing(recording: RecordingFolder, table: str) -> Iterator[CheckResul
         return ", or ".join(words for _, words, _ in best), "; or ".join(dict.fromkeys(cause for _, _, cause in best))
 
     message = f"readings of one moment contradict each other by {text(before)}"
-    if fitted and fitted[0][0] <= min(FITTED * before, FITTED * least, ALIKE * apart):
+    enough = min(FITTED * least, AS_WELL * apart, REMAINING[kind.unit])
+    if fitted and fitted[0][0] <= enough and not (explained and least <= NOTHING[kind.unit]):
         words, causes = alike(fitted)
         yield CheckResult("warning", table, f"{message}, and by {text(fitted[0][0])} with {words}: {causes}")
-    elif apart <= CLEARER * min(before, least):
-        cause = "its place in rig.toml is wrong, or its readings are; measure it again"
-        yield CheckResult("warning", table, f"{message}, and by {text(apart)} without {kind.noun} {without}: {cause}")
-    elif large and least <= min(SMALLER * before, REMAINING[kind.unit]):
+    elif apart <= CLEARER * least:
+        yield CheckResult(
+            "warning", table, f"{message}, and by {text(apart)} without {kind.noun} {without}: {ELSEWHERE}"
+        )
+    elif explained:
         words, causes = alike(tried)
         yield CheckResult("error", table, f"{message}, and by {text(least)} with {words}: {causes}")
     elif large and before > 2 * REMAINING[kind.unit]:
@@ -231,7 +238,7 @@ def _moved_each(readings: Moments) -> Iterator[tuple[float, str, str]]:
         away = float(np.linalg.norm(place - readings.places[k]))
         if away >= LEAST_MOVE_M:
             there = f"anchor {name} {away:.1f} m elsewhere, at ({', '.join(f'{x:.2f}' for x in place)}) m"
-            yield left, there, "a wrong position in rig.toml; measure it again"
+            yield left, there, ELSEWHERE
 
 
 def _moved(readings: Moments, k: int) -> Iterator[tuple[float, np.ndarray]]:
