@@ -84,30 +84,34 @@ def quiet_watches(*, output: Output = DEFAULTS) -> int:
 
 def real_watches(*, output: Output = DEFAULTS) -> int:
     """Changes made to real recordings, and the recordings as they are."""
-    keep_programs()
     names = list(REAL)[:2] if output.small else list(REAL)
     count = 4 if output.small else CHANGES
-    with progress("changes", count) as advance:
-        rows = []
-        for number in range(count):
-            rows.append(real_change(number, names[number % len(names)]))
+    numbers = [range(k, count, len(names)) for k in range(len(names))]
+    rows, quiet = list[Row](), list[Row]()
+    with progress("recordings", len(names)) as advance, ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        for changes, as_it_is in pool.map(real_site, names, numbers):
+            rows += changes
+            quiet.append(as_it_is)
             advance(1)
-    quiet = []
-    for name in names:
-        site, run = _real_site(name)
-        found = watch_runs(site, run)
-        least = site.bank.least[site.bank.place < 0]
-        unit = "°" if site.sources[0].table == "bearings" else " m"
-        scale = np.degrees(1.0) if unit == "°" else 1.0
-        quiet.append({
-            "recording": name, "baseline": REAL[name] or "its first half", "min": found.minutes,
-            "baseline, min": site.seconds / 60.0, "told from": f"{scale * np.median(least):.2g}{unit}",
-            "alarm": found.what(found.causes[0]) if found.changed else "no",
-        })  # fmt: skip
-    output.publish(
-        "validation real-watches", Table(summary(rows), "Changes"), Table(quiet, "As they are"), changes=rows
-    )
+    tables = Table(summary(rows), "Changes"), Table(_by_site(rows), "Changes by recording"), Table(quiet, "As they are")
+    output.publish("validation real-watches", *tables, changes=rows)
     return 0
+
+
+def real_site(name: str, numbers: Iterable[int]) -> tuple[list[Row], Row]:
+    """Changes of these numbers made to a real recording, and the recording as it is."""
+    keep_programs()
+    rows = [real_change(number, name) for number in numbers]
+    site, run = _real_site(name)
+    found = watch_runs(site, run)
+    least = site.bank.least[site.bank.place < 0]
+    unit = "°" if site.sources[0].table == "bearings" else " m"
+    scale = np.degrees(1.0) if unit == "°" else 1.0
+    return rows, {
+        "recording": name, "baseline": REAL[name] or "its first half", "min": found.minutes,
+        "baseline, min": site.seconds / 60.0, "told from": f"{scale * np.median(least):.2g}{unit}",
+        "alarm": found.what(found.causes[0]) if found.changed else "no",
+    }  # fmt: skip
 
 
 def change_of(number: int, table: str, ids: Sequence[str], onset_s: float) -> tuple[Change, bool]:
