@@ -44,8 +44,8 @@ ALIKE, NAMED, NOTHING = 1.1, 3, {"m": 0.08, "rad": 0.03}
 m or rad, up to which all explain them: one spare reading is soon explained."""
 
 LEAST_MOVE_M, LEAST_TURN, FITTED, AS_WELL = 0.6, np.radians(15.0), 0.75, 1.5
-"""Move of an anchor and turn of a station that are a mistake, the ratio of contradictions that they must reach, and that
-to those without it, which are smaller in any case.
+"""Move of an anchor and turn of a station that are a mistake, the ratio of contradictions that they must reach, and the
+ratio to those without it, which are smaller in any case.
 
 On real recordings as they are, the place that fits best is up to 0.5 m away, or leaves more than 0.8.
 """
