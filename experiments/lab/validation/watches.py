@@ -206,7 +206,8 @@ def _share_hidden(found: Watch, change: Change, run: tw.RecordingFolder, seed: i
     at = true_positions(run, change.table)[np.any(of, axis=0) & (rows["t_s"] >= change.onset_s).to_numpy()]
     at = at[np.isfinite(at[:, 0])]
     place = place_numbers(np.floor(at[:, :2] / found.site.cell_m).astype(int), found.site.normal.places)
-    return float(behind_wall(run.rig, name, at, seed)[np.isin(place, found.causes[0].places)].mean())
+    named = found.causes[0].factor(np.full(len(place), found.causes[0].onset), place) > 0.0
+    return float(behind_wall(run.rig, name, at, seed)[named].mean())
 
 
 def summary(rows: Sequence[Row]) -> list[Row]:
