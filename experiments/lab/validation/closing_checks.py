@@ -35,21 +35,23 @@ DRAWS = 3
 
 def closing_checks(*, output: Output = DEFAULTS) -> int:
     """Mistakes made to real recordings without their truth, found and named, and findings in them as they are."""
-    names, rows, quiet = RECORDINGS[:2] if output.small else RECORDINGS, list[Row](), list[Row]()
+    names, rows, as_they_are = RECORDINGS[:2] if output.small else RECORDINGS, list[Row](), list[Row]()
     with progress("recordings", len(names)) as advance:
         for name in names:
             (recording,) = recorded((name,))
             table = next(t for t in WATCHED if t in recording.tables)
-            found = [result.message for result in check_closing(recording, table)]
-            quiet.append({"recording": name, "table": table, "finding": "; ".join(found) or "none"})
+            as_it_is = list(check_closing(recording, table))
+            as_they_are.append(_judged(name, "none", (), as_it_is, []))
+            found = [result.message for result in as_it_is]
             for number in range(DRAWS):
                 for mistake, whose, mistaken in _mistakes(recording, table, number):
                     rows.append(_judged(name, mistake, whose, list(check_closing(mistaken, table)), found))
             advance(1)
-    by_mistake = [_summary("mistake", x, rows) for x in dict.fromkeys(row["mistake"] for row in rows)]
+    every = [*rows, *as_they_are]
+    by_mistake = [_summary("mistake", x, every) for x in dict.fromkeys(row["mistake"] for row in every)]
     by_recording = [_summary("recording", x, rows) for x in names]
-    tables = Table(by_mistake, "Mistakes"), Table(by_recording, "Mistakes by recording"), Table(quiet, "As they are")
-    output.publish("validation closing-checks", *tables, mistakes=rows)
+    tables = Table(by_mistake, "Mistakes"), Table(by_recording, "Mistakes by recording")
+    output.publish("validation closing-checks", *tables, mistakes=every)
     return 0
 
 
@@ -59,7 +61,7 @@ def _judged(name: str, mistake: str, whose: tuple[str, ...], results: list[Check
     words = " ".join(result.message for result in new).replace(",", " ").replace(":", " ").split()
     return {
         "recording": name, "mistake": mistake, "whose": whose, "found": bool(new),
-        "error": any(result.level == "error" for result in new), "named": {*whose} <= {*words},
+        "error": any(result.level == "error" for result in new), "named": bool(new) and {*whose} <= {*words},
         "finding": [result.message for result in new],
     }  # fmt: skip
 
