@@ -8,17 +8,17 @@ from typing import Any
 
 import polars as pl
 
-from trackwright.experiments.cli.console import read_with_notices
 from trackwright.experiments.cli.evaluating import sources
 from trackwright.experiments.cli.options import TrackOptions
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.evaluation.protection import Protection, protection
 from trackwright.trackers.recordings.atomic import json_text
 from trackwright.trackers.recordings.calibration import read_calibration
+from trackwright.trackers.recordings.folder import read_recordings
 from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.tracks_table import read_tracks
 
-FREE = ("seed", "part", "protection", "probability")
+FREE = ("seed", "part", "protection", "probability", "watch")
 """Options of `track` that evidence need not share."""
 
 FILES = ("noise", "calibration")
@@ -28,16 +28,23 @@ FILES = ("noise", "calibration")
 def protection_of(options: TrackOptions, tracker: str) -> Protection:
     """The protection level from `--protection`, for a run of this tracker.
 
-    Raises UnusableInput as `protection`, for evidence that was tracked otherwise, and for a recording of the evidence
-    on which the calibration that tracked it was estimated.
+    Raises UnusableInput as `protection`, for evidence that was tracked otherwise, for a recording of the evidence on
+    which the calibration that tracked it was estimated, and for one that the baseline of `--watch`, if any, lacks.
     """
     expected = json.loads(json_text(options.manifest(tracker)))
     parts, folders = [], []
     for path in options.protection:
         parts.append(read_tracks(path))
-        recordings = read_with_notices(sources(path))
+        recordings = read_recordings(sources(path))
         _refuse_others(path, expected, {folder.name for folder in recordings})
         folders += recordings
+    watched = {path.resolve() for path in options.watch}
+    lacking = [folder.name for folder in folders if folder.path is None or folder.path.resolve() not in watched]
+    if watched and lacking:
+        raise UnusableInput(
+            f"--watch: lacks {listed(lacking)}, evidence of --protection; expected all of it in the baseline: a change "
+            "since is not seen otherwise"
+        )
     tracks = pl.concat(parts, how="diagonal_relaxed")
     return protection(tracks, folders, options.probability)
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from trackwright.experiments.cli.options import File, Recording
 from trackwright.trackers.core.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from trackwright.trackers.recordings.folder import RecordingFolder
 
 
 def watch(
@@ -42,12 +46,7 @@ def watch(
     from trackwright.experiments.cli.runtime import keep_programs
     from trackwright.trackers.recordings.folder import read_recordings
 
-    # A truth that disagrees with the readings is what a change looks like, and is not to be refused.
-    read = [
-        replace(x, tables={k: t for k, t in x.tables.items() if k != "truth"})
-        for x in read_recordings([*runs, *baseline])
-    ]
-    folders = checked(read, force, calibrated=True)
+    folders = checked(untrue(read_recordings([*runs, *baseline])), force, calibrated=True)
     keep_programs()
     # jax and scipy take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.reports.watch import watch_data, write_watch_figure
@@ -61,3 +60,8 @@ def watch(
             print(f"wrote {write_watch_figure(out, found)}")
         put(watch_data(found))
     return int(found.changed)
+
+
+def untrue(recordings: Iterable[RecordingFolder]) -> list[RecordingFolder]:
+    """Recordings without truth: one that disagrees with the readings is what a change looks like, and no mistake."""
+    return [replace(x, tables={k: t for k, t in x.tables.items() if k != "truth"}) for x in recordings]

@@ -19,7 +19,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.kinds import KINDS, Measured
 from trackwright.tuning.watch.normal import normal_of
 from trackwright.tuning.watch.parity import Blocks, blocks_of
-from trackwright.tuning.watch.readings import SLOT_S, Readings, Source
+from trackwright.tuning.watch.readings import SLOT_S, Readings, Source, merged
 from trackwright.tuning.watch.sequential import bank_of, course_of, threshold_of
 from trackwright.tuning.watch.watching import site_of, watch, watch_runs
 
@@ -64,6 +64,21 @@ def test_scores_do_not_depend_on_how_far_the_tracked_position_is_off():
     right, wrong = (blocks_of({"ranges": r}, sources, 1.0, 1.0, (1.0, 3)).score for r in (readings, off))
     # The prior of 1 m on the shift costs some hundredths.
     np.testing.assert_allclose(wrong, right, atol=0.05 * np.abs(right).max())
+
+
+def test_readings_of_a_source_in_a_window_are_merged_and_their_scores_stay():
+    readings, sources = _one_window()
+    often = readings.of_rows(np.repeat(np.arange(5), 4))
+    off = np.linspace(-0.05, 0.05, 20)[:, None] * np.ones(3)
+    moved = replace(often, positions=often.positions + off, weights=often.weights * np.linspace(0.5, 1.5, 20)[:, None])
+    values = moved.measured.predicted(moved.positions) + 0.05 * np.random.default_rng(4).standard_normal((20, 1))
+    moved = replace(moved, measured=moved.measured._replace(values=values))
+    few = merged({"ranges": moved}, 1.0)["ranges"]
+    assert len(few.times) == 5
+    np.testing.assert_allclose(few.weights.sum(), moved.weights.sum())
+    whole, less = (blocks_of({"ranges": r}, sources, 1.0, 1.0, (1.0, 0)) for r in (moved, few))
+    np.testing.assert_allclose(less.score, whole.score, atol=0.05 * np.abs(whole.score).max())
+    np.testing.assert_allclose(less.information, whole.information, atol=0.05 * whole.information.max())
 
 
 def _correlated(count, keep, seed, source=None):

@@ -6,6 +6,9 @@ import math
 from collections.abc import Sequence
 from decimal import Decimal
 
+WIDTH = 120
+"""Columns of plain text, at most."""
+
 
 def counted(count: int, noun: str) -> str:
     """A count with its noun, in the plural unless it is one."""

@@ -48,10 +48,16 @@ class Protection:
     rows: int
     blocks: int
 
-    def applied(self, tracks: pl.DataFrame) -> pl.DataFrame:
-        """The table of estimates with the column `pl_m`, m, null where no covariance is reported."""
-        levels = pl.Series(PROTECTION, self.factor * largest_sigma(tracks))
-        return tracks.with_columns(levels.fill_nan(None))
+    def applied(self, tracks: pl.DataFrame, changed: Mapping[str, float] | None = None) -> pl.DataFrame:
+        """The table of estimates with the column `pl_m`, m, null where no covariance is reported.
+
+        `changed`: by recording, the time, s, from which on its site is not that of the evidence: levels are infinite.
+        """
+        levels = self.factor * largest_sigma(tracks)
+        if changed:
+            since = np.array([changed.get(name, math.inf) for name in tracks["recording"].to_list()])
+            levels = np.where(float_column(tracks, "t_s") >= since, math.inf * levels, levels)
+        return tracks.with_columns(pl.Series(PROTECTION, levels).fill_nan(None))
 
     def __str__(self) -> str:
         shares = ", ".join(f"{name} {100 * share:.4g} %" for name, share in self.held.items())

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trackwright.trackers.core.data.consistency import NORMAL
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.survey.frames import EXACT, aligned, framed, onto, require_frame, tags
-from trackwright.tuning.survey.result import COMMON_DELAY, NORMAL, OWN_DELAY, AnchorSurvey
+from trackwright.tuning.survey.result import COMMON_DELAY, OWN_DELAY, AnchorSurvey
 from trackwright.tuning.survey.site import Site, SurveyedTable, residuals_of
 from trackwright.tuning.survey.solving import Prior, Solution, information, solved
 from trackwright.tuning.survey.starts import (

@@ -11,20 +11,20 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trackwright.trackers.core.data.consistency import NORMAL
 from trackwright.trackers.core.data.frames import text_lines
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.wording import WIDTH
 from trackwright.trackers.recordings.calibration import RANGE_PRIOR
 from trackwright.tuning.survey.frames import aligned
 
 COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1
 """Standard deviations of delays before any range, m: of what all anchors share, and of each anchor's own."""
 
-NORMAL = 1.96
 DETERMINED, WEAK = 0.25, 1.0
 """Half-widths of 95 % intervals, m, up to which a coordinate counts as determined, and as weakly so."""
 
-WIDTH = 120
 UNSEEN = 100.0
 """Half-width of an interval, m, from which a number says nothing."""
 

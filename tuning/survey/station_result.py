@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from trackwright.trackers.core.data.consistency import NORMAL
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.recordings.calibration import ANGLE_PRIOR
-from trackwright.tuning.survey.result import DETERMINED, NORMAL, Survey, with_interval
+from trackwright.tuning.survey.result import DETERMINED, Survey, with_interval
 
 TURN_DETERMINED = np.deg2rad(3.0)
 """Half-width of a 95 % interval, rad, up to which a turn counts as determined; weakly so up to four times of it."""

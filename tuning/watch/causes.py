@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from trackwright.trackers.recordings.kinds import wrapped
 from trackwright.tuning.watch.normal import Normal, place_numbers, scatter_of
 from trackwright.tuning.watch.parity import LOST, Blocks, blocks_of, doubled, located, turned
-from trackwright.tuning.watch.readings import SLOT_S, Readings, Source, with_weights
+from trackwright.tuning.watch.readings import SLOT_S, Readings, Source, merged, with_weights
 
 BEFORE, AFTER = 24, 60
 """Slots before the onset of an alarm, and after it, to which causes are fitted."""
@@ -31,6 +31,9 @@ SWAPPED_M, SWAPPED_SLOTS = 0.4, 8
 
 STEPS, CLOSEST = 4, 6
 """Steps of a fit to the readings, and the causes that are fitted so."""
+
+LITTLE = 1e-3
+"""Information that every size has, per squared unit, so that it can be inverted."""
 
 WORDS = {
     "moved": "has moved", "delay": "has another delay", "drift": "has a clock that drifts", "turned": "has turned",
@@ -100,11 +103,12 @@ def likely_causes(
     if not any(cause.large for cause in closest[:2]):
         return closest
     kept = {t: r.of_rows(_between(r, onset - BEFORE, onset + AFTER)) for t, r in readings.items()}
-    before = normal.corrected(blocks_of(kept, sources, *again, LOST))
+    few = merged(kept, again[0])
+    before = normal.corrected(blocks_of(few, sources, *again, LOST))
     start = float(before.energy.sum())
-    fitted = [_fitted(cause, kept, sources, normal, again, start) for cause in closest]
+    fitted = [_fitted(cause, few, sources, normal, again, start) for cause in closest]
     if any(np.abs(cause.size).max() > SWAPPED_M for cause in closest[:2] if cause.name != "drift"):
-        fitted += _swaps(kept, sources, normal, alarm, again, before)
+        fitted += _swaps(few, sources, normal, alarm, again, before)
     best, *others = sorted(fitted, key=lambda cause: -cause.score)
     return [_reweighted(best, kept, sources, normal, again, scales), *others]
 
@@ -113,13 +117,22 @@ def _reweighted(
     cause: Cause, readings: Mapping[str, Readings], sources: Sequence[Source], normal: Normal,
     again: tuple[float, float], scales: Mapping[tuple[str, str], np.ndarray],
 ) -> Cause:  # fmt: skip
-    """The cause fitted with weights as without it: those under a change that varies draw it to its median."""
+    """The cause fitted with weights as without it: those under a change that varies draw it to its median.
+
+    An obstruction hides a part of its places: its readings there all count alike, so that its size is their mean.
+    """
     if not len(cause.size):
         return cause
     without = located(undone(readings, cause, normal, again[1]), sources, again[0])
     weights = {table: each.weights for table, each in with_weights(without, scales)[0].items()}
+    if cause.name == "wall":
+        source = cause.sources[0]
+        each, known = readings[source.table], weights[source.table] > 0.0
+        acts = (_factor(cause, each, normal, again[1]) * _signs(source, each))[:, None] != 0.0
+        weights[source.table] = np.where(acts & known, scales[source.table, source.name] ** -2, weights[source.table])
     weighted = {table: replace(each, weights=weights[table]) for table, each in readings.items()}
-    return replace(_fitted(replace(cause, gain=-np.inf), weighted, sources, normal, again, 0.0), gain=cause.gain)
+    few = merged(weighted, again[0])
+    return replace(_fitted(replace(cause, gain=-np.inf), few, sources, normal, again, 0.0), gain=cause.gain)
 
 
 def _between(each: Readings, first: int, last: int) -> np.ndarray:
@@ -158,14 +171,28 @@ def _with_best_onset(cause: Cause, blocks: Blocks, place: np.ndarray, tempered: 
     for slot in np.unique(blocks.slot)[:-1]:
         moved = replace(cause, onset=int(slot))
         score, information = (x.sum(axis=0) for x in _sums(moved, blocks, place))
-        information = information + 1e-3 * np.eye(len(score))
+        information = information + LITTLE * np.eye(len(score))
         size = np.linalg.solve(information, score)
         gain = 0.5 * float(score @ size) / tempered
         if gain > best.gain:
-            best = replace(moved, size=size, gain=gain, covariance=np.linalg.inv(information))
+            best = replace(moved, size=size, gain=gain)
     penalty = 0.5 * cause.unit.shape[1] * np.log(max((blocks.slot >= best.onset).sum(), 2))
     score, information = _sums(best, blocks, place)
-    return replace(best, penalty=cause.penalty + penalty, scatter=_scatter(score, information, best.size))
+    scatter, covariance = _scatter(score, information, best.size), _covariance(best, blocks, information)
+    return replace(best, penalty=cause.penalty + penalty, scatter=scatter, covariance=covariance)
+
+
+def _covariance(cause: Cause, blocks: Blocks, information: np.ndarray) -> np.ndarray:
+    """The inverse of the information (B, K, K) on the size; of a drift beside a constant, as its onset is not known."""
+    total = information.sum(axis=0)
+    if cause.name != "drift":
+        return np.linalg.inv(total + LITTLE * np.eye(len(total)))
+    times = SLOT_S * (blocks.slot + 0.5 - cause.onset)
+    own = np.where(
+        times > 0.0, np.einsum("bij,ik,jk->b", blocks.information, cause.unit, cause.unit, optimize=True), 0.0
+    )
+    both = np.array([[(own * times**2).sum(), (own * times).sum()], [(own * times).sum(), own.sum()]])
+    return np.linalg.inv(both + LITTLE * np.eye(2))[:1, :1]
 
 
 def _scatter(score: np.ndarray, information: np.ndarray, size: np.ndarray) -> np.ndarray:
@@ -209,11 +236,11 @@ def _fitted(
         place = normal.place_of(blocks)
         of_blocks = _sums(cause, blocks, place)
         score, information = (x.sum(axis=0) for x in of_blocks)
-        information = information + 1e-3 * np.eye(len(score))
+        information = information + LITTLE * np.eye(len(score))
         gain = 0.5 * float(start - blocks.energy.sum()) / float(np.median(normal.scatter))
         if gain > best.gain:
             scatter = _scatter(*of_blocks, np.zeros(len(score)))
-            best = replace(cause, gain=gain, covariance=np.linalg.inv(information), scatter=scatter)
+            best = replace(cause, gain=gain, covariance=_covariance(cause, blocks, of_blocks[1]), scatter=scatter)
         change = np.linalg.solve(information, score)
         if step == STEPS or not len(change) or np.abs(change).max() < 1e-3:
             break
@@ -243,6 +270,18 @@ def _swaps(
         yield _fitted(replace(cause, onset=since, gain=-np.inf), readings, sources, normal, again, before.energy.sum())
 
 
+def _factor(cause: Cause, each: Readings, normal: Normal, cell_m: float) -> np.ndarray:
+    """By how much the size of a cause acts at the time and the place of each reading (N,)."""
+    place = place_numbers(np.floor(each.positions[:, :2] / cell_m).astype(int), normal.places)
+    return cause.factor(np.floor(each.times / SLOT_S), place, each.times)
+
+
+def _signs(source: Source, each: Readings) -> np.ndarray:
+    """With which sign each reading (N,) has the distance to a source, 0 for none."""
+    mine = (each.measured.sensors.number == each.measured.ids.index(source.name)).astype(float)
+    return mine[:, 0] - (mine[:, 1] if mine.shape[1] > 1 else 0.0)
+
+
 def undone(readings: Mapping[str, Readings], cause: Cause, normal: Normal, cell_m: float) -> dict[str, Readings]:
     """The readings as they would be without a cause."""
     table = cause.sources[0].table
@@ -250,8 +289,7 @@ def undone(readings: Mapping[str, Readings], cause: Cause, normal: Normal, cell_
         return dict(readings)
     each = readings[table]
     measured, sensors = each.measured, each.measured.sensors
-    place = place_numbers(np.floor(each.positions[:, :2] / cell_m).astype(int), normal.places)
-    factor = cause.factor(np.floor(each.times / SLOT_S), place, each.times)
+    factor = _factor(cause, each, normal, cell_m)
     ids = [measured.ids.index(source.name) for source in cause.sources]
     acts = factor != 0.0
     if cause.name == "swapped":
@@ -260,8 +298,7 @@ def undone(readings: Mapping[str, Readings], cause: Cause, normal: Normal, cell_
         sensors = sensors._replace(number=np.where(acts[:, None], exchanged[sensors.number], sensors.number))
         return {**readings, table: replace(each, measured=measured._replace(sensors=sensors))}
     of = dict(zip(cause.sources[0].parameters, (cause.unit @ cause.size)[cause.sources[0].first :], strict=False))
-    mine = sensors.number == ids[0]
-    constant = factor * (mine[:, 0].astype(float) - (mine[:, 1] if mine.shape[1] > 1 else 0.0))
+    constant = factor * _signs(cause.sources[0], each)
     values = measured.values.copy()
     if table == "bearings":
         values[:, 1] -= of["tilt"] * constant

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.columns import run_starts
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS, Measured
+from trackwright.trackers.recordings.kinds import KINDS, Measured, wrapped
 
 WATCHED = ("ranges", "tdoa", "bearings")
 OF_ANCHOR, OF_STATION = ("delay", "x", "y", "z"), ("turn", "tilt", "x", "y", "z")
@@ -93,6 +93,12 @@ def sources_of(folders: Sequence[RecordingFolder]) -> tuple[Source, ...]:
     return tuple(sources)
 
 
+def times_of(folder: RecordingFolder) -> tuple[float, float]:
+    """When the first and the last of its readings that are watched are, s."""
+    times = np.concatenate([folder.rows(table).times for table in WATCHED if table in folder.tables])
+    return float(times.min()), float(times.max())
+
+
 def readings_of(
     folder: RecordingFolder, tracks: pl.DataFrame, rig: Rig, sources: Sequence[Source], first: int, later: float
 ) -> dict[str, Readings]:
@@ -163,6 +169,28 @@ def window_of(readings: Mapping[str, Readings]) -> float:
         if np.median(np.bincount(number.ravel(), values)[number.ravel()]) >= 4:
             return width
     return WINDOWS_S[-1]
+
+
+def merged(readings: Mapping[str, Readings], width: float) -> dict[str, Readings]:
+    """The readings with those of a source, or of a pair, within a window of `width` s as one: their weighted mean."""
+    return {table: _merged(each, width) for table, each in readings.items()}
+
+
+def _merged(each: Readings, width: float) -> Readings:
+    measured = each.measured
+    keys = np.column_stack([each.track, np.floor(each.times / width), measured.sensors.number])
+    _, first, group = np.unique(keys.astype(int), axis=0, return_index=True, return_inverse=True)
+
+    def sums(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(group.ravel(), column) for column in values.T], axis=1)
+
+    count, weights = sums(np.ones((len(keys), 1))), sums(each.weights)
+    positions, one = sums(each.positions) / count, each.of_rows(first)
+    # Means of errors, not of values: those are of different positions.
+    errors = sums(each.weights * np.nan_to_num(measured.errors(each.positions))) / np.maximum(weights, 1e-300)
+    values = np.where(weights > 0.0, measured.kind.values_at(positions, one.measured.sensors) + errors, np.nan)
+    means = {"times": sums(each.times[:, None])[:, 0] / count[:, 0], "positions": positions, "weights": weights}
+    return replace(one, measured=one.measured._replace(values=wrapped(values, measured.columns)), **means)
 
 
 def with_weights(

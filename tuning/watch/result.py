@@ -7,19 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trackwright.trackers.core.data.consistency import NORMAL
 from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.wording import WIDTH
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.watch.causes import WORDS, Cause
 from trackwright.tuning.watch.parity import Blocks
-from trackwright.tuning.watch.readings import SLOT_S
+from trackwright.tuning.watch.readings import SLOT_S, times_of
 from trackwright.tuning.watch.sequential import Course
 from trackwright.tuning.watch.site import Site
 
-NORMAL = 1.96
 UNDECIDED = 3.0
-"""Difference of scores, about odds of 20, up to which a second cause is named, too."""
-
-WIDTH = 120
+"""Difference of scores, about odds of 20, up to which causes are not told apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +58,15 @@ class Watch:
     def onset_s(self) -> float:
         """When the change was, s on the common time."""
         return SLOT_S * float(self.cause.onset) if self.cause else np.nan
+
+    def since(self) -> dict[str, float]:
+        """The time of each run's readings, s, from which on the site has changed; only of runs in which it has."""
+        ends = np.append(self.starts[1:], np.inf)
+        return {
+            run.name: times_of(run)[0] + max(self.onset_s - start, 0.0)
+            for run, start, end in zip(self.runs, self.starts, ends, strict=True)
+            if self.onset_s < end
+        }
 
     def half_widths(self, cause: Cause) -> np.ndarray:
         """Those of the 95 % intervals of a cause's sizes: of what was watched, and of the baseline."""
@@ -124,11 +132,11 @@ class Watch:
         return listed((f"({x:.1f}, {y:.1f})" for x, y in middles), 4)
 
     @property
-    def others(self) -> list[Cause]:
-        """Causes nearly as likely as the first."""
+    def named(self) -> list[Cause]:
+        """The likeliest cause and those nearly as likely, from which the readings do not tell it apart."""
         likely = [cause for cause in self.causes if cause.score > self.causes[0].score - UNDECIDED]
         first = {(cause.name, cause.sources): cause for cause in reversed(likely)}
-        return sorted(first.values(), key=lambda cause: -cause.score)[1:]
+        return sorted(first.values(), key=lambda cause: -cause.score)
 
     @property
     def minutes(self) -> float:
@@ -161,10 +169,9 @@ class Watch:
             ground.append(f"not in the baseline, and not judged: {listed(self.new)}")
         if not self.changed:
             return ["no change", *ground]
-        first = self.causes[0]
-        verdict = f"changed: {self.what(first)}, {self.when(self.onset_s)} (alarm {self.when(self.alarm_s)})"
-        others = [f"nearly as likely: {self.what(cause)}" for cause in self.others]
-        return [verdict, f"to do: {self.advice(first)}", *others, *ground]
+        words = ", or ".join(map(self.what, self.named)) + ", which cannot be told apart" * (len(self.named) > 1)
+        verdict = f"changed: {words}, {self.when(self.onset_s)} (alarm {self.when(self.alarm_s)})"
+        return [verdict, f"to do: {'; or '.join(map(self.advice, self.named))}", *ground]
 
     def __str__(self) -> str:
         return "\n".join("\n".join(textwrap.wrap(line, WIDTH, subsequent_indent="  ")) for line in self.lines())

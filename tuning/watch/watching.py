@@ -21,8 +21,10 @@ from trackwright.tuning.watch.readings import (
     Readings,
     Source,
     joined,
+    merged,
     readings_of,
     sources_of,
+    times_of,
     window_of,
     with_weights,
 )
@@ -45,7 +47,7 @@ def site_of(baseline: RecordingFolder | Sequence[RecordingFolder], smallest: flo
     readings, starts = _tracked(folders, rig, sources)
     readings, scales = with_weights(readings)
     width, cell_m = window_of(readings), place_size(readings)
-    blocks = blocks_of(readings, sources, width, cell_m)
+    blocks = blocks_of(merged(readings, width), sources, width, cell_m)
     seconds = SLOT_S * len(np.unique(blocks.slot))
     if seconds < LEAST_S:
         raise UnusableInput(
@@ -74,7 +76,7 @@ def watch_runs(site: Site, runs: RecordingFolder | Sequence[RecordingFolder], al
     readings, starts = _tracked(folders, _with(site.rig, folders), site.sources)
     readings, _ = with_weights(readings, site.scales)
     again = site.width, site.cell_m
-    every = blocks_of(readings, site.sources, *again)
+    every = blocks_of(merged(readings, site.width), site.sources, *again)
     blocks = site.normal.corrected(every)
     course = course_of(blocks, site.bank, site.normal, alarms_a_day)
     causes = []
@@ -136,8 +138,7 @@ def _tracked(
     parts, starts, tracks, begin = [], [], 0, 0.0
     for folder in folders:
         table = tracker_for(folder).run(folder).table
-        spans = [folder.rows(name).times for name in WATCHED if name in folder.tables]
-        first, last = min(map(np.min, spans)), max(map(np.max, spans))
+        first, last = times_of(folder)
         parts.append(readings_of(folder, table, rig, sources, tracks, begin - first))
         starts.append(begin)
         begin += SLOT_S * np.ceil((last - first + SLOT_S) / SLOT_S)

@@ -35,8 +35,8 @@ from trackwright.experiments.lab.validation.surveys import (
     smooth_path,
 )
 from trackwright.experiments.text.terminal import progress
+from trackwright.trackers.core.data.consistency import NORMAL
 from trackwright.tuning.survey.bearings import POSITION, bearing_walks
-from trackwright.tuning.survey.result import NORMAL
 from trackwright.tuning.survey.site import Site
 from trackwright.tuning.survey.solving import FISHER
 from trackwright.tuning.survey.station_result import StationSurvey

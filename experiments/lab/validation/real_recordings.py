@@ -42,7 +42,7 @@ CURVES = PAGE.with_name("calibration-curves.png")
 KINDS = [(setting, smoothed) for setting in (DEFAULTS, CALIBRATED) for smoothed in (False, True)]
 """Settings, filtered and smoothed, in the order of the tables and panels."""
 
-SHOWN = {OTHER_HALF: "on the other half", OTHER_SITES: "defaults of other sites"}
+SHOWN: dict[tuple[str, ...], str] = {OTHER_HALF: "on the other half", OTHER_SITES: "defaults of other sites"}
 """Settings by what a recording is calibrated, or the levels are found, on."""
 
 LIMITED = (("RMSE", "rmse_m", False), ("3-D RMSE", "rmse_3d_m", False), ("RMSE", "rmse_m", True))

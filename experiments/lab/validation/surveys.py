@@ -22,9 +22,10 @@ from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.text.terminal import progress
+from trackwright.trackers.core.data.consistency import NORMAL
 from trackwright.tuning.survey.anchors import Ranges
 from trackwright.tuning.survey.frames import aligned, frame_of
-from trackwright.tuning.survey.result import NORMAL, AnchorSurvey, Survey
+from trackwright.tuning.survey.result import AnchorSurvey, Survey
 from trackwright.tuning.survey.solving import FISHER
 from trackwright.tuning.survey.surveying import survey
 from trackwright.tuning.survey.walks import walks_of

@@ -22,7 +22,7 @@ from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.watch.parity import turned
 
 RATE = 5.0
-"""Readings of each source a second."""
+"""Readings of each source a second, by default."""
 
 LEG_S, LASTS, DETOUR_S, HIDDEN = 6.0, 3.0, 2.0, 0.03
 ERRORS = {"m": (0.05, 0.02, 0.03, 0.05), "rad": tuple(np.radians([3.0, 1.5, 1.0, 2.0]))}
@@ -79,10 +79,10 @@ def world_of(seed: int, kind: str) -> World:
     return World(kind, size, rig, constant, random.uniform(0.0, 2.0 * np.pi, (count, columns, 4)))
 
 
-def normal_operation(world: World, name: str, seconds: float, seed: int) -> tw.RecordingFolder:
-    """A recording of a tag in the room, with truth."""
+def normal_operation(world: World, name: str, seconds: float, seed: int, rate: float = RATE) -> tw.RecordingFolder:
+    """A recording of a tag in the room, with truth; `rate`: readings of each source a second."""
     random = np.random.default_rng([seed, 72])
-    times = np.arange(int(seconds * RATE)) / RATE
+    times = np.arange(int(seconds * rate)) / rate
     corners = np.arange(0.0, seconds + 2 * LEG_S, LEG_S)
     path = PchipInterpolator(
         corners, random.uniform([0.6, 0.6, 0.8], [*(world.size[:2] - 0.6), 1.6], (len(corners), 3))
@@ -95,7 +95,7 @@ def normal_operation(world: World, name: str, seconds: float, seed: int) -> tw.R
         ideal = np.stack([np.linalg.norm(path - place, axis=1) for place in world.rig.anchors.values()], axis=1)[
             ..., None
         ]
-    values = ideal + _errors(world, path, ideal.shape, random)
+    values = ideal + _errors(world, path, ideal.shape, random, rate)
     seen = random.random(values.shape[:2]) > 0.1
     names = np.array([*world.rig.anchors, *world.rig.stations])
     tables = {
@@ -116,17 +116,19 @@ def normal_operation(world: World, name: str, seconds: float, seed: int) -> tw.R
     return tw.RecordingFolder(name, None, replace(world.rig, name=name), tables)
 
 
-def _errors(world: World, path: np.ndarray, shape: tuple[int, ...], random: np.random.Generator) -> np.ndarray:
+def _errors(
+    world: World, path: np.ndarray, shape: tuple[int, ...], random: np.random.Generator, rate: float
+) -> np.ndarray:
     """Errors (T, G, m) of normal operation, m or rad."""
     _, at_places, lasting, white = ERRORS["rad" if world.kind == "bearings" else "m"]
     phase_x, phase_y, *turns = np.moveaxis(world.waves, -1, 0)
     waves = np.sin(1.6 * path[:, 0, None, None] * np.cos(turns[0]) + phase_x)
     waves = waves + np.sin(1.6 * path[:, 1, None, None] * np.cos(turns[1]) + phase_y)
-    keep = np.exp(-1.0 / (RATE * LASTS))
+    keep = np.exp(-1.0 / (rate * LASTS))
     slow = lfilter([1.0], [1.0, -keep], np.sqrt(1.0 - keep**2) * random.standard_normal(shape), axis=0)
     errors = world.constant + at_places * waves + lasting * slow + white * random.standard_normal(shape)
     if world.kind != "bearings":
-        often = int(DETOUR_S * RATE)
+        often = int(DETOUR_S * rate)
         hidden = np.repeat(random.random((len(path) // often + 1, shape[1])) < HIDDEN, often, axis=0)[: len(path)]
         errors[..., 0] += hidden * (0.2 + random.exponential(0.2, hidden.shape))
     return np.asarray(errors)

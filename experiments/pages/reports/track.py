@@ -73,11 +73,13 @@ def run_data(
     name: str = "",
     of: int = 1,
     figures: bool = False,
+    verdict: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Everything that the page shows of one tracker, within limits on rows, tracks and residuals of all together.
 
     `evaluation`: None without truth. `tracker`: what it is; `name`: its name where the page has `of` trackers, more
-    than one. `figures`: whether there are figures in files, whose choice of recordings the page names.
+    than one. `figures`: whether there are figures in files, whose choice of recordings the page names. `verdict`: of a
+    watch.
     """
     shown = tracks.recordings[:MOST_RECORDINGS]
     total = of * max(sum(len(recording.times) for recording in shown), 1)
@@ -94,7 +96,7 @@ def run_data(
         "recordings": recordings,
         "recordingCount": len(tracks.recordings),
         "metrics": [] if evaluation is None else _metrics(evaluation),
-        "statements": [] if evaluation is None else evaluation.statements,
+        "statements": [*verdict, *([] if evaluation is None else evaluation.statements)],
         "figures": tracks.drawn_words if figures else "",
     }
 

@@ -18,14 +18,14 @@ MOST_PANELS = 8
 
 
 def watch_data(watch: Watch) -> dict[str, Any]:
-    """The verdict, the likeliest causes with sizes and intervals, m, m/s or rad, and from where a change is told."""
+    """The verdict, the causes that it names with sizes and intervals, m, m/s or rad, and what it rests on."""
     causes = [
         {
             "cause": cause.name, "sources": list(map(str, cause.sources)), "onset_s": SLOT_S * cause.onset,
             "size": cause.size, "half_width": watch.half_widths(cause), "score": cause.score,
             "words": watch.what(cause), "to_do": watch.advice(cause),
         }
-        for cause in watch.causes[:3]
+        for cause in watch.named
     ]  # fmt: skip
     known = {"alarm_s": watch.alarm_s, "runs_begin_s": watch.starts} if watch.changed else {}
     return {"changed": watch.changed, **known, "causes": causes, "lines": watch.lines()}

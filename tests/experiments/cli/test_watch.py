@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import polars as pl
 import pytest
 
 from tests.in_process import assert_refused, assert_refused_last, trackwright
@@ -45,6 +46,45 @@ def test_a_change_has_exit_code_1_a_verdict_as_json_and_a_figure(site, tmp_path)
     assert "rig.toml" in first["to_do"]
     refused = trackwright("watch", site / "moved", "--baseline", site / "baseline", "--out", out)
     assert_refused(refused, "exists", "--force")
+
+
+@pytest.fixture(scope="module")
+def evidence(site):
+    """The options of `track` with the baseline and the normal run as evidence of protection levels, and both watched."""
+    options = []
+    for name in ("baseline", "normal"):
+        run = trackwright("track", site / name, "--tracker", "uwb", "--out", site / f"of-{name}", "--no-report")
+        assert run.code == 0, run.err
+        options += ["--protection", site / f"of-{name}"]
+    return ["track", site / "moved", "--tracker", "uwb", *options, "--probability", 0.6, "--force"]
+
+
+def test_a_tracked_run_has_the_verdict_and_infinite_protection_levels_since_the_change(site, evidence, tmp_path):
+    watched = ("--watch", site / "baseline", "--watch", site / "normal", "--out", tmp_path / "out")
+    said = trackwright(*evidence, *watched, "--json")
+    assert said.code == 1, said.err
+    first = json.loads(said.out)["watch"]["causes"][0]
+    assert (first["cause"], first["sources"]) == ("moved", ["anchor A2"])
+    tracks = pl.read_parquet(tmp_path / "out" / "tracks.parquet")
+    since = tracks.filter(pl.col("pl_m").is_infinite())["t_s"]
+    assert since.min() == pytest.approx(100.0, abs=15.0)
+    assert len(since) == len(tracks.filter(pl.col("t_s") >= since.min()))
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert "changed: anchor A2 has moved by" in page
+    assert (tmp_path / "out" / "watch.png").exists()
+    assert trackwright("evaluate", tmp_path / "out", "--fail-if", "pl_m > 100").code == 1
+
+
+def test_evidence_that_is_not_watched_is_refused(site, evidence, tmp_path):
+    said = trackwright(*evidence, "--watch", site / "baseline", "--out", tmp_path / "out")
+    assert_refused_last(said, "--watch: lacks normal, evidence of --protection")
+
+
+def test_a_tracked_run_in_normal_operation_says_so(site, tmp_path):
+    options = ("--tracker", "uwb", "--watch", site / "baseline", "--out", tmp_path / "out", "--no-report")
+    said = trackwright("track", site / "normal", *options)
+    assert said.code == 0, said.err
+    assert "\nno change\n" in said.out
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,10 @@ def test_the_level_of_a_row_is_a_column_and_its_evidence_is_stated():
     tracks = level.applied(association.rows.with_columns(std_x_m=pl.when(pl.col("t_s") > 0).then(0.1)))
     np.testing.assert_allclose(tracks["pl_m"].drop_nulls(), 0.1 * level.factor, rtol=1e-6)
     assert tracks["pl_m"].null_count() == 2
+    changed = level.applied(association.rows, {"b": 100.0})["pl_m"].to_numpy()
+    since = ((association.rows["recording"] == "b") & (association.rows["t_s"] >= 100.0)).to_numpy()
+    assert since.any()
+    np.testing.assert_array_equal(np.isinf(changed), since)
     scored = evaluate_association(association._replace(rows=tracks), {})
     errors = np.hypot(*(association.rows[f"{a}_m"].to_numpy() - association.truth[:, k] for k, a in enumerate("xy")))
     exceeded = (errors > tracks["pl_m"].fill_null(np.inf).to_numpy()).sum() / 598

@@ -20,6 +20,9 @@ Errors = Float[np.ndarray, "N d"]
 Covariances = Float[np.ndarray, "N d d"]
 Entries = Mapping[tuple[int, int], Float[np.ndarray, " N"]]
 
+NORMAL = 1.96
+"""Half the width of the central 95 % interval of a normal distribution, in standard deviations."""
+
 
 class Consistency(NamedTuple):
     """The mean of N chi-square values, its expectation, and its interval if the model is true."""

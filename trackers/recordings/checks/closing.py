@@ -2,12 +2,13 @@
 
 Ranges and their differences are fitted by damped Gauss-Newton steps from below the anchors, rays of bearings by linear
 least squares. Where readings of one moment contradict each other, and no longer do with a change, that is the likely
-mistake.
+mistake. The place of one anchor is fitted by scores from which the positions are projected out (parity vectors: Potter
+and Suman 1977), the turn of a station by search.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from trackwright.trackers.core.model.rig import angles_in_array
 from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.changes import exchanged, value_changes
+from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
 from trackwright.trackers.recordings.checks.readings import MOST_ROWS
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
@@ -37,8 +39,18 @@ ONE_LARGE, CLEARER = {"m": 0.15, "rad": 0.06}, 0.5
 On no real recording is the best ratio below 0.6; of the changes none may come as near.
 """
 
-ALIKE, NAMED = 1.1, 3
-"""Ratio up to which changes explain them alike, as in a symmetric rig, and how many of these are named."""
+ALIKE, NAMED, NOTHING = 1.1, 3, {"m": 0.08, "rad": 0.03}
+"""Ratio up to which changes explain them alike, as in a symmetric rig, how many of these are named, and contradictions,
+m or rad, up to which all explain them: one spare reading is soon explained."""
+
+LEAST_MOVE_M, LEAST_TURN, FITTED, AS_WELL = 0.6, np.radians(15.0), 0.75, 1.5
+"""Move of an anchor and turn of a station that are a mistake, the ratio of contradictions that they must reach, and the
+ratio to those without it, which are smaller in any case.
+
+On real recordings as they are, the place that fits best is up to 0.5 m away, or leaves more than 0.8.
+"""
+
+ELSEWHERE = "its place in rig.toml is wrong, or its readings are; measure it again"
 
 SPANS_S = (0.1, 0.25, 0.5, 1.0)
 """Times within which readings are taken for those of one moment, s; the first in which enough of them come."""
@@ -48,7 +60,7 @@ MOST_SENSORS = 12
 LEAST_EXTENT_M = 1.0
 """Extent of the anchors or stations, m, below which any ranges of a moment contradict or fit each other alike."""
 
-STEPS = 12
+STEPS, LARGEST_STEP_M = 12, 2.0
 
 
 class Moments(NamedTuple):
@@ -72,19 +84,28 @@ class Moments(NamedTuple):
         return float(np.median(np.sqrt(np.nanmean(errors**2, axis=(1, 2)))))
 
     def _of_ranges(self) -> Float[np.ndarray, "E G 1"]:
+        return np.where(np.isfinite(self.values), self.parity()[1][..., None], np.nan)
+
+    def parity(self) -> tuple[np.ndarray, ...]:
+        """Positions (E, 3) of ranges or differences, errors (E, G), derivatives (E, G, 3), and shares (E, G).
+
+        Of an error of one reading alone the position leaves that share; both are 0 where a reading is missing.
+        """
         known = np.isfinite(self.values[..., 0])
         r = np.where(known, self.values[..., 0], 0.0)
         free = np.isnan(self.heights)
         p = np.tile(self.places.mean(axis=0) - np.array([0.0, 0.0, 1.0]), (len(r), 1))
         p[:, 2] = np.where(free, p[:, 2], self.heights)
         allowed = np.stack([np.ones_like(free), np.ones_like(free), free], axis=1)
-        for _ in range(STEPS):
+        for step in range(STEPS + 1):
             predicted, slopes = self._predicted(p)
             errors = np.where(known, r - predicted, 0.0)
             J = slopes * known[..., None] * allowed[:, None]
             normal = np.einsum("egi,egj->eij", J, J) + 0.02 * np.eye(3)
-            p = p + np.linalg.solve(normal, np.einsum("egi,eg->ei", J, errors)[..., None])[..., 0] * allowed
-        return np.where(known, r - self._predicted(p)[0], np.nan)[..., None]
+            if step < STEPS:
+                p = p + np.linalg.solve(normal, np.einsum("egi,eg->ei", J, errors)[..., None])[..., 0] * allowed
+        left = 1.0 - np.einsum("egi,egi->eg", J, np.linalg.solve(normal, J.transpose(0, 2, 1)).transpose(0, 2, 1))
+        return p, errors, slopes, np.where(known, left, 0.0)
 
     def _predicted(self, p: Float[np.ndarray, "E 3"]) -> tuple[np.ndarray, np.ndarray]:
         """Distances (E, G) of positions, m, or their differences, and the derivatives (E, G, 3)."""
@@ -139,7 +160,7 @@ def moments(recording: RecordingFolder, table: str) -> Moments | None:
 
 def least_sensors(kind: Kind, free: np.ndarray) -> np.ndarray:
     """How many sensors, or pairs, a moment needs to contradict itself; `free`: where the height is not known."""
-    return np.where(free, 3, 2) + (0 if kind.angles else 3 if kind.difference else 2)
+    return np.where(free, 3, 2) + (0 if kind.angles else 3 if kind.difference else 1)
 
 
 def _grid(
@@ -157,7 +178,8 @@ def _grid(
 def check_closing(recording: RecordingFolder, table: str) -> Iterator[CheckResult]:
     """An error where readings of one moment contradict each other and one change explains it, as of units or ids.
 
-    A warning where they do not without one anchor or station, and where nothing explains it.
+    A warning where they do not with one anchor elsewhere or one station turned, or without one, and where nothing
+    explains it.
     """
     kind = KINDS[table]
     closes = kind.difference or (len(kind.sensors) == 1 and (kind.angles or kind.distance))
@@ -165,21 +187,33 @@ def check_closing(recording: RecordingFolder, table: str) -> Iterator[CheckResul
     if readings is None or (before := readings.closing()) <= ONE_LARGE[kind.unit]:
         return
     large = before > LARGE[kind.unit]
-    changes = _changes(readings) if large else ()
-    tried = sorted((changed.closing(), words, cause) for words, cause, changed in changes)
-    least = tried[0][0] if tried else before
+    tried = sorted((changed.closing(), words, cause) for words, cause, changed in _changes(readings))
+    least = min(tried[0][0], before)
+    explained = least <= min((SMALLER if large else CLEARER) * before, REMAINING[kind.unit])
     apart, without = min(_without_each(readings), default=(np.inf, ""))
+    fitted = sorted(_turned_each(readings) if kind.angles else () if kind.difference else _moved_each(readings))
     unit, factor = kind.shown
-    before_text, apart_text, least_text = (f"{significant(factor * x, 2)}{unit}" for x in (before, apart, least))
-    message = f"readings of one moment contradict each other by {before_text}"
-    if apart <= CLEARER * min(before, least):
-        cause = "its place in rig.toml is wrong, or its readings are; measure it again"
-        yield CheckResult("warning", table, f"{message}, and by {apart_text} without {kind.noun} {without}: {cause}")
-    elif large and least <= min(SMALLER * before, REMAINING[kind.unit]):
-        alike = [trial for trial in tried if trial[0] <= ALIKE * least][:NAMED]
-        words = ", or ".join(words for _, words, _ in alike)
-        causes = "; or ".join(dict.fromkeys(cause for _, _, cause in alike))
-        yield CheckResult("error", table, f"{message}, and by {least_text} with {words}: {causes}")
+
+    def text(size: float) -> str:
+        return f"{significant(factor * size, 2)}{unit}"
+
+    def alike(tried: Sequence[tuple[float, str, str]]) -> tuple[str, str]:
+        """The words and the causes of the changes that explain it as well as the first."""
+        best = [trial for trial in tried if trial[0] <= max(ALIKE * tried[0][0], NOTHING[kind.unit])][:NAMED]
+        return ", or ".join(words for _, words, _ in best), "; or ".join(dict.fromkeys(cause for _, _, cause in best))
+
+    message = f"readings of one moment contradict each other by {text(before)}"
+    enough = min(FITTED * least, AS_WELL * apart, REMAINING[kind.unit])
+    if fitted and fitted[0][0] <= enough and not (explained and least <= NOTHING[kind.unit]):
+        words, causes = alike(fitted)
+        yield CheckResult("warning", table, f"{message}, and by {text(fitted[0][0])} with {words}: {causes}")
+    elif apart <= CLEARER * least:
+        yield CheckResult(
+            "warning", table, f"{message}, and by {text(apart)} without {kind.noun} {without}: {ELSEWHERE}"
+        )
+    elif explained:
+        words, causes = alike(tried)
+        yield CheckResult("error", table, f"{message}, and by {text(least)} with {words}: {causes}")
     elif large and before > 2 * REMAINING[kind.unit]:
         unexplained = "no change of units, signs or ids explains it; check positions and rotations in rig.toml"
         yield CheckResult("warning", table, f"{message}, and {unexplained}")
@@ -195,6 +229,50 @@ def _without_each(readings: Moments) -> Iterator[tuple[float, str]]:
             yield readings._replace(values=values[enough], heights=readings.heights[enough]).closing(), name
 
 
+def _moved_each(readings: Moments) -> Iterator[tuple[float, str, str]]:
+    """What contradictions are left with each anchor at the place that fits best, if that is elsewhere."""
+    if np.linalg.norm(np.ptp(readings.parity()[0][:, :2], axis=0)) < LEAST_EXTENT_M:
+        return
+    for k, name in enumerate(readings.ids):
+        left, place = min((_moved(readings, k)), key=lambda fit: fit[0])
+        away = float(np.linalg.norm(place - readings.places[k]))
+        if away >= LEAST_MOVE_M:
+            there = f"anchor {name} {away:.1f} m elsewhere, at ({', '.join(f'{x:.2f}' for x in place)}) m"
+            yield left, there, ELSEWHERE
+
+
+def _moved(readings: Moments, k: int) -> Iterator[tuple[float, np.ndarray]]:
+    """What contradictions are left with an anchor at places (3,) that fit better and better, and these."""
+    place = readings.places[k]
+    for _ in range(STEPS):
+        moved = readings._replace(places=np.where(np.arange(len(readings.ids))[:, None] == k, place, readings.places))
+        _, errors, slopes, left = moved.parity()
+        size = np.sqrt((errors**2).sum(axis=1) / (left > 0.0).sum(axis=1))
+        closing = float(np.median(size))
+        yield closing, place
+        # Moments that contradict themselves far more than others count little.
+        weight, away = 1.0 / (1.0 + (size / (2.0 * closing + 1e-9)) ** 2), -slopes[:, k]
+        information = np.einsum("e,ei,ej->ij", weight * left[:, k], away, away)
+        little = (0.01 * np.trace(information) + 1e-6) * np.eye(3)
+        step = np.linalg.solve(information + little, (weight * errors[:, k]) @ away)
+        place = place + step * min(1.0, LARGEST_STEP_M / max(float(np.linalg.norm(step)), 1e-9))
+
+
+def _turned_each(readings: Moments) -> Iterator[tuple[float, str, str]]:
+    """What contradictions are left with each station turned about the vertical as fits best, if that is by much."""
+    for k, name in enumerate(readings.ids):
+        tried = []
+        for angle in np.radians(np.arange(-175.0, 180.0, 5.0)):
+            axes = np.where(
+                np.arange(len(readings.ids))[:, None, None] == k, about_vertical(angle) @ readings.axes, readings.axes
+            )
+            tried.append((readings._replace(axes=axes).closing(), angle))
+        left, angle = min(tried)
+        if abs(angle) >= LEAST_TURN:
+            words = f"station {name} turned by {np.degrees(angle):.0f}° about the vertical"
+            yield left, words, "another orientation than rig.toml's; correct rotation_wxyz or yaw_deg"
+
+
 def _changes(readings: Moments) -> Iterator[tuple[str, str, Moments]]:
     """Changes of units, signs and ids in words, the mistake that they undo, and the readings with them."""
     kind, noun, count = readings.kind, readings.kind.noun, len(readings.ids)
@@ -204,9 +282,13 @@ def _changes(readings: Moments) -> Iterator[tuple[str, str, Moments]]:
     for words, cause, of, _ in value_changes(kind, readings.values.shape[2]):
         values = of(readings.values)
         yield words, cause, readings._replace(values=values)
-        for k, name in enumerate(readings.ids if kind.angles else ()):
+        for k, name in enumerate(() if kind.difference else readings.ids):
             mask = readings.sensors == k
             yield f"{words} of {noun} {name}", cause, readings._replace(values=np.where(mask, values, readings.values))
+    for k in np.flatnonzero(np.abs(readings.places[:, 2]) > LEAST_MOVE_M / 2).tolist() if not kind.angles else ():
+        places = readings.places * np.where(np.arange(count) == k, -1.0, 1.0)[:, None] ** [0, 0, 1]
+        words, cause = f"the sign of z of {noun} {readings.ids[k]} flipped", "a wrong sign of z in rig.toml; flip it"
+        yield words, cause, readings._replace(places=places)
     for i, j in combinations(range(count), 2):
         order = exchanged(count, i, j)
         words, cause = f"{noun}s {readings.ids[i]} and {readings.ids[j]} swapped", f"the ids of {noun}s are mixed up"

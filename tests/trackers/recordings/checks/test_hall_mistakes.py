@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import polars as pl
 import pytest
+from scipy.optimize import least_squares
 
 from tests.trackers.recordings.checks.made import Make, only, with_anchors, with_columns
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
@@ -155,6 +157,11 @@ A, E = pl.col("azimuth_rad"), pl.col("elevation_rad")
 ALONE = {
     "anchors swapped": ("ranges", ("anchors A2 and A4 swapped", "ids of anchors"), _swapped),
     "feet": ("ranges", ("0.3048", "feet"), with_columns("ranges", range_m=pl.col("range_m") / 0.3048)),
+    "feet of an anchor": (
+        "ranges", ("the ranges multiplied by 0.3048 of anchor A4",),
+        with_columns("ranges", range_m=pl.when(pl.col("anchor") == "A4").then(pl.col("range_m") / 0.3048).otherwise(pl.col("range_m"))),
+    ),
+    "sign of z": ("ranges", ("the sign of z of anchor A2 flipped",), with_anchors(lambda _: {"A2": np.array([6.0, 0.0, -2.4])})),
     "azimuths flipped": ("bearings", ("the sign of the azimuth flipped",), with_columns("bearings", azimuth_rad=-A)),
     "elevations flipped": ("bearings", ("the sign of the elevation flipped",), with_columns("bearings", elevation_rad=-E)),
     "angles swapped": (
@@ -207,13 +214,49 @@ def test_an_anchor_that_stands_elsewhere_is_named_without_truth(name, height):
     moved = np.array(ANCHORS[name]) + 1.2 * away / np.linalg.norm(away)
     (found,) = quick_check(_anchor(name, tuple(moved))(_height(height)(only("ranges")(_hall()))))
     assert found.level == "warning"
-    assert f"without anchor {name}: its place in rig.toml is wrong" in found.message
+    assert ": its place in rig.toml is wrong" in found.message
+    where = re.search(rf"anchor {name} 1\.\d m elsewhere, at \((\S+), (\S+), ", found.message)
+    if where:
+        np.testing.assert_allclose([float(where[1]), float(where[2])], ANCHORS[name][:2], atol=0.2)
+    else:
+        # The walk does not see where it is.
+        assert f"without anchor {name}:" in found.message
+
+
+def test_the_place_that_fits_best_is_that_of_least_squares_over_all_positions():
+    # Weights of moments are nearly alike where only noise is left.
+    folder = _anchor("A2", (6.9, -0.8, 2.4))(only("ranges")(_hall()))
+    found = moments(folder, "ranges")
+    *_, (_, place) = closing._moved(found, 1)
+    at = found.parity()[0]
+
+    def errors(x):
+        places = found.places.copy()
+        places[1] = x[-3:]
+        flat = np.column_stack([x[:-3].reshape(-1, 2), np.full(len(at), 1.1)])
+        return (np.linalg.norm(flat[:, None] - places, axis=2) - found.values[..., 0]).ravel()
+
+    best = least_squares(errors, np.append(at[:, :2].ravel(), found.places[1])).x[-3:]
+    np.testing.assert_allclose(place[:2], best[:2], atol=0.1)
 
 
 def test_an_anchor_behind_a_wall_is_a_warning_and_no_error():
     far = pl.when(pl.col("anchor") == "A3").then(pl.col("range_m") + 1.0).otherwise(pl.col("range_m"))
     (found,) = quick_check(with_columns("ranges", range_m=far)(only("ranges")(_hall())))
-    assert (found.level, "without anchor A3" in found.message) == ("warning", True)
+    assert found.level == "warning"
+    assert "anchor A3 1.1 m elsewhere" in found.message
+    assert "or its readings are" in found.message
+
+
+def test_a_turned_station_is_a_warning_that_says_by_how_much():
+    folder = only("bearings")(_hall())
+    stations, c, s = folder.rig.stations, np.cos(np.radians(20.0)), np.sin(np.radians(20.0))
+    w, x, y, z = stations["S2"].rotation
+    about = np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
+    rig = replace(folder.rig, stations={**stations, "S2": replace(stations["S2"], rotation=about)})
+    (found,) = quick_check(replace(folder, rig=rig))
+    assert found.level == "warning"
+    assert "with station S2 turned by -40° about the vertical" in found.message
 
 
 def test_anchors_at_one_place_explain_nothing():
