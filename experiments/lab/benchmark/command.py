@@ -16,7 +16,7 @@ def benchmark(
     """Compare estimators on public recordings and simulated worlds, ours and those of other libraries.
 
     Runs each estimator on each data set, writes its estimates as ESTIMATOR/DATASET.parquet in a folder, and scores all
-    that the folder has. Others score theirs by the same code (docs/benchmark.md). Recordings are found in
+    that the folder has. Others score theirs by the same code (docs/side-by-side.md). Recordings are found in
     TRACKWRIGHT_RECORDINGS.
 
     Args:
@@ -24,7 +24,7 @@ def benchmark(
         data: these data sets alone; default: all.
         out: the folder of estimates.
         mine: score the estimates of this folder, ESTIMATOR/DATASET.tum, or of one file, DATASET.tum; run nothing.
-        page: the page whose tables and chart are replaced, as docs/benchmark.md.
+        page: the page whose tables and chart are replaced, as docs/side-by-side.md.
     """
     from trackwright.experiments.cli.runtime import keep_programs
     from trackwright.experiments.lab.benchmark.data import names

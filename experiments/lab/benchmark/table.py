@@ -22,7 +22,7 @@ from trackwright.experiments.text.wording import fixed
 from trackwright.trackers.core.errors import UnusableInput
 
 MARK = "trackwright benchmark"
-CHART = "benchmark.png"
+CHART = "side-by-side.png"
 HOLDS = (0.85, 0.99), (0.5, 2.0)
 """Limits of the share inside the 95 % ellipses and of NEES/dof within which a covariance holds, those of the page of
 real recordings for default levels.
@@ -68,7 +68,7 @@ def show(results: Cells, page: Path | None) -> None:
     if page is None:
         return
     write_chart(page.with_name(CHART), results)
-    host, command = machine(), "trackwright benchmark --page docs/benchmark.md"
+    host, command = machine(), "trackwright benchmark --page docs/side-by-side.md"
     versions = ", ".join(f"{name} {text}" for name, text in packages().items())
     parts = [f"{host['cpu']}, {host['cores']} cores, `{command}`; {versions}."]
     for table in tables:
