@@ -25,6 +25,7 @@ from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.uwb_imu.strapdown import Inertial, Strapdown
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
+
 def model_of(tracker: Any, recording: Recording, planar: bool) -> Model | None:
     """The model of a tracker for the rows of a recording; None where no loop is written for it."""
     if not (isinstance(tracker, Tracker) and isinstance(tracker.filter, ExtendedKalman | YawMixtureFilter)):

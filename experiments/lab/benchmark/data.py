@@ -27,7 +27,9 @@ def folder_of(name: str) -> RecordingFolder:
     paths = _paths()
     if name not in paths:
         where = "" if paths else "; no recordings: name their folder in TRACKWRIGHT_RECORDINGS"
-        raise UnusableInput(f"{name}: no such data set{near(name, names())}; expected one of {', '.join(names())}{where}")
+        raise UnusableInput(
+            f"{name}: no such data set{near(name, names())}; expected one of {', '.join(names())}{where}"
+        )
     return beginning_of(read_recording(paths[name]))
 
 
@@ -37,7 +39,10 @@ def _paths() -> dict[str, Path]:
 
 
 def beginning_of(folder: RecordingFolder, most: int = MOST_READINGS) -> RecordingFolder:
-    """The recording up to the time at which its table of readings has `most` rows, with all of its truth."""
+    """The recording up to the time at which its table of readings has `most` rows, with all of its truth.
+
+    Bearings, which trackers average, are not cut.
+    """
     ends = [
         folder.tables[name]["t_s"].sort()[most]
         for name in CHANNELS

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from trackwright.experiments.lab.benchmark.motion import Levels
 
-MOST_READINGS = 20_000
-"""Readings of a recording that every estimator is given, from its beginning: 5 s of lias, half of iasl-drone."""
+MOST_READINGS = 6_000
+"""Readings of a recording that every estimator is given, from its beginning."""
 
 OURS = "trackwright"
 SMOOTHED = "trackwright-smoothed"

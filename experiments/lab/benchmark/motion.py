@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -23,12 +24,18 @@ class Path(NamedTuple):
 
 def transition(d: int, dt: float) -> np.ndarray:
     """The transition (2d, 2d) of positions and velocities over dt seconds."""
-    F = np.eye(2 * d)
-    F[:d, d:] = dt * np.eye(d)
-    return F
+    same, drift, *_ = _blocks(d)
+    return np.asarray(same + dt * drift)
 
 
 def diffusion(d: int, dt: float, acceleration: float) -> np.ndarray:
     """The covariance (2d, 2d) that white acceleration adds over dt seconds."""
-    unit = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    return np.kron(acceleration**2 * unit, np.eye(d))
+    _, _, positions, both, velocities = _blocks(d)
+    return np.asarray(acceleration**2 * (dt**3 / 3 * positions + dt**2 / 2 * both + dt * velocities))
+
+
+@cache
+def _blocks(d: int) -> tuple[np.ndarray, ...]:
+    """The unit matrices of all, of positions by velocities, and of the blocks of a covariance."""
+    patterns = ([[1, 0], [0, 1]], [[0, 1], [0, 0]], [[1, 0], [0, 0]], [[0, 1], [1, 0]], [[0, 0], [0, 1]])
+    return tuple(np.kron(np.array(pattern, float), np.eye(d)) for pattern in patterns)

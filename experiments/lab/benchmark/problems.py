@@ -95,7 +95,7 @@ def without_path(folder: RecordingFolder) -> RecordingFolder:
 
 
 def problems(folder: RecordingFolder) -> list[Problem]:
-    """The readings of every tag, as our default tracker has them: averaged and without repeated values where it does so.
+    """The readings of every tag as our default tracker has them, averaged and without repeated values where it does so.
 
     None of a recording with other readings, as phases.
     """
@@ -122,8 +122,10 @@ def _problems(folder: RecordingFolder, trajectory: Trajectory, planar: bool) -> 
         values, seen = values.reshape(-1, 1), seen.reshape(-1, 1)
     some = seen.any(axis=1)
     height = float(recording.inputs["height"][0]) if planar else None
-    arrays = (x[some] for x in (values.astype(float), seen, geometry.astype(float)))
-    yield Problem(folder, trajectory.tag, kind, times[some], *arrays, height)
+    yield Problem(
+        folder, trajectory.tag, kind, times[some], values[some].astype(float), seen[some],
+        geometry[some].astype(float), height,
+    )  # fmt: skip
 
 
 INPUTS = {"ranges": ("anchors",), "tdoa": ("pairs",), "bearings": ("origin", "axes"), "fixes": ()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.lab.benchmark.declaration import LEVELS, Estimator
-from trackwright.experiments.lab.benchmark.motion import Levels, Path as Estimated
+from trackwright.experiments.lab.benchmark.motion import Levels
+from trackwright.experiments.lab.benchmark.motion import Path as Estimated
 from trackwright.experiments.lab.benchmark.problems import Problem, problems
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
@@ -34,7 +36,7 @@ def run(estimator: Estimator, folder: RecordingFolder) -> pl.DataFrame:
     module, _, name = estimator.run.partition(":")
     function = getattr(import_module(f"trackwright.experiments.lab.benchmark.adapters.{module}"), name)
     if estimator.whole:
-        table, seconds = _timed(lambda: function(folder), estimator.compiled)
+        table, seconds = _timed(partial(function, folder), estimator.compiled)
         rows = sum(len(problem.times) for problem in problems(folder)) or len(table)
         return _completed(table, folder, seconds / rows)
     given = problems(folder)
@@ -42,7 +44,7 @@ def run(estimator: Estimator, folder: RecordingFolder) -> pl.DataFrame:
         raise UnusableInput(f"{folder.name}: other readings than ranges, their differences, bearings and fixes")
     tables, seconds = [], 0.0
     for problem in given:
-        path, took = _timed(lambda p=problem: function(p, levels_of(estimator, p)), estimator.compiled)
+        path, took = _timed(partial(function, problem, levels_of(estimator, problem)), estimator.compiled)
         seconds += took
         tables.append(_table(problem, path))
     return _completed(pl.concat(tables), folder, seconds / sum(len(problem.times) for problem in given))

@@ -43,7 +43,6 @@ class Cell(NamedTuple):
     missing: float = 0.0
     failed: str = ""
     errors: Mapping[Any, TrackErrors] | None = None
-    direction: bool = False
 
 
 def files(root: Path) -> dict[str, dict[str, Path]]:
@@ -74,16 +73,17 @@ def cell(path: Path, folder: RecordingFolder) -> Cell:
     metrics = evaluate_association(association, stations).overall
     scored = score(association, stations)
     in_span = len(association.rows) - metrics["n_no_truth"] - metrics["n_hole"]
+    p75, p95 = np.quantile(scored.size[np.isfinite(scored.size)], [0.75, 0.95])
     return Cell(
-        metrics["rmse_direction_rad" if is_bearing(table) else "rmse_m"],
-        *np.quantile(scored.size[np.isfinite(scored.size)], [0.75, 0.95]),
-        metrics["coverage_95"],
-        metrics["nees_ratio"],
-        float(table[CPU][0]) if CPU in table.columns else None,
-        metrics["n_no_estimate"] / in_span,
+        rmse=metrics["rmse_direction_rad" if is_bearing(table) else "rmse_m"],
+        p75=float(p75),
+        p95=float(p95),
+        inside=metrics["coverage_95"],
+        nees=metrics["nees_ratio"],
+        cpu=float(table[CPU][0]) if CPU in table.columns else None,
+        missing=metrics["n_no_estimate"] / in_span,
         errors=errors_by_track(association, scored),
-        direction=is_bearing(table),
-    )  # fmt: skip
+    )
 
 
 def difference(ours: Cell, other: Cell) -> Difference | None:

@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from trackwright.experiments.lab.benchmark.data import folder_of
 from trackwright.experiments.lab.benchmark.declaration import DEVELOPMENT, ESTIMATORS, OURS, SMOOTHED
 from trackwright.experiments.lab.benchmark.scoring import Cell, cell, difference, files
-from trackwright.experiments.lab.benchmark.worlds import WORLDS
 from trackwright.experiments.lab.cases import Row, Table, cells, machine, numeric, packages
 from trackwright.experiments.pages.charts.style import LINES, write_panels
 from trackwright.experiments.text.tables import aligned, markdown, replace_tables
@@ -188,7 +187,14 @@ def _row(name: str, of_set: Mapping[str, Cell], field: str, digits: int, factor:
 def write_chart(path: Path, results: Cells) -> None:
     """The RMSE of each estimator relative to ours of its kind, a line a data set."""
     shown = [name for name in results if OURS in results[name] and len(results[name]) > 2]
-    write_panels(path, [partial(_draw, results, shown, later) for later in (False, True)], (11.0, 0.2 * len(shown) + 1.8), columns=2, legend=0, sharey=True)
+    write_panels(
+        path,
+        [partial(_draw, results, shown, later) for later in (False, True)],
+        (11.0, 0.2 * len(shown) + 1.8),
+        columns=2,
+        legend=0,
+        sharey=True,
+    )
 
 
 def _draw(results: Cells, shown: Sequence[str], later: bool, axes: Axes) -> None:
@@ -197,7 +203,9 @@ def _draw(results: Cells, shown: Sequence[str], later: bool, axes: Axes) -> None
     for k, name in enumerate(others):
         rows = [row for row, s in enumerate(shown) if ours in results[s] and name in results[s]]
         ratios = [results[shown[row]][name].rmse / results[shown[row]][ours].rmse for row in rows]
-        axes.scatter(ratios, rows, s=26, color=LINES[k % len(LINES)], marker=MARKERS[k % len(MARKERS)], label=name, zorder=3)
+        axes.scatter(
+            ratios, rows, s=26, color=LINES[k % len(LINES)], marker=MARKERS[k % len(MARKERS)], label=name, zorder=3
+        )
     axes.axvline(1.0, color="black", linewidth=1.5, label=ours)
     axes.set(xscale="log", xlim=(0.4, 6.0), xlabel=f"RMSE relative to {ours}; left of the line: better than ours")
     axes.set_xticks([0.5, 1, 2, 5], ["0.5", "1", "2", "5"])

@@ -23,7 +23,8 @@ MIDDLE, HEIGHT = np.array([5.0, 5.0, 1.2]), 1.2
 """Where paths begin, m, and the height of tags where it is known, m."""
 
 CORNERS = np.array(
-    [[0, 0, 0.2], [10, 0, 2.8], [10, 10, 0.2], [0, 10, 2.8], [0, 5, 2.8], [10, 5, 0.2], [5, 0, 2.8], [5, 10, 0.2]], float
+    [[0, 0, 0.2], [10, 0, 2.8], [10, 10, 0.2], [0, 10, 2.8], [0, 5, 2.8], [10, 5, 0.2], [5, 0, 2.8], [5, 10, 0.2]],
+    float,
 )
 """Anchors, m; stations are at every other."""
 
@@ -66,7 +67,9 @@ def _folder(name: str, world: World, rng: np.random.Generator) -> RecordingFolde
         clean = predicted(world.kind, path, geometry, np.zeros((ROWS, 1)))
         values = clean + world.levels.reading * rng.standard_normal(clean.shape)
         columns = dict(zip(COLUMNS[world.kind], values.T, strict=True))
-        sources = dict(zip(SOURCES[world.kind], ([ids[(k + j) % len(ids)] for k in turn] for j in range(2)), strict=False))
+        sources = dict(
+            zip(SOURCES[world.kind], ([ids[(k + j) % len(ids)] for k in turn] for j in range(2)), strict=False)
+        )
         read.append(pl.DataFrame({"t_s": times, "tag": tag} | sources | columns))
     return RecordingFolder(name, None, rig, {world.kind: pl.concat(read), "truth": pl.concat(truth)})
 

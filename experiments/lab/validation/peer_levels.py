@@ -26,7 +26,7 @@ GROUPS: dict[str, Callable[[Problem, Levels], Path]] = {
 }
 """The estimator whose errors choose the levels of its group."""
 
-ACCELERATIONS = (0.1, 0.3, 1.0, 3.0)
+ACCELERATIONS = (0.1, 0.3, 1.0)
 READINGS = {
     "ranges": (0.1, 0.2, 0.4, 0.8),
     "tdoa": (0.1, 0.2, 0.4, 0.8),
@@ -34,7 +34,7 @@ READINGS = {
     "fixes": (0.1, 0.2, 0.4, 0.8),
 }
 
-MOST_READINGS = 1000
+MOST_READINGS = 500
 """Readings of a recording, from its beginning."""
 
 

@@ -75,9 +75,7 @@ def model(problem: Problem, levels: Levels) -> Model:
     return Model(moved, channels, np.add, 0.0)
 
 
-def filtered(
-    model: Model, state: Any, P: np.ndarray, dts: np.ndarray, first: int
-) -> tuple[np.ndarray, np.ndarray]:
+def filtered(model: Model, state: Any, P: np.ndarray, dts: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
     """The states' vectors (T − first, n) and covariances of the rows from `first`, given the state of the row before
     it.
     """

@@ -40,9 +40,9 @@ def prepared(problem: Problem, levels: Levels) -> Callable[[], Path]:
     Q = np.array([diffusion(d, dt, levels.acceleration) for dt in inputs[:, 0]])
     R = sigmas[:, :, None] ** 2 * np.eye(m)
     smoothed = jax.jit(
-        lambda mean, P, Q, R, z, u: extended_kalman_smoother(
-            ParamsNLGSSM(mean, P, moved, Q, emission, R), z, inputs=u
-        )[3:5]
+        lambda mean, P, Q, R, z, u: extended_kalman_smoother(ParamsNLGSSM(mean, P, moved, Q, emission, R), z, inputs=u)[
+            3:5
+        ]
     )
 
     def run() -> Path:

@@ -1,4 +1,4 @@
-"""Stone Soup's extended Kalman filter with its hypotheses by Mahalanobis distance: a reading is of the tag, or missed."""
+"""Stone Soup's extended Kalman filter; by Mahalanobis distance a reading is of the tag, or missed."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ MISSED = 3.0
 
 def estimate(problem: Problem, levels: Levels) -> Path:
     """The filtered path of a tag."""
-    from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
     from stonesoup.hypothesiser.distance import DistanceHypothesiser
     from stonesoup.measures import Mahalanobis
+    from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
     from stonesoup.predictor.kalman import KalmanPredictor
     from stonesoup.types.detection import Detection
     from stonesoup.types.state import GaussianState

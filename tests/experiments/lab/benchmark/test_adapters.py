@@ -55,7 +55,10 @@ def _joint(problem, levels=LEVELS):
 
     def residuals(flat):
         x = flat.reshape(-1, n)
-        steps = [roots[0] @ (x[0] - mean), *(r @ (b - f @ a) for r, f, a, b in zip(roots[1:], F, x, x[1:], strict=False))]
+        steps = [
+            roots[0] @ (x[0] - mean),
+            *(r @ (b - f @ a) for r, f, a, b in zip(roots[1:], F, x, x[1:], strict=False)),
+        ]
         z = problem.values
         read = (z - predicted(problem.kind, problem.places(x[:, :d]), problem.geometry, z))[problem.seen]
         return np.concatenate([*steps, read / levels.reading])

@@ -76,7 +76,9 @@ def test_a_submitted_folder_of_trajectories_is_scored(world, tmp_path):
     assert done.code == 0, done.err
     assert "my-filter" in done.out
     assert "0.141" in done.out or "0.14" in done.out
-    poses = np.column_stack([truth.select("t_s", "x_m", "y_m", "z_m").to_numpy(), np.tile([0, 0, 0, 1.0], (len(truth), 1))])
+    poses = np.column_stack(
+        [truth.select("t_s", "x_m", "y_m", "z_m").to_numpy(), np.tile([0, 0, 0, 1.0], (len(truth), 1))]
+    )
     np.savetxt(tmp_path / f"{NAME}.tum", poses)
     assert_refused(trackwright("benchmark", "--mine", tmp_path / f"{NAME}.tum"), "names no tag")
 
