@@ -48,6 +48,7 @@ def _run(estimators: tuple[str, ...], sets: tuple[str, ...], out: Path) -> None:
 
     from trackwright.experiments.lab.benchmark.data import folder_of
     from trackwright.experiments.lab.benchmark.declaration import ESTIMATORS
+    from trackwright.experiments.lab.benchmark.problems import problems
     from trackwright.experiments.lab.benchmark.running import write
     from trackwright.experiments.text.terminal import notice, progress
 
@@ -61,8 +62,9 @@ def _run(estimators: tuple[str, ...], sets: tuple[str, ...], out: Path) -> None:
     with progress("benchmark", len(ready) * len(sets)) as advance:
         for data in sets:
             folder = folder_of(data)
+            given = problems(folder)
             for name in ready:
-                reason = write(out, name, folder, ESTIMATORS[name])
+                reason = write(out, name, folder, given)
                 if reason is not None:
                     notice(f"notice: {name} on {data}: {reason}")
                 advance(1)

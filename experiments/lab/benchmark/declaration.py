@@ -52,7 +52,7 @@ ESTIMATORS: Mapping[str, Estimator] = MappingProxyType({
         "with_dynamax:prepared", "extended Kalman smoother", "smoothed", True, "dynamax", compiled=True
     ),
     "gtsam-lag": Estimator(
-        "with_gtsam:fixed_lag", "incremental smoother over 2 s, newest state, Huber's loss", "lag", library="gtsam"
+        "with_gtsam:fixed_lag", "incremental smoother over 2 s, newest state, Huber's loss", "gated", library="gtsam"
     ),
     "gtsam": Estimator("with_gtsam:batch", "batch, Huber's loss", "robust", True, "gtsam"),
     "robust-map": Estimator("robust_map:estimate", "batch, Student's t with 3 degrees of freedom", "robust", True),
@@ -62,8 +62,16 @@ ESTIMATORS: Mapping[str, Estimator] = MappingProxyType({
 
 LEVELS: Mapping[str, Mapping[str, Levels]] = MappingProxyType({
     "plain": {
-        "ranges": Levels(0.5, 0.2), "tdoa": Levels(0.5, 0.2),
-        "bearings": Levels(0.5, 0.3), "fixes": Levels(0.5, 0.2),
+        "ranges": Levels(1.0, 0.8), "tdoa": Levels(0.1, 0.4), "bearings": Levels(0.3, 0.4), "fixes": Levels(1.0, 0.1),
+    },
+    "gated": {
+        "ranges": Levels(0.3, 0.2), "tdoa": Levels(0.1, 0.2), "bearings": Levels(0.1, 0.2), "fixes": Levels(1.0, 0.1),
+    },
+    "smoothed": {
+        "ranges": Levels(0.1, 0.2), "tdoa": Levels(0.1, 0.8), "bearings": Levels(0.1, 0.1), "fixes": Levels(1.0, 0.1),
+    },
+    "robust": {
+        "ranges": Levels(0.3, 0.4), "tdoa": Levels(1.0, 0.1), "bearings": Levels(1.0, 0.8), "fixes": Levels(0.3, 0.1),
     },
 })  # fmt: skip
 """Noise levels of a group of estimators by kind of readings."""

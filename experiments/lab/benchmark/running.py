@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.lab.benchmark.declaration import LEVELS, Estimator
+from trackwright.experiments.lab.benchmark.declaration import ESTIMATORS, LEVELS, Estimator
 from trackwright.experiments.lab.benchmark.motion import Levels
 from trackwright.experiments.lab.benchmark.motion import Path as Estimated
-from trackwright.experiments.lab.benchmark.problems import Problem, problems
+from trackwright.experiments.lab.benchmark.problems import Problem
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -28,8 +28,8 @@ FAILED = ".failed"
 """Suffix of the file with the reason in one line where an estimator has none."""
 
 
-def run(estimator: Estimator, folder: RecordingFolder) -> pl.DataFrame:
-    """The estimates of all tags with the columns of `track`, and `CPU`.
+def run(estimator: Estimator, folder: RecordingFolder, given: Sequence[Problem]) -> pl.DataFrame:
+    """The estimates of all tags, whose readings are `given`, with the columns of `track`, and `CPU`.
 
     Raises UnusableInput where the estimator does not read such recordings, and what its library raises.
     """
@@ -37,9 +37,8 @@ def run(estimator: Estimator, folder: RecordingFolder) -> pl.DataFrame:
     function = getattr(import_module(f"trackwright.experiments.lab.benchmark.adapters.{module}"), name)
     if estimator.whole:
         table, seconds = _timed(partial(function, folder), estimator.compiled)
-        rows = sum(len(problem.times) for problem in problems(folder)) or len(table)
+        rows = sum(len(problem.times) for problem in given) or len(table)
         return _completed(table, folder, seconds / rows)
-    given = problems(folder)
     if not given:
         raise UnusableInput(f"{folder.name}: other readings than ranges, their differences, bearings and fixes")
     tables, seconds = [], 0.0
@@ -55,15 +54,15 @@ def levels_of(estimator: Estimator, problem: Problem) -> Levels | None:
     return LEVELS[estimator.levels][problem.kind] if estimator.levels else None
 
 
-def write(root: Path, name: str, folder: RecordingFolder, estimator: Estimator) -> str | None:
+def write(root: Path, name: str, folder: RecordingFolder, given: Sequence[Problem]) -> str | None:
     """Runs an estimator and writes its estimates, or the reason why there are none, which is returned."""
-    place = root / name
+    place, estimator = root / name, ESTIMATORS[name]
     place.mkdir(parents=True, exist_ok=True)
     file, failed = place / f"{folder.name}.parquet", place / f"{folder.name}{FAILED}"
     for path in (file, failed):
         path.unlink(missing_ok=True)
     try:
-        table = run(estimator, folder)
+        table = run(estimator, folder, given)
     except ModuleNotFoundError:
         raise
     except UnusableInput:
