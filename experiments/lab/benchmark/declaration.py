@@ -18,6 +18,8 @@ MOST_READINGS = 6_000
 
 OURS = "trackwright"
 SMOOTHED = "trackwright-smoothed"
+OPTIMUM = ("optimum", "optimum-smoothed")
+"""Those that know the levels of a simulated world, and are not compared with ours."""
 
 
 class Estimator(NamedTuple):
@@ -57,6 +59,8 @@ ESTIMATORS: Mapping[str, Estimator] = MappingProxyType({
     "gtsam": Estimator("with_gtsam:batch", "batch, Huber's loss", "robust", True, "gtsam"),
     "robust-map": Estimator("robust_map:estimate", "batch, Student's t with 3 degrees of freedom", "robust", True),
     "zero-velocity": Estimator("zero_velocity:estimate", "EKF with IMU and zero-velocity updates of a thesis"),
+    OPTIMUM[0]: Estimator("optimum:filtered", "EKF with the levels of the world"),
+    OPTIMUM[1]: Estimator("optimum:smoothed", "most probable path with the levels of the world", later=True),
     "maker": Estimator("maker:fixes", "fixes of the maker's system", whole=True),
 })  # fmt: skip
 

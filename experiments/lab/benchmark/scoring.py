@@ -21,6 +21,7 @@ from trackwright.trackers.evaluation.evaluate import evaluate_association
 from trackwright.trackers.evaluation.scoring import score
 from trackwright.trackers.exchange.estimates import assigned, read_estimates
 from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.table_file import read_parquet
 from trackwright.trackers.recordings.tracks_table import is_bearing
 
 SUFFIXES = (".parquet", ".csv", ".csv.gz", ".tum", ".txt")
@@ -64,7 +65,8 @@ def cell(path: Path, folder: RecordingFolder) -> Cell:
     """The figures of a file of estimates; raises UnusableInput for one that cannot be read, or misses the truth."""
     if path.name.endswith(FAILED):
         return Cell(failed=path.read_text("utf-8").strip())
-    table = read_estimates(path)[0]
+    # As `track` writes it, also with directions.
+    table = read_parquet(path) if path.suffix == ".parquet" else read_estimates(path)[0]
     truths = {folder.name: folder.tables["truth"]}
     table = assigned(table.with_columns(recording=pl.lit(folder.name)), truths, None, path)
     association = associate_truth(_with_stds(table), truths)

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from trackwright.experiments.lab.benchmark.data import folder_of
-from trackwright.experiments.lab.benchmark.declaration import DEVELOPMENT, ESTIMATORS, OURS, SMOOTHED
+from trackwright.experiments.lab.benchmark.declaration import DEVELOPMENT, ESTIMATORS, OPTIMUM, OURS, SMOOTHED
 from trackwright.experiments.lab.benchmark.scoring import Cell, cell, difference, files
 from trackwright.experiments.lab.cases import Row, Table, cells, machine, numeric, packages
 from trackwright.experiments.pages.charts.style import LINES, write_panels
@@ -26,6 +26,9 @@ HOLDS = (0.85, 0.99), (0.5, 2.0)
 """Limits of the share inside the 95 % ellipses and of NEES/dof within which a covariance holds, those of the page of
 real recordings for default levels.
 """
+
+APART = (OURS, SMOOTHED, *OPTIMUM)
+"""The estimators that ours is not compared with."""
 
 Cells = Mapping[str, Mapping[str, Cell]]
 """By data set and estimator."""
@@ -79,7 +82,7 @@ def show(results: Cells, page: Path | None) -> None:
 def _tables(results: Cells) -> Iterator[Table]:
     tallies = list(_against(results))
     if tallies:
-        sets = [name for name in results if OURS in results[name]]
+        sets = [name for name, of_set in results.items() if OURS in of_set and set(of_set) - set(APART)]
         ahead = [name for name in sets if not any(name in tally.worse for _, tally in tallies)]
         note = (
             f"Ahead of, or equal to, every other estimator on {len(ahead)} of {len(sets)} data sets "
@@ -119,7 +122,7 @@ def counterpart(name: str) -> str:
 def _judged(name: str, of_set: Mapping[str, Cell]) -> str:
     """Whether an estimator has a smaller (↓) or larger (↑) RMSE than ours beyond the interval; else empty."""
     ours = of_set.get(counterpart(name))
-    if name in (OURS, SMOOTHED) or ours is None or name not in of_set:
+    if name in APART or ours is None or name not in of_set:
         return ""
     paired = difference(ours, of_set[name])
     if paired is None:
@@ -130,7 +133,7 @@ def _judged(name: str, of_set: Mapping[str, Cell]) -> str:
 
 def _against(results: Cells) -> Iterator[tuple[str, Tally]]:
     for name in _estimators(results):
-        if name in (OURS, SMOOTHED):
+        if name in APART:
             continue
         signs = {s: _judged(name, of_set) for s, of_set in results.items() if name in of_set and OURS in of_set}
         worse = tuple(s for s, sign in signs.items() if sign == "↓")
@@ -186,7 +189,7 @@ def _row(name: str, of_set: Mapping[str, Cell], field: str, digits: int, factor:
 
 def write_chart(path: Path, results: Cells) -> None:
     """The RMSE of each estimator relative to ours of its kind, a line a data set."""
-    shown = [name for name in results if OURS in results[name] and len(results[name]) > 2]
+    shown = [name for name, of_set in results.items() if OURS in of_set and set(of_set) - set(APART)]
     write_panels(
         path,
         [partial(_draw, results, shown, later) for later in (False, True)],
@@ -199,7 +202,7 @@ def write_chart(path: Path, results: Cells) -> None:
 
 def _draw(results: Cells, shown: Sequence[str], later: bool, axes: Axes) -> None:
     ours = SMOOTHED if later else OURS
-    others = [e for e in _estimators(results) if e not in (OURS, SMOOTHED) and counterpart(e) == ours]
+    others = [e for e in _estimators(results) if e not in APART and counterpart(e) == ours]
     for k, name in enumerate(others):
         rows = [row for row, s in enumerate(shown) if ours in results[s] and name in results[s]]
         ratios = [results[shown[row]][name].rmse / results[shown[row]][ours].rmse for row in rows]
