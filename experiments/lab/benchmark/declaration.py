@@ -72,10 +72,10 @@ LEVELS: Mapping[str, Mapping[str, Levels]] = MappingProxyType({
         "ranges": Levels(0.3, 0.2), "tdoa": Levels(0.1, 0.2), "bearings": Levels(0.1, 0.2), "fixes": Levels(1.0, 0.1),
     },
     "smoothed": {
-        "ranges": Levels(0.1, 0.2), "tdoa": Levels(0.1, 0.8), "bearings": Levels(0.1, 0.1), "fixes": Levels(1.0, 0.1),
+        "ranges": Levels(0.1, 0.2), "tdoa": Levels(0.1, 0.8), "bearings": Levels(0.1, 0.1), "fixes": Levels(0.3, 0.2),
     },
     "robust": {
-        "ranges": Levels(0.3, 0.4), "tdoa": Levels(1.0, 0.1), "bearings": Levels(1.0, 0.8), "fixes": Levels(0.3, 0.1),
+        "ranges": Levels(0.3, 0.4), "tdoa": Levels(1.0, 0.1), "bearings": Levels(1.0, 0.8), "fixes": Levels(1.0, 0.8),
     },
 })  # fmt: skip
 """Noise levels of a group of estimators by kind of readings."""

@@ -62,7 +62,11 @@ class Problem:
     @cached_property
     def epochs(self) -> tuple[np.ndarray, np.ndarray]:
         """The times (T,) of states, s, and the state (N,) of each reading."""
-        new = np.diff(np.round(self.times / EPOCH_S), prepend=-np.inf) > 0
+        new = np.zeros(len(self.times), bool)
+        last = -np.inf
+        for row, time in enumerate(self.times):
+            if time > last + EPOCH_S:
+                new[row], last = True, time
         return self.times[new], np.cumsum(new) - 1
 
     @cached_property

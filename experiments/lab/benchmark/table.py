@@ -162,6 +162,7 @@ def _summary(name: str, results: Cells) -> Row:
         "levels": estimator.levels if estimator else "",
         "data sets": len(mine),
         "failures": sum(bool(one.failed) for one in mine),
+        "rows without an estimate, %": fixed(100 * float(np.mean([one.missing for one in mine])), 1),
         "covariances hold": f"{held} of {len(with_covariance)}" if with_covariance else "none reported",
         "µs a reading, median": fixed(float(np.median(times)), 1) if times else "",
     }
@@ -212,10 +213,11 @@ def _draw(results: Cells, shown: Sequence[str], later: bool, axes: Axes) -> None
     axes.axvline(1.0, color="black", linewidth=1.5, label=ours)
     axes.set(xscale="log", xlim=(0.4, 6.0), xlabel=f"RMSE relative to {ours}; left of the line: better than ours")
     axes.set_xticks([0.5, 1, 2, 5], ["0.5", "1", "2", "5"])
+    axes.set_xticks([], minor=True)
     axes.set_yticks(range(len(shown)), shown)
     axes.set_ylim(len(shown) - 0.5, -0.5)
     axes.grid(axis="y", linewidth=0.3)
-    axes.legend(loc="upper right", fontsize=8)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8)
 
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")

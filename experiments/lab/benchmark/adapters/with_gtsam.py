@@ -47,7 +47,11 @@ def fixed_lag(problem: Problem, levels: Levels) -> Path:
     """The newest state of an incremental smoother over `LAG_S` seconds, without a covariance."""
     import gtsam
 
-    smoother, (times, row_of), d = gtsam.IncrementalFixedLagSmoother(LAG_S), problem.epochs, problem.dimensions
+    parameters = gtsam.ISAM2Params()
+    # By Cholesky, its default, the system is indeterminate where states are milliseconds apart.
+    parameters.setFactorization("QR")
+    smoother = gtsam.IncrementalFixedLagSmoother(LAG_S, parameters)
+    (times, row_of), d = problem.epochs, problem.dimensions
     positions, state = np.empty((len(times), d)), beginning(problem)[0]
     for row, time in enumerate(times):
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
