@@ -208,10 +208,16 @@ def _draw(results: Cells, shown: Sequence[str], later: bool, axes: Axes) -> None
         rows = [row for row, s in enumerate(shown) if ours in results[s] and name in results[s]]
         ratios = [results[shown[row]][name].rmse / results[shown[row]][ours].rmse for row in rows]
         axes.scatter(
-            ratios, rows, s=26, color=LINES[k % len(LINES)], marker=MARKERS[k % len(MARKERS)], label=name, zorder=3
+            np.clip(ratios, *SPAN),
+            rows,
+            s=26,
+            color=LINES[k % len(LINES)],
+            marker=MARKERS[k % len(MARKERS)],
+            label=name,
+            zorder=3,
         )
     axes.axvline(1.0, color="black", linewidth=1.5, label=ours)
-    axes.set(xscale="log", xlim=(0.4, 6.0), xlabel=f"RMSE relative to {ours}; left of the line: better than ours")
+    axes.set(xscale="log", xlim=(SPAN[0] / 1.1, SPAN[1] * 1.1), xlabel=f"RMSE relative to {ours}, at most 0.3 to 6")
     axes.set_xticks([0.5, 1, 2, 5], ["0.5", "1", "2", "5"])
     axes.set_xticks([], minor=True)
     axes.set_yticks(range(len(shown)), shown)
@@ -219,5 +225,8 @@ def _draw(results: Cells, shown: Sequence[str], later: bool, axes: Axes) -> None
     axes.grid(axis="y", linewidth=0.3)
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8)
 
+
+SPAN = (0.3, 6.0)
+"""Least and largest ratio drawn; those beyond are at the edge."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")

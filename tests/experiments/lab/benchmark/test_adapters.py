@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from trackwright.experiments.lab.benchmark.adapters import plain, robust_map, zero_velocity
+from trackwright.experiments.lab.benchmark.adapters import optimum, plain, robust_map, zero_velocity
 from trackwright.experiments.lab.benchmark.declaration import ESTIMATORS
 from trackwright.experiments.lab.benchmark.motion import Levels, diffusion, transition
 from trackwright.experiments.lab.benchmark.problems import problems
 from trackwright.experiments.lab.benchmark.readings import WIDTHS, gradient, predicted
 from trackwright.experiments.lab.benchmark.worlds import WORLDS, simulated
+from trackwright.trackers.core.errors import UnusableInput
 
 ROWS = 60
 LEVELS = Levels(0.2, 0.15)
@@ -88,8 +89,8 @@ def test_filters_of_the_same_model_have_the_estimates_of_the_textbook(problem, n
     if name != "cuthbert":  # Theirs may leave a reading out.
         assert np.median(np.abs(path.positions - textbook.positions)) < 1e-6
         return
-    np.testing.assert_allclose(path.positions, textbook.positions, atol=2e-3)
-    np.testing.assert_allclose(path.covariances, textbook.covariances, atol=1e-3)
+    np.testing.assert_allclose(path.positions, textbook.positions, atol=1e-6)
+    np.testing.assert_allclose(path.covariances, textbook.covariances, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["gtsam", "dynamax"])
@@ -121,6 +122,20 @@ def test_the_newest_state_of_a_lag_is_near_that_of_the_filter(problem):
     path, filtered = _run("gtsam-lag", problem), plain.estimate(problem, LEVELS)
     sigmas = np.sqrt(filtered.covariances[:, 0, 0])
     assert np.median(np.abs(path.positions[:, 0] - filtered.positions[:, 0]) / sigmas) < 0.5
+
+
+def test_the_optimum_of_a_world_has_the_covariance_of_its_errors():
+    folder = simulated("world-ranges-3d")
+    squares = []
+    for one in problems(folder):
+        truth = folder.tables["truth"].filter(tag=one.tag).select("x_m", "y_m", "z_m").to_numpy()
+        path = optimum.filtered(one, None)
+        errors = path.positions - truth
+        squares.append(np.einsum("ni,ni->n", errors, np.linalg.solve(path.covariances, errors[..., None])[..., 0]) / 3)
+    # Errors of a path last for a second, so that three paths of 30 s are about a hundred samples of three numbers.
+    assert 0.75 < np.mean(squares) < 1.25
+    with pytest.raises(UnusableInput, match="no simulated world"):
+        optimum.filtered(dataclasses.replace(one, folder=dataclasses.replace(folder, name="elsewhere")), None)
 
 
 def test_zero_velocity_updates_stop_a_tag_whose_imu_is_at_rest():
