@@ -24,7 +24,7 @@ ITERATIONS = 10
 
 
 def batch(problem: Problem, levels: Levels) -> Path:
-    """The path by Levenberg and Marquardt from the plain filter's, with its marginal covariances."""
+    """The path by Levenberg and Marquardt from the plain filter's, with its marginal covariances where GTSAM has them."""
     import gtsam
 
     (times, row_of), d = problem.epochs, problem.dimensions
@@ -37,8 +37,11 @@ def batch(problem: Problem, levels: Levels) -> Path:
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(ITERATIONS)
     result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    marginals = gtsam.Marginals(graph, result)
     positions = np.array([result.atVector(row)[:d] for row in range(len(times))])
+    try:
+        marginals = gtsam.Marginals(graph, result)
+    except RuntimeError:  # By Cholesky alone, which is indeterminate where states are milliseconds apart.
+        return Path(positions[row_of])
     covariances = np.array([marginals.marginalCovariance(row)[:d, :d] for row in range(len(times))])
     return Path(positions[row_of], covariances[row_of])
 
