@@ -87,6 +87,18 @@ class Problem:
         return np.asarray(least_squares(residuals, middle[: self.dimensions], loss="soft_l1", f_scale=0.3).x)
 
 
+def steps(problem: Problem) -> np.ndarray:
+    """Seconds (N,) from the reading before each; 0 before the first."""
+    return np.diff(problem.times, prepend=problem.times[0])
+
+
+def beginning(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """State (2d,) and covariance (2d, 2d) before the first reading."""
+    d = problem.dimensions
+    variances = np.repeat([POSITION_STD**2, VELOCITY_STD**2], d)
+    return np.concatenate([problem.start, np.zeros(d)]), np.diag(variances)
+
+
 def tracker_of(folder: RecordingFolder) -> NamedTracker:
     """The tracker that a user gets for a recording whose path is not known, since other estimators do not use one."""
     pathless = without_path(folder)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackwright.experiments.lab.benchmark.motion import Levels, Path, diffusion, transition
-from trackwright.experiments.lab.benchmark.problems import POSITION_STD, VELOCITY_STD, Problem
+from trackwright.experiments.lab.benchmark.problems import Problem, beginning, steps
 from trackwright.experiments.lab.benchmark.readings import gradient, predicted
 
 Channel = tuple[float, np.ndarray, float]
@@ -41,18 +41,6 @@ def estimate(problem: Problem, levels: Levels) -> Path:
 def states(problem: Problem, levels: Levels) -> np.ndarray:
     """The filtered states (N, 2d), from which iterations of others begin."""
     return filtered(model(problem, levels), *beginning(problem), steps(problem), 0)[0]
-
-
-def steps(problem: Problem) -> np.ndarray:
-    """Seconds (N,) from the reading before each; 0 before the first."""
-    return np.diff(problem.times, prepend=problem.times[0])
-
-
-def beginning(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """State (2d,) and covariance (2d, 2d) before the first reading."""
-    d = problem.dimensions
-    variances = np.repeat([POSITION_STD**2, VELOCITY_STD**2], d)
-    return np.concatenate([problem.start, np.zeros(d)]), np.diag(variances)
 
 
 def model(problem: Problem, levels: Levels) -> Model:

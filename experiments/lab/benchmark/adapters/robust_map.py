@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from trackwright.experiments.lab.benchmark.adapters.plain import beginning, states
+from trackwright.experiments.lab.benchmark.adapters.plain import states
 from trackwright.experiments.lab.benchmark.motion import Levels, Path, diffusion, transition
-from trackwright.experiments.lab.benchmark.problems import Problem
+from trackwright.experiments.lab.benchmark.problems import Problem, beginning
 from trackwright.experiments.lab.benchmark.readings import gradient, predicted
 
 DOF = 3.0

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.experiments.lab.benchmark.adapters.plain import beginning, steps
 from trackwright.experiments.lab.benchmark.motion import Levels, Path, diffusion
-from trackwright.experiments.lab.benchmark.problems import Problem
+from trackwright.experiments.lab.benchmark.problems import Problem, beginning, steps
 from trackwright.experiments.lab.benchmark.readings import predicted
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackwright.experiments.lab.benchmark.adapters.plain import Channel, Model, beginning, model, steps
+from trackwright.experiments.lab.benchmark.adapters.plain import Channel, Model, model
 from trackwright.experiments.lab.benchmark.motion import Levels, Path
-from trackwright.experiments.lab.benchmark.problems import POSITION_STD, Problem
+from trackwright.experiments.lab.benchmark.problems import POSITION_STD, Problem, beginning, steps
 
 GATE = 3.0
 OPENED_S = 1.0

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.experiments.lab.benchmark.adapters.plain import beginning
 from trackwright.experiments.lab.benchmark.motion import Levels, Path
-from trackwright.experiments.lab.benchmark.problems import Problem
+from trackwright.experiments.lab.benchmark.problems import Problem, beginning
 from trackwright.experiments.lab.benchmark.readings import gradient, predicted
 
 EPOCH = datetime(2020, 1, 1)

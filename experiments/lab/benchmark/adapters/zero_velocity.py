@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackwright.experiments.lab.benchmark.adapters.plain import beginning
 from trackwright.experiments.lab.benchmark.motion import Levels, Path, transition
-from trackwright.experiments.lab.benchmark.problems import Problem
+from trackwright.experiments.lab.benchmark.problems import Problem, beginning
 from trackwright.experiments.lab.benchmark.readings import gradient, predicted
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.columns import float_column

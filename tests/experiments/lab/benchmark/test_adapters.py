@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from trackwright.experiments.lab.benchmark.adapters import optimum, plain, robust_map, zero_velocity
 from trackwright.experiments.lab.benchmark.declaration import ESTIMATORS
 from trackwright.experiments.lab.benchmark.motion import Levels, diffusion, transition
-from trackwright.experiments.lab.benchmark.problems import problems
+from trackwright.experiments.lab.benchmark.problems import beginning, problems
 from trackwright.experiments.lab.benchmark.readings import WIDTHS, gradient, predicted
 from trackwright.experiments.lab.benchmark.worlds import WORLDS, simulated
 from trackwright.trackers.core.errors import UnusableInput
@@ -48,7 +48,7 @@ def _run(name, problem):
 def _joint(problem, levels=LEVELS):
     """Mean and covariance of all positions given all readings, of dense nonlinear least squares over the whole path."""
     d, n = problem.dimensions, 2 * problem.dimensions
-    mean, P = plain.beginning(problem)
+    mean, P = beginning(problem)
     roots, F = [np.linalg.inv(np.linalg.cholesky(P))], []
     for dt in np.diff(problem.times):
         F.append(transition(d, dt))
