@@ -1,4 +1,4 @@
-# Targets: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers bench-gpu clean. Each makes the environment it needs.
+# Targets: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers benchmark bench-gpu clean. Each makes the environment it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -7,7 +7,7 @@ GPU := .venv-gpu/bin
 DOCS := .venv-docs/bin
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
-.PHONY: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers bench-gpu clean
+.PHONY: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers benchmark bench-gpu clean
 
 env: .venv/installed
 
@@ -77,6 +77,10 @@ bench-peers: .venv-peers/installed
 	for name in beam particles tuning; do $(PEERS)/python -m trackwright.experiments.lab.bench $$name --peers || exit; done
 	$(PEERS)/python -m trackwright.experiments.lab.bench recordings --smooth --page docs/performance.md
 	$(PEERS)/python -m trackwright.experiments.lab.bench growth --page docs/performance.md
+
+# Accuracy, coverage and time beside other libraries; the estimates are in out/benchmark
+benchmark: .venv-peers/installed
+	$(PEERS)/trackwright benchmark --page docs/side-by-side.md
 
 # On a host with CUDA GPUs; the result file is out/bench-gpu.json.
 bench-gpu: .venv-gpu/installed

@@ -30,6 +30,7 @@ COMMANDS = {
     "simulate": "cli.simulate:simulate",
     "study": "cli.study:study",
     "truth": "cli.check:truth",
+    "benchmark": "lab.benchmark.command:benchmark",
     "verify": "lab.verify.command:verify",
     "demo": "lab.demo:demo",
 }

@@ -28,6 +28,7 @@ from trackwright.trackers.recordings.atomic import atomic_write, json_text
 LAB = "trackwright.experiments.lab"
 PACKAGES = (
     "trackwright", "jax", "jaxlib", "numpy", "polars", "distributed", "dynamax", "cuthbert", "filterpy", "particles",
+    "gtsam", "stonesoup",
 )  # fmt: skip
 """Packages whose versions are written down where they are installed."""
 

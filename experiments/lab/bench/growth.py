@@ -15,8 +15,10 @@ import numpy as np
 
 from trackwright.experiments.lab.bench import beam, particles
 from trackwright.experiments.lab.bench.beam import filtering, finished
-from trackwright.experiments.lab.bench.loops import filtered, model_of, with_filterpy
+from trackwright.experiments.lab.bench.loops import model_of
 from trackwright.experiments.lab.bench.timing import apart, cold_and_warm
+from trackwright.experiments.lab.benchmark.adapters import with_filterpy
+from trackwright.experiments.lab.benchmark.adapters.plain import filtered
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.track_loss import kidnapped_walk
 from trackwright.experiments.lab.verify.worlds import NEVER_LOST
@@ -129,7 +131,7 @@ def ranges(version: str, biases: int, slots: int) -> Run:
     state[:2] = recordings[0].inputs["nearby"][0, :2]
     P = np.diag([1.0] * 4 + [0.03**2] * biases)
     dts = np.diff(recordings[0].times, prepend=0.0)
-    loop = with_filterpy if version == "filterpy" else filtered
+    loop = with_filterpy.filtered if version == "filterpy" else filtered
     return (lambda: loop(model, state, P, dts, 1)), ROWS - 1
 
 

@@ -1,19 +1,19 @@
-"""Textbook filters as plain NumPy loops, one row after another, of the same models as trackers of the catalogue.
+"""The models of trackers of the catalogue for the textbook filter in NumPy, `benchmark.adapters.plain`.
 
-Motions and sensors have Jacobians derived by hand, in double precision. Each channel is one scalar update in Joseph
-form, linearised at the predicted mean, with the weight of Student's t where the tracker's noise has one: the estimates
-are those of the trackers up to rounding. No log-likelihood, track loss or mixture is computed. With an IMU it is the
-error-state filter of Solà (2017), chapter 5.
+Motions and sensors have Jacobians derived by hand, in double precision, and the noise of readings is Student's t where
+the tracker's is: the estimates are those of the trackers up to rounding. No log-likelihood, track loss or mixture is
+computed. With an IMU it is the error-state filter of Solà (2017), chapter 5.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import Any
 
 import jax
 import numpy as np
 
+from trackwright.experiments.lab.benchmark.adapters.plain import Channel, Model
 from trackwright.trackers.aoa.fusion import BEARINGS, BearingSensor
 from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
@@ -24,21 +24,6 @@ from trackwright.trackers.parts.fixes import FIXES, FixSensor
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.uwb_imu.strapdown import Inertial, Strapdown
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
-
-Channel = tuple[float, np.ndarray, float]
-"""One channel seen: measured minus predicted value, gradient (n,) of the prediction, standard deviation."""
-
-
-class Model(NamedTuple):
-    """A filter's model: `moved(state, P, row, dt)`, the predicted state with F and Q, given the covariance P;
-    `channels(state, row)`, those seen; `added(state, step)`, the state after a small step; `dof`, degrees of freedom of
-    Student's t, 0 for none.
-    """
-
-    moved: Callable[[Any, np.ndarray, int, float], tuple[Any, np.ndarray, np.ndarray]]
-    channels: Callable[[Any, int], Iterator[Channel]]
-    added: Callable[[Any, np.ndarray], Any]
-    dof: float
 
 
 def model_of(tracker: Any, recording: Recording, planar: bool) -> Model | None:
@@ -84,49 +69,6 @@ def vector(state: Any) -> Any:
         parts = [*state.position, *state.velocity, 0.0, 0.0, 0.0, *state.accel_bias, *state.gyro_bias, *state.bias]
         return np.array([float(x) for x in parts]), q
     return np.array([float(x) for field in state for x in field])
-
-
-def filtered(model: Model, state: Any, P: np.ndarray, dts: np.ndarray, first: int) -> np.ndarray:
-    """The states' vectors (T − first, n) of the rows from `first`, given the state of the row before it."""
-    means, eye = np.empty((len(dts) - first, len(P))), np.eye(len(P))
-    for row in range(first, len(dts)):
-        state, F, Q = model.moved(state, P, row, dts[row])
-        P = F @ P @ F.T + Q
-        step = np.zeros(len(P))
-        for difference, gradient, sigma in model.channels(state, row):
-            h, r = gradient / sigma, difference / sigma
-            Ph = P @ h
-            a = float(h @ Ph)
-            innovation = float(r - h @ step)
-            noise = 1.0
-            if model.dof:
-                noise = (model.dof + innovation**2 / (1.0 + a)) / (model.dof + 1.0)
-            k = Ph / (noise + a)
-            step = step + k * innovation
-            rest = eye - np.outer(k, h)
-            P = rest @ P @ rest.T + noise * np.outer(k, k)
-        state = model.added(state, step)
-        means[row - first] = state[0] if isinstance(state, tuple) else state
-    return means
-
-
-def with_filterpy(model: Model, state: np.ndarray, P: np.ndarray, dts: np.ndarray, first: int) -> np.ndarray:
-    """`filtered` by filterpy's `ExtendedKalmanFilter`, with normal noise; for states that are vectors."""
-    from filterpy.kalman import ExtendedKalmanFilter
-
-    means = np.empty((len(dts) - first, len(P)))
-    kalman = ExtendedKalmanFilter(len(P), 1)
-    kalman.x, kalman.P = state.copy(), P.copy()
-    for row in range(first, len(dts)):
-        _, kalman.F, kalman.Q = model.moved(kalman.x, kalman.P, row, dts[row])
-        kalman.predict()
-        seen = list(model.channels(kalman.x, row))
-        if seen:
-            differences = np.array([channel[0] for channel in seen])
-            H, R = np.array([channel[1] for channel in seen]), np.diag([channel[2] ** 2 for channel in seen])
-            kalman.update(differences, lambda x, H=H: H, lambda x: 0.0, R=R)
-        means[row - first] = kalman.x
-    return means
 
 
 def ground(motion: GroundMotion, planar: bool) -> Any:

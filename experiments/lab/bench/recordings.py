@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.experiments.lab.bench.loops import filtered, model_of, state_after, with_filterpy
+from trackwright.experiments.lab.bench.loops import model_of, state_after
 from trackwright.experiments.lab.bench.timing import clocked, turns
+from trackwright.experiments.lab.benchmark.adapters import with_filterpy
+from trackwright.experiments.lab.benchmark.adapters.plain import filtered
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, shown
 from trackwright.experiments.lab.subprocesses import required_recordings
 from trackwright.trackers.catalogue import TRACKERS
@@ -134,9 +136,9 @@ def loops(batch: Any, recording: Any, estimates: Any) -> Runs:
     state, P = state_after(first - 1, batch.tracker, estimates)
     dts = np.diff(recording.times, prepend=recording.times[0])[:last]
     count = getattr(batch.tracker.filter, "count", 1)
-    runs: Runs = {"NumPy": (lambda: [filtered(model, state, P, dts, first) for _ in range(count)], last - first)}
+    runs: Runs = {"NumPy": (lambda: [filtered(model, state, P, dts, first)[0] for _ in range(count)], last - first)}
     if importlib.util.find_spec("filterpy") and not isinstance(state, tuple):
-        runs["filterpy"] = (lambda: with_filterpy(model, state, P, dts, first)), last - first
+        runs["filterpy"] = (lambda: with_filterpy.filtered(model, state, P, dts, first)), last - first
     return runs
 
 

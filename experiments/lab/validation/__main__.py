@@ -8,6 +8,7 @@ CASES = (
     "real_recordings",
     "choice",
     "default_levels",
+    "peer_levels",
     "calibration_terms",
     "tuned_sites",
     "envelope",

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import t as student_t
 
-from trackwright.experiments.lab.bench.loops import filtered, fix_channels, ground, model_of, vector
+from trackwright.experiments.lab.bench.loops import fix_channels, ground, model_of, vector
+from trackwright.experiments.lab.benchmark.adapters.plain import filtered
 from trackwright.trackers.core.data.estimates import Estimates, Status
 from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.filters.imm import InteractingModels, SwitchingMotion
@@ -55,7 +56,7 @@ def difference(group: TrackerBatch, recording: Recording) -> float:
         model = model_of(tracker, recording, group.planar)
         if model is None:
             return np.nan
-        means = filtered(model, vector(at_start), P, dts, first)
+        means, _ = filtered(model, vector(at_start), P, dts, first)
     return _largest(estimates, means, slice(first, None))
 
 

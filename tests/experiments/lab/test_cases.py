@@ -27,6 +27,7 @@ PARTS = {
     "bench.studies": ("--tracker", "fix-kf", "uwb"),
     "bench.recordings": ("--recordings", "labyrinth", "--smooth"),
     "validation.default_levels": ("bearings",),
+    "validation.peer_levels": ("--kind", "fixes"),
     "validation.tuned_sites": ("--site", "isas", "--seconds", "10"),
     "validation.envelope": ("fix-kf",),
     "validation.nis_expectation": ("fix-kf",),

@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.bench.loops import filtered, model_of, state_after
+from trackwright.experiments.lab.bench.loops import model_of, state_after
 from trackwright.experiments.lab.bench.recordings import AGREEMENT_M, RECORDINGS, difference, loops
+from trackwright.experiments.lab.benchmark.adapters.plain import filtered
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.recordings.folder import read_recording
@@ -31,7 +32,7 @@ def test_a_loop_has_the_estimates_of_the_tracker(world, name):
     dts = np.diff(recording.times, prepend=0.0)[:last]
     model = model_of(tracker, recording, batch.planar)
     assert model is not None
-    means = filtered(model, state, P, dts, first)
+    means, _ = filtered(model, state, P, dts, first)
     own = np.stack([np.asarray(x) for x in estimates.mean.position], axis=-1)[first:last]
     np.testing.assert_allclose(means[:, : own.shape[1]], own, atol=1e-6)
 

@@ -1,0 +1,1 @@
+"""One estimator a file: each imports its library when it is used."""

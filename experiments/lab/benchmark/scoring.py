@@ -1,0 +1,105 @@
+"""The one scorer: estimates in files against the truth of data sets, ours and those that others submit.
+
+A folder has ESTIMATOR/DATASET.tum, .csv or .parquet. A table has the columns of `track`, with `std_x_m`, `cov_xy_m2` …
+where covariances are reported, and may have `cpu_us`, the processor time of a reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from trackwright.experiments.lab.benchmark.running import CPU, FAILED
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.association import associate_truth, refuse_without_overlap
+from trackwright.trackers.evaluation.comparison import Difference, TrackErrors, errors_by_track, paired_differences
+from trackwright.trackers.evaluation.evaluate import evaluate_association
+from trackwright.trackers.evaluation.scoring import score
+from trackwright.trackers.exchange.estimates import assigned, read_estimates
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.table_file import read_parquet
+from trackwright.trackers.recordings.tracks_table import is_bearing
+
+SUFFIXES = (".parquet", ".csv", ".csv.gz", ".tum", ".txt")
+
+
+class Cell(NamedTuple):
+    """How one estimator does on one data set.
+
+    `rmse`, `p75`, `p95`: of horizontal errors, m, or of directions, rad. `inside`, `nees`: the share of the truth in
+    the 95 % ellipses and NEES per degree of freedom, None without covariances. `cpu`: µs of processor time a reading,
+    None where unknown. `missing`: share of rows without an estimate. `failed`: why there is none.
+    """
+
+    rmse: float = np.nan
+    p75: float = np.nan
+    p95: float = np.nan
+    inside: float | None = None
+    nees: float | None = None
+    cpu: float | None = None
+    missing: float = 0.0
+    failed: str = ""
+    errors: Mapping[Any, TrackErrors] | None = None
+
+
+def files(root: Path) -> dict[str, dict[str, Path]]:
+    """The files of estimates, and those with reasons of failures, by estimator and data set.
+
+    Raises UnusableInput for a folder without any.
+    """
+    found: dict[str, dict[str, Path]] = {}
+    for path in sorted(root.glob("*/*")):
+        name = next((path.name.removesuffix(s) for s in (*SUFFIXES, FAILED) if path.name.endswith(s)), None)
+        if name is not None and path.is_file():
+            found.setdefault(path.parent.name, {})[name] = path
+    if not found:
+        raise UnusableInput(f"{root}: no estimates; expected files ESTIMATOR/DATASET with {', '.join(SUFFIXES)}")
+    return found
+
+
+def cell(path: Path, folder: RecordingFolder) -> Cell:
+    """The figures of a file of estimates; raises UnusableInput for one that cannot be read, or misses the truth."""
+    if path.name.endswith(FAILED):
+        return Cell(failed=path.read_text("utf-8").strip())
+    # As `track` writes it, also with directions.
+    table = read_parquet(path) if path.suffix == ".parquet" else read_estimates(path)[0]
+    truths = {folder.name: folder.tables["truth"]}
+    table = assigned(table.with_columns(recording=pl.lit(folder.name)), truths, None, path)
+    association = associate_truth(_with_stds(table), truths)
+    refuse_without_overlap(association, truths)
+    stations = {folder.name: folder.rig.stations}
+    metrics = evaluate_association(association, stations).overall
+    scored = score(association, stations)
+    in_span = len(association.rows) - metrics["n_no_truth"] - metrics["n_hole"]
+    p75, p95 = np.quantile(scored.size[np.isfinite(scored.size)], [0.75, 0.95])
+    return Cell(
+        rmse=metrics["rmse_direction_rad" if is_bearing(table) else "rmse_m"],
+        p75=float(p75),
+        p95=float(p95),
+        inside=metrics["coverage_95"],
+        nees=metrics["nees_ratio"],
+        cpu=float(table[CPU][0]) if CPU in table.columns else None,
+        missing=metrics["n_no_estimate"] / in_span,
+        errors=errors_by_track(association, scored),
+    )
+
+
+def difference(ours: Cell, other: Cell) -> Difference | None:
+    """The RMSE of another estimator less ours over the time that both cover, with its interval; None without both."""
+    if ours.errors is None or other.errors is None:
+        return None
+    return paired_differences(ours.errors, other.errors, ["rmse_m"]).get("rmse_m")
+
+
+def _with_stds(table: pl.DataFrame) -> pl.DataFrame:
+    """The estimates with columns of standard deviations, empty where none is reported."""
+    if is_bearing(table):
+        return table
+    return table.with_columns(pl.lit(None, pl.Float64).alias(c) for c in STDS if c not in table.columns)
+
+
+STDS = ("z_m", "std_x_m", "std_y_m", "std_z_m", "cov_xy_m2", "cov_xz_m2", "cov_yz_m2")
