@@ -57,7 +57,7 @@ def run_case(folder: str, cases: Sequence[str]) -> None:
         print(f"{folder}: no case {name}; expected {', '.join(functions)}", file=sys.stderr)
         sys.exit(2)
     for each, target in functions.items():
-        print(f"{each:19s}{(function_of(target).__doc__ or '').splitlines()[0]}")
+        print(f"{each:22s}{(function_of(target).__doc__ or '').splitlines()[0]}")
 
 
 def function_of(target: str) -> Callable[..., Any]:
