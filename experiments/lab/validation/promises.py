@@ -52,6 +52,10 @@ PROMISES = {
         "tests/trackers/evaluation/test_protection.py "
         "-k 'undetermined or no_interval or refuses or cannot_support or no_start'",
     ),
+    "coverage": Promise(
+        "ellipses hold on half of the public recordings, at levels that their sites have not set",
+        "python -m trackwright.experiments.lab.validation real-recordings --at-least 0.5",
+    ),
     "speed": Promise("no hot path takes a tenth more instructions", "python -m tests.instructions"),
 }
 
