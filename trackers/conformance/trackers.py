@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,7 +18,6 @@ from trackwright.trackers.conformance.dense import Conditioned, conditioned
 from trackwright.trackers.conformance.identities import identity_checks
 from trackwright.trackers.conformance.ran import FEWEST, Ran
 from trackwright.trackers.conformance.sums import Sums
-from trackwright.trackers.conformance.work import computed_numbers
 from trackwright.trackers.conformance.worlds import World, drawn_world, own_recordings
 from trackwright.trackers.core.data.consistency import nees
 from trackwright.trackers.core.data.estimates import Estimates
@@ -174,3 +175,26 @@ def _repeated(recording: Recording, rows: int) -> Recording:
     times = recording.times[index] + span * (np.arange(rows) // len(recording))
     readings, inputs, truth = each_array(recording, lambda x: x[index])
     return replace(recording, times=times, readings=readings, inputs=inputs, truth=truth)
+
+
+def computed_numbers(program: Any) -> int:
+    """The numbers that all operations of a jaxpr yield; a loop counts once per turn, once where turns are unknown."""
+    total = 0
+    for operation in program.eqns:
+        inner = [computed_numbers(part) for part in _programs(operation.params)]
+        if not inner:
+            total += sum(math.prod(getattr(out.aval, "shape", ())) for out in operation.outvars)
+        elif operation.primitive.name == "cond":
+            total += max(inner)
+        else:
+            total += sum(inner) * int(operation.params.get("length", 1))
+    return total
+
+
+def _programs(params: dict[str, Any]) -> Iterator[Any]:
+    """The jaxprs among the parameters of an operation."""
+    for value in params.values():
+        for one in value if isinstance(value, (tuple, list)) else (value,):
+            part = getattr(one, "jaxpr", one)
+            if hasattr(part, "eqns"):
+                yield part
