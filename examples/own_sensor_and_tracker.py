@@ -84,10 +84,10 @@ sensors = {
     "barometer": Barometer(tw.Scale(0.3, "m", "measurement noise")),
     "beacon": ToBeacon(BEACON, tw.Scale(0.3, "m", "measurement noise")),
 }
-# Both raise one line with the usual fix where a contract is broken.
-tw.check_motion(motion, Lift(3.0, 0.5))
+# A report names what is broken, with the usual fix.
+print(tw.check_motion(motion, Lift(3.0, 0.5)))
 for sensor in sensors.values():
-    tw.check_sensor(sensor, Lift(3.0, 0.5))
+    print(tw.check_sensor(sensor, Lift(3.0, 0.5)))
 tracker = tw.Tracker(motion, sensors, AtTheFirstReading())
 
 rng = np.random.default_rng(2)

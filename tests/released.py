@@ -1,8 +1,9 @@
 """Numbers that keep their bits from release to release: `python -m tests.released`; exit code 1 where one has moved.
 
-`released.json` has a SHA-256 of each subject's arrays (`tests/digests.py`) and, after a change that was meant, a second one behind it,
-whose first twelve digits stand in a line of CHANGELOG.md that says why. Bits depend on the processor, jaxlib and NumPy: elsewhere exit code 2,
-and `make digests DIGESTS=REV` compares two commits on one machine. `--write` adds what has moved.
+`released.json` has a SHA-256 of each subject's arrays (`tests/digests.py`) and, after a change that was meant, a second
+one behind it, whose first twelve digits stand in a line of CHANGELOG.md that says why. Bits depend on the processor,
+jaxlib and NumPy: elsewhere exit code 2, and `make digests DIGESTS=REV` compares two commits on one machine. `--write`
+adds what has moved.
 """
 
 from __future__ import annotations

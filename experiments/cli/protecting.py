@@ -35,7 +35,7 @@ def protection_of(options: TrackOptions, tracker: str) -> Protection:
     parts, folders = [], []
     for path in options.protection:
         parts.append(read_tracks(path))
-        recordings = read_recordings(sources(path))
+        recordings = read_recordings(sources(path))  # `track` printed their notices when they were tracked
         _refuse_others(path, expected, {folder.name for folder in recordings})
         folders += recordings
     watched = {path.resolve() for path in options.watch}

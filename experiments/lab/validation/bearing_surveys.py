@@ -67,7 +67,7 @@ def bearing_surveys(*, output: Output = DEFAULTS) -> int:
     of_kinds = [kinds[number % len(kinds)] for number in numbers]
     results: dict[tuple[str, float], list[Row]] = {kind: [] for kind in kinds}
     with progress("surveys", len(numbers)) as advance, ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for kind, row in zip(of_kinds, pool.map(simulated_survey, numbers, *zip(*of_kinds, strict=True)), strict=False):
+        for kind, row in zip(of_kinds, pool.map(simulated_survey, numbers, *zip(*of_kinds, strict=True)), strict=True):
             results[kind].append(row)
             advance(1)
     rows = [_row(case, f"{np.rad2deg(of):g}", found) for (case, of), found in results.items() if found]
@@ -124,10 +124,10 @@ def real_survey(folder: tw.RecordingFolder, seed: int, sigma: float | None, publ
     stated = np.array([[heading and tilt] * 3 for *_, heading, tilt in map(found.determined, found.names)])
     return {
         "recording": folder.name, "rotations given": "no" if sigma is None else f"to {sigma:g}°",
-        "effect": float(found.effect), "given, °": _median_turn(before[:, 3:]) if sigma else np.nan,
+        "effect": float(found.effect), "given, °": _median_turn(before[:, 3:]) if sigma else "",
         "surveyed, °": _median_turn(errors), "inside 95 %": 100.0 * float(np.mean(np.abs(errors) < NORMAL * sigmas)),
         "determined %": 100.0 * float(np.mean(stated)), "wrong": int((np.abs(errors) > 3.0 * sigmas)[stated].sum()),
-        "RMSE published, m": published, "given, m": _rmse(given) if sigma else np.nan,
+        "RMSE published, m": published, "given, m": _rmse(given) if sigma else "",
         "surveyed, m": _rmse(replace(folder, rig=found.rig)), "s": seconds,
     }  # fmt: skip
 
@@ -149,7 +149,7 @@ def _row(case: str, lasting: str, rows: Sequence[Row]) -> Row:
     moved, turned = (np.concatenate([row[key] for row in rows]) for key in ("moved", "turned"))
     return {
         "known": case, "errors that last, °": lasting, "surveys": len(rows), "inside 95 %": covered,
-        "error / bound": ratio, "position, cm": 100.0 * float(np.median(moved)),
+        "error / bound": ratio, "position, cm": 100.0 * float(np.median(moved)) if len(moved) else "",
         "turn, °": float(np.rad2deg(np.median(turned))), "determined %": 100.0 * float(np.mean(stated)),
         "wrong": wrong, "s": float(np.median([row["s"] for row in rows])), "good": "yes" if good else "no",
     }  # fmt: skip
@@ -184,7 +184,7 @@ def simulated_survey(seed: int, case: str, lasting: float) -> Row:
         ]
     )
     bound = bound_of(found, folder, truth, path, lasting, known)[:, :6]
-    finite = free & (bound[:, :6] < [1.0] * 3 + [0.3] * 3)
+    finite = free & (bound < [1.0] * 3 + [0.3] * 3)
     return {
         "z": (errors / np.where(free, sigma, 1.0))[free], "over bound": (errors / bound)[finite],
         "moved": np.linalg.norm(errors[:, :3], axis=1)[free[:, 0]], "turned": np.linalg.norm(errors[:, 3:], axis=1),

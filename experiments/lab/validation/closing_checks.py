@@ -14,6 +14,7 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 import trackwright as tw
+from trackwright.experiments.cli.watch import untrue
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
 from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.text.terminal import progress
@@ -38,7 +39,7 @@ def closing_checks(*, output: Output = DEFAULTS) -> int:
     names, rows, as_they_are = RECORDINGS[:2] if output.small else RECORDINGS, list[Row](), list[Row]()
     with progress("recordings", len(names)) as advance:
         for name in names:
-            (recording,) = recorded((name,))
+            (recording,) = untrue(recorded((name,)))
             table = next(t for t in WATCHED if t in recording.tables)
             as_it_is = list(check_closing(recording, table))
             as_they_are.append(_judged(name, "none", (), as_it_is, []))
@@ -74,7 +75,7 @@ def _summary(by: str, which: str, rows: list[Row]) -> Row:
 def _mistakes(
     recording: tw.RecordingFolder, table: str, number: int
 ) -> Iterator[tuple[str, tuple[str, ...], tw.RecordingFolder]]:
-    """Mistakes in words, the anchors or stations that they are made to, and the recordings with them, without truth."""
+    """Mistakes in words, the anchors or stations that they are made to, and the recordings with them."""
     random = np.random.default_rng([number, 75])
     rig, rows = recording.rig, recording.tables[table]
     column = "station" if table == "bearings" else "anchor"
@@ -86,8 +87,8 @@ def _mistakes(
     def with_places(new: dict[str, np.ndarray]) -> tw.RecordingFolder:
         if table == "bearings":
             moved = {name: replace(rig.stations[name], position=place) for name, place in new.items()}
-            return _untrue(recording, rig=replace(rig, stations={**rig.stations, **moved}))
-        return _untrue(recording, rig=replace(rig, anchors={**rig.anchors, **new}))
+            return replace(recording, rig=replace(rig, stations={**rig.stations, **moved}))
+        return replace(recording, rig=replace(rig, anchors={**rig.anchors, **new}))
 
     place = {
         name: np.asarray(rig.stations[name].position if table == "bearings" else rig.anchors[name], float)
@@ -95,11 +96,11 @@ def _mistakes(
     }
     if table == "bearings":
         stations = {**rig.stations, a: rig.stations[b], b: rig.stations[a]}
-        yield "swapped", (a, b), _untrue(recording, rig=replace(rig, stations=stations))
+        yield "swapped", (a, b), replace(recording, rig=replace(rig, stations=stations))
         angle = random.choice([-1.0, 1.0]) * random.uniform(np.radians(20.0), np.radians(90.0))
         axes = Rotation.from_matrix(turned(float(angle)) @ rig.stations[a].world_from_array())
         station = replace(rig.stations[a], rotation=axes.as_quat(scalar_first=True))
-        yield "turned", (a,), _untrue(recording, rig=replace(rig, stations={**rig.stations, a: station}))
+        yield "turned", (a,), replace(recording, rig=replace(rig, stations={**rig.stations, a: station}))
     else:
         yield "swapped", (a, b), with_places({a: place[b], b: place[a]})
         if abs(place[a][2]) > 0.5:
@@ -110,9 +111,4 @@ def _mistakes(
         factor = float(random.choice([1.0 / 0.3048, 100.0, 1000.0]))
         mine = pl.col("anchor").cast(pl.String) == a
         scaled = rows.with_columns(range_m=pl.when(mine).then(factor * pl.col("range_m")).otherwise(pl.col("range_m")))
-        yield "unit of one", (a,), _untrue(recording, tables={**recording.tables, table: scaled})
-
-
-def _untrue(recording: tw.RecordingFolder, **changes: object) -> tw.RecordingFolder:
-    changed = replace(recording, **changes)  # type: ignore[arg-type]
-    return replace(changed, tables={name: rows for name, rows in changed.tables.items() if name != "truth"})
+        yield "unit of one", (a,), replace(recording, tables={**recording.tables, table: scaled})

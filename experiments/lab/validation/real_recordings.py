@@ -36,6 +36,7 @@ from trackwright.experiments.lab.validation.sites import (
 from trackwright.experiments.pages.charts.style import BLUE, GREY, VERMILION, write_panels
 from trackwright.experiments.text.tables import replace_tables
 from trackwright.experiments.text.wording import fixed
+from trackwright.trackers.core.errors import UnusableInput
 
 PAGE = REPOSITORY / "docs" / "real-recordings.md"
 CURVES = PAGE.with_name("calibration-curves.png")
@@ -80,6 +81,8 @@ def real_recordings(*, site: tuple[str, ...] = (), at_least: float | None = None
         print(f"missed: {check}")
     if at_least is not None:
         held = _held(every, DEFAULTS, smoothed=False)
+        if not held:
+            raise UnusableInput(f"--at-least {at_least:g}: no recording of these sites counts; leave out --site")
         print(f"{sum(held)} of {len(held)} within limits, defaults, filtered; at least {at_least:g} of them required")
         return int(sum(held) < at_least * len(held))
     return int(bool(missed))
