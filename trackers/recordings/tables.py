@@ -183,7 +183,12 @@ def _check_sensors(file: TableFile, frame: pl.DataFrame, kind: Kind, rig: Rig) -
         for sensor in frame[column].unique(maintain_order=True):
             if sensor not in known:
                 row = first_row(frame[column] == sensor)
-                there = ", ".join(list(known)[:12]) + (" …" if len(known) > 12 else "") if known else "none"
+                if not known:
+                    raise UnusableInput(
+                        f"{file.location(row, column)}: {column} {sensor!r}: rig.toml gives no {kind.noun} a position; "
+                        f"add [{kind.noun}s]" + (", or find them by `trackwright survey`" * (kind.name == "ranges"))
+                    )
+                there = ", ".join(list(known)[:12]) + (" …" if len(known) > 12 else "")
                 raise UnusableInput(
                     f"{file.location(row, column)}: {column} {sensor!r} is not in rig.toml, expected one of: {there}; "
                     "ids are text and must be spelt the same"

@@ -75,7 +75,7 @@ def test_ranges_to_anchors_without_positions_are_imported_for_a_survey_where_the
     assert said.code == 0, said.err
     assert said.out.endswith("next: trackwright survey site\n")
     assert read_recording(there / "site", placed=False).rig.tags["T1"].height == 0.5
-    assert_refused_last(trackwright("track", "site", "--out", "tracks"), "is not in rig.toml")
+    assert_refused_last(trackwright("track", "site", "--out", "tracks"), "find them by `trackwright survey`")
 
 
 def test_a_log_in_milliseconds_takes_a_unit_and_no_other_column(there):
