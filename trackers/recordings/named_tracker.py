@@ -19,7 +19,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.reading_grids import above_rounding, counted_once
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec, faults_named
 from trackwright.trackers.recordings.tracks import Tracks, track
 
 Recordings = RecordingFolder | Sequence[RecordingFolder]
@@ -69,7 +69,8 @@ class NamedTracker:
         `seed`: of the random numbers of filters that draw any. Raises UnusableInput for a recording that lacks what the
         tracker reads, and for values that do not fit it.
         """
-        return track(self.batches(recordings), advance, seed)
+        with faults_named(self.name, "run", self.spec.build):
+            return track(self.batches(recordings), advance, seed)
 
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers.

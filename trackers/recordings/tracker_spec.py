@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.core.user_file import fault_of
+from trackwright.trackers.core.user_file import fault_of, split_name
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 
 
 @contextmanager
-def _faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Iterator[None]:
+def faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Iterator[None]:
     """Raises UnusableInput, with the line, where a function of a user's tracker fails; else the fault as it is."""
     try:
         yield
@@ -114,10 +115,10 @@ class TrackerSpec:
             refused = self.refusal(folder, name)
             if refused is not None:
                 raise UnusableInput(refused)
-            with _faults_named(name, "trajectories", self.trajectories):
+            with faults_named(name, "trajectories", self.trajectories):
                 rows = self.trajectories(folder, free_height)
                 rows = rows if isinstance(rows, Trajectories) else list(rows)
-            with _faults_named(name, "planar", self.planar):
+            with faults_named(name, "planar", self.planar):
                 if isinstance(rows, Trajectories):
                     for key, part in self._parts(rows, free_height):
                         grouped[key].append(part)
@@ -126,8 +127,16 @@ class TrackerSpec:
                         key = self.planar(trajectory, free_height), self.geometry(trajectory)
                         grouped[key].append(Trajectories.of([trajectory]))
         joined = {key: Trajectories.joined(parts) for key, parts in grouped.items()}
-        with _faults_named(name, "build", self.build):
-            return [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
+        with faults_named(name, "build", self.build):
+            built = [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
+        if split_name(name)[0]:
+            for batch in built:
+                if not isinstance(batch.tracker, AbstractTracker):
+                    found = type(batch.tracker).__name__
+                    raise UnusableInput(f"{name}: build returned {found}; expected a tracker; usual fix: return one")
+                with faults_named(name, "run", self.build):
+                    check_input(batch.tracker, batch.trajectories[0].recording, name)
+        return built
 
     def _parts(
         self, trajectories: Trajectories, free_height: bool

@@ -211,3 +211,24 @@ def test_a_function_of_ones_own_tracker_that_fails_is_named_with_its_line(
         tw.build(f"{tmp_path / 'mine.py'}:OWN", folders).run(folders)
     assert f"mine.py:OWN: {words}" in str(refused.value)
     assert str(refused.value).endswith("); correct mine.py")
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        ("lambda t, planar: None", "OWN: build returned NoneType; expected a tracker"),
+        (
+            "lambda t, planar: tw.range_tracker(3)",
+            "found readings of fixes; expected 'ranges'",
+        ),
+        ("lambda t, planar: dataclasses.replace(F.build(t, planar), motion=None)", "OWN: run failed (AttributeError"),
+    ],
+)
+def test_a_tracker_of_ones_own_that_does_not_run_is_refused_in_one_line(folders, tmp_path, monkeypatch, build, words):
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    lines = ["import dataclasses", "import trackwright as tw", "F = tw.TRACKERS['fix-kf']"]
+    (tmp_path / "mine.py").write_text("\n".join([*lines, f"OWN = dataclasses.replace(F, build={build})"]), "utf-8")
+    with pytest.raises(tw.UnusableInput) as refused:
+        tw.build(f"{tmp_path / 'mine.py'}:OWN", folders).run(folders)
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
