@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
+from trackwright.experiments.lab.benchmark.readings import CHANNELS
 from trackwright.experiments.lab.benchmark.running import CPU, FAILED
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.association import associate_truth, refuse_without_overlap
+from trackwright.trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
 from trackwright.trackers.evaluation.comparison import Difference, TrackErrors, errors_by_track, paired_differences
 from trackwright.trackers.evaluation.evaluate import evaluate_association
 from trackwright.trackers.evaluation.scoring import score
@@ -23,8 +24,14 @@ from trackwright.trackers.exchange.estimates import assigned, read_estimates
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.table_file import read_parquet
 from trackwright.trackers.recordings.tracks_table import is_bearing
+from trackwright.trackers.recordings.truth import TruthStatus
 
 SUFFIXES = (".parquet", ".csv", ".csv.gz", ".tum", ".txt")
+
+NEAR_S = 1.0
+"""Seconds from a reading within which an estimate is expected."""
+
+READINGS = (*CHANNELS, "phases")
 
 
 class Cell(NamedTuple):
@@ -32,7 +39,8 @@ class Cell(NamedTuple):
 
     `rmse`, `p75`, `p95`: of horizontal errors, m, or of directions, rad. `inside`, `nees`: the share of the truth in
     the 95 % ellipses and NEES per degree of freedom, None without covariances. `cpu`: µs of processor time a reading,
-    None where unknown. `missing`: share of rows without an estimate. `failed`: why there is none.
+    None where unknown. `missing`: share of the readings whose tag has no estimate within `NEAR_S`. `failed`: why there
+    is none.
     """
 
     rmse: float = np.nan
@@ -74,7 +82,6 @@ def cell(path: Path, folder: RecordingFolder) -> Cell:
     stations = {folder.name: folder.rig.stations}
     metrics = evaluate_association(association, stations).overall
     scored = score(association, stations)
-    in_span = len(association.rows) - metrics["n_no_truth"] - metrics["n_hole"]
     p75, p95 = np.quantile(scored.size[np.isfinite(scored.size)], [0.75, 0.95])
     return Cell(
         rmse=metrics["rmse_direction_rad" if is_bearing(table) else "rmse_m"],
@@ -83,9 +90,21 @@ def cell(path: Path, folder: RecordingFolder) -> Cell:
         inside=metrics["coverage_95"],
         nees=metrics["nees_ratio"],
         cpu=float(table[CPU][0]) if CPU in table.columns else None,
-        missing=metrics["n_no_estimate"] / in_span,
+        missing=_missing(association, folder),
         errors=errors_by_track(association, scored),
     )
+
+
+def _missing(association: Association, folder: RecordingFolder) -> float:
+    """The share of the readings of a data set without a finite estimate of their tag within `NEAR_S`."""
+    tables = [folder.tables[name] for name in READINGS if name in folder.tables]
+    read = pl.concat([table.select("t_s", pl.col("tag").cast(pl.String)) for table in tables]).sort("t_s")
+    finite = association.rows.filter(association.truth_status != TruthStatus.NO_ESTIMATE)
+    near = read.join_asof(
+        finite.select("t_s", "tag", found=True).sort("t_s"),
+        on="t_s", by="tag", strategy="nearest", tolerance=NEAR_S, check_sortedness=False,
+    )  # fmt: skip
+    return near["found"].null_count() / len(near)
 
 
 def difference(ours: Cell, other: Cell) -> Difference | None:

@@ -86,8 +86,8 @@ def _tables(results: Cells) -> Iterator[Table]:
         ahead = [name for name in sets if not any(name in tally.worse for _, tally in tallies)]
         note = (
             f"Ahead of, or equal to, every other estimator on {len(ahead)} of {len(sets)} data sets "
-            f"({100 * len(ahead) / len(sets):.0f} %; goal: 80 %). Equal: the interval has zero in it, or there is none, "
-            "with fewer than five pieces. A failure is worse than any error."
+            f"({100 * len(ahead) / len(sets):.0f} %; goal: 80 %). Equal: the interval has zero in it, or there is none "
+            "(fewer than five pieces). A failure is worse than any error."
         )
         yield Table([_tally_row(name, tally) for name, tally in tallies], "Ours against each", note)
     yield Table([_summary(name, results) for name in _estimators(results)], "Estimators")
@@ -170,7 +170,7 @@ def _summary(name: str, results: Cells) -> Row:
         "levels": estimator.levels if estimator else "",
         "data sets": len(mine),
         "failures": sum(bool(one.failed) for one in mine),
-        "rows without an estimate, %": fixed(100 * float(np.mean([one.missing for one in mine])), 1),
+        "readings without an estimate, %": fixed(100 * float(np.mean([one.missing for one in mine])), 1),
         "covariances hold": f"{held} of {len(with_covariance)}" if with_covariance else "none reported",
         "µs a reading, median": fixed(float(np.median(times)), 1) if times else "",
     }

@@ -45,11 +45,21 @@ def test_the_figures_of_a_table_are_those_computed_by_hand(world, tmp_path):
     assert (one.cpu, one.missing, one.failed) == (3.5, 0.0, "")
 
 
-def test_rows_without_an_estimate_are_counted_and_not_scored(world, tmp_path):
+@pytest.mark.parametrize(
+    ("kept", "missing"),
+    [
+        (pl.col("tag") == "1", 2 / 3),
+        # Readings are 50 ms apart; those of the second after the last estimate are near it.
+        (pl.col("t_s") < 3.0, 1 - 80 / 600),
+        (pl.int_range(pl.len()) % 4 > 0, 0.0),
+    ],
+)
+def test_readings_far_from_any_estimate_of_their_tag_are_missing(world, tmp_path, kept, missing):
     table, _ = _estimates(world)
-    holed = table.with_columns(x_m=pl.when(pl.int_range(pl.len()) % 4 > 0).then("x_m"))
-    holed.write_csv(tmp_path / f"{NAME}.csv")
-    assert cell(tmp_path / f"{NAME}.csv", world).missing == pytest.approx(0.25)
+    table.with_columns(x_m=pl.when(kept).then("x_m")).write_csv(tmp_path / f"{NAME}.csv")
+    table.filter(kept).write_parquet(tmp_path / f"{NAME}.parquet")
+    for suffix in ("csv", "parquet"):
+        assert cell(tmp_path / f"{NAME}.{suffix}", world).missing == pytest.approx(missing)
 
 
 def test_a_difference_has_the_sign_of_the_worse_and_an_interval_without_zero(world, tmp_path):
