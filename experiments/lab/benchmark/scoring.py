@@ -78,6 +78,8 @@ def cell(path: Path, folder: RecordingFolder) -> Cell:
     truths = {folder.name: folder.tables["truth"]}
     table = assigned(table.with_columns(recording=pl.lit(folder.name)), truths, None, path)
     association = associate_truth(_with_stds(table), truths)
+    if (association.truth_status == TruthStatus.NO_ESTIMATE).all():
+        return Cell(failed=f"none of {len(table)} rows has a finite estimate")
     refuse_without_overlap(association, truths)
     stations = {folder.name: folder.rig.stations}
     metrics = evaluate_association(association, stations).overall

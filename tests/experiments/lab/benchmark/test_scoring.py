@@ -76,6 +76,12 @@ def test_a_failure_is_its_reason(world, tmp_path):
     assert cell(path, world).failed == "LinAlgError: singular"
 
 
+def test_estimates_that_are_all_nan_are_a_failure(world, tmp_path):
+    table, _ = _estimates(world)
+    table.with_columns(x_m=pl.lit(np.nan)).write_parquet(tmp_path / f"{NAME}.parquet")
+    assert cell(tmp_path / f"{NAME}.parquet", world).failed == "none of 1800 rows has a finite estimate"
+
+
 def test_a_submitted_folder_of_trajectories_is_scored(world, tmp_path):
     truth = world.tables["truth"].filter(tag="1")
     table, _ = _estimates(world)
