@@ -15,7 +15,7 @@ import polars as pl
 
 from trackwright.experiments.lab.benchmark.readings import CHANNELS
 from trackwright.experiments.lab.benchmark.running import CPU, FAILED
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
 from trackwright.trackers.evaluation.comparison import Difference, TrackErrors, errors_by_track, paired_differences
 from trackwright.trackers.evaluation.evaluate import evaluate_association
@@ -57,13 +57,17 @@ class Cell(NamedTuple):
 def files(root: Path) -> dict[str, dict[str, Path]]:
     """The files of estimates, and those with reasons of failures, by estimator and data set.
 
-    Raises UnusableInput for a folder without any.
+    Raises UnusableInput for a folder without any, and for two files of one estimator and data set.
     """
     found: dict[str, dict[str, Path]] = {}
     for path in sorted(root.glob("*/*")):
         name = next((path.name.removesuffix(s) for s in (*SUFFIXES, FAILED) if path.name.endswith(s)), None)
-        if name is not None and path.is_file():
-            found.setdefault(path.parent.name, {})[name] = path
+        if name is None or not path.is_file():
+            continue
+        of_one = found.setdefault(path.parent.name, {})
+        if name in of_one:
+            raise UnusableInput(f"{path}: the same data set as {of_one[name]}; expected one file; remove the other")
+        of_one[name] = path
     if not found:
         raise UnusableInput(f"{root}: no estimates; expected files ESTIMATOR/DATASET with {', '.join(SUFFIXES)}")
     return found
@@ -73,9 +77,10 @@ def cell(path: Path, folder: RecordingFolder) -> Cell:
     """The figures of a file of estimates; raises UnusableInput for one that cannot be read, or misses the truth."""
     if path.name.endswith(FAILED):
         return Cell(failed=path.read_text("utf-8").strip())
-    # As `track` writes it, also with directions.
-    table = read_parquet(path) if path.suffix == ".parquet" else read_estimates(path)[0]
-    truths = {folder.name: folder.tables["truth"]}
+    table, truths = _read(path), {folder.name: folder.tables["truth"]}
+    tags = truths[folder.name]["tag"].unique()
+    if "tag" not in table.columns and len(tags) > 1:
+        raise UnusableInput(f"{path}: names no tag; the truth has {listed(sorted(tags))}; add a column tag")
     table = assigned(table.with_columns(recording=pl.lit(folder.name)), truths, None, path)
     association = associate_truth(_with_stds(table), truths)
     if (association.truth_status == TruthStatus.NO_ESTIMATE).all():
@@ -91,10 +96,19 @@ def cell(path: Path, folder: RecordingFolder) -> Cell:
         p95=float(p95),
         inside=metrics["coverage_95"],
         nees=metrics["nees_ratio"],
-        cpu=float(table[CPU][0]) if CPU in table.columns else None,
+        cpu=table[CPU].max() if CPU in table.columns else None,  # type: ignore[arg-type]
         missing=_missing(association, folder),
         errors=errors_by_track(association, scored),
     )
+
+
+def _read(path: Path) -> pl.DataFrame:
+    """The estimates of a file, positions, or directions as `track` writes them."""
+    if path.suffix == ".parquet":
+        table = read_parquet(path)
+        if {"azimuth_rad", "station", "tag"} <= set(table.columns):
+            return table
+    return read_estimates(path)[0]
 
 
 def _missing(association: Association, folder: RecordingFolder) -> float:

@@ -96,7 +96,31 @@ def test_a_submitted_folder_of_trajectories_is_scored(world, tmp_path):
         [truth.select("t_s", "x_m", "y_m", "z_m").to_numpy(), np.tile([0, 0, 0, 1.0], (len(truth), 1))]
     )
     np.savetxt(tmp_path / f"{NAME}.tum", poses)
-    assert_refused(trackwright("benchmark", "--mine", tmp_path / f"{NAME}.tum"), "names no tag")
+    assert_refused(trackwright("benchmark", "--mine", tmp_path / f"{NAME}.tum"), "names no tag", "add a column tag")
+    table.write_parquet(place / f"{NAME}.parquet")
+    assert_refused(trackwright("benchmark", "--mine", tmp_path / "estimates"), f"{NAME}.csv", f"{NAME}.parquet")
+
+
+@pytest.mark.parametrize(
+    ("changed", "found"),
+    [
+        ({"cpu_us": pl.lit("fast")}, "cpu_us: 'fast'; expected a number"),
+        ({"std_x_m": pl.lit(-0.1)}, "std_x_m: -0.1, expected a standard deviation above zero"),
+        ({"t_s": pl.col("t_s").cast(pl.Duration)}, "column t_s has type"),
+    ],
+)
+def test_a_column_that_is_not_of_numbers_is_named_with_its_file(world, tmp_path, changed, found):
+    path = tmp_path / f"{NAME}.parquet"
+    _estimates(world)[0].with_columns(**changed).write_parquet(path)
+    assert_refused(trackwright("benchmark", "--mine", path), path.name, found)
+    _estimates(world)[0].drop("x_m").write_parquet(path)
+    assert_refused(trackwright("benchmark", "--mine", path), path.name, "no column x_m")
+
+
+def test_an_unknown_processor_time_is_left_out(world, tmp_path):
+    path = tmp_path / f"{NAME}.parquet"
+    _estimates(world)[0].with_columns(cpu_us=None).write_parquet(path)
+    assert cell(path, world).cpu is None
 
 
 def test_what_cannot_be_scored_is_refused_in_a_line(tmp_path):
