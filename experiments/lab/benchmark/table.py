@@ -114,9 +114,9 @@ def _tables(results: Cells) -> Iterator[Table]:
 
 
 NOTE = (
-    "Horizontal, m; of ble51-uca the angle of direction, rad. *: levels were chosen on it, ours and those of others. "
-    "Bold: the least of its row; ↓: better than ours of its kind beyond the paired 95 % interval; ↑: worse; "
-    "?: no interval, with fewer than five pieces of time."
+    "Horizontal, m; of ble51-uca the angle of direction, rad. *: levels were chosen on it, those of others and, "
+    "except tiers, ours. Bold: the least of its row; ↓: better than ours of its kind beyond the "
+    "paired 95 % interval; ↑: worse; ?: no interval, with fewer than five pieces of time."
 )
 
 
