@@ -85,7 +85,10 @@ def cell(path: Path, folder: RecordingFolder) -> Cell:
     association = associate_truth(_with_stds(table), truths)
     if (association.truth_status == TruthStatus.NO_ESTIMATE).all():
         return Cell(failed=f"none of {len(table)} rows has a finite estimate")
-    refuse_without_overlap(association, truths)
+    try:
+        refuse_without_overlap(association, truths)
+    except UnusableInput as error:
+        raise UnusableInput(f"{path}: {error}") from error
     stations = {folder.name: folder.rig.stations}
     metrics = evaluate_association(association, stations).overall
     scored = score(association, stations)
