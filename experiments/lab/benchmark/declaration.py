@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from trackwright.experiments.lab.benchmark.motion import Levels
+from trackwright.experiments.lab.validation.sites import SEEN_BY_DEFAULTS
 
 MOST_READINGS = 6_000
 """Readings of a recording that every estimator is given, from its beginning."""
@@ -81,12 +82,10 @@ LEVELS: Mapping[str, Mapping[str, Levels]] = MappingProxyType({
 """Noise levels of a group of estimators by kind of readings."""
 
 DEVELOPMENT: Mapping[str, tuple[str, ...]] = MappingProxyType({
-    "ranges": (
-        "starloc-fast-s1", "starloc-2d-s5", "rcv-drone-3", "iasl-drone-1", "lias-planar-fast", "labyrinth",
-        "ngbui-line-1-1", "ngbui-line-2-1",
-    ),
-    "tdoa": ("util-c1-t1-tdoa2", "util-c1-t1-tdoa3", "util-c4-t5-tdoa2"),
-    "bearings": ("ble51-walk-u1-r1", "ble51-walk-u2-r1", "ble51-walk-u3-r1"),
-    "fixes": ("tiers-1tag-01",),
+    kind: SEEN_BY_DEFAULTS[tracker]
+    for kind, tracker in (("ranges", "uwb"), ("tdoa", "tdoa"), ("bearings", "bearings"), ("fixes", "fix-mirror"))
 })  # fmt: skip
-"""The recordings on which levels were chosen, ours as those of others, by kind of readings."""
+"""The recordings on which levels were chosen, by kind of readings: those that set the defaults of a tracker of ours.
+
+That of fixes is another one than the tracker that is compared, `fix-kf`.
+"""

@@ -31,6 +31,10 @@ POSITION_STD, VELOCITY_STD = 1.0, 1.0
 """Standard deviations of a start, m and m/s; its velocity is zero."""
 
 
+class NotRead(Exception):  # noqa: N818 - no fault: there is no estimate to compare
+    """A recording has not the readings that an estimator takes."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """The N readings of one tag in the order of time.

@@ -16,8 +16,7 @@ import polars as pl
 from trackwright.experiments.lab.benchmark.declaration import ESTIMATORS, LEVELS, Estimator
 from trackwright.experiments.lab.benchmark.motion import Levels
 from trackwright.experiments.lab.benchmark.motion import Path as Estimated
-from trackwright.experiments.lab.benchmark.problems import Problem
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.experiments.lab.benchmark.problems import NotRead, Problem
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -31,7 +30,7 @@ FAILED = ".failed"
 def run(estimator: Estimator, folder: RecordingFolder, given: Sequence[Problem]) -> pl.DataFrame:
     """The estimates of all tags, whose readings are `given`, with the columns of `track`, and `CPU`.
 
-    Raises UnusableInput where the estimator does not read such recordings, and what its library raises.
+    Raises NotRead where the estimator does not read such recordings, and what its library raises.
     """
     module, _, name = estimator.run.partition(":")
     function = getattr(import_module(f"trackwright.experiments.lab.benchmark.adapters.{module}"), name)
@@ -40,7 +39,7 @@ def run(estimator: Estimator, folder: RecordingFolder, given: Sequence[Problem])
         rows = sum(len(problem.times) for problem in given) or len(table)
         return _completed(table, folder, seconds / rows)
     if not given:
-        raise UnusableInput(f"{folder.name}: other readings than ranges, their differences, bearings and fixes")
+        raise NotRead(f"{folder.name}: other readings than ranges, their differences, bearings and fixes")
     tables, seconds = [], 0.0
     for problem in given:
         path, took = _timed(partial(function, problem, levels_of(estimator, problem)), estimator.compiled)
@@ -65,7 +64,7 @@ def write(root: Path, name: str, folder: RecordingFolder, given: Sequence[Proble
         table = run(estimator, folder, given)
     except ModuleNotFoundError:
         raise
-    except UnusableInput:
+    except NotRead:
         return None
     except Exception as error:  # A library may raise anything.
         reason = f"{type(error).__name__}: {str(error).strip().splitlines()[0] if str(error).strip() else ''}"

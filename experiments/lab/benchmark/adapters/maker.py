@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.experiments.lab.benchmark.problems import NotRead
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 
 def fixes(folder: RecordingFolder) -> pl.DataFrame:
-    """The estimates of all tags; raises UnusableInput for a recording without fixes."""
+    """The estimates of all tags; raises NotRead for a recording without fixes."""
     for name in ("maker_fixes", "fixes"):
         if name in folder.tables:
             return folder.tables[name].select("t_s", "tag", "x_m", "y_m", "z_m")
-    raise UnusableInput(f"{folder.name}: the maker's fixes are not recorded")
+    raise NotRead(f"{folder.name}: the maker's fixes are not recorded")

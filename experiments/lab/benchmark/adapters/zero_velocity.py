@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from trackwright.experiments.lab.benchmark.motion import Levels, Path, transition
-from trackwright.experiments.lab.benchmark.problems import Problem, beginning
+from trackwright.experiments.lab.benchmark.problems import NotRead, Problem, beginning
 from trackwright.experiments.lab.benchmark.readings import gradient, predicted
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.columns import float_column
 
 AT_REST_MPS2 = 0.5
@@ -26,11 +25,11 @@ COLUMNS = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "qw", "qx", "qy", "qz
 def estimate(problem: Problem, levels: Levels) -> Path:
     """The filtered path of a tag at a known height; the levels are the author's.
 
-    Raises UnusableInput for a recording without accelerations that are free of gravity, or whose height is not known.
+    Raises NotRead for a recording without accelerations that are free of gravity, or whose height is not known.
     """
     imu = problem.folder.tables.get("imu")
     if imu is None or "qw" not in imu.columns or problem.kind != "ranges" or problem.dimensions != 2:
-        raise UnusableInput(f"{problem.folder.name}: no acceleration without gravity at a known height")
+        raise NotRead(f"{problem.folder.name}: no acceleration without gravity at a known height")
     inertial = np.column_stack([float_column(imu, name) for name in COLUMNS])
     imu_times = float_column(imu, "t_s")
     times = np.concatenate([imu_times, problem.times])

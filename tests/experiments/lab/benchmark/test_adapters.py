@@ -15,10 +15,9 @@ from scipy.optimize import least_squares
 from trackwright.experiments.lab.benchmark.adapters import optimum, plain, robust_map, zero_velocity
 from trackwright.experiments.lab.benchmark.declaration import ESTIMATORS
 from trackwright.experiments.lab.benchmark.motion import Levels, diffusion, transition
-from trackwright.experiments.lab.benchmark.problems import beginning, problems
+from trackwright.experiments.lab.benchmark.problems import NotRead, beginning, problems
 from trackwright.experiments.lab.benchmark.readings import WIDTHS, gradient, predicted
 from trackwright.experiments.lab.benchmark.worlds import WORLDS, simulated
-from trackwright.trackers.core.errors import UnusableInput
 
 ROWS = 60
 LEVELS = Levels(0.2, 0.15)
@@ -133,7 +132,7 @@ def test_the_optimum_of_a_world_has_the_covariance_of_its_errors():
         squares.append(np.einsum("ni,ni->n", errors, np.linalg.solve(path.covariances, errors[..., None])[..., 0]) / 3)
     # Errors of a path last for a second, so that three paths of 30 s are about a hundred samples of three numbers.
     assert 0.75 < np.mean(squares) < 1.25
-    with pytest.raises(UnusableInput, match="no simulated world"):
+    with pytest.raises(NotRead, match="no simulated world"):
         optimum.filtered(dataclasses.replace(one, folder=dataclasses.replace(folder, name="elsewhere")), None)
 
 

@@ -12,7 +12,6 @@ from trackwright.experiments.lab.benchmark.readings import CHANNELS
 from trackwright.experiments.lab.benchmark.running import FAILED
 from trackwright.experiments.lab.benchmark.scoring import cell, difference
 from trackwright.experiments.lab.benchmark.worlds import WORLDS, simulated
-from trackwright.experiments.lab.validation.sites import SEEN_BY_DEFAULTS
 
 NAME = "world-ranges-2d"
 
@@ -45,11 +44,21 @@ def test_the_figures_of_a_table_are_those_computed_by_hand(world, tmp_path):
     assert (one.cpu, one.missing, one.failed) == (3.5, 0.0, "")
 
 
-def test_rows_without_an_estimate_are_counted_and_not_scored(world, tmp_path):
+@pytest.mark.parametrize(
+    ("kept", "missing"),
+    [
+        (pl.col("tag") == "1", 2 / 3),
+        # Readings are 50 ms apart; those of the second after the last estimate are near it.
+        (pl.col("t_s") < 3.0, 1 - 80 / 600),
+        (pl.int_range(pl.len()) % 4 > 0, 0.0),
+    ],
+)
+def test_readings_far_from_any_estimate_of_their_tag_are_missing(world, tmp_path, kept, missing):
     table, _ = _estimates(world)
-    holed = table.with_columns(x_m=pl.when(pl.int_range(pl.len()) % 4 > 0).then("x_m"))
-    holed.write_csv(tmp_path / f"{NAME}.csv")
-    assert cell(tmp_path / f"{NAME}.csv", world).missing == pytest.approx(0.25)
+    table.with_columns(x_m=pl.when(kept).then("x_m")).write_csv(tmp_path / f"{NAME}.csv")
+    table.filter(kept).write_parquet(tmp_path / f"{NAME}.parquet")
+    for suffix in ("csv", "parquet"):
+        assert cell(tmp_path / f"{NAME}.{suffix}", world).missing == pytest.approx(missing)
 
 
 def test_a_difference_has_the_sign_of_the_worse_and_an_interval_without_zero(world, tmp_path):
@@ -66,6 +75,12 @@ def test_a_failure_is_its_reason(world, tmp_path):
     assert cell(path, world).failed == "LinAlgError: singular"
 
 
+def test_estimates_that_are_all_nan_are_a_failure(world, tmp_path):
+    table, _ = _estimates(world)
+    table.with_columns(x_m=pl.lit(np.nan)).write_parquet(tmp_path / f"{NAME}.parquet")
+    assert cell(tmp_path / f"{NAME}.parquet", world).failed == "none of 1800 rows has a finite estimate"
+
+
 def test_a_submitted_folder_of_trajectories_is_scored(world, tmp_path):
     truth = world.tables["truth"].filter(tag="1")
     table, _ = _estimates(world)
@@ -80,7 +95,33 @@ def test_a_submitted_folder_of_trajectories_is_scored(world, tmp_path):
         [truth.select("t_s", "x_m", "y_m", "z_m").to_numpy(), np.tile([0, 0, 0, 1.0], (len(truth), 1))]
     )
     np.savetxt(tmp_path / f"{NAME}.tum", poses)
-    assert_refused(trackwright("benchmark", "--mine", tmp_path / f"{NAME}.tum"), "names no tag")
+    assert_refused(trackwright("benchmark", "--mine", tmp_path / f"{NAME}.tum"), "names no tag", "add a column tag")
+    table.write_parquet(place / f"{NAME}.parquet")
+    assert_refused(trackwright("benchmark", "--mine", tmp_path / "estimates"), f"{NAME}.csv", f"{NAME}.parquet")
+
+
+@pytest.mark.parametrize(
+    ("changed", "found"),
+    [
+        ({"cpu_us": pl.lit("fast")}, "cpu_us: 'fast'; expected a number"),
+        ({"std_x_m": pl.lit(-0.1)}, "std_x_m: -0.1, expected a standard deviation above zero"),
+        ({"t_s": pl.col("t_s").cast(pl.Duration)}, "column t_s has type"),
+    ],
+)
+def test_a_column_that_is_not_of_numbers_is_named_with_its_file(world, tmp_path, changed, found):
+    path = tmp_path / f"{NAME}.parquet"
+    _estimates(world)[0].with_columns(**changed).write_parquet(path)
+    assert_refused(trackwright("benchmark", "--mine", path), path.name, found)
+    _estimates(world)[0].drop("x_m").write_parquet(path)
+    assert_refused(trackwright("benchmark", "--mine", path), path.name, "no column x_m")
+    _estimates(world)[0].with_columns(pl.col("t_s") + 1e6).write_parquet(path)
+    assert_refused(trackwright("benchmark", "--mine", path), path.name, "no estimate lies inside a truth")
+
+
+def test_an_unknown_processor_time_is_left_out(world, tmp_path):
+    path = tmp_path / f"{NAME}.parquet"
+    _estimates(world)[0].with_columns(cpu_us=None).write_parquet(path)
+    assert cell(path, world).cpu is None
 
 
 def test_what_cannot_be_scored_is_refused_in_a_line(tmp_path):
@@ -95,5 +136,4 @@ def test_the_declaration_is_complete():
     assert groups == set(LEVELS)
     assert all(set(of_kind) == set(CHANNELS) for of_kind in LEVELS.values())
     assert len(WORLDS) == 5
-    trackers = {"ranges": "uwb", "tdoa": "tdoa", "bearings": "bearings", "fixes": "fix-mirror"}
-    assert {kind: DEVELOPMENT[kind] for kind in trackers} == {k: SEEN_BY_DEFAULTS[t] for k, t in trackers.items()}
+    assert set(DEVELOPMENT) == set(CHANNELS)
