@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Folder, Seconds
+from trackwright.experiments.cli.options import File, Folder, Seconds, Table
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.exchange.formats import FORMATS
 
@@ -27,8 +27,6 @@ FormatName = Annotated[
     ),
 ]
 """A format by name, or a user's own."""
-
-Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
 
 
 def import_source(
@@ -141,8 +139,9 @@ def import_source(
         notice(f"notice: {out}: {line}")
     rows = ", ".join(f"{table} {counted(len(rows), 'row')}" for table, rows in tables.items())
     own = "" if set(tables) <= {*get_args(Table)} else " --tracker FILE.py:NAME"
-    follows = "check" if written.rig.anchors or "ranges" not in written.tables else "survey"
-    print(f"wrote {out}: {rows}; next: trackwright {follows} {out}{own}")
+    surveyed = "ranges" in written.tables and not written.rig.anchors
+    follows = f"survey {out} --out SITE/rig.toml" if surveyed else f"check {out}{own}"
+    print(f"wrote {out}: {rows}; next: trackwright {follows}")
     return 0
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Recording
+from trackwright.experiments.cli.options import File, Recording, require_output
 from trackwright.trackers.core.errors import UnusableInput
 
 Names = Annotated[str, Parameter(metavar="A1,A2,…")]
@@ -46,6 +46,7 @@ def survey(
         raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give rig.toml in a folder")
     if out.exists() and not force:
         raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    require_output(out.parent)
     from trackwright.experiments.cli.console import checked, json_alone, output_folder
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Recording
+from trackwright.experiments.cli.options import File, Recording, require_output
 from trackwright.trackers.core.errors import UnusableInput
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ def watch(
         raise UnusableInput(f"--out {out}: expected a file with the ending .png or .pdf; give watch.png in a folder")
     if out is not None and out.exists() and not force:
         raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    if out is not None:
+        require_output(out.parent)
     from trackwright.experiments.cli.console import checked, json_alone, output_folder
     from trackwright.experiments.cli.runtime import keep_programs
     from trackwright.trackers.recordings.folder import read_recordings

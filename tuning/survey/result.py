@@ -87,7 +87,7 @@ class Survey(ABC):
     def reading(self) -> str:
         """How to read the rows."""
         return (
-            "± half the 95 % interval; in brackets: not determined. As errors last, intervals are "
+            "± half the 95 % interval; in parentheses: not determined. As errors are correlated in time, intervals are "
             f"{self.effect**0.5:.1f} times as wide as with independent ones."
         )
 

@@ -159,7 +159,7 @@ class Watch:
         stated = f"at most {self.alarms_a_day:g} false alarm{'s' * (self.alarms_a_day != 1)} a day"
         ground = [
             f"watched {self.minutes:.1f} min against {self.site.seconds / 60:.1f} min of normal operation, {stated}; "
-            f"told are changes from: {', '.join(self.reach())}"
+            f"smallest change that is told: {', '.join(self.reach())}"
         ]
         if self.unseen > 0.05:
             ground.append(

@@ -36,6 +36,9 @@ def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks
     assert {path.name for path in out.parent.iterdir()} == {"rig.toml", "rig.html", "rig.png"}
     assert "determined" in out.with_suffix(".html").read_text("utf-8")
     assert_refused(trackwright("survey", *folders, "--out", out), "exists", "--force")
+    assert_refused(trackwright("survey", *folders, "--out", folders[0] / "new.toml"), "is a recording folder")
+    again = trackwright("survey", folders[1], "--given", "all", "--sigma", "0.1", "--out", out, "--force")
+    assert "is a recording folder" not in again.err  # a folder with a rig.toml alone takes results
 
 
 @pytest.mark.parametrize(

@@ -226,7 +226,7 @@ function drawnWords(recording) {
       "the largest error" + (recording.tracks.length < recording.trackCount
         ? `; of ${recording.tracks.length} of ${recording.trackCount} tracks, evenly over the ranks by error.` : "."));
   }
-  if (recording.residuals.every > 1) words.push(`Residuals over time: every ${recording.residuals.every}th.`);
+  if (recording.residuals.every > 1) words.push(`Residuals over time: one in ${recording.residuals.every}.`);
   if (recording.eventCount > recording.events.length) words.push(`${recording.events.length} of ${recording.eventCount} events are marked.`);
   if (words.length) words.push("All other charts and the metrics use every row.");
   const { recordings, recordingCount } = state.run;
