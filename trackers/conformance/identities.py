@@ -185,6 +185,8 @@ def _check_resume(ran: Ran, causal: bool) -> str:
         raise NotApplicable("a smoothed estimate depends on later rows, also across a cut")
     *others, longest = ran.recordings
     pieces, state = _Pieces([r for r in others if len(r) > CUTS], longest), None
+    if not pieces.recordings:
+        raise NotApplicable(f"no recording but the longest has more than {CUTS} rows, to be cut {CUTS} times")
     for j in range(CUTS + 1):
         run = ran.tracker.run(pieces.piece(j), initial=state)
         state = run.final

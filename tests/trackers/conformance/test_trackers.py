@@ -17,6 +17,7 @@ from tests.trackers.conformance.own_trackers import (
     kalman,
     recordings,
 )
+from trackwright.trackers.recordings.trajectories import cut
 
 
 def _and(add):
@@ -149,6 +150,12 @@ def test_a_tracker_that_is_no_filter_passes_all_checks_that_apply():
     report = tw.check_tracker(averaged(), recordings(3))
     assert not report.failures, report
     assert {one.name for one in report if one.outcome == "skip"} == {"conditioning", "consistency"}
+
+
+def test_recordings_that_are_too_short_to_be_cut_are_no_evidence_of_a_resumed_run():
+    short = [*recordings(), *(cut(r, 0, 3) for r in recordings(5))]
+    found = {str(c): c for c in tw.tracker_checks(averaged(forgets=True), short)}["cut and resume"].result
+    assert (found.outcome, found.sentence[:35]) == ("skip", "no recording but the longest has mo"), found
 
 
 def test_a_tracker_that_reads_inputs_or_is_no_filter_needs_recordings():
