@@ -48,6 +48,4 @@ def integral(
 
 def beyond(x: float, dof: float | None) -> float:
     """The probability beyond ± x of the standard normal, or of Student's t with `dof` degrees of freedom."""
-    return (
-        math.erfc(x / math.sqrt(2)) if dof is None else float(scipy.special.betainc(dof / 2, 0.5, dof / (dof + x * x)))
-    )
+    return 2 * float(scipy.stats.t.sf(x, math.inf if dof is None else dof))

@@ -38,18 +38,32 @@ def importer_checks(
     """
     source, name = Path(path), getattr(importer, "__name__", type(importer).__name__)
 
-    def recording_of(log: Path) -> RecordingFolder:
-        frames = importer(log)
+    def recording_of(frames: Any) -> RecordingFolder:
         if not isinstance(frames, Mapping) or not frames:
             raise BrokenContract(
-                f"{name} gives {type(frames).__name__} of {log.name}, expected frames by the names of tables; usual "
+                f"{name} gives {type(frames).__name__} of {source.name}, expected frames by the names of tables; usual "
                 "fix: return {'ranges': frame}"
             )
         return import_frames(frames, rig, tag=tag)
 
+    def contents() -> dict[Path, bytes]:
+        """The files of the log; beside one that is no folder only the names of others, which may be large."""
+        if source.is_dir():
+            return {file: file.read_bytes() for file in source.rglob("*") if file.is_file()}
+        return {file: file.read_bytes() if file.name == source.name else b"" for file in source.parent.iterdir()}
+
+    before = cache(contents)
+
     @cache
     def whole() -> RecordingFolder:
-        return recording_of(source)
+        before()
+        return recording_of(importer(source))
+
+    def other_tables(tables: Mapping[str, pl.DataFrame]) -> list[str]:
+        """The names of tables that differ from those of the whole log."""
+        expected, none = whole().tables, pl.DataFrame()
+        names = sorted({*expected, *tables})
+        return [one for one in names if not expected.get(one, none).equals(tables.get(one, none))]
 
     @cache
     def text() -> str:
@@ -66,13 +80,16 @@ def importer_checks(
             log = Path(scratch) / source.name
             log.write_bytes(lines.encode("utf-8"))
             try:
-                return dict(recording_of(log).tables)
+                frames = importer(log)
+                return {} if isinstance(frames, Mapping) and not frames else dict(recording_of(frames).tables)
             except UnusableInput:
                 return None
 
     def refused_or_raised(lines: str, what: str) -> dict[str, pl.DataFrame] | None:
         try:
             return of_text(lines)
+        except BrokenContract:
+            raise
         except Exception as error:
             raise BrokenContract(
                 f"{name} stops at {what} by {type(error).__name__}: {one_line(error)[:100]}, expected UnusableInput; "
@@ -89,17 +106,18 @@ def importer_checks(
         return f"rows: {listed(sizes)}"
 
     def check_again() -> None:
-        files = sorted(source.rglob("*")) if source.is_dir() else [source]
-        before = [file.read_bytes() for file in files if file.is_file()]
-        other = recording_of(source).tables
-        changed = [table for table, rows in whole().tables.items() if not rows.equals(other.get(table, rows.clear()))]
+        changed = other_tables(recording_of(importer(source)).tables)
         if changed:
             raise BrokenContract(
                 f"{name} gives another table {listed(changed)} when the log is read again, expected the same; usual "
                 "fix: nothing kept between calls, and no set whose order differs"
             )
-        if [file.read_bytes() for file in files if file.is_file()] != before:
-            raise BrokenContract(f"{name} changes {source.name}, expected it as it was; usual fix: open it to read")
+        written = sorted({file.name for file, _ in before().items() ^ contents().items()})
+        if written:
+            raise BrokenContract(
+                f"{name} changes {listed(written)}, expected the log and its folder as they were; usual fix: open it "
+                "to read, and write elsewhere"
+            )
 
     def check_recording() -> str:
         found = check(whole())
@@ -116,8 +134,7 @@ def importer_checks(
         ends = {"\\n": plain, "\\r\\n": plain.replace("\n", "\r\n")}
         for words, lines in ends.items():
             tables = refused_or_raised(lines, f"lines that end with {words}")
-            expected = whole().tables
-            if tables is None or not all(rows.equals(tables.get(t, rows.clear())) for t, rows in expected.items()):
+            if tables is None or other_tables(tables):
                 raise BrokenContract(
                     f"{name} gives other tables where lines end with {words}, expected the same; usual fix: "
                     "path.read_text().splitlines(), which knows both"

@@ -153,7 +153,7 @@ def sensor_checks(
         with jax.enable_x64(True):
             by_jax, by_differences = _whitened_jacobians(freeze(arrays(sensor)), arrays(view), inputs, reported, name)
         error, size = np.abs(by_jax - by_differences), max(np.abs(by_differences).max(), 1e-9)
-        if error.max() > 1e-4 * size:
+        if not error.max() <= 1e-4 * size:
             channel, component = np.unravel_index(int(np.argmax(error)), error.shape)
             raise BrokenContract(
                 f"the derivative of {name}'s whitened {names[channel]} by {component_names(here)[component]} is "

@@ -66,7 +66,8 @@ class Sums:
         """Raises unless a recording alone has the estimates that it has in a batch, to rounding."""
         with jax.enable_x64(True):
             alone = eqx.filter_jit(filter_batch)(self.model, self.batch.columns(0, 1))
-        pairs = zip(*(jax.tree_util.tree_leaves((x.mean, x.cov, *x[2:6])) for x in (alone, self.output)), strict=True)
+        numbers = ((x.mean, x.cov, x.log_likelihood, x.nis, x.nis_dof, x.wrapped) for x in (alone, self.output))
+        pairs = zip(*map(jax.tree_util.tree_leaves, numbers), strict=True)
         apart = max(_in_roundings(np.asarray(a)[..., 0], np.asarray(b)[..., 0]) for a, b in pairs)
         if not apart <= 1.0:
             raise BrokenContract(

@@ -104,7 +104,7 @@ def _compare_conditioned(world: World, estimates: Estimates, expected: Condition
     mean = np.array([float(x) for x in coordinates(jax.tree_util.tree_map(lambda x: x[0, last], estimates.mean))[0]])
     cov, sigmas = np.asarray(estimates.covariance)[0, last], np.sqrt(np.diagonal(expected.cov))
     spread = np.abs(cov - expected.cov) / np.outer(sigmas, sigmas)
-    if spread.max() > 1e-5:
+    if not spread.max() <= 1e-5:
         i, j = np.unravel_index(int(np.argmax(spread)), spread.shape)
         raise BrokenContract(
             f"the last covariance of {names[i]} and {names[j]} is {cov[i, j]:.6g}, given all readings "
@@ -112,13 +112,13 @@ def _compare_conditioned(world: World, estimates: Estimates, expected: Condition
             "F P Fᵀ + G Gᵀ"
         )
     off = np.abs(mean - expected.mean) / sigmas
-    if off.max() > 1e-5:
+    if not off.max() <= 1e-5:
         raise BrokenContract(
             f"the last estimate of {names[int(off.argmax())]} is off the mean given all readings by {off.max():.3g} "
             "standard deviations; usual fix: the gain is P Hᵀ S⁻¹, and the mean moves by it times the innovation"
         )
     mine = float(np.sum(estimates.log_likelihood[0]))
-    if abs(mine - expected.log_likelihood) > 1e-6 * abs(expected.log_likelihood) + 1e-6:
+    if not abs(mine - expected.log_likelihood) <= 1e-6 * abs(expected.log_likelihood) + 1e-6:
         n_seen = sum(int(np.sum(r.seen)) for r in world.recordings[0].readings.values())
         raise BrokenContract(
             f"the log-likelihood is {mine:.8g}, that of the joint normal distribution of all readings "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import polars as pl
@@ -66,6 +67,27 @@ def test_another_shape_of_predictions_and_too_few_anchors_are_named():
     assert "though the column is positive" in tw.check_kind(positive, RIG).failures[0].sentence
 
 
+def test_a_kind_is_checked_as_it_is_given_where_another_has_its_name(monkeypatch):
+    other = _kind(lambda p, s: _lengths(p, s) + 9.0)
+    monkeypatch.setitem(KINDS, "bistatic", other)
+    report = tw.check_kind(_kind(averaged=True), RIG)
+    assert not report.failures, report
+    assert KINDS["bistatic"] is other
+    # Whether readings may be averaged is not compared with anything.
+    assert next(one.sentence for one in report if one.name == "declared") == "no bound that predictions could exceed"
+    positive = tw.check_kind(_kind(positive=True), RIG)
+    assert next(one.sentence for one in positive if one.name == "declared") == "as declared: positive"
+
+
+def test_the_reading_that_is_not_a_number_is_named():
+    def predicted(positions, sensors):
+        last = np.arange(len(positions))[:, None] == 99
+        return np.where(last & (len(positions) == 100), np.nan, _lengths(positions, sensors))
+
+    report = tw.check_kind(_kind(predicted), RIG)
+    assert "value 0 of reading 99 is nan for half of the rows" in report.failures[0].sentence
+
+
 @pytest.fixture
 def log(tmp_path):
     """A log of one tag's ranges, `seconds anchor metres`, on a circle."""
@@ -89,14 +111,22 @@ def _counting(path):
     return _ranges(path)
 
 
+def _caching(path):
+    cache = path.with_name("cache.txt")
+    if not cache.exists():
+        cache.write_text("read", encoding="utf-8")
+        path.write_bytes(path.read_bytes() + b"\n")
+    return _ranges(path)
+
+
+def _adding():
+    calls = count(1)
+    return lambda path: _ranges(path) | ({"fixes": FIX} if next(calls) == 2 else {})
+
+
 def _from_the_end(path):
     frame = _ranges(path)["ranges"].with_columns(pl.col("t_s").cast(float))
     return {"ranges": frame.with_columns(pl.col("t_s") - pl.col("t_s").max())}
-
-
-def _of_two(path):
-    frame = _ranges(path)["ranges"]
-    return {"ranges": frame, "fixes": pl.DataFrame({"t_s": [], "x_m": [], "y_m": [], "z_m": []})}
 
 
 def _strict(path):
@@ -113,8 +143,10 @@ def _ending_in_digits(text):
     return [line for line in text.split("\n") if line[-1:].isdigit()]
 
 
+FIX = pl.DataFrame({"t_s": [0.0], "x_m": [1.0], "y_m": [1.0], "z_m": [1.0]})
+
 IMPORTER_FAULTS = {
-    "again": (_counting, "changes my.log, expected it as it was"),
+    "again": (_counting, "changes my.log, expected the log and its folder as they were"),
     "early end": (_from_the_end, "other rows of ranges for the first half of the log"),
     "line ends": (lambda path: _ranges(path, _ending_in_digits), r"where lines end with \\r\\n"),
     "empty log": (_strict, "stops at an empty log by IndexError: .* raise tw.UnusableInput with the line"),
@@ -125,10 +157,29 @@ IMPORTER_FAULTS = {
 
 @pytest.mark.parametrize("name", IMPORTER_FAULTS)
 def test_a_fault_of_an_importer_is_named_by_its_check(log, name):
-    importer, message = IMPORTER_FAULTS[name]
+    _fails(log, name, *IMPORTER_FAULTS[name])
+
+
+def _fails(log, name, importer, message):
     report = tw.check_importer(importer, log, RIG, "1")
     assert [one.name for one in report.failures] == [name], report
     assert re.search(message, report.failures[0].sentence), report
+    assert report.failures[0].sentence.count("usual fix") == 1
+
+
+def test_files_that_only_the_first_reading_writes_and_tables_that_only_the_second_has_are_named(log):
+    _fails(log, "again", _caching, "changes cache.txt, my.log, expected")
+    log.with_name("cache.txt").unlink()
+    _fails(log, "again", _adding(), "gives another table fixes when the log is read again")
+
+
+def test_no_tables_of_an_empty_log_are_no_rows_and_no_mapping_of_it_is_named(log):
+    def of(nothing):
+        return lambda path: _ranges(path) if path.stat().st_size else nothing
+
+    report = tw.check_importer(of({}), log, RIG, "1")
+    assert (report[-1].name, report[-1].outcome, report[-1].sentence) == ("empty log", "pass", "no rows"), report
+    _fails(log, "empty log", of(None), "gives NoneType of my.log, expected frames by the names of tables")
 
 
 def test_a_sound_importer_passes_and_a_log_that_is_no_text_is_no_text(log, tmp_path):

@@ -11,7 +11,8 @@ import pytest
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.beam import Beam
 from trackwright.trackers.aoa.phases import PlanePhases
-from trackwright.trackers.conformance.motions import check_motion
+from trackwright.trackers.conformance.contract import BrokenContract
+from trackwright.trackers.conformance.motions import check_motion, motion_checks
 from trackwright.trackers.conformance.sensors import check_sensor, sensor_checks
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import (
@@ -82,6 +83,22 @@ class Walk(AbstractMotion):
 )
 def test_a_broken_motion_is_named_with_what_is_wrong(move, check, message):
     _fails(check_motion(Walk(move), Placed(Vector(0.4, 0.7))), check, message)
+
+
+def test_a_derivative_that_is_not_a_number_where_filters_linearise_is_named():
+    class Bent(Ruler):
+        def measure(self, view, inputs):
+            return [view.position[0] + jnp.sqrt(0.0 * view.position[0] ** 2), view.position[1]]
+
+    walk, here = Walk(lambda p, dt, w: Placed(p + w * (dt + dt * jnp.sqrt(w[0] ** 4)))), Placed(Vector(0.4, 0.7))
+    _fails(check_motion(walk, here), "finite", "derivative of Walk.step at dt = 0.0 s is not finite at pos")
+    for checks, message in (
+        (motion_checks(walk, here), "predicts by the derivatives of Walk is nan"),
+        (sensor_checks(Bent(lambda good, *_: good), here), r"whitened x by position\.0 is nan"),
+    ):
+        derivatives = next(check for check in checks if check.name == "derivatives")
+        with pytest.raises(BrokenContract, match=message):
+            derivatives.test()
 
 
 def test_stages_that_are_not_the_step_are_named():

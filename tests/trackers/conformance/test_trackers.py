@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import pytest
 
@@ -12,11 +14,13 @@ from tests.trackers.conformance.own_trackers import (
     Altered,
     AtTheFirst,
     CountedTwice,
+    Places,
     Unsettled,
     averaged,
     kalman,
     recordings,
 )
+from trackwright.trackers.recordings.trajectories import cut
 
 
 def _and(add):
@@ -149,6 +153,29 @@ def test_a_tracker_that_is_no_filter_passes_all_checks_that_apply():
     report = tw.check_tracker(averaged(), recordings(3))
     assert not report.failures, report
     assert {one.name for one in report if one.outcome == "skip"} == {"conditioning", "consistency"}
+
+
+def test_a_tunable_that_a_sensor_has_copied_into_a_constant_is_named():
+    class Copied(Places):
+        constant: float = eqx.field(static=True, default=0.2)
+
+        def residual(self, reading, predicted):
+            off = [z - p for z, p in zip(reading.values, predicted, strict=True)]
+            return tw.independent(off, [self.constant] * 2, reading.seen)
+
+    sound = kalman()
+    for tracker, names in (
+        (sound, ""),
+        (replace(sound, sensors={"places": Copied(sound.sensors["places"].sigma)}), "sensors.places.sigma, "),
+    ):
+        found = {str(c): c for c in tw.tracker_checks(tracker, recordings())}["one program"].result
+        assert f"5 tunables; no estimate depends on {names}track_loss." in found.sentence, found
+
+
+def test_recordings_that_are_too_short_to_be_cut_are_no_evidence_of_a_resumed_run():
+    short = [*recordings(), *(cut(r, 0, 3) for r in recordings(5))]
+    found = {str(c): c for c in tw.tracker_checks(averaged(forgets=True), short)}["cut and resume"].result
+    assert (found.outcome, found.sentence[:35]) == ("skip", "no recording but the longest has mo"), found
 
 
 def test_a_tracker_that_reads_inputs_or_is_no_filter_needs_recordings():
