@@ -69,6 +69,10 @@ def drawn_world(tracker: AbstractTracker, recording: Recording, estimates: Estim
         raise NotApplicable("no row with a running track, whose belief the world could begin with")
     row = int(running[len(running) // 2])
     mean = jax.tree_util.tree_map(lambda x: jnp.asarray(x[row], float), estimates.mean)
+    try:
+        tracker.motion.view(mean)
+    except AttributeError as error:  # of a filter on a path: its estimates are positions, its state is not
+        raise NotApplicable("estimates are not states of the motion, with which the world could begin") from error
     prior = Gaussian(mean, tuple(jnp.asarray(x, float) for x in estimates.cov_upper[:, row]))
     return _world(inert, cut(recording, row, min(row + ROWS, len(recording))), prior, n, seed)
 
