@@ -6,7 +6,9 @@ import re
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import trackwright as tw
@@ -20,6 +22,9 @@ from tests.trackers.conformance.own_trackers import (
     kalman,
     recordings,
 )
+from trackwright.trackers.conformance.dense import conditioned
+from trackwright.trackers.conformance.trackers import _compare_conditioned
+from trackwright.trackers.conformance.worlds import drawn_world
 from trackwright.trackers.recordings.trajectories import cut
 
 
@@ -132,6 +137,23 @@ def test_moments_that_are_not_those_of_conditioning_are_named(change, message):
     checks = {str(c): c for c in tw.tracker_checks(kalman(Altered(**change)), recordings())}
     found = checks["conditioning"].result
     assert re.search(message, found.sentence), found
+
+
+def test_moments_and_a_likelihood_that_are_not_numbers_are_named():
+    with jax.enable_x64(True):
+        tracker, of_run = kalman(), recordings()
+        world = drawn_world(tracker, of_run[0], tracker.run(of_run)[0], 1, 0)
+        estimates = world.tracker.run(world.recordings, initial=world.prior)
+        expected = conditioned(world, 0)
+        _compare_conditioned(world, estimates, expected)
+        for field, message in (
+            ("cov_upper", "the last covariance of .* is nan, given all readings"),
+            ("mean", "is off the mean given all readings by nan"),
+            ("log_likelihood", "the log-likelihood is nan, that of the joint"),
+        ):
+            gone = jax.tree_util.tree_map(lambda x: np.nan * x, getattr(estimates, field))
+            with pytest.raises(tw.BrokenContract, match=message):
+                _compare_conditioned(world, replace(estimates, **{field: gone}), expected)
 
 
 def test_values_that_are_not_finite_are_named_with_their_row():
