@@ -94,7 +94,9 @@ def packed(values: np.ndarray, kind: str = "f4") -> dict[str, str]:
 
 
 def rounded(value: float | None, digits: int = 4) -> float | None:
-    """The number with so many significant digits; None for one that is not finite, which JSON does not have."""
+    """The number with so many significant digits, a count with all; None for one that is not finite."""
+    if isinstance(value, int):
+        return value
     return None if value is None or not np.isfinite(value) else float(f"{value:.{digits}g}")
 
 

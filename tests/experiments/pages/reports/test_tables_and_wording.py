@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from trackwright.experiments.pages.reports import pages
 from trackwright.experiments.text.evaluation_text import cells
 from trackwright.experiments.text.expectations import Value, with_interval
 from trackwright.experiments.text.tables import aligned, compact_table, markdown, rendered, ruled_table
@@ -47,6 +48,12 @@ def test_digits_follow_the_spread():
     assert rounded(np.nan, 1.0) == "–"
     assert with_interval(Value(0.1234, 0.1204, 0.1264), unit_of("rmse_m", [0.1234])) == "12.34 (12.04 … 12.64)"
     assert with_interval(Value(0.1234, np.nan, np.nan)) == "0.123"
+
+
+def test_a_page_has_four_digits_of_a_number_and_all_of_a_count():
+    assert pages.rounded(0.123456) == 0.1235
+    assert pages.rounded(10766) == 10766
+    assert pages.rounded(np.nan) is None
 
 
 def test_a_rounded_zero_has_no_sign():
