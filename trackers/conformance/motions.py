@@ -21,6 +21,7 @@ from trackwright.trackers.conformance.traced import (
     require_finite,
     same_bits,
     shapes_of,
+    unlike,
 )
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.model.algebra import Scalar, Vector, densify
@@ -90,7 +91,7 @@ def motion_checks(
         same_tree = jax.tree_util.tree_structure(after) == jax.tree_util.tree_structure(here)  # type: ignore[operator]
         if not same_tree or shapes_of(after) != shapes_of(here):
             raise BrokenContract(
-                f"{name}.step returns {described(after)}, expected a state like the given one: {described(here)}; "
+                f"{name}.step returns {unlike(after, here)}, expected a state like the given one: {described(here)}; "
                 "usual fix: the same class, with a scalar for a scalar"
             )
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -96,6 +97,23 @@ def shapes_of(tree: Any) -> list[tuple[int, ...]]:
 def described(tree: Any) -> str:
     """The type of a tree and its shapes, in words."""
     return f"{type(tree).__name__} with shapes {shapes_of(tree)}"
+
+
+def unlike(found: Any, expected: Any) -> str:
+    """What is found, in words that tell it from what is expected."""
+    if type(found) is not type(expected):
+        same = " of another class of that name, whose file was run twice" * (
+            type(found).__name__ == type(expected).__name__
+        )
+        return described(found) + same
+    fields: Sequence[str] = getattr(expected, "_fields", ()) or getattr(expected, "__dataclass_fields__", ())
+    pairs = [(field, getattr(found, field), getattr(expected, field)) for field in fields]
+    kinds = [
+        f"{field}: {type(one).__name__} for {type(other).__name__}"
+        for field, one, other in pairs
+        if type(one) is not type(other) and not eqx.is_array_like(other)
+    ]
+    return described(found) + (f" ({', '.join(kinds)})" if kinds else "")
 
 
 def require_finite(what: str, values: Any, names: Sequence[str]) -> None:

@@ -1,6 +1,7 @@
 """The checks of motions and sensors name what is wrong with parts that break their contracts."""
 
 import re
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,6 +15,7 @@ from trackwright.trackers.aoa.phases import PlanePhases
 from trackwright.trackers.conformance.contract import BrokenContract
 from trackwright.trackers.conformance.motions import check_motion, motion_checks
 from trackwright.trackers.conformance.sensors import check_sensor, sensor_checks
+from trackwright.trackers.conformance.traced import unlike
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import (
     AbstractMotion,
@@ -21,6 +23,7 @@ from trackwright.trackers.core.model.motion import (
     Placed,
 )
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual, independent
+from trackwright.trackers.core.model.state import Heading
 
 
 def _fails(report, check, message):
@@ -232,3 +235,18 @@ def test_a_sensor_that_reads_a_field_that_the_view_lacks_is_named_with_those_it_
     _fails(check_sensor(Broken(sound), here), "measure", "AttributeError: .*pie")
     with pytest.raises(AttributeError, match="pie"):
         sensor_checks(Broken(sound), here)[0]()
+
+
+class Turned(NamedTuple):
+    """A position with a heading."""
+
+    position: Vector
+    heading: Heading
+
+
+def test_a_state_of_another_kind_is_told_from_the_expected_one_though_its_numbers_are_as_many():
+    there = Turned(Vector(1.0, 2.0), Heading(0.5))
+    assert unlike(Turned(there.position, jnp.asarray(0.5)), there).endswith("(heading: ArrayImpl for Heading)")
+    again = NamedTuple("Turned", [("position", Vector)])(there.position)
+    assert unlike(again, there).endswith("of another class of that name, whose file was run twice")
+    assert unlike(Placed(there.position), there) == "Placed with shapes [(), ()]"
