@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from trackwright.trackers.core.model.rig import angles_in_array
+from trackwright.trackers.core.model.rig import angle_slopes, angles_in_array
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.survey.walks import AVERAGE, Walk, pieces
 
@@ -47,12 +47,7 @@ class BearingWalk(Walk):
         self, sensors: Float[np.ndarray, "S 8"], path: Float[np.ndarray, "knots d"]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n U"]]:
         local, gain = self._in_arrays(sensors, path), self._gains(sensors)
-        x, y, z = local.T
-        flat = np.maximum(x**2 + z**2, 1e-9)
-        over, across = flat + y**2, np.sqrt(flat)
-        azimuth = np.stack([z / flat, np.zeros_like(x), -x / flat], axis=1)
-        elevation = np.stack([-x * y / across, across, -z * y / across], axis=1) / over[:, None]
-        slope = gain[:, None] * np.where(self.angle[:, None] == 0, azimuth, elevation)
+        slope = gain[:, None] * angle_slopes(local.T)[np.arange(len(local)), self.angle]
         units = np.einsum("nij,nj->ni", rotations(sensors, self.references)[self.station], slope)
         turned = np.einsum("nji,nj->ni", right_jacobians(sensors[:, TURN])[self.station], np.cross(slope, local))
         partial = np.zeros((len(local), len(sensors), UNKNOWNS))

@@ -15,9 +15,10 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
+from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
 from trackwright.trackers.recordings.kinds import wrapped
 from trackwright.tuning.watch.normal import Normal, place_numbers, scatter_of
-from trackwright.tuning.watch.parity import LOST, Blocks, blocks_of, doubled, located, turned
+from trackwright.tuning.watch.parity import LOST, Blocks, blocks_of, doubled, located
 from trackwright.tuning.watch.readings import SLOT_S, Readings, Source, merged, with_weights
 
 BEFORE, AFTER = 24, 60
@@ -306,7 +307,7 @@ def undone(readings: Mapping[str, Readings], cause: Cause, normal: Normal, cell_
         values[:, 0] -= of["delay"] * constant
     places, axes = sensors.places.copy(), sensors.axes.copy()
     places[ids[0]] += [of["x"], of["y"], of["z"]]
-    axes[ids[0]] = turned(of.get("turn", 0.0)) @ axes[ids[0]]
+    axes[ids[0]] = about_vertical(of.get("turn", 0.0)) @ axes[ids[0]]
     both = doubled(sensors, places, axes)._replace(number=sensors.number + len(sensors.places) * acts[:, None])
     values = wrapped(values, measured.columns)
     twice = measured._replace(ids=measured.ids * 2, values=values, sensors=both)

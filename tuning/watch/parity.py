@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
 from trackwright.trackers.recordings.kinds import Sensors, wrapped
 from trackwright.tuning.watch.readings import OF_ANCHOR, OF_STATION, SLOT_S, Readings, Source
 
@@ -82,7 +83,7 @@ def linearised(each: Readings, sources: Sequence[Source], parameters: bool = Tru
         by_place = [slope(kind.values_at(at, _moved(sensors, slot, move))) for move in moves]
         constant = np.full_like(predicted, 1.0 if slot == 0 else -1.0)
         if kind.angles:
-            turn = sensors._replace(axes=turned(_STEP) @ sensors.axes)
+            turn = sensors._replace(axes=about_vertical(_STEP) @ sensors.axes)
             constant = np.broadcast_to([0.0, 1.0], predicted.shape)
             slopes.append(slope(kind.values_at(at, turn))[..., None])
         slopes += [constant[..., None], np.stack(by_place, axis=2)]
@@ -107,11 +108,6 @@ def doubled(sensors: Sensors, places: np.ndarray, axes: np.ndarray) -> Sensors:
     twice = {name: np.concatenate([getattr(sensors, name)] * 2) for name in ("antennas", "wavelengths")}
     both = {"places": np.concatenate([sensors.places, places]), "axes": np.concatenate([sensors.axes, axes])}
     return sensors._replace(**both, **twice)
-
-
-def turned(angle: float) -> np.ndarray:
-    """The matrix (3, 3) of a turn about the vertical, rad."""
-    return np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
 
 
 def blocks_of(

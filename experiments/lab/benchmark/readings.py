@@ -1,10 +1,12 @@
-"""What a reading is expected to be at a place, for every kind of readings, and its gradient, derived by hand."""
+"""What a reading is expected to be at a place, for every kind of readings, and its gradient."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+
+from trackwright.trackers.core.model.rig import angle_slopes
 
 WIDTHS = {"ranges": 3, "tdoa": 6, "bearings": 12, "fixes": 0}
 """Numbers of the geometry of a reading: an anchor, two anchors, origin and axes of a station, none."""
@@ -39,12 +41,7 @@ def gradient(kind: str, place: np.ndarray, geometry: np.ndarray) -> np.ndarray:
         return np.broadcast_to(np.eye(3), (*place.shape[:-1], 3, 3))
     ray = place - geometry[..., :3]
     if kind == "bearings":
-        x, y, z = np.moveaxis(_in_array(ray, geometry, np), -1, 0)
-        level, zero = x * x + z * z, np.zeros_like(x)
-        root = np.sqrt(level)
-        azimuth = np.stack([z / level, zero, -x / level], -1)
-        elevation = np.stack([-x * y / root, root, -z * y / root], -1) / (level + y * y)[..., None]
-        return np.asarray(np.stack([azimuth, elevation], -2) @ _axes(geometry))
+        return np.asarray(angle_slopes(np.moveaxis(_in_array(ray, geometry, np), -1, 0)) @ _axes(geometry))
     unit = _unit(ray)
     if kind == "tdoa":
         unit = unit - _unit(place - geometry[..., 3:6])

@@ -32,6 +32,7 @@ from trackwright.experiments.lab.validation.surveys import (
     RATE,
     SECONDS,
     lasting_errors,
+    on_walls,
     smooth_path,
 )
 from trackwright.experiments.text.terminal import progress
@@ -251,10 +252,7 @@ def simulated_stations(
     """A recording of a room with its true rig, the stations' unknowns there, and the true path, m."""
     random = np.random.default_rng([seed, 38])
     size, count = random.uniform([5.0, 4.0], [12.0, 10.0]), int(random.integers(4, 9))
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) * size
-    along = np.cumsum(np.append(0.0, np.abs(np.diff(corners, axis=0)).sum(axis=1)))
-    at = (np.arange(count) + random.uniform(0.2, 0.8, count)) / count * along[-1]
-    walls = np.column_stack([np.interp(at, along, column) for column in corners.T])
+    walls = on_walls(size, (np.arange(count) + random.uniform(0.2, 0.8, count)) / count)
     positions = np.column_stack([walls, random.uniform(1.8, 2.8, count)])[random.permutation(count)]
     stations = {}
     for k, position in enumerate(positions):

@@ -20,7 +20,7 @@ from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.text.terminal import progress
 from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.closing import check_closing
-from trackwright.tuning.watch.parity import turned
+from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
 from trackwright.tuning.watch.readings import WATCHED
 
 RECORDINGS = (
@@ -98,7 +98,7 @@ def _mistakes(
         stations = {**rig.stations, a: rig.stations[b], b: rig.stations[a]}
         yield "swapped", (a, b), replace(recording, rig=replace(rig, stations=stations))
         angle = random.choice([-1.0, 1.0]) * random.uniform(np.radians(20.0), np.radians(90.0))
-        axes = Rotation.from_matrix(turned(float(angle)) @ rig.stations[a].world_from_array())
+        axes = Rotation.from_matrix(about_vertical(float(angle)) @ rig.stations[a].world_from_array())
         station = replace(rig.stations[a], rotation=axes.as_quat(scalar_first=True))
         yield "turned", (a,), replace(recording, rig=replace(rig, stations={**rig.stations, a: station}))
     else:

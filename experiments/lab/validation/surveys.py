@@ -195,16 +195,20 @@ def _bound(
     return bound.reshape(-1, 4)[:, :3]
 
 
+def on_walls(size: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """The places (n, 2), m, on the walls of a room of this size (2,) at shares of the way around it."""
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) * size
+    along = np.cumsum(np.append(0.0, np.abs(np.diff(corners, axis=0)).sum(axis=1)))
+    return np.column_stack([np.interp(shares * along[-1], along, column) for column in corners.T])
+
+
 def simulated_site(
     seed: int, heights: Sequence[float | None], lasting: float, seconds: float = SECONDS
 ) -> tuple[list[tw.RecordingFolder], np.ndarray, list[np.ndarray]]:
     """Recordings of a room, `seconds` in all, true anchors (A, 3) and true positions (n, 3) of each epoch, m."""
     random = np.random.default_rng([seed, 35])
     size, count = random.uniform([5.0, 4.0], [12.0, 10.0]), int(random.integers(4, 13))
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) * size
-    along = np.cumsum(np.append(0.0, np.abs(np.diff(corners, axis=0)).sum(axis=1)))
-    at = (np.arange(count) + random.uniform(0.0, 0.6, count)) / count * along[-1]
-    walls = np.column_stack([np.interp(at, along, column) for column in corners.T])
+    walls = on_walls(size, (np.arange(count) + random.uniform(0.0, 0.6, count)) / count)
     anchors = np.column_stack([walls, random.uniform(0.3, 2.8, count)])[random.permutation(count)]
     # Three anchors in a line make no frame.
     ahead, asides = (anchors[1] - anchors[0])[:2], (anchors[2:] - anchors[0])[:, :2]

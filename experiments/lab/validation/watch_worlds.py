@@ -17,9 +17,10 @@ from scipy.interpolate import PchipInterpolator
 from scipy.signal import lfilter
 
 import trackwright as tw
+from trackwright.experiments.lab.validation.surveys import on_walls
 from trackwright.sim.stations import facing
+from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.watch.parity import turned
 
 RATE = 5.0
 """Readings of each source a second, by default."""
@@ -61,11 +62,9 @@ def world_of(seed: int, kind: str) -> World:
     """A room with anchors or stations on its walls."""
     random = np.random.default_rng([seed, 71])
     size, count = np.append(random.uniform([6.0, 5.0], [12.0, 9.0]), 2.8), SITES[kind][0]
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) * size[:2]
-    along = np.cumsum(np.append(0.0, np.abs(np.diff(corners, axis=0)).sum(axis=1)))
-    at = (np.arange(count) + random.uniform(0.0, 0.6, count)) / count * along[-1]
+    walls = on_walls(size[:2], (np.arange(count) + random.uniform(0.0, 0.6, count)) / count)
     heights = np.where(np.arange(count) % 2, random.uniform(2.2, 2.8, count), random.uniform(0.3, 1.0, count))
-    places = np.column_stack([np.interp(at, along, column) for column in corners.T] + [heights])
+    places = np.column_stack([walls, heights])
     middle = np.append(size[:2] / 2, 1.2)
     names = [f"{'S' if kind == 'bearings' else 'A'}{k + 1}" for k in range(count)]
     tags = {"0": tw.Tag(height=SITES[kind][1])}
@@ -178,7 +177,7 @@ def _difference(rig: tw.Rig, change: Change, at: np.ndarray, times: np.ndarray, 
         station = rig.stations[name]
         before = station.angles(at)
         # The turned array sees the tag where the unturned one would see it turned back.
-        about = (at - station.position) @ turned(float(size[0])) + station.position
+        about = (at - station.position) @ about_vertical(float(size[0])) + station.position
         return (
             station.angles(about) - before
             if change.name == "turned"
