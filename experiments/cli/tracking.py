@@ -39,8 +39,6 @@ from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.checks.residuals import delay_against_truth
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.tracker_spec import faults_named
-from trackwright.trackers.recordings.tracks import track
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackwright.trackers.recordings.trajectories import known_height
 
@@ -208,9 +206,8 @@ def _track(
     name, folders = run
     named = build(name, folders, options.free_height)
     notice_unused_calibration(folders, name, named.spec.table)
-    with faults_named(name, "run", named.spec.build):
-        named = options.applied(named)
-        batches = named.batches(folders)
+    named = options.applied(named)
+    batches = named.batches(folders)
     for batch in batches:
         for line in batch.notices:
             notice(f"notice: {line}")
@@ -228,8 +225,7 @@ def _track(
     output_folder(out)
     give_back()
     advance = begin("tracking", sum(len(batch.trajectories) for batch in batches))
-    with faults_named(name, "run", named.spec.build):
-        tracks = track(batches, advance, options.seed)
+    tracks = named.track(batches, advance, seed=options.seed)
     give_back()
     begin("errors and events")
     table, summaries = tracks.table, tracks.summaries

@@ -69,8 +69,14 @@ class NamedTracker:
         `seed`: of the random numbers of filters that draw any. Raises UnusableInput for a recording that lacks what the
         tracker reads, and for values that do not fit it.
         """
+        return self.track(self.batches(recordings), advance, seed=seed)
+
+    def track(
+        self, batches: Sequence[TrackerBatch], advance: Callable[[int], None] = lambda done: None, *, seed: int = 0
+    ) -> Tracks:
+        """The estimates of `batches`, as `run`."""
         with faults_named(self.name, "run", self.spec.build):
-            return track(self.batches(recordings), advance, seed)
+            return track(batches, advance, seed)
 
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers.
