@@ -15,6 +15,7 @@ from trackwright.experiments.lab.benchmark.data import folder_of
 from trackwright.experiments.lab.benchmark.declaration import DEVELOPMENT, ESTIMATORS, OPTIMUM, OURS, SMOOTHED
 from trackwright.experiments.lab.benchmark.scoring import Cell, cell, difference, files
 from trackwright.experiments.lab.cases import Row, Table, cells, machine, numeric, packages
+from trackwright.experiments.lab.validation.sites import DEFAULTS
 from trackwright.experiments.pages.charts.style import LINES, write_panels
 from trackwright.experiments.text.tables import aligned, markdown, replace_tables
 from trackwright.experiments.text.wording import fixed
@@ -22,11 +23,6 @@ from trackwright.trackers.core.errors import UnusableInput
 
 MARK = "trackwright benchmark"
 CHART = "side-by-side.png"
-HOLDS = (0.85, 0.99), (0.5, 2.0)
-"""Limits of the share inside the 95 % ellipses and of NEES/dof within which a covariance holds, those of the page of
-real recordings for default levels.
-"""
-
 APART = (OURS, SMOOTHED, *OPTIMUM)
 """The estimators that ours is not compared with."""
 
@@ -177,7 +173,7 @@ def _tally_row(name: str, tally: Tally) -> Row:
 
 def _summary(name: str, results: Cells) -> Row:
     mine = [of_set[name] for of_set in results.values() if name in of_set]
-    (least, most), (low, high) = HOLDS
+    (least, most), (low, high) = DEFAULTS.honest
     with_covariance = [one for one in mine if one.inside is not None and one.nees is not None]
     held = sum(least <= one.inside <= most and low <= one.nees <= high for one in with_covariance)  # type: ignore[operator]
     missing = [one.missing for one in mine if not one.failed]

@@ -27,12 +27,7 @@ GROUPS: dict[str, Callable[[Problem, Levels], Path]] = {
 """The estimator whose errors choose the levels of its group."""
 
 ACCELERATIONS = (0.1, 0.3, 1.0)
-READINGS = {
-    "ranges": (0.1, 0.2, 0.4, 0.8),
-    "tdoa": (0.1, 0.2, 0.4, 0.8),
-    "bearings": (0.1, 0.2, 0.4, 0.8),
-    "fixes": (0.1, 0.2, 0.4, 0.8),
-}
+READINGS = (0.1, 0.2, 0.4, 0.8)
 
 MOST_READINGS = 500
 """Readings of a recording, from its beginning."""
@@ -55,7 +50,7 @@ def _of_kind(kind: str, small: bool) -> Iterator[Row]:
     given = [[(p, _truth(p)) for p in problems(folder)] for folder in folders]
     groups = {name: f for name, f in GROUPS.items() if name != "gated" or find_spec("filterpy")}
     for group, estimate in groups.items():
-        grid = [Levels(*pair) for pair in product(ACCELERATIONS, READINGS[kind])]
+        grid = [Levels(*pair) for pair in product(ACCELERATIONS, READINGS)]
         means = {levels: _mean(given, estimate, levels) for levels in grid[:: 8 if small else 1]}
         best = min(means, key=means.__getitem__)
         yield {
