@@ -40,23 +40,25 @@ def test_the_bags_of_the_page_are_imported_and_checked_as_it_says(files):
     assert recording.tables["ranges"]["range_m"].is_between(0.1, 12).all()
 
 
-@pytest.mark.slow
-def test_every_command_of_the_page_runs_and_the_covariances_hold_after_the_fit(files):
+def _run(page):
+    """What the commands of a page print, by their first words."""
     outputs = {}
-    for words in bag_tour.commands_of(bag_tour.PAGE.read_text(encoding="utf-8")):
+    for words in bag_tour.commands_of(page.read_text(encoding="utf-8")):
         done = trackwright(*words[1:])
         assert done.code == 0, (words, done.err)
         outputs[" ".join(words[1:3])] = done.out
+    return outputs
+
+
+@pytest.mark.slow
+def test_every_command_of_the_page_runs_and_the_covariances_hold_after_the_fit(files):
+    outputs = _run(bag_tour.PAGE)
     assert "Reported covariances hold" in outputs["tune hall-1"]
 
 
 def test_bags_without_positions_of_anchors_become_a_rig_with_which_a_drive_is_tracked(toured):
     there = toured(bag_tour.survey_tour)
-    outputs = {}
-    for words in bag_tour.commands_of(bag_tour.SURVEY_PAGE.read_text(encoding="utf-8")):
-        done = trackwright(*words[1:])
-        assert done.code == 0, (words, done.err)
-        outputs[" ".join(words[1:3])] = done.out
+    outputs = _run(bag_tour.SURVEY_PAGE)
     assert "next: trackwright survey low" in outputs["import low.mcap"]
     assert "errors: 0" in outputs["check work"]
     assert "the innovations are as the tracker's model expects" in outputs["track work"]
