@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Folder, Seconds, Table
+from trackwright.experiments.cli.options import File, Folder, Seconds
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.exchange.formats import FORMATS
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from trackwright.trackers.exchange.mapping import TableMapping
     from trackwright.trackers.recordings.folder import RecordingFolder
 
+Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
 FormatName = Annotated[
     str,
     Parameter(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -33,9 +33,6 @@ Address = Annotated[str, Parameter(metavar="ADDRESS")]
 
 FigureFormat = Literal["png", "pdf"]
 """The kinds of figures in files, by their endings."""
-
-Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
-"""The tables of a recording."""
 
 
 def _names_of_trackers(context: Any) -> list[str]:
@@ -478,9 +475,13 @@ def run_tracker_files(trackers: str | None) -> None:
 
 def require_output(path: Path) -> None:
     """Raises UnusableInput for a folder that takes no results: a recording, a file, or the root of the file system."""
-    tables = (path / f"{table}{suffix}" for table in get_args(Table) for suffix in (".parquet", ".csv", ".csv.gz"))
-    if (path / "rig.toml").exists() and any(file.exists() for file in tables):
-        raise UnusableInput(f"--out {path}: is a recording folder; expected a folder for results; choose another")
+    if (path / "rig.toml").exists():
+        # polars takes a while to import, which a command without such a folder need not wait for.
+        from trackwright.trackers.recordings.kinds import table_kinds
+        from trackwright.trackers.recordings.table_file import SUFFIXES
+
+        if any((path / f"{table}{suffix}").exists() for table in table_kinds() for suffix in SUFFIXES):
+            raise UnusableInput(f"--out {path}: is a recording folder; expected a folder for results; choose another")
     if path.resolve() == Path(path.resolve().anchor):
         raise UnusableInput(f"--out {path}: is the root of the file system; choose another folder")
     if has_control(str(path)):
