@@ -165,16 +165,24 @@ class Output:
         heading = f"{self.host['cpu']}, {self.host['cores']} cores, {self.began:%Y-%m-%d}, `{' '.join(command)}`."
         print(f"{heading} Load {self.host['load_average'][0]:.1f}.\n")
         for table in tables:
-            text = aligned(cells(table.rows), numeric(table.rows))
-            print("\n".join(filter(None, [table.title, text, table.note])), end="\n\n")
+            print(as_text(table), end="\n\n")
         print(f"Written: {out}")
         if self.page is not None:
-            parts = [
-                [f"### {t.title}" if t.title else "", markdown(cells(t.rows), numeric(t.rows)).strip(), t.note]
-                for t in tables
-            ]
-            text = "\n\n".join(filter(None, [heading, *(part for table in parts for part in table)]))
-            replace_tables(self.page, f"{LAB}.{name}", f"{text}\n")
+            replace_tables(self.page, f"{LAB}.{name}", as_page(heading, tables))
+
+
+def as_text(table: Table) -> str:
+    """A table with its title and its note, for a terminal."""
+    text = aligned(cells(table.rows), numeric(table.rows))
+    return "\n".join(filter(None, [table.title, text, table.note]))
+
+
+def as_page(heading: str, tables: Sequence[Table]) -> str:
+    """The Markdown of tables below a heading, for `replace_tables`."""
+    parts = [
+        [f"### {t.title}" if t.title else "", markdown(cells(t.rows), numeric(t.rows)).strip(), t.note] for t in tables
+    ]
+    return "\n\n".join(filter(None, [heading, *(part for table in parts for part in table)])) + "\n"
 
 
 DEFAULTS = Output()

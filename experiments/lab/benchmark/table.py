@@ -14,10 +14,10 @@ from matplotlib.axes import Axes
 from trackwright.experiments.lab.benchmark.data import folder_of
 from trackwright.experiments.lab.benchmark.declaration import DEVELOPMENT, ESTIMATORS, OPTIMUM, OURS, SMOOTHED
 from trackwright.experiments.lab.benchmark.scoring import Cell, cell, difference, files
-from trackwright.experiments.lab.cases import Row, Table, cells, machine, numeric, packages
+from trackwright.experiments.lab.cases import Row, Table, as_page, as_text, machine, packages
 from trackwright.experiments.lab.validation.sites import DEFAULTS
 from trackwright.experiments.pages.charts.style import LINES, write_panels
-from trackwright.experiments.text.tables import aligned, markdown, replace_tables
+from trackwright.experiments.text.tables import replace_tables
 from trackwright.experiments.text.wording import fixed
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -68,16 +68,14 @@ def show(results: Cells, page: Path | None) -> None:
     """Prints the tables, and writes those of a page with its chart."""
     tables = list(_tables(results))
     for table in tables:
-        print("\n".join(filter(None, [table.title, aligned(cells(table.rows), numeric(table.rows)), table.note])), "\n")
+        print(as_text(table), end="\n\n")
     if page is None:
         return
     write_chart(page.with_name(CHART), results)
     host, command = machine(), "trackwright benchmark --page docs/side-by-side.md"
     versions = ", ".join(f"{name} {text}" for name, text in packages().items())
-    parts = [f"{host['cpu']}, {host['cores']} cores, `{command}`; {versions}."]
-    for table in tables:
-        parts += [f"### {table.title}", markdown(cells(table.rows), numeric(table.rows)).strip(), table.note]
-    replace_tables(page, MARK, "\n\n".join(filter(None, parts)) + "\n")
+    heading = f"{host['cpu']}, {host['cores']} cores, `{command}`; {versions}."
+    replace_tables(page, MARK, as_page(heading, tables))
     print(f"wrote {page} and {CHART}", file=sys.stderr)
 
 
