@@ -54,6 +54,7 @@ def _site(seed, by_place, walks=5, seconds=120.0):
     return [_walk(rng, f"walk {k + 1}", seed if by_place else None, seconds) for k in range(walks)]
 
 
+@pytest.mark.slow
 def test_a_map_is_kept_where_errors_return_with_the_place_and_tracks_get_nearer():
     before, after = [], []
     for seed in range(3):

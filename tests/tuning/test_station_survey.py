@@ -125,7 +125,7 @@ def test_rotations_of_stations_at_known_places_are_found_from_nothing():
     assert np.isfinite(found.rig.stations["S0"].rotation).all()
 
 
-def test_rough_poses_are_refined_and_two_positions_determine_little():
+def test_rough_poses_are_refined():
     folder, *_ = simulated_stations(2, None, 0.0)
     random = np.random.default_rng(2)
     rough = {
@@ -144,6 +144,11 @@ def test_rough_poses_are_refined_and_two_positions_determine_little():
         rotations=np.array([s.rotation for s in rough.values()])), folder.rig)  # fmt: skip
     assert np.sqrt(np.mean(errors[:, 3:] ** 2)) < np.sqrt(np.mean(before[:, 3:] ** 2))
     assert (found.rms < found.rms_before).mean() > 0.5
+
+
+@pytest.mark.slow
+def test_two_positions_determine_little():
+    given, *_ = simulated_stations(2, None, 0.0)
     two = survey(given, given=("S0", "S1"))
     assert not any(all(two.determined(name)) for name in two.names)
     assert two.verdict("S2").startswith(("weak: x, y", "not determined: x, y"))

@@ -179,15 +179,24 @@ def test_a_tilting_tag_at_a_known_height_is_named(folder):
     assert "but tdoa-imu takes a tag with height_m for level: use tdoa, or leave out height_m" in lines[0]
 
 
-def test_a_recording_is_smoothed_from_the_command_line(tmp_path):
+@pytest.fixture
+def room(tmp_path):
     room = tmp_path / "room"
     options = ("--imu", "--n", 1, "--seed", 4, "--rows", 60, "--bias", 0, "--drift", 0, "--hidden", 0)
     assert trackwright("simulate", "tdoa", *options, "--out", room).code == 0
     assert set(read_recording(room).tables) == {"tdoa", "imu", "truth"}
+    return room
+
+
+@pytest.mark.slow
+def test_a_recording_is_smoothed_from_the_command_line(room, tmp_path):
     said = trackwright("track", room, "--tracker", "tdoa-imu", "--smooth", *PLAIN, "--out", tmp_path / "tracks")
     assert said.code == 0, said
     # Seven differences of 10 cm a row.
     assert trackwright("evaluate", tmp_path / "tracks", "--fail-if", "rmse_m > 0.1").code == 0
+
+
+def test_levels_of_motion_are_refused(room, tmp_path):
     refused = trackwright("track", room, "--tracker", "tdoa-imu", "--motion", "auto", "--out", tmp_path / "none")
     assert_refused(refused, "no process noise of the horizontal motion")
 

@@ -56,6 +56,7 @@ def test_every_command_of_the_page_runs_and_the_covariances_hold_after_the_fit(f
     assert "Reported covariances hold" in outputs["tune hall-1"]
 
 
+@pytest.mark.slow
 def test_bags_without_positions_of_anchors_become_a_rig_with_which_a_drive_is_tracked(toured):
     there = toured(bag_tour.survey_tour)
     outputs = _run(bag_tour.SURVEY_PAGE)
