@@ -114,6 +114,8 @@ def test_a_column_that_is_not_of_numbers_is_named_with_its_file(world, tmp_path,
     assert_refused(trackwright("benchmark", "--mine", path), path.name, found)
     _estimates(world)[0].drop("x_m").write_parquet(path)
     assert_refused(trackwright("benchmark", "--mine", path), path.name, "no column x_m")
+    _estimates(world)[0].drop("std_y_m").write_parquet(path)
+    assert_refused(trackwright("benchmark", "--mine", path), path.name, "no column std_y_m; expected std_x_m with")
     _estimates(world)[0].with_columns(pl.col("t_s") + 1e6).write_parquet(path)
     assert_refused(trackwright("benchmark", "--mine", path), path.name, "no estimate lies inside a truth")
 
