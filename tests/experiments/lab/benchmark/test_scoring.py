@@ -126,11 +126,16 @@ def test_an_unknown_processor_time_is_left_out(world, tmp_path):
     assert cell(path, world).cpu is None
 
 
-def test_what_cannot_be_scored_is_refused_in_a_line(tmp_path):
+def test_what_cannot_be_scored_is_refused_in_a_line(tmp_path, monkeypatch):
     assert_refused(trackwright("benchmark", "--mine", tmp_path / "none"), "no such file or folder")
     assert_refused(trackwright("benchmark", "--mine", tmp_path), "no estimates")
     assert_refused(trackwright("benchmark", "--data", "nowhere"), "nowhere")
     assert_refused(trackwright("benchmark", "--estimator", "nobody"), "nobody")
+    (tmp_path / "hall.tum").touch()
+    monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(tmp_path / "none"))
+    monkeypatch.delenv("TRACKWRIGHT_FLIGHTS", raising=False)
+    mine = trackwright("benchmark", "--mine", tmp_path / "hall.tum")
+    assert_refused(mine, "estimates of hall; expected data sets: world-", "name their folder in TRACKWRIGHT_RECORDINGS")
 
 
 def test_the_declaration_is_complete():
