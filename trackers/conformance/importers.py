@@ -46,11 +46,10 @@ def importer_checks(
             )
         return import_frames(frames, rig, tag=tag)
 
-    def contents() -> dict[Path, bytes]:
-        """The files of the log; beside one that is no folder only the names of others, which may be large."""
-        if source.is_dir():
-            return {file: file.read_bytes() for file in source.rglob("*") if file.is_file()}
-        return {file: file.read_bytes() if file.name == source.name else b"" for file in source.parent.iterdir()}
+    def contents() -> dict[Path, tuple[int, int]]:
+        """Sizes and times of what is in the log, or beside one that is no folder."""
+        there = source.rglob("*") if source.is_dir() else source.parent.iterdir()
+        return {file: (of.st_size, of.st_mtime_ns) for file in there if file.exists() for of in [file.stat()]}
 
     before = cache(contents)
 
