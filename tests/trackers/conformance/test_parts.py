@@ -210,6 +210,31 @@ def test_a_sensor_that_predicts_too_few_channels_is_named():
     _fails(report, "measure", r"Short\.measure returns numbers of shapes \[\(\)\], expected 2 scalars: x, y")
 
 
+@pytest.mark.parametrize(
+    ("seen", "message"),
+    [
+        (lambda p: [0.5, 1.0], "Blind.measure by every component of the view is zero"),
+        (lambda p: [jnp.round(p[0]), jnp.round(p[1])], "Blind.measure by every component of the view is zero"),
+        (
+            lambda p: [p[0] * 0 + jax.lax.stop_gradient(p[0]), p[1]],
+            r"x by position\.0 is 0, by difference quotients -10",
+        ),
+        (lambda p: [(p[0] - 0.4) ** 2, (p[1] - 0.7) ** 2], ""),
+    ],
+    ids=["constant", "rounded", "cut", "zero here alone"],
+)
+def test_a_sensor_whose_readings_the_state_does_not_change_is_named(seen, message):
+    class Blind(Ruler):
+        def measure(self, view, inputs):
+            return [jnp.asarray(z) for z in seen(view.position)]
+
+    report = check_sensor(Blind(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7)))
+    if message:
+        _fails(report, "derivatives", message)
+    else:
+        assert not report.failures, report
+
+
 def test_a_sensor_that_reads_a_field_that_the_view_lacks_is_named_with_those_it_has():
     class Typing(Ruler):
         def measure(self, view, inputs):
