@@ -200,6 +200,18 @@ def test_recordings_that_are_too_short_to_be_cut_are_no_evidence_of_a_resumed_ru
     assert (found.outcome, found.sentence[:35]) == ("skip", "no recording but the longest has mo"), found
 
 
+def test_values_are_hidden_of_every_channel_or_their_influence_is_not_judged():
+    varied = [cut(r, 0, 40 - k) for k, r in enumerate(recordings(6))]
+    seen = np.ones((40, 2), bool)
+    seen[7, 1] = False
+    varied[0] = replace(varied[0], readings={"places": replace(varied[0].readings["places"], seen=seen)})
+    leaking = FAULTS["hidden values"][0]()
+    for given, outcome in ((varied, "fail"), (recordings(6, rows=1), "skip")):
+        found = {str(c): c for c in tw.tracker_checks(leaking, given)}["hidden values"].result
+        assert found.outcome == outcome, found
+    assert found.sentence.startswith("a channel of places is seen in every row"), found
+
+
 def test_a_tracker_that_reads_inputs_or_is_no_filter_needs_recordings():
     with pytest.raises(tw.UnusableInput, match="found a Averaged; expected recordings"):
         tw.check_tracker(averaged())
