@@ -36,6 +36,13 @@ WORLD = 128
 SLACK = 1.5
 """Factor by which the mean NEES may differ from its expectation: filters of nonlinear models are not exact."""
 
+TOO_SMALL = (
+    "the filter adds all noise of the motion and of the residual and counts no reading twice, or is a ParticleFilter "
+    "where `step` or `measure` bends within the uncertainty"
+)
+TOO_LARGE = "the filter adds the noise of the motion and of the residual once, and uses every reading that is seen"
+"""The usual fixes of covariances in a world with the tracker's own model and noise levels."""
+
 LENGTHS, GROWTH = (64, 512), 1.2
 """Rows of two programs, and the factor by which the numbers that one row computes may grow."""
 
@@ -135,10 +142,9 @@ def _check_consistency(world: World, estimates: Estimates) -> str:
     ratio = float(np.mean(values)) / d
     words = f"the mean NEES of {len(values)} tracks of a world drawn from the model is {ratio:.2f} for each component"
     if not 1 / SLACK < ratio < SLACK:
-        cause = "too small" if ratio > 1 else "too large"
         raise BrokenContract(
-            f"{words}, expected 1 within a factor {SLACK:g}: covariances are {cause}; usual fix: the filter uses the "
-            "noise of the motion and of the residual, all of it and once"
+            f"{words}, expected 1 within a factor {SLACK:g}: covariances are too {'small' if ratio > 1 else 'large'}, "
+            f"whatever the noise levels, which the world shares; usual fix: {TOO_SMALL if ratio > 1 else TOO_LARGE}"
         )
     return words
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -23,7 +24,7 @@ from tests.trackers.conformance.own_trackers import (
     recordings,
 )
 from trackwright.trackers.conformance.dense import conditioned
-from trackwright.trackers.conformance.trackers import _compare_conditioned
+from trackwright.trackers.conformance.trackers import _check_consistency, _compare_conditioned
 from trackwright.trackers.conformance.worlds import drawn_world
 from trackwright.trackers.recordings.trajectories import cut
 
@@ -137,6 +138,26 @@ def test_moments_that_are_not_those_of_conditioning_are_named(change, message):
     checks = {str(c): c for c in tw.tracker_checks(kalman(Altered(**change)), recordings())}
     found = checks["conditioning"].result
     assert re.search(message, found.sentence), found
+
+
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [
+        (
+            2.0,
+            "NEES of 9 tracks .* is 4.00 .* too small, whatever .* fix: the filter adds all noise .* counts no reading twice",
+        ),
+        (
+            0.5,
+            "NEES of 9 tracks .* is 0.25 .* too large, whatever .* fix: the filter adds the noise .* once, and uses every",
+        ),
+    ],
+)
+def test_covariances_too_small_and_too_large_have_a_fix_each(size, message):
+    world = SimpleNamespace(recordings=[range(1)], errors=lambda mean, row: np.full((9, 2), size))
+    estimates = SimpleNamespace(mean=None, covariance=np.broadcast_to(np.eye(2), (9, 1, 2, 2)))
+    with pytest.raises(tw.BrokenContract, match=message):
+        _check_consistency(world, estimates)
 
 
 def test_moments_and_a_likelihood_that_are_not_numbers_are_named():
