@@ -10,7 +10,7 @@ from typing import Any
 
 import polars as pl
 
-from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report
+from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report, require_part
 from trackwright.trackers.core.errors import UnusableInput, listed, one_line
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.exchange.imported import import_frames
@@ -34,8 +34,10 @@ def importer_checks(
 
     Its tables are a recording in which `check` finds no error; a second reading gives the same and the log is as it
     was; a text has the same rows with the line ends of another system; of a log that ends early the rows are the
-    first rows of the whole, or it is refused by UnusableInput, as an empty one is.
+    first rows of the whole, or it is refused by UnusableInput, as an empty one is. Raises UnusableInput for an object
+    of another kind.
     """
+    require_part("check_importer", importer)
     source, name = Path(path), getattr(importer, "__name__", type(importer).__name__)
 
     def recording_of(frames: Any) -> RecordingFolder:

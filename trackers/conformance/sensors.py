@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trackwright.trackers.conformance.contract import BrokenContract, Check, Report, report
+from trackwright.trackers.conformance.contract import BrokenContract, Check, Report, report, require_part
 from trackwright.trackers.conformance.density import integral
 from trackwright.trackers.conformance.differences import central_differences
 from trackwright.trackers.conformance.traced import (
@@ -63,8 +63,9 @@ def sensor_checks(
     with all channels masked the likelihood is 1; residuals and derivatives are finite for outliers, and derivatives
     are difference quotients and not zero throughout; the density integrates to 1 over readings, for up to three
     channels at a time, the others masked. `reported`: the noise columns of one reading. The integral over an angle
-    needs noise well below half a turn.
+    needs noise well below half a turn. Raises UnusableInput for an object of another kind.
     """
+    require_part("check_sensor", sensor)
     name, m = type(sensor).__name__, len(sensor.channels)
     names = [channel.name for channel in sensor.channels]
     single, here = freeze(arrays(sensor)), arrays(view)

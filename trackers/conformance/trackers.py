@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report
+from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report, require_part
 from trackwright.trackers.conformance.dense import Conditioned, conditioned
 from trackwright.trackers.conformance.identities import identity_checks
 from trackwright.trackers.conformance.ran import FEWEST, Ran
@@ -64,8 +64,9 @@ def tracker_checks(
     other trajectories, values that are not seen, or a cut after which `initial` continues; `accumulate` agrees with
     `scan`; derivatives are difference quotients; a linear tracker has the likelihood and the moments of conditioning;
     covariances are consistent with the errors in a world drawn from its own model; time is linear in rows. Raises
-    UnusableInput where recordings are needed and missing.
+    UnusableInput for an object of another kind, and where recordings are needed and missing.
     """
+    require_part("check_tracker", tracker)
     given = own_recordings(tracker, FEWEST, seed) if recordings is None else list(recordings)
     ran = Ran(tracker, given)
     identities = identity_checks(ran, causal)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import trackwright as tw
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.beam import Beam
 from trackwright.trackers.aoa.phases import PlanePhases
@@ -24,6 +25,7 @@ from trackwright.trackers.core.model.motion import (
 )
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual, independent
 from trackwright.trackers.core.model.state import Heading
+from trackwright.trackers.recordings.kinds import KINDS
 
 
 def _fails(report, check, message):
@@ -275,3 +277,27 @@ def test_a_state_of_another_kind_is_told_from_the_expected_one_though_its_number
     again = NamedTuple("Turned", [("position", Vector)])(there.position)
     assert unlike(again, there).endswith("of another class of that name, whose file was run twice")
     assert unlike(Placed(there.position), there) == "Placed with shapes [(), ()]"
+
+
+PARTS = {
+    "check_motion": (ConstantPosition(0.5, 2), Placed(Vector(0.4, 0.7))),
+    "check_sensor": (Ruler(lambda good, *_: good), Placed(Vector(0.4, 0.7))),
+    "check_tracker": (tw.fix_tracker(), []),
+    "check_kind": (KINDS["ranges"], tw.Rig("hall")),
+    "check_importer": (len, "log.csv"),
+}
+"""By check function: what it is for, and its second argument."""
+
+
+@pytest.mark.parametrize("function", PARTS)
+def test_a_part_of_another_kind_is_told_which_check_is_for_it(function):
+    check, (mine, argument) = getattr(tw, function), PARTS[function]
+    for other, (part, _) in PARTS.items():
+        if other != function:
+            found = rf"{function}: found {type(part).__name__}; expected a.*; usual fix: {other}$"
+            with pytest.raises(tw.UnusableInput, match=found):
+                check(part, argument)
+    with pytest.raises(tw.UnusableInput, match=f"found '{type(mine).__name__}'; .* usual fix: an object of the class"):
+        check(type(mine), argument)
+    with pytest.raises(tw.UnusableInput, match=f"{function}: found None; expected an? [a-z ]+, an? [A-Za-z ]+"):
+        check(None, argument)
