@@ -237,6 +237,8 @@ class TrackOptions(TrackerOptions):
             )
         if not 0 <= self.seed < 2**64:
             raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
+        if not 0.5 <= self.probability < 1.0:
+            raise UnusableInput(f"--probability {self.probability:g}: expected a number from 0.5 to below 1, as 0.999")
 
     @property
     def file(self) -> Path | None:

@@ -48,7 +48,7 @@ def survey(
         raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
     require_output(out.parent)
     from trackwright.experiments.cli.console import checked, json_alone, output_folder
-    from trackwright.experiments.text.terminal import notice
+    from trackwright.experiments.text.terminal import notice, stages
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated
 
     refuse_repeated(recordings)
@@ -63,7 +63,9 @@ def survey(
     from trackwright.trackers.recordings.rig_file import rig_text
     from trackwright.tuning.survey.surveying import survey as survey_walks
 
-    result = survey_walks(folders, given or (), sigma, frame or (), height, sigma_deg)
+    with stages("survey") as begin:
+        begin("fitting positions and paths")
+        result = survey_walks(folders, given or (), sigma, frame or (), height, sigma_deg)
     output_folder(out.parent)
     for line in result.notes:
         notice(f"notice: {line}")

@@ -261,7 +261,10 @@ def _track(
         begin("report")
         known, about = evaluation if association.scored.any() else None, f"{name}: {named.spec.about}"
         verdict = [] if watch is None else watch.lines()
-        page = run_data(scored, happened, known, about, run.short, of, not options.no_figures and of == 1, verdict)
+        since = {} if watch is None else watch.since()
+        changes = [{"recording": k, "t_s": t, "event": "site changed", "detail": ""} for k, t in since.items()]
+        events = pl.concat([pl.DataFrame(changes, schema=happened.schema), happened])
+        page = run_data(scored, events, known, about, run.short, of, not options.no_figures and of == 1, verdict)
     if of == 1:
         drawn = write_shown(scored, page, options, out, begin)
     write_manifest(

@@ -38,6 +38,9 @@ LINE = 1000
 NUMBER = re.compile(r"(\*\*)?[-+−–]?\d|$")
 """How the cell of a column of numbers begins, bold or not."""
 
+MARK = "\N{WORD JOINER}"
+"""Stands for Markdown's mark of bold while columns are aligned; it has no width."""
+
 Row = dict[str, Any]
 """A row of a table: values by the titles of their columns."""
 
@@ -172,9 +175,11 @@ class Output:
 
 
 def as_text(table: Table) -> str:
-    """A table with its title and its note, for a terminal."""
-    text = aligned(cells(table.rows), numeric(table.rows))
-    return "\n".join(filter(None, [table.title, text, table.note]))
+    """A table with its title and its note, for a terminal, which has bold as a page has; a pipe has none."""
+    marked = [[text.replace("**", MARK) for text in row] for row in cells(table.rows)]
+    lines = filter(None, [table.title, aligned(marked, numeric(table.rows)), table.note])
+    bold = "\x1b[1m\\1\x1b[0m" if sys.stdout.isatty() else r"\1"
+    return re.sub(f"{MARK}(.*?){MARK}", bold, "\n".join(lines).replace("**", MARK))
 
 
 def as_page(heading: str, tables: Sequence[Table]) -> str:

@@ -166,9 +166,9 @@ def _notes(evaluation: Evaluation, columns: Sequence[Metric]) -> list[str]:
     overall, notes = evaluation.overall, []
     if any(overall[c.name] is not None for c in columns if c.name in ("nees_ratio", "nis_ratio")):
         notes.append(
-            "% in 95 %: of the truth inside the 95 % ellipse. NEES/dof is 1 for correct covariances, above 1 for "
-            "covariances that are too small. NIS/dof is 1 where readings scatter as the tracker's own density of them "
-            "expects, below 1 where they scatter less. NIS r: autocorrelation of NIS, 0 for independent errors."
+            "% in 95 %: share of rows whose 95 % ellipse holds the truth. NEES/dof: 1 if covariances are correct, "
+            "above 1 if they are too small. NIS/dof: 1 if readings scatter as the tracker predicts, below 1 if they "
+            "scatter less. NIS r: autocorrelation of NIS, 0 if errors are independent."
         )
     if evaluation.bearing:
         notes.append("angle: between the estimated and the true direction.")

@@ -9,10 +9,14 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 from unittest import SkipTest
 
-from trackwright.trackers.core.errors import one_line
+from trackwright.trackers.core.errors import one_line, require
+from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.model.sensor import AbstractSensor
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.kinds import Kind
 
 
 class BrokenContract(ValueError):  # noqa: N818 - public name
@@ -91,6 +95,25 @@ class Report(tuple[Result, ...]):
 
 
 _WORDS = {"pass": "passed", "fail": "failed", "skip": "skipped"}
+
+
+CHECKED: dict[str, tuple[Any, str]] = {
+    "check_motion": (AbstractMotion, "a motion, an AbstractMotion"),
+    "check_sensor": (AbstractSensor, "a sensor, an AbstractSensor"),
+    "check_tracker": (AbstractTracker, "a tracker, an AbstractTracker, as in `batches` of a NamedTracker"),
+    "check_kind": (Kind, "a kind of measurement, a Kind"),
+    "check_importer": (Callable, "an importer, a function of a path"),
+}
+"""The check functions, and what each is for."""
+
+
+def require_part(function: str, given: Any) -> None:
+    """Raises UnusableInput unless the object is one that this check function is for, with the function that is."""
+    kind, expected = CHECKED[function]
+    of_class, others = isinstance(given, type), (name for name, (one, _) in CHECKED.items() if isinstance(given, one))
+    fix = "an object of the class" if of_class else next(others, None)
+    words = f"{expected}; usual fix: {fix}" if fix else expected
+    require(isinstance(given, kind) and not of_class, function, given.__name__ if of_class else given, words)
 
 
 def report(checks: Iterable[Check]) -> Report:

@@ -12,9 +12,10 @@ import jax
 import numpy as np
 
 from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable
-from trackwright.trackers.conformance.ran import FEWEST, Ran, difference, leaves, share_estimated
+from trackwright.trackers.conformance.ran import FEWEST, Ran, difference, leaves, share_estimated, unhidden
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Recording
+from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.tunable import replaced, tunables
 from trackwright.trackers.core.run.tracker import Tracker
@@ -147,6 +148,8 @@ def _check_company(ran: Ran) -> None:
 
 
 def _check_hidden(ran: Ran) -> None:
+    if shown := unhidden(ran.recordings):
+        raise NotApplicable(f"a channel of {listed(shown)} is seen in every row, so that no value of it is hidden")
     for hidden in (1e30, -7.0):
 
         def filled(reading: Reading, hidden: float = hidden) -> Reading:

@@ -10,7 +10,7 @@ from typing import Any
 
 import polars as pl
 
-from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report
+from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report, require_part
 from trackwright.trackers.core.errors import UnusableInput, listed, one_line
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.exchange.imported import import_frames
@@ -34,8 +34,10 @@ def importer_checks(
 
     Its tables are a recording in which `check` finds no error; a second reading gives the same and the log is as it
     was; a text has the same rows with the line ends of another system; of a log that ends early the rows are the
-    first rows of the whole, or it is refused by UnusableInput, as an empty one is.
+    first rows of the whole, or it is refused by UnusableInput, as an empty one is. Raises UnusableInput for an object
+    of another kind.
     """
+    require_part("check_importer", importer)
     source, name = Path(path), getattr(importer, "__name__", type(importer).__name__)
 
     def recording_of(frames: Any) -> RecordingFolder:
@@ -46,11 +48,10 @@ def importer_checks(
             )
         return import_frames(frames, rig, tag=tag)
 
-    def contents() -> dict[Path, bytes]:
-        """The files of the log; beside one that is no folder only the names of others, which may be large."""
-        if source.is_dir():
-            return {file: file.read_bytes() for file in source.rglob("*") if file.is_file()}
-        return {file: file.read_bytes() if file.name == source.name else b"" for file in source.parent.iterdir()}
+    def contents() -> dict[Path, tuple[int, int]]:
+        """Sizes and times of what is in the log, or beside one that is no folder."""
+        there = source.rglob("*") if source.is_dir() else source.parent.iterdir()
+        return {file: (of.st_size, of.st_mtime_ns) for file in there if file.exists() for of in [file.stat()]}
 
     before = cache(contents)
 

@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float
 
-from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report
+from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report, require_part
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.checks.all_checks import check
@@ -37,8 +37,10 @@ def kind_checks(kind: Kind, rig: Rig, seed: int = 0) -> list[Check]:
 
     `predicted` gives one finite number per column and row, row by row whatever the numbering of the sensors, and the
     same where a site is moved as a whole, since recordings in map coordinates are tracked about an origin nearby; the
-    numbers fit what the kind declares; a recording of them is written, read and checked without an error.
+    numbers fit what the kind declares; a recording of them is written, read and checked without an error. Raises
+    UnusableInput for an object of another kind.
     """
+    require_part("check_kind", kind)
 
     @cache
     def world() -> _World:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report
+from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report, require_part
 from trackwright.trackers.conformance.differences import central_differences
 from trackwright.trackers.conformance.traced import (
     arrays,
@@ -52,8 +52,10 @@ def motion_checks(
 
     `step` returns a state of the same structure, which is the given one to the bit for dt = 0 whatever the noise, and
     has all its randomness in `w`; values and derivatives are finite; the covariance that a filter predicts is that of
-    difference quotients of `step`, also where there are `stages`; a `log_density` is that of normal noise.
+    difference quotients of `step`, also where there are `stages`; a `log_density` is that of normal noise. Raises
+    UnusableInput for an object of another kind.
     """
+    require_part("check_motion", motion)
     name = type(motion).__name__
     q = motion.noise_dimension
     components = [*component_names(arrays(state)), *(f"w.{k}" for k in range(q))]

@@ -29,8 +29,8 @@ FIELDS = ("mean", "cov_upper", "log_likelihood", "nis", "nis_dof", "wrapped", "s
 class Ran:
     """A tracker and its estimates of recordings, all of one shape so that runs share one compiled program.
 
-    The recordings have missing readings, and lengths that differ: where the given ones do not, readings are hidden at
-    random and ends are cut off. The last is the longest.
+    The recordings have missing readings of each channel, and lengths that differ: where the given ones do not, readings
+    are hidden at random and ends are cut off. The last is the longest.
     """
 
     def __init__(self, tracker: AbstractTracker, recordings: Sequence[Recording]) -> None:
@@ -40,7 +40,7 @@ class Ran:
         varied = [*whole, *(_thinned(r, k) for k, r in enumerate(more))]
         if len({len(r) for r in varied}) == 1:
             varied[-1] = cut(varied[-1], 0, max(len(varied[-1]) * 2 // 3, 1))
-        if all(np.all(r.seen) for one in varied for r in one.readings.values()):
+        if unhidden(varied):
             varied[1:] = [_thinned(r, k) for k, r in enumerate(varied[1:])]
         longest = max(range(len(varied)), key=lambda k: len(varied[k]))
         varied.append(varied.pop(longest))
@@ -78,6 +78,13 @@ class Ran:
         found = difference(mine, self.estimates[number], rows, rows)
         if found is not None:
             raise BrokenContract(f"{what} changes {found} of recording {number}, expected the same bits; {fix}")
+
+
+def unhidden(recordings: Sequence[Recording]) -> list[str]:
+    """The names of readings of which a channel is seen in every row of all recordings."""
+    names = dict.fromkeys(name for one in recordings for name in one.readings)
+    seen = {name: [one.readings[name].seen for one in recordings if name in one.readings] for name in names}
+    return [name for name, parts in seen.items() if np.concatenate(parts).all(axis=0).any()]
 
 
 def _thinned(recording: Recording, seed: int) -> Recording:

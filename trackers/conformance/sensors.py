@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trackwright.trackers.conformance.contract import BrokenContract, Check, Report, report
+from trackwright.trackers.conformance.contract import BrokenContract, Check, Report, report, require_part
 from trackwright.trackers.conformance.density import integral
 from trackwright.trackers.conformance.differences import central_differences
 from trackwright.trackers.conformance.traced import (
@@ -61,9 +61,11 @@ def sensor_checks(
 
     One predicted and one whitened number per channel; a masked channel has no influence and adds nothing to `nis_dof`;
     with all channels masked the likelihood is 1; residuals and derivatives are finite for outliers, and derivatives
-    are difference quotients; the density integrates to 1 over readings, for up to three channels at a time, the others
-    masked. `reported`: the noise columns of one reading. The integral over an angle needs noise well below half a turn.
+    are difference quotients and not zero throughout; the density integrates to 1 over readings, for up to three
+    channels at a time, the others masked. `reported`: the noise columns of one reading. The integral over an angle
+    needs noise well below half a turn. Raises UnusableInput for an object of another kind.
     """
+    require_part("check_sensor", sensor)
     name, m = type(sensor).__name__, len(sensor.channels)
     names = [channel.name for channel in sensor.channels]
     single, here = freeze(arrays(sensor)), arrays(view)
@@ -254,6 +256,13 @@ def _whitened_jacobians(
         return list(sensor.residual(reading, list(sensor.measure(moved, known))).whitened)
 
     shifted = jax.jit(jax.vmap(lambda change: jnp.stack(whitened(retract(view, list(change))))))
-    by_differences = central_differences(f"{name}.measure", shifted, len(point))
+    n, what = len(point), f"{name}.measure"
+    by_differences = central_differences(what, shifted, n)
+    # Zero also away from a view where it may vanish, as that of a speed at rest.
+    if not by_differences.any() and not central_differences(what, lambda x: shifted(x + np.cos(np.arange(n))), n).any():
+        raise BrokenContract(
+            f"the derivative of {what} by every component of the view is zero, so that no reading changes an estimate; "
+            "usual fix: compute the reading from the view, without rounding or numbers of another place"
+        )
     rows = jax.jit(lambda: linearise(lambda *x: whitened(rebuild(x)), point)[1])()
     return np.asarray(densify(rows, len(point), jnp.zeros(()))), by_differences

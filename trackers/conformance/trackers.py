@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report
+from trackwright.trackers.conformance.contract import BrokenContract, Check, NotApplicable, Report, report, require_part
 from trackwright.trackers.conformance.dense import Conditioned, conditioned
 from trackwright.trackers.conformance.identities import identity_checks
 from trackwright.trackers.conformance.ran import FEWEST, Ran
@@ -36,6 +36,13 @@ WORLD = 128
 SLACK = 1.5
 """Factor by which the mean NEES may differ from its expectation: filters of nonlinear models are not exact."""
 
+TOO_SMALL = (
+    "the filter adds all noise of the motion and of the residual and counts no reading twice, or is a ParticleFilter "
+    "where `step` or `measure` bends within the uncertainty"
+)
+TOO_LARGE = "the filter adds the noise of the motion and of the residual once, and uses every reading that is seen"
+"""The usual fixes of covariances in a world with the tracker's own model and noise levels."""
+
 LENGTHS, GROWTH = (64, 512), 1.2
 """Rows of two programs, and the factor by which the numbers that one row computes may grow."""
 
@@ -57,8 +64,9 @@ def tracker_checks(
     other trajectories, values that are not seen, or a cut after which `initial` continues; `accumulate` agrees with
     `scan`; derivatives are difference quotients; a linear tracker has the likelihood and the moments of conditioning;
     covariances are consistent with the errors in a world drawn from its own model; time is linear in rows. Raises
-    UnusableInput where recordings are needed and missing.
+    UnusableInput for an object of another kind, and where recordings are needed and missing.
     """
+    require_part("check_tracker", tracker)
     given = own_recordings(tracker, FEWEST, seed) if recordings is None else list(recordings)
     ran = Ran(tracker, given)
     identities = identity_checks(ran, causal)
@@ -135,10 +143,9 @@ def _check_consistency(world: World, estimates: Estimates) -> str:
     ratio = float(np.mean(values)) / d
     words = f"the mean NEES of {len(values)} tracks of a world drawn from the model is {ratio:.2f} for each component"
     if not 1 / SLACK < ratio < SLACK:
-        cause = "too small" if ratio > 1 else "too large"
         raise BrokenContract(
-            f"{words}, expected 1 within a factor {SLACK:g}: covariances are {cause}; usual fix: the filter uses the "
-            "noise of the motion and of the residual, all of it and once"
+            f"{words}, expected 1 within a factor {SLACK:g}: covariances are too {'small' if ratio > 1 else 'large'}, "
+            f"whatever the noise levels, which the world shares; usual fix: {TOO_SMALL if ratio > 1 else TOO_LARGE}"
         )
     return words
 

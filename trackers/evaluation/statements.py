@@ -168,8 +168,8 @@ def _lasting(recordings: Sequence[Mapping[str, Any]]) -> list[str]:
     of = f" of {listed([r['recording'] for r in lasting])}" if len(recordings) > 1 else ""
     largest = max(r["residual_ratio_5s"] for r in lasting)
     return [
-        f"Residuals of some stations or anchors{of} last: their 5 s means are {significant(largest, 2)} times as large "
-        "as most residuals, which the reported covariances do not allow for."
+        f"Residuals of some stations or anchors{of} last: averaged over 5 s, they are {significant(largest, 2)} times "
+        "the size of a typical residual. The reported covariances do not allow for that."
     ]
 
 

@@ -89,6 +89,10 @@ def _table(file: TableFile) -> pl.DataFrame:
             f"{file.path}: no column {', '.join(missing)}; found {listed(columns, 12)}; expected t_s, x_m, y_m and "
             "optionally z_m, std_x_m …, qw … qz; bring it into this form by `trackwright import`"
         )
+    if len(lacking := {"std_x_m", "std_y_m"} - {*columns}) == 1:
+        raise UnusableInput(
+            f"{file.path}: no column {lacking.pop()}; expected std_x_m with std_y_m, or neither; add it"
+        )
     texts = [pl.col(name).cast(pl.String) for name in columns if name in _TEXT]
     frame = file.frame.select(texts + [numbers_of(file, name) for name in columns if name not in _TEXT])
     # That of a known height is 0.

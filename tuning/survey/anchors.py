@@ -74,7 +74,7 @@ class AnchorTable(SurveyedTable[RangeWalk]):
         covariance += np.diag(np.where(searched, _between(minima, effect, site.flat), 0.0))
         readings, rms = residuals_of(walks, solution)
         before, positions = site.folders[0].rig, solution.sensors[:, :3]
-        anchors = {**before.anchors, **dict(zip(site.names, positions, strict=True))}
+        anchors = {**before.anchors, **dict(zip(site.names, positions.round(4) + 0.0, strict=True))}
         return AnchorSurvey(
             names=tuple(site.names), positions=positions, delays=solution.sensors[:, 3], covariance=covariance,
             mirrored=mirrored, scales=solution.scales, densities=solution.densities, rms=rms, readings=readings,

@@ -36,8 +36,8 @@ class Survey(ABC):
     `names` (S,); `positions` (S, 3) m; `covariance` (U, U): of the unknowns of each sensor in turn, zero where the
     frame or exact values fix them. `scales`, `rms` and `readings`: of errors. `densities` (walks,) or (walks, 3): of
     the tags' accelerations, m²/s³. `effect`: by how much errors that last widen variances. `paths`: positions (n, 3),
-    m, of the tag in each walk. `rig`: that of the first recording with these sensors; `before`: as it was. `notes`:
-    what was assumed, a line each.
+    m, of the tag in each walk. `rig`: that of the first recording with these sensors, rounded to 0.1 mm and 1e-6;
+    `before`: as it was. `notes`: what was assumed, a line each.
     """
 
     names: tuple[str, ...]

@@ -99,7 +99,7 @@ class Bearings(SurveyedTable[BearingWalk]):
         before, positions = site.folders[0].rig, solution.sensors[:, POSITION]
         quaternions = Rotation.from_matrix(rotations(solution.sensors, references)).as_quat(scalar_first=True)
         stations = {
-            name: replace(before.stations[name], position=position, rotation=rotation)
+            name: replace(before.stations[name], position=position.round(4) + 0.0, rotation=rotation.round(6) + 0.0)
             for name, position, rotation in zip(site.names, positions, quaternions, strict=True)
         }
         readings, rms = residuals_of(site.walks, solution)

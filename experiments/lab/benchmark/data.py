@@ -26,11 +26,15 @@ def folder_of(name: str) -> RecordingFolder:
         return simulated(name)
     paths = _paths()
     if name not in paths:
-        where = "" if paths else "; no recordings: name their folder in TRACKWRIGHT_RECORDINGS"
         raise UnusableInput(
-            f"{name}: no such data set{near(name, names())}; expected one of {', '.join(names())}{where}"
+            f"{name}: no such data set{near(name, names())}; expected one of {', '.join(names())}{hint()}"
         )
     return beginning_of(read_recording(paths[name]))
+
+
+def hint() -> str:
+    """What a refusal of a data set ends with: how recordings are found, where there are none; else empty."""
+    return "" if _paths() else "; no recordings: name their folder in TRACKWRIGHT_RECORDINGS"
 
 
 def _paths() -> dict[str, Path]:

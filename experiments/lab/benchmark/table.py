@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
-from trackwright.experiments.lab.benchmark.data import folder_of
+from trackwright.experiments.lab.benchmark.data import folder_of, hint
 from trackwright.experiments.lab.benchmark.declaration import DEVELOPMENT, ESTIMATORS, OPTIMUM, OURS, SMOOTHED
 from trackwright.experiments.lab.benchmark.scoring import Cell, cell, difference, files
 from trackwright.experiments.lab.cases import Row, Table, as_page, as_text, machine, packages
@@ -55,7 +55,9 @@ def scored(source: Path, sets: Sequence[str]) -> Cells:
         raise UnusableInput(f"{source}: no such file or folder; expected estimates: ESTIMATOR/DATASET.tum")
     wanted = dict.fromkeys(name for of_one in found.values() for name in of_one)
     if not (common := [name for name in sets if name in wanted]):
-        raise UnusableInput(f"{source}: estimates of {', '.join(wanted)}; expected data sets: {', '.join(sets)}")
+        raise UnusableInput(
+            f"{source}: estimates of {', '.join(wanted)}; expected data sets: {', '.join(sets)}{hint()}"
+        )
     order = [name for name in (*ESTIMATORS, *found) if name in found]
     return {
         name: {e: cell(found[e][name], folder) for e in dict.fromkeys(order) if name in found[e]}

@@ -41,7 +41,7 @@ def draw_error(
         axes.plot(at, -limit, label="_", **BOUND)
         known = np.isfinite(bound) & np.isfinite(sigma)
         if known.any() and np.mean(bound[known] > sigma[known]) > 0.5:
-            _note(axes, "σ below the bound, a mean over the model's noise: NEES shows whether σ is too small.", 0.88)
+            _note(axes, "σ is below the bound, which is a mean over noise. NEES tells whether σ is too small.", 0.88)
     axes.set_ylim(-half, half)
     axes.margins(x=0.01)
     outside = int((np.abs(error) > half).sum())

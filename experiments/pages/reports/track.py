@@ -294,13 +294,15 @@ def _nis_band(rows: pl.DataFrame, student_t_dof: float | None) -> list[float] | 
 def _events(
     events: pl.DataFrame, chosen: list[int], tags: list[str], stations: list[str | None], start: float
 ) -> list[dict[str, Any]]:
-    """The first events of the tracks that are drawn; `track` is the number among these."""
+    """The first events of the tracks that are drawn; `track` is the number among these, None of an event of no tag."""
     number = {(tags[k], stations[k]): place for place, k in enumerate(chosen)}
     shown: list[dict[str, Any]] = []
     for event in events.iter_rows(named=True):
         place = number.get((event["tag"], event.get("station")))
-        if place is not None and len(shown) < MOST_EVENTS:
-            shown.append({"t": event["t_s"] - start, "track": place, "what": event["event"], "detail": event["detail"]})
+        if (place is not None or event["tag"] is None) and len(shown) < MOST_EVENTS:
+            shown.append(
+                {"t": max(event["t_s"] - start, 0.0), "track": place, "what": event["event"], "detail": event["detail"]}
+            )
     return shown
 
 

@@ -45,7 +45,6 @@ def test_levels_are_a_column_a_metric_a_condition_and_a_figure(tracked, tmp_path
         (["--protection", "of-0"], ["1 recording with truth", "two at least"]),
         (["--protection", "of-0", "--protection", "of-1"], ["99.9 % takes 999 independent blocks", "at most"]),
         (["--protection", "of-0", "--smooth"], ["was tracked with smooth False, this run has True"]),
-        (["--protection", "of-0", "--probability", "1"], ["probability 1: expected a number from 0.5"]),
         (["--protection", "0"], ["tracks.parquet: no such file"]),
         (["--protection", "of-0", "--keep-going"], ["--protection: applies to single recordings, found an archive"]),
         (["--watch", "0", "--keep-going"], ["--watch: applies to single recordings, found an archive"]),

@@ -1,6 +1,7 @@
 """`trackwright survey`: the rig, the page and the JSON that it writes, and what it refuses."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.lab.validation.bearing_surveys import simulated_stations
 from trackwright.experiments.lab.validation.surveys import simulated_site
+from trackwright.experiments.text import terminal
 from trackwright.trackers.recordings.folder import write_recording
 from trackwright.trackers.recordings.rig_file import read_rig
 
@@ -22,11 +24,14 @@ def walks(tmp_path_factory):
     return there / "low", there / "high", np.linalg.norm((anchors[1] - anchors[0])[:2])
 
 
-def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks, tmp_path):
+def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks, tmp_path, monkeypatch):
     *folders, distance = walks
     out = tmp_path / "site" / "rig.toml"
+    monkeypatch.setattr(terminal, "FIRST_LINE", 0.1)
     said = trackwright("survey", *folders, "--out", out, "--json")
     assert said.code == 0, said.err
+    assert "survey: fitting positions and paths, " in said.err
+    assert not re.search(r"\.\d{5}|-0\.0\b", out.read_text("utf-8"))
     anchors = read_rig(out)[0].anchors
     assert abs(anchors["A01"][0] - distance) < 0.2
     assert anchors["A01"][1] == pytest.approx(0.0, abs=1e-9)
@@ -81,6 +86,7 @@ def test_bearings_find_the_rotations_of_stations(tmp_path):
     found = json.loads(said.out)["stations"]["S0"]
     assert found["half_width_m"] == [0.0, 0.0, 0.0]
     assert found["heading_half_width_deg"] < 5.0
+    assert not re.search(r"\.\d{7}", out.read_text("utf-8"))
     turned, true = (rig.stations["S0"].rotation for rig in (read_rig(out)[0], folder.rig))
     assert 0.99 < abs(np.dot(turned, true)) < 1.0
     assert "heading" in out.with_suffix(".html").read_text("utf-8")

@@ -1,6 +1,7 @@
 """`trackwright watch`: verdict, exit code, JSON and figure, and what it refuses."""
 
 import json
+import re
 
 import numpy as np
 import polars as pl
@@ -71,6 +72,8 @@ def test_a_tracked_run_has_the_verdict_and_infinite_protection_levels_since_the_
     assert len(since) == len(tracks.filter(pl.col("t_s") >= since.min()))
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "changed: anchor A2 has moved by" in page
+    (change,) = re.findall(r'\{"t":\s*([\d.]+),\s*"track":\s*null,\s*"what":\s*"site changed"', page)
+    assert float(change) == pytest.approx(100.0, abs=15.0)
     assert (tmp_path / "out" / "watch.png").exists()
     assert trackwright("evaluate", tmp_path / "out", "--fail-if", "pl_m > 100").code == 1
 

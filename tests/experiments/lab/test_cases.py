@@ -122,3 +122,10 @@ def test_results_are_written_a_row_a_line_and_replace_the_tables_of_the_page(tmp
     assert f"### one\n\n{head}{body}\nnote" in text
     assert "old" not in text
     assert "4,321" in capsys.readouterr().out
+
+
+def test_bold_of_a_page_is_that_of_a_terminal_and_plain_in_a_pipe(monkeypatch):
+    table = Table([{"name": "a", "share": "**98.5**"}, {"name": "b", "share": "3.0"}], note="**1** of 2")
+    assert cases.as_text(table) == "name  share\na      98.5\nb       3.0\n1 of 2"
+    monkeypatch.setattr(cases.sys.stdout, "isatty", lambda: True)
+    assert cases.as_text(table) == "name  share\na      \x1b[1m98.5\x1b[0m\nb       3.0\n\x1b[1m1\x1b[0m of 2"

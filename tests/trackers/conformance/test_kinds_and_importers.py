@@ -169,7 +169,9 @@ def _fails(log, name, importer, message):
 
 def test_files_that_only_the_first_reading_writes_and_tables_that_only_the_second_has_are_named(log):
     _fails(log, "again", _caching, "changes cache.txt, my.log, expected")
-    log.with_name("cache.txt").unlink()
+    cache = log.with_name("cache.txt")
+    _fails(log, "again", lambda path: [cache.write_text("again"), _ranges(path)][1], "changes cache.txt, expected")
+    cache.unlink()
     _fails(log, "again", _adding(), "gives another table fixes when the log is read again")
 
 

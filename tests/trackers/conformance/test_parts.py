@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import trackwright as tw
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.beam import Beam
 from trackwright.trackers.aoa.phases import PlanePhases
@@ -24,6 +25,7 @@ from trackwright.trackers.core.model.motion import (
 )
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual, independent
 from trackwright.trackers.core.model.state import Heading
+from trackwright.trackers.recordings.kinds import KINDS
 
 
 def _fails(report, check, message):
@@ -210,6 +212,31 @@ def test_a_sensor_that_predicts_too_few_channels_is_named():
     _fails(report, "measure", r"Short\.measure returns numbers of shapes \[\(\)\], expected 2 scalars: x, y")
 
 
+@pytest.mark.parametrize(
+    ("seen", "message"),
+    [
+        (lambda p: [0.5, 1.0], "Blind.measure by every component of the view is zero"),
+        (lambda p: [jnp.round(p[0]), jnp.round(p[1])], "Blind.measure by every component of the view is zero"),
+        (
+            lambda p: [p[0] * 0 + jax.lax.stop_gradient(p[0]), p[1]],
+            r"x by position\.0 is 0, by difference quotients -10",
+        ),
+        (lambda p: [(p[0] - 0.4) ** 2, (p[1] - 0.7) ** 2], ""),
+    ],
+    ids=["constant", "rounded", "cut", "zero here alone"],
+)
+def test_a_sensor_whose_readings_the_state_does_not_change_is_named(seen, message):
+    class Blind(Ruler):
+        def measure(self, view, inputs):
+            return [jnp.asarray(z) for z in seen(view.position)]
+
+    report = check_sensor(Blind(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7)))
+    if message:
+        _fails(report, "derivatives", message)
+    else:
+        assert not report.failures, report
+
+
 def test_a_sensor_that_reads_a_field_that_the_view_lacks_is_named_with_those_it_has():
     class Typing(Ruler):
         def measure(self, view, inputs):
@@ -250,3 +277,27 @@ def test_a_state_of_another_kind_is_told_from_the_expected_one_though_its_number
     again = NamedTuple("Turned", [("position", Vector)])(there.position)
     assert unlike(again, there).endswith("of another class of that name, whose file was run twice")
     assert unlike(Placed(there.position), there) == "Placed with shapes [(), ()]"
+
+
+PARTS = {
+    "check_motion": (ConstantPosition(0.5, 2), Placed(Vector(0.4, 0.7))),
+    "check_sensor": (Ruler(lambda good, *_: good), Placed(Vector(0.4, 0.7))),
+    "check_tracker": (tw.fix_tracker(), []),
+    "check_kind": (KINDS["ranges"], tw.Rig("hall")),
+    "check_importer": (len, "log.csv"),
+}
+"""By check function: what it is for, and its second argument."""
+
+
+@pytest.mark.parametrize("function", PARTS)
+def test_a_part_of_another_kind_is_told_which_check_is_for_it(function):
+    check, (mine, argument) = getattr(tw, function), PARTS[function]
+    for other, (part, _) in PARTS.items():
+        if other != function:
+            found = rf"{function}: found {type(part).__name__}; expected a.*; usual fix: {other}$"
+            with pytest.raises(tw.UnusableInput, match=found):
+                check(part, argument)
+    with pytest.raises(tw.UnusableInput, match=f"found '{type(mine).__name__}'; .* usual fix: an object of the class"):
+        check(type(mine), argument)
+    with pytest.raises(tw.UnusableInput, match=f"{function}: found None; expected an? [a-z ]+, an? [A-Za-z ]+"):
+        check(None, argument)

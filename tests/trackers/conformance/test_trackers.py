@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -23,7 +24,7 @@ from tests.trackers.conformance.own_trackers import (
     recordings,
 )
 from trackwright.trackers.conformance.dense import conditioned
-from trackwright.trackers.conformance.trackers import _compare_conditioned
+from trackwright.trackers.conformance.trackers import _check_consistency, _compare_conditioned
 from trackwright.trackers.conformance.worlds import drawn_world
 from trackwright.trackers.recordings.trajectories import cut
 
@@ -139,6 +140,26 @@ def test_moments_that_are_not_those_of_conditioning_are_named(change, message):
     assert re.search(message, found.sentence), found
 
 
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [
+        (
+            2.0,
+            "NEES of 9 tracks .* is 4.00 .* too small, whatever .* fix: the filter adds all noise .* counts no reading twice",
+        ),
+        (
+            0.5,
+            "NEES of 9 tracks .* is 0.25 .* too large, whatever .* fix: the filter adds the noise .* once, and uses every",
+        ),
+    ],
+)
+def test_covariances_too_small_and_too_large_have_a_fix_each(size, message):
+    world = SimpleNamespace(recordings=[range(1)], errors=lambda mean, row: np.full((9, 2), size))
+    estimates = SimpleNamespace(mean=None, covariance=np.broadcast_to(np.eye(2), (9, 1, 2, 2)))
+    with pytest.raises(tw.BrokenContract, match=message):
+        _check_consistency(world, estimates)
+
+
 def test_moments_and_a_likelihood_that_are_not_numbers_are_named():
     with jax.enable_x64(True):
         tracker, of_run = kalman(), recordings()
@@ -198,6 +219,18 @@ def test_recordings_that_are_too_short_to_be_cut_are_no_evidence_of_a_resumed_ru
     short = [*recordings(), *(cut(r, 0, 3) for r in recordings(5))]
     found = {str(c): c for c in tw.tracker_checks(averaged(forgets=True), short)}["cut and resume"].result
     assert (found.outcome, found.sentence[:35]) == ("skip", "no recording but the longest has mo"), found
+
+
+def test_values_are_hidden_of_every_channel_or_their_influence_is_not_judged():
+    varied = [cut(r, 0, 40 - k) for k, r in enumerate(recordings(6))]
+    seen = np.ones((40, 2), bool)
+    seen[7, 1] = False
+    varied[0] = replace(varied[0], readings={"places": replace(varied[0].readings["places"], seen=seen)})
+    leaking = FAULTS["hidden values"][0]()
+    for given, outcome in ((varied, "fail"), (recordings(6, rows=1), "skip")):
+        found = {str(c): c for c in tw.tracker_checks(leaking, given)}["hidden values"].result
+        assert found.outcome == outcome, found
+    assert found.sentence.startswith("a channel of places is seen in every row"), found
 
 
 def test_a_tracker_that_reads_inputs_or_is_no_filter_needs_recordings():

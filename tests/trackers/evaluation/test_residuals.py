@@ -99,7 +99,7 @@ def test_the_ratio_is_none_where_no_sensor_measures_a_position_alone():
 def test_lasting_residuals_are_named_before_a_small_nis_without_truth():
     metrics = {"coverage_95": None, "nis_ratio": 0.4, "losses": 0, "nis_correlation_1s": 0.0, "nis_inflation_1s": 1.0}
     (sentence,) = covariance_statements(metrics, [metrics | {"recording": "a", "residual_ratio_5s": 1.62}])
-    assert sentence.startswith("Residuals of some stations or anchors last: their 5 s means are 1.6 times")
+    assert sentence.startswith("Residuals of some stations or anchors last: averaged over 5 s, they are 1.6 times")
     (sentence,) = covariance_statements(metrics, [metrics | {"recording": "a", "residual_ratio_5s": 1.39}])
     assert sentence.startswith("The readings scatter less than the tracker's model expects (NIS/dof 0.4, 1 expected")
 

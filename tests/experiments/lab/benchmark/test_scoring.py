@@ -114,6 +114,8 @@ def test_a_column_that_is_not_of_numbers_is_named_with_its_file(world, tmp_path,
     assert_refused(trackwright("benchmark", "--mine", path), path.name, found)
     _estimates(world)[0].drop("x_m").write_parquet(path)
     assert_refused(trackwright("benchmark", "--mine", path), path.name, "no column x_m")
+    _estimates(world)[0].drop("std_y_m").write_parquet(path)
+    assert_refused(trackwright("benchmark", "--mine", path), path.name, "no column std_y_m; expected std_x_m with")
     _estimates(world)[0].with_columns(pl.col("t_s") + 1e6).write_parquet(path)
     assert_refused(trackwright("benchmark", "--mine", path), path.name, "no estimate lies inside a truth")
 
@@ -124,11 +126,16 @@ def test_an_unknown_processor_time_is_left_out(world, tmp_path):
     assert cell(path, world).cpu is None
 
 
-def test_what_cannot_be_scored_is_refused_in_a_line(tmp_path):
+def test_what_cannot_be_scored_is_refused_in_a_line(tmp_path, monkeypatch):
     assert_refused(trackwright("benchmark", "--mine", tmp_path / "none"), "no such file or folder")
     assert_refused(trackwright("benchmark", "--mine", tmp_path), "no estimates")
     assert_refused(trackwright("benchmark", "--data", "nowhere"), "nowhere")
     assert_refused(trackwright("benchmark", "--estimator", "nobody"), "nobody")
+    (tmp_path / "hall.tum").touch()
+    monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(tmp_path / "none"))
+    monkeypatch.delenv("TRACKWRIGHT_FLIGHTS", raising=False)
+    mine = trackwright("benchmark", "--mine", tmp_path / "hall.tum")
+    assert_refused(mine, "estimates of hall; expected data sets: world-", "name their folder in TRACKWRIGHT_RECORDINGS")
 
 
 def test_the_declaration_is_complete():

@@ -37,7 +37,9 @@ def tracks():
 
 @pytest.fixture(scope="module")
 def recording(tracks):
-    event = pl.DataFrame({"recording": ["hall"], "tag": ["B"], "t_s": [5.0], "event": ["lost"], "detail": [""]})
+    event = pl.DataFrame(
+        {"recording": "hall", "tag": [None, "B", "gone"], "t_s": [2.0, 5.0, 5.0], "event": "lost", "detail": ""}
+    )
     return run_data(tracks, event, None, "uwb")["recordings"][0]
 
 
@@ -87,7 +89,8 @@ def test_times_that_count_from_1970_are_shown_since_the_first_reading(tracks, tm
 
 def test_tracks_events_and_sources_are_named(recording):
     assert {track["tag"] for track in recording["tracks"]} == set(TAGS)
-    (event,) = recording["events"]
+    change, event = recording["events"]
+    assert (change["track"], change["t"]) == (None, 0.0)
     assert recording["tracks"][event["track"]]["tag"] == "B"
     assert recording["start"] + event["t"] == 5.0
     first = recording["tracks"][0]["first"]
