@@ -70,14 +70,13 @@ def test_a_map_is_kept_where_errors_return_with_the_place_and_tracks_get_nearer(
 
 def test_no_map_is_kept_of_errors_that_last_but_do_not_return():
     kept = [
-        calibrate(_site(100 + seed, by_place=False, walks=3, seconds=60.0)).bearing_map is not None
-        for seed in range(10)
+        calibrate(_site(100 + seed, by_place=False, walks=3, seconds=60.0)).bearing_map is not None for seed in range(5)
     ]
     assert sum(kept) <= 1
 
 
 def test_one_recording_has_no_map_and_the_report_of_several_has_a_line_on_it():
-    folders = _site(0, by_place=True)
+    folders = _site(0, by_place=True, walks=4, seconds=80.0)
     assert calibrate(folders[0]).bearing_map is None
     calibration = calibrate(folders)
     assert "A map of the errors of bearings over the floor is kept" in report_on(calibration, folders).note
@@ -104,7 +103,7 @@ def test_visits_are_runs_of_rows_near_their_first_one_by_recording_and_tag():
 
 @pytest.mark.parametrize("by_place", [True, False])
 def test_a_recording_without_truth_or_too_short_takes_no_part(by_place):
-    folders = _site(7, by_place)
+    folders = _site(7, by_place, walks=4, seconds=80.0)
     blind = replace(folders[-1], tables={"bearings": folders[-1].tables["bearings"]})
     short = replace(folders[-1], name="short", tables={k: t.head(6) for k, t in folders[-1].tables.items()})
     found, expected = calibrate([*folders[:-1], blind, short]).bearing_map, calibrate(folders[:-1]).bearing_map

@@ -40,10 +40,10 @@ def _coverage(worlds, **options):
 
 
 def test_intervals_hold_the_terms_although_errors_last():
-    # The standard error of a share of 12 × 24 terms, some of them correlated, is about 2 %.
-    angles, ranges = _coverage(12)
-    assert 0.88 < angles < 1.0
-    assert 0.84 < ranges < 1.0
+    # The standard error of a share of 6 × 24 terms, some of them correlated, is about 3 %.
+    angles, ranges = _coverage(6)
+    assert 0.86 < angles < 1.0
+    assert 0.82 < ranges < 1.0
 
 
 @pytest.mark.slow

@@ -232,7 +232,7 @@ def test_a_long_recording_decides_a_fit_only_by_rows():
     assert 0.45 < sigma["recordings"] < 0.65
 
 
-@pytest.mark.parametrize("objective", ["rmse", "state-nll"])
+@pytest.mark.parametrize("objective", [pytest.param("rmse", marks=pytest.mark.slow), "state-nll"])
 def test_vertical_noise_keeps_its_start_where_the_position_over_the_floor_is_judged(objective):
     folder = ranges(n=1, seed=3, rows=120).folder()
     named = tw.build("uwb", dataclasses.replace(folder, rig=dataclasses.replace(folder.rig, tags={})))

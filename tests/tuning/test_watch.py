@@ -159,12 +159,20 @@ def test_normal_operation_is_no_change():
 @pytest.mark.parametrize(
     ("kind", "change"),
     [
-        ("ranges, height known", Change("moved", "ranges", ("A2",), np.array([0.6, -0.5, 0.0]), ONSET_S)),
-        ("ranges, height known", Change("delay", "ranges", ("A3",), np.array([0.5]), ONSET_S)),
+        pytest.param(
+            "ranges, height known",
+            Change("moved", "ranges", ("A2",), np.array([0.6, -0.5, 0.0]), ONSET_S),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "ranges, height known", Change("delay", "ranges", ("A3",), np.array([0.5]), ONSET_S), marks=pytest.mark.slow
+        ),
         ("ranges, height known", Change("drift", "ranges", ("A4",), np.array([0.003]), ONSET_S)),
         ("ranges, height known", Change("wall", "ranges", ("A1",), np.array([0.6]), ONSET_S)),
         ("ranges, height known", Change("swapped", "ranges", ("A2", "A5"), np.zeros(0), ONSET_S)),
-        ("bearings", Change("turned", "bearings", ("S2",), np.radians([12.0]), ONSET_S)),
+        pytest.param(
+            "bearings", Change("turned", "bearings", ("S2",), np.radians([12.0]), ONSET_S), marks=pytest.mark.slow
+        ),
     ],
     ids=lambda x: x.name if isinstance(x, Change) else "",
 )

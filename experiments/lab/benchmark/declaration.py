@@ -17,8 +17,10 @@ from trackwright.experiments.lab.validation.sites import SEEN_BY_DEFAULTS
 MOST_READINGS = 6_000
 """Readings of a recording that every estimator is given, from its beginning."""
 
-OURS = "trackwright"
-SMOOTHED = "trackwright-smoothed"
+OURS, SMOOTHED = DEFAULT = ("trackwright", "trackwright-smoothed")
+MOTION = ("trackwright-motion", "trackwright-motion-smoothed")
+"""Our estimators with defaults, and at several levels of motion; each pair filtered and smoothed."""
+
 OPTIMUM = ("optimum", "optimum-smoothed")
 """Those that know the levels of a simulated world, and are not compared with ours."""
 
@@ -43,6 +45,10 @@ class Estimator(NamedTuple):
 ESTIMATORS: Mapping[str, Estimator] = MappingProxyType({
     OURS: Estimator("ours:filtered", "our default tracker", compiled=True, whole=True),
     SMOOTHED: Estimator("ours:smoothed", "our default tracker, smoothed", later=True, compiled=True, whole=True),
+    MOTION[0]: Estimator("ours:motion", "our default tracker, `--motion auto`", compiled=True, whole=True),
+    MOTION[1]: Estimator(
+        "ours:motion_smoothed", "our default tracker, `--motion auto --smooth`", later=True, compiled=True, whole=True
+    ),
     "numpy-ekf": Estimator("plain:estimate", "textbook extended Kalman filter", "plain"),
     "filterpy": Estimator("with_filterpy:estimate", "EKF with a gate of 3 σ", "gated", library="filterpy"),
     "stonesoup": Estimator(

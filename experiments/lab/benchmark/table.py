@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from trackwright.experiments.lab.benchmark.data import folder_of, hint
-from trackwright.experiments.lab.benchmark.declaration import DEVELOPMENT, ESTIMATORS, OPTIMUM, OURS, SMOOTHED
+from trackwright.experiments.lab.benchmark.declaration import DEFAULT, DEVELOPMENT, ESTIMATORS, MOTION, OPTIMUM
 from trackwright.experiments.lab.benchmark.scoring import Cell, cell, difference, files
 from trackwright.experiments.lab.cases import Row, Table, as_page, as_text, machine, packages
 from trackwright.experiments.lab.validation.sites import DEFAULTS
@@ -23,8 +23,11 @@ from trackwright.trackers.core.errors import UnusableInput
 
 MARK = "trackwright benchmark"
 CHART = "side-by-side.png"
-APART = (OURS, SMOOTHED, *OPTIMUM)
+APART = (*DEFAULT, *MOTION, *OPTIMUM)
 """The estimators that ours is not compared with."""
+
+Pair = tuple[str, str]
+"""Ours, filtered and smoothed."""
 
 Cells = Mapping[str, Mapping[str, Cell]]
 """By data set and estimator."""
@@ -82,18 +85,10 @@ def show(results: Cells, page: Path | None) -> None:
 
 
 def _tables(results: Cells) -> Iterator[Table]:
-    tallies = list(_against(results))
-    if tallies:
-        sets = _compared(results, _estimators(results))
-        ahead = [name for name in sets if not any(name in tally.worse for _, tally in tallies)]
-        unproven = sum(any(_is_unproven(e, results[name]) for e in results[name]) for name in ahead)
-        note = (
-            f"Ahead of, or equal to, every other estimator on {len(ahead)} of {len(sets)} data sets "
-            f"({100 * len(ahead) / len(sets):.0f} %; goal: 80 %). Equal: the interval has zero in it, or there is none "
-            f"(fewer than five pieces); without one, another has a smaller RMSE on {unproven} of these {len(ahead)}. "
-            "A failure is worse than any error."
-        )
-        yield Table([_tally_row(name, tally) for name, tally in tallies], "Ours against each", note)
+    for ours, title in ((DEFAULT, "Ours against each"), (MOTION, "Ours with `--motion auto` against each")):
+        if tallies := list(_against(results, ours)):
+            rows = [_tally_row(name, tally, ours) for name, tally in tallies]
+            yield Table(rows, title, _ahead(results, ours, [tally for _, tally in tallies]))
     yield Table([_summary(name, results) for name in _estimators(results)], "Estimators")
     yield Table([_row(name, results[name], "rmse", 3) for name in results], "RMSE", NOTE)
     yield Table([_row(name, results[name], "p75", 3) for name in results], "75th percentile")
@@ -109,6 +104,19 @@ def _tables(results: Cells) -> Iterator[Table]:
         yield Table(failures, "Failures")
 
 
+def _ahead(results: Cells, ours: Pair, tallies: Sequence[Tally]) -> str:
+    """On how many data sets ours is ahead of every other estimator, or equal, and what that means."""
+    sets = _compared(results, _estimators(results), ours)
+    ahead = [name for name in sets if not any(name in tally.worse for tally in tallies)]
+    unproven = sum(any(_is_unproven(e, results[name], ours) for e in results[name]) for name in ahead)
+    return (
+        f"Ahead of, or equal to, every other estimator on {len(ahead)} of {len(sets)} data sets "
+        f"({100 * len(ahead) / len(sets):.0f} %; goal: 80 %). Equal: the interval has zero in it, or there is none "
+        f"(fewer than five pieces); without one, another has a smaller RMSE on {unproven} of these {len(ahead)}. "
+        "A failure is worse than any error."
+    )
+
+
 NOTE = (
     "Horizontal, m; of ble51-uca the angle of direction, rad. *: levels were chosen on it, those of others and, "
     "except tiers, ours. Bold: the least of its row; ↓: better than ours of its kind beyond the "
@@ -120,42 +128,42 @@ def _estimators(results: Cells) -> list[str]:
     return list(dict.fromkeys(name for of_set in results.values() for name in of_set))
 
 
-def _compared(results: Cells, names: Sequence[str]) -> list[str]:
+def _compared(results: Cells, names: Sequence[str], ours: Pair = DEFAULT) -> list[str]:
     """The data sets that have one of these estimators, and ours of its kind."""
     others = [name for name in names if name not in APART]
-    return [s for s, of_set in results.items() if any(e in of_set and counterpart(e) in of_set for e in others)]
+    return [s for s, of_set in results.items() if any(e in of_set and counterpart(e, ours) in of_set for e in others)]
 
 
-def counterpart(name: str) -> str:
+def counterpart(name: str, ours: Pair = DEFAULT) -> str:
     """Our estimator that another is compared with: the smoothed one where it uses later readings, too."""
-    return SMOOTHED if name in ESTIMATORS and ESTIMATORS[name].later else OURS
+    return ours[name in ESTIMATORS and ESTIMATORS[name].later]
 
 
-def _judged(name: str, of_set: Mapping[str, Cell]) -> str:
+def _judged(name: str, of_set: Mapping[str, Cell], ours: Pair = DEFAULT) -> str:
     """Whether an estimator has a smaller (↓) or larger (↑) RMSE than ours beyond the interval, or ours or it alone
     failed; `UNKNOWN` without an interval, else empty.
     """
-    ours = of_set.get(counterpart(name))
-    if name in APART or ours is None or name not in of_set:
+    mine = of_set.get(counterpart(name, ours))
+    if name in APART or mine is None or name not in of_set:
         return ""
-    paired = difference(ours, of_set[name])
+    paired = difference(mine, of_set[name])
     if paired is None:
-        return {(True, False): "↓", (False, True): "↑"}.get((bool(ours.failed), bool(of_set[name].failed)), "")
+        return {(True, False): "↓", (False, True): "↑"}.get((bool(mine.failed), bool(of_set[name].failed)), "")
     if np.isnan(paired.low):
         return UNKNOWN
     return "↓" if paired.high < 0 else "↑" if paired.low > 0 else ""
 
 
-def _is_unproven(name: str, of_set: Mapping[str, Cell]) -> bool:
+def _is_unproven(name: str, of_set: Mapping[str, Cell], ours: Pair) -> bool:
     """Whether an estimator has a smaller RMSE than ours, without an interval."""
-    return _judged(name, of_set) == UNKNOWN and of_set[name].rmse < of_set[counterpart(name)].rmse
+    return _judged(name, of_set, ours) == UNKNOWN and of_set[name].rmse < of_set[counterpart(name, ours)].rmse
 
 
-def _against(results: Cells) -> Iterator[tuple[str, Tally]]:
+def _against(results: Cells, ours: Pair = DEFAULT) -> Iterator[tuple[str, Tally]]:
     for name in _estimators(results):
         if name in APART:
             continue
-        signs = {s: _judged(name, results[s]) for s in _compared(results, [name])}
+        signs = {s: _judged(name, results[s], ours) for s in _compared(results, [name], ours)}
         worse = tuple(s for s, sign in signs.items() if sign == "↓")
         better = sum(sign == "↑" for sign in signs.values())
         if signs:
@@ -163,9 +171,9 @@ def _against(results: Cells) -> Iterator[tuple[str, Tally]]:
             yield name, Tally(better, len(signs) - better - len(worse), unknown, worse)
 
 
-def _tally_row(name: str, tally: Tally) -> Row:
+def _tally_row(name: str, tally: Tally, ours: Pair) -> Row:
     return {
-        "estimator": name, "ours": counterpart(name), "ours better": tally.better, "equal": tally.equal,
+        "estimator": name, "ours": counterpart(name, ours), "ours better": tally.better, "equal": tally.equal,
         "of these without an interval": tally.unknown,
         "ours worse": len(tally.worse), "worse on": ", ".join(tally.worse),
     }  # fmt: skip
@@ -225,7 +233,7 @@ def write_chart(path: Path, results: Cells) -> None:
 
 
 def _draw(results: Cells, shown: Sequence[str], later: bool, axes: Axes) -> None:
-    ours = SMOOTHED if later else OURS
+    ours = DEFAULT[later]
     others = [e for e in _estimators(results) if e not in APART and counterpart(e) == ours]
     for k, name in enumerate(others):
         rows = [row for row, s in enumerate(shown) if ours in results[s] and name in results[s]]

@@ -1,4 +1,7 @@
-"""Noise levels of the estimators that our trackers are compared with, on the recordings that set our own defaults."""
+"""Noise levels of the estimators that our trackers are compared with, on the recordings that set our own defaults.
+
+A search on a grid without edges: from its start to the best neighbour, until none is better.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.lab.benchmark.adapters import plain, robust_map, with_filterpy
-from trackwright.experiments.lab.benchmark.data import beginning_of, folder_of
+from trackwright.experiments.lab.benchmark.data import folder_of
 from trackwright.experiments.lab.benchmark.declaration import DEVELOPMENT
 from trackwright.experiments.lab.benchmark.motion import Levels, Path
 from trackwright.experiments.lab.benchmark.problems import Problem, problems
@@ -26,11 +29,11 @@ GROUPS: dict[str, Callable[[Problem, Levels], Path]] = {
 }
 """The estimator whose errors choose the levels of its group."""
 
-ACCELERATIONS = (0.1, 0.3, 1.0)
-READINGS = (0.1, 0.2, 0.4, 0.8)
+START, STEPS = Levels(0.3, 0.2), (3.0, 2.0)
+"""Where the search begins, and the factors between neighbours on its grid."""
 
-MOST_READINGS = 500
-"""Readings of a recording, from its beginning."""
+SPAN = 4
+"""Most steps from the start in each direction."""
 
 
 def peer_levels(*, kind: tuple[str, ...] = (), output: Output = DEFAULTS) -> int:
@@ -46,17 +49,40 @@ def peer_levels(*, kind: tuple[str, ...] = (), output: Output = DEFAULTS) -> int
 
 
 def _of_kind(kind: str, small: bool) -> Iterator[Row]:
-    folders = [beginning_of(folder_of(name), MOST_READINGS) for name in DEVELOPMENT[kind]]
+    folders = [folder_of(name) for name in DEVELOPMENT[kind]]
     given = [[(p, _truth(p)) for p in problems(folder)] for folder in folders]
     groups = {name: f for name, f in GROUPS.items() if name != "gated" or find_spec("filterpy")}
     for group, estimate in groups.items():
-        grid = [Levels(*pair) for pair in product(ACCELERATIONS, READINGS)]
-        means = {levels: _mean(given, estimate, levels) for levels in grid[:: 8 if small else 1]}
-        best = min(means, key=means.__getitem__)
+        best, tried = searched(partial(_mean, given, estimate), 0 if small else SPAN)
+        levels = levels_at(*best)
         yield {
-            "readings": kind, "group": group, "acceleration": best.acceleration, "reading": best.reading,
-            "RMSE, m": means[best],
+            "readings": kind, "group": group, "acceleration": levels.acceleration, "reading": levels.reading,
+            "RMSE, m": tried[best], "tried": len(tried), "at the end of the span": SPAN in map(abs, best),
         }  # fmt: skip
+
+
+Place = tuple[int, int]
+"""Steps from the start, of accelerations and of readings."""
+
+
+def levels_at(acceleration: int, reading: int) -> Levels:
+    """The levels at a place of the grid, rounded to two digits."""
+    each = zip(START, STEPS, (acceleration, reading), strict=True)
+    return Levels(*(float(f"{start * factor**steps:.2g}") for start, factor, steps in each))
+
+
+def searched(mean: Callable[[Levels], float], span: int) -> tuple[Place, dict[Place, float]]:
+    """The place than which no neighbour has a smaller mean, and the means of all places tried."""
+    best, tried = (0, 0), {(0, 0): mean(START)}
+    while True:
+        near = [(best[0] + i, best[1] + j) for i, j in product((-1, 0, 1), repeat=2)]
+        for place in near:
+            if place not in tried and max(map(abs, place)) <= span:
+                tried[place] = mean(levels_at(*place))
+        found = min(tried, key=tried.__getitem__)
+        if found == best:
+            return best, tried
+        best = found
 
 
 def _truth(problem: Problem) -> tuple[np.ndarray, np.ndarray]:

@@ -19,6 +19,8 @@ from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.ranges import RangeSensor
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, Strapdown
 
+pytestmark = pytest.mark.slow
+
 RUNS, ROWS, ENDS, DT, SIGMA_R = 500, 200, 120, 0.02, 0.05
 MOTION = Strapdown(ImuNoise(0.1, 0.01, 0.02, 0.002, 1.0, 0.05))
 ANCHORS = np.array([[0, 0, 0.5], [8, 0, 2.5], [8, 8, 0.3], [0, 8, 2.8], [4, 0, 2.0], [4, 8, 1.0]])
@@ -89,7 +91,6 @@ def estimates(world):
     return Tracker(MOTION, {"ranges": sensor}, KnownStart(_build), track_loss=NEVER_LOST).run(world[1])
 
 
-@pytest.mark.slow
 def test_the_nees_is_inside_its_95_percent_interval_with_biases_and_a_gap_of_the_imu(world, estimates):
     true, covs = world[0], estimates.covariance[1:]
     errors = np.stack(jax.jit(jax.vmap(jax.vmap(local)))(estimates.mean, true), axis=-1)[1:]

@@ -37,6 +37,7 @@ def _with_and_without(folder, planar):
     return _rmse(tracker, recordings), _rmse(tracker, blind)
 
 
+@pytest.mark.slow
 def test_a_tilting_tag_that_its_known_height_has_taken_for_level_is_named():
     walk = simulate_uwb_imu(chamber(), n_points=400).folder("walk")
     walk = dataclasses.replace(walk, rig=dataclasses.replace(walk.rig, tags={"0": Tag(height=1.2)}))

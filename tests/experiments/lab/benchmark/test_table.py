@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.benchmark.declaration import OURS, SMOOTHED
+from trackwright.experiments.lab.benchmark.declaration import DEFAULT, MOTION, OURS, SMOOTHED
 from trackwright.experiments.lab.benchmark.scoring import Cell
 from trackwright.experiments.lab.benchmark.table import _against, _summary
 from trackwright.trackers.evaluation.comparison import TrackErrors
@@ -43,6 +43,13 @@ def test_estimators_that_use_later_readings_are_compared_with_the_smoothed_one_a
     assert not list(_against({"hall": {OURS: _cell(1.0), "gtsam": _cell(0.5)}}))
     ((name, tally),) = _against({"hall": {SMOOTHED: _cell(0.5), "gtsam": _cell(1.0)}})
     assert (name, tally.better) == ("gtsam", 1)
+
+
+def test_ours_at_several_levels_of_motion_stands_in_for_the_default_one():
+    cells = {"hall": {OURS: _cell(1.5), MOTION[0]: _cell(0.5), "mine": _cell(1.0)}}
+    tallies = [dict(_against(cells, ours)) for ours in (DEFAULT, MOTION)]
+    assert [(tally["mine"].better, len(tally["mine"].worse)) for tally in tallies] == [(0, 1), (1, 0)]
+    assert tallies[0].keys() == {"mine"}
 
 
 def test_a_failure_is_counted_as_such_and_not_among_readings():
