@@ -73,16 +73,16 @@ ESTIMATORS: Mapping[str, Estimator] = MappingProxyType({
 
 LEVELS: Mapping[str, Mapping[str, Levels]] = MappingProxyType({
     "plain": {
-        "ranges": Levels(1.0, 0.8), "tdoa": Levels(0.1, 0.4), "bearings": Levels(0.3, 0.4), "fixes": Levels(1.0, 0.1),
+        "ranges": Levels(0.3, 0.4), "tdoa": Levels(0.3, 0.4), "bearings": Levels(0.3, 0.4), "fixes": Levels(24.0, 0.013),
     },
     "gated": {
-        "ranges": Levels(0.3, 0.2), "tdoa": Levels(0.1, 0.2), "bearings": Levels(0.1, 0.2), "fixes": Levels(1.0, 0.1),
+        "ranges": Levels(0.3, 0.2), "tdoa": Levels(0.3, 0.2), "bearings": Levels(0.1, 0.2), "fixes": Levels(24.0, 0.013),
     },
     "smoothed": {
-        "ranges": Levels(0.1, 0.2), "tdoa": Levels(0.1, 0.8), "bearings": Levels(0.1, 0.1), "fixes": Levels(0.3, 0.2),
+        "ranges": Levels(0.1, 0.2), "tdoa": Levels(0.1, 0.2), "bearings": Levels(0.1, 0.1), "fixes": Levels(0.3, 0.1),
     },
     "robust": {
-        "ranges": Levels(0.3, 0.4), "tdoa": Levels(1.0, 0.1), "bearings": Levels(1.0, 0.8), "fixes": Levels(1.0, 0.8),
+        "ranges": Levels(0.3, 0.4), "tdoa": Levels(0.1, 0.05), "bearings": Levels(0.9, 0.8), "fixes": Levels(0.3, 0.05),
     },
 })  # fmt: skip
 """Noise levels of a group of estimators by kind of readings."""
