@@ -73,10 +73,10 @@ ESTIMATORS: Mapping[str, Estimator] = MappingProxyType({
 
 LEVELS: Mapping[str, Mapping[str, Levels]] = MappingProxyType({
     "plain": {
-        "ranges": Levels(0.3, 0.4), "tdoa": Levels(0.3, 0.4), "bearings": Levels(0.3, 0.4), "fixes": Levels(24.0, 0.013),
+        "ranges": Levels(0.3, 0.4), "tdoa": Levels(0.3, 0.4), "bearings": Levels(0.3, 0.4), "fixes": Levels(24, 0.013),
     },
     "gated": {
-        "ranges": Levels(0.3, 0.2), "tdoa": Levels(0.3, 0.2), "bearings": Levels(0.1, 0.2), "fixes": Levels(24.0, 0.013),
+        "ranges": Levels(0.3, 0.2), "tdoa": Levels(0.3, 0.2), "bearings": Levels(0.1, 0.2), "fixes": Levels(24, 0.013),
     },
     "smoothed": {
         "ranges": Levels(0.1, 0.2), "tdoa": Levels(0.1, 0.2), "bearings": Levels(0.1, 0.1), "fixes": Levels(0.3, 0.1),
