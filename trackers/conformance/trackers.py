@@ -36,6 +36,9 @@ WORLD = 128
 SLACK = 1.5
 """Factor by which the mean NEES may differ from its expectation: filters of nonlinear models are not exact."""
 
+SLACK_STUDENT_T = 2.0
+"""That factor where readings have the noise of Student's t, which a Kalman filter approximates by reweighting."""
+
 LENGTHS, GROWTH = (64, 512), 1.2
 """Rows of two programs, and the factor by which the numbers that one row computes may grow."""
 
@@ -134,11 +137,13 @@ def _check_consistency(world: World, estimates: Estimates) -> str:
     values, d = nees(errors, np.asarray(estimates.covariance)[:, last]), errors.shape[1]
     ratio = float(np.mean(values)) / d
     words = f"the mean NEES of {len(values)} tracks of a world drawn from the model is {ratio:.2f} for each component"
-    if not 1 / SLACK < ratio < SLACK:
+    slack = SLACK if world.normal else SLACK_STUDENT_T
+    if not 1 / slack < ratio < slack:
         cause = "too small" if ratio > 1 else "too large"
+        particles = ", or more particles" * world.tracker.filter.has_particle_axis
         raise BrokenContract(
-            f"{words}, expected 1 within a factor {SLACK:g}: covariances are {cause}; usual fix: the filter uses the "
-            "noise of the motion and of the residual, all of it and once"
+            f"{words}, expected 1 within a factor {slack:g}: covariances are {cause}; usual fix: the filter uses the "
+            f"noise of the motion and of the residual, all of it and once{particles}"
         )
     return words
 
