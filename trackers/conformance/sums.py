@@ -22,6 +22,9 @@ from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
 STEP = 3e-4
 """Half the interval of a difference quotient, of the unconstrained value of a tunable."""
 
+SMALLER_STEP = 1e-5
+"""Where that quotient is not the derivative, as between corners close together; a wrong derivative is so over both."""
+
 RESOLUTION = 1e-9
 """Relative rounding of a sum: an update of a diffuse prior loses digits to cancellation."""
 
@@ -36,9 +39,8 @@ class Sums:
         self.nodes = tunables(self.model)
         self.labels = [name for name, node in self.nodes.items() for _ in range(np.size(node.raw))]
         self.point = np.concatenate([np.ravel(np.asarray(x.raw)) for x in self.nodes.values()] or [np.zeros(0)])
-        shifts = STEP * np.eye(len(self.point))
-        points = self.point + np.concatenate([np.zeros((1, len(shifts))), shifts, -shifts, 2 * shifts, -2 * shifts])
-        self.values = np.asarray(jax.jit(lambda vs: jax.lax.map(self.sums, vs))(jnp.asarray(points)))
+        self.program = jax.jit(lambda vectors: jax.lax.map(self.sums, vectors))
+        self.values = self.around(STEP)
         self.output: Output = eqx.filter_jit(filter_batch)(self.model, self.batch)
 
     def sums(self, vector: Float[Array, " p"]) -> Float[Array, " 2"]:
@@ -49,6 +51,13 @@ class Sums:
             raw = jnp.reshape(vector[start : start + size], np.shape(node.raw))
             nodes[name], start = eqx.tree_at(lambda n: n.raw, node, raw), start + size
         return jnp.stack([jnp.sum(x) for x in replaced(self.model, nodes).accumulate(self.batch, _score)])
+
+    def around(self, step: float) -> Float[np.ndarray, "points 2"]:
+        """The sums at the tunables, then with each a step up, a step down, two up and two down."""
+        shifts = step * np.eye(len(self.point))
+        points = self.point + np.concatenate([np.zeros((1, len(shifts))), shifts, -shifts, 2 * shifts, -2 * shifts])
+        with jax.enable_x64(True):
+            return np.asarray(self.program(jnp.asarray(points)))
 
     def compare_sums(self) -> str:
         """Raises unless `accumulate` sums what `scan` returns."""
@@ -92,6 +101,10 @@ class Sums:
         bends = ((far_up + far_down - 2 * here[:, None]) / 2 - 2 * (up + down - 2 * here[:, None])) / STEP
         corner = np.abs(bends) > 0.01 * np.abs(numeric) + noise
         wrong = (np.abs(slopes - numeric) > 1e-3 * np.abs(numeric) + noise) & ~corner
+        if wrong.any():
+            up, down, _, _ = np.split(self.around(SMALLER_STEP)[1:].T, 4, axis=1)
+            nearer = (up - down) / (2 * SMALLER_STEP)
+            wrong &= np.abs(slopes - nearer) > 1e-3 * np.abs(nearer) + noise
         if wrong.any() or not np.isfinite(slopes).all():
             figure, k = np.argwhere(wrong | ~np.isfinite(slopes))[0]
             raise BrokenContract(

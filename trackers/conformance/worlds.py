@@ -36,13 +36,14 @@ class World:
     """Recordings drawn from the model of a tracker, which begin with the belief `prior`.
 
     `tracker`: without track loss, with estimates at the times of rows. `states`: the true states, leaves (T, n) for n
-    recordings.
+    recordings. `normal`: no reading has the noise of Student's t.
     """
 
     tracker: Tracker
     prior: Gaussian
     recordings: list[Recording]
     states: State
+    normal: bool
 
     def errors(self, mean: State, row: int) -> Float[np.ndarray, "n d"]:
         """The small steps from estimates, leaves (n, T), to the true states in one row."""
@@ -119,7 +120,7 @@ def _world(tracker: Tracker, recording: Recording, prior: Gaussian, n: int, seed
     rows = jax.tree_util.tree_map(lambda x: jnp.asarray(x[..., 0]), (batch.dt, batch.readings, batch.inputs))
     factor = np.linalg.cholesky(np.asarray(matrix(prior.cov)) + 1e-12 * np.eye(size))
 
-    def trajectory(keys: Array) -> tuple[State, Mapping[str, tuple[Array, Array]]]:
+    def trajectory(keys: Array) -> tuple[State, Mapping[str, tuple[Array, Array, Array]]]:
         first = retract(prior.mean, list(jnp.asarray(factor) @ jax.random.normal(keys[0], (size,))))
 
         def row(state: State, given: Any) -> Any:
@@ -136,8 +137,8 @@ def _world(tracker: Tracker, recording: Recording, prior: Gaussian, n: int, seed
         return jax.lax.scan(row, first, (keys[1:], rows))[1]
 
     states, drawn = jax.jit(jax.vmap(trajectory, out_axes=1))(keys)
-    values = {name: x for name, (x, _) in drawn.items()}
-    for name, (_, fits) in drawn.items():
+    values = {name: x for name, (x, _, _) in drawn.items()}
+    for name, (_, fits, _) in drawn.items():
         # Angles far out wrap.
         if np.mean(fits) < 0.99:
             raise NotApplicable(
@@ -155,15 +156,16 @@ def _world(tracker: Tracker, recording: Recording, prior: Gaussian, n: int, seed
         )
         for k in range(n)
     ]
-    return World(tracker, prior, recordings, jax.tree_util.tree_map(np.asarray, states))
+    normal = all(bool(np.all(x)) for _, _, x in drawn.values())
+    return World(tracker, prior, recordings, jax.tree_util.tree_map(np.asarray, states), normal)
 
 
 def _reading(
     sensor: AbstractSensor, view: Any, inputs: Any, reading: Reading, key: Array
-) -> tuple[Float[Array, " m"], Bool[Array, ""]]:
-    """A reading whose whitened residual is unit noise, normal or Student's t, and whether its residual is that.
+) -> tuple[Float[Array, " m"], Bool[Array, ""], Bool[Array, ""]]:
+    """A reading whose whitened residual is unit noise, whether its residual is that, and whether the noise is normal.
 
-    Without noise where it is not seen.
+    Else it is Student's t. Without noise where it is not seen.
     """
     predicted = jnp.stack([jnp.asarray(z) for z in sensor.measure(view, inputs)])
     exact = reading._replace(values=predicted)
@@ -176,4 +178,5 @@ def _reading(
     unit = jax.random.normal(key, shape) if dof is None else jax.random.t(key, dof, shape)
     offset = jnp.linalg.pinv(jacobian) @ unit
     values = predicted + offset
-    return values, jnp.allclose(whitened(values), jacobian @ offset, rtol=1e-6, atol=1e-6)
+    fits = jnp.allclose(whitened(values), jacobian @ offset, rtol=1e-6, atol=1e-6)
+    return values, fits, jnp.asarray(dof is None)

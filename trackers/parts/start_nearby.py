@@ -57,7 +57,9 @@ class NearbyStart(AbstractNearbyStart):
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
-        zero = jnp.zeros_like(candidate[0])
+        # Not the candidate, which carries no derivative: the points of a cascade depend on its beams.
+        point = row.inputs[NEARBY.name]
+        zero = jnp.zeros_like(point[0])
         position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
-        state = Kinematic(Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * self.velocities))
+        state = Kinematic(Vector(*(point[k] for k in range(n))), Vector(*[zero] * self.velocities))
         return Gaussian(state, diagonal([position] * n + [velocity] * self.velocities, zero))

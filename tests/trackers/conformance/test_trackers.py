@@ -215,6 +215,16 @@ def test_a_tunable_that_a_sensor_has_copied_into_a_constant_is_named():
         assert f"5 tunables; no estimate depends on {names}track_loss." in found.sentence, found
 
 
+def test_a_derivative_between_corners_that_lie_close_together_is_no_wrong_one():
+    def folded(output, batch):
+        log_sigma = 0.5 * jnp.log(output.cov[0])
+        fold = 1e-4 * jnp.abs(log_sigma / 1e-4 - jnp.round(log_sigma / 1e-4))
+        return output._replace(log_likelihood=output.log_likelihood + 0.05 * fold)
+
+    found = {str(c): c for c in tw.tracker_checks(averaged(folded), recordings())}["gradient"].result
+    assert (found.outcome, found.sentence) == ("pass", "2 tunables"), found
+
+
 def test_recordings_that_are_too_short_to_be_cut_are_no_evidence_of_a_resumed_run():
     short = [*recordings(), *(cut(r, 0, 3) for r in recordings(5))]
     found = {str(c): c for c in tw.tracker_checks(averaged(forgets=True), short)}["cut and resume"].result

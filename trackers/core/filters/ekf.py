@@ -29,11 +29,8 @@ from trackwright.trackers.core.model.algebra import (
     Scalar,
     SparseRow,
     Vector,
-    cholesky,
     compute_once,
     congruence,
-    gram,
-    inverse_or_zero,
     total,
 )
 from trackwright.trackers.core.model.covariance import (
@@ -176,25 +173,33 @@ def compressed(
 ) -> tuple[Sequence[Scalar], Sequence[SparseRow], Scalar]:
     """One whitened channel per observed direction of the state, and the residual sum of squares that no state explains.
 
-    With HᵀH = LLᵀ the equivalent channels are Lᵀ with residual L⁻¹Hᵀr. The remaining sum of squares is |r −
-    H(HᵀH)⁻¹Hᵀr|², by projection: the difference of two large numbers would lose it in single precision.
+    With H = QLᵀ, Q of orthonormal columns, the equivalent channels are Lᵀ with residual Qᵀr, and the remaining sum of
+    squares is that of r − QQᵀr. By Gram–Schmidt, column after column: the Cholesky factor of HᵀH loses twice as many
+    digits where a direction is hardly observed, as the distance by an array.
     """
     columns = sorted({j for row in H for j in row})
     if len(H) <= len(columns):
         return residual, H, jnp.zeros_like(residual[0])
     tolerance = 16 * float(jnp.finfo(jnp.asarray(residual[0]).dtype).eps)
-    L = cholesky(gram(H, columns), columns, tolerance)
-    projected = {j: total(row[j] * r for row, r in zip(H, residual, strict=True) if j in row) for j in columns}
-    equivalent: dict[int, Scalar] = {}
-    pivot = {j: inverse_or_zero(L[j, j]) for j in columns}
+    zero = jnp.zeros_like(residual[0])
+    left = {j: [row.get(j, zero) for row in H] for j in columns}
+    whole = {j: total(x * x for x in left[j]) for j in columns}
+    remainder, equivalent, rows = list(residual), [], []
     for a, j in enumerate(columns):
-        equivalent[j] = (projected[j] - total(L[j, k] * equivalent[k] for k in columns[:a])) * pivot[j]
-    solution: dict[int, Scalar] = {}
-    for a, j in reversed(list(enumerate(columns))):
-        solution[j] = (equivalent[j] - total(L[i, j] * solution[i] for i in columns[a + 1 :])) * pivot[j]
-    remainder = [r - total(row[j] * solution[j] for j in row) for row, r in zip(H, residual, strict=True)]
-    rows = [{i: L[i, j] for i in columns[a:]} for a, j in enumerate(columns)]
-    return [equivalent[j] for j in columns], rows, total(x * x for x in remainder)
+        square = total(x * x for x in left[j])
+        # A direction that is not observed drops out instead of becoming infinite.
+        observed = square > tolerance * whole[j]
+        root = jnp.sqrt(jnp.where(observed, square, 1.0))
+        unit = [jnp.where(observed, x / root, 0.0) for x in left[j]]
+        row = {j: jnp.where(observed, root, 0.0)}
+        for i in columns[a + 1 :]:
+            row[i] = total(u * x for u, x in zip(unit, left[i], strict=True))
+            left[i] = [x - row[i] * u for u, x in zip(unit, left[i], strict=True)]
+        along = total(u * r for u, r in zip(unit, remainder, strict=True))
+        remainder = [r - along * u for u, r in zip(unit, remainder, strict=True)]
+        equivalent.append(along)
+        rows.append(row)
+    return equivalent, rows, total(r * r for r in remainder)
 
 
 def sequential_updates(

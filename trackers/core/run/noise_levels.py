@@ -103,7 +103,8 @@ class NoiseLevels(AbstractEpochwiseTracker):
             nodes = {name: node.with_value(node.value * factors[name]) for name, (node, _) in scaled.items()}
             return replaced(self.tracker, nodes).scan(batch, state)
 
-        dt = jnp.where(jnp.asarray(batch.valid), batch.dt, 0.0)
+        valid = jnp.asarray(batch.valid)
+        dt = jnp.where(valid, batch.dt, 0.0)
         factors = {name: jnp.asarray(of_levels, dt.dtype) for name, (_, of_levels) in scaled.items()}
         states, log_weights, count = (None, *self._before(batch.size, dt.dtype)) if initial is None else initial
         # Trajectories are first in every array of a state.
@@ -112,7 +113,7 @@ class NoiseLevels(AbstractEpochwiseTracker):
         returned, prior = -jnp.expm1(-dt / self.memory), self._prior(dt.dtype)
         power, count = _powers(outputs.nis_dof[0] > 0, dt / self.lasting, count)
         evidence = power[None] * outputs.log_likelihood
-        predicted, log_weights = _forward(evidence, returned, prior, log_weights.T)
+        predicted, log_weights = _forward(evidence, returned, prior, log_weights.T, valid)
         log_likelihood = jax.nn.logsumexp(predicted + outputs.log_likelihood, axis=0)
         weights = jax.nn.softmax(predicted + evidence, axis=0)
         if self.whole:
@@ -196,19 +197,24 @@ def _powers(
 
 
 def _forward(
-    evidence: Weights, returned: Float[Array, "T B"], prior: Float[Array, "K 1"], before: Float[Array, "K B"]
+    evidence: Weights,
+    returned: Float[Array, "T B"],
+    prior: Float[Array, "K 1"],
+    before: Float[Array, "K B"],
+    valid: Bool[Array, "T B"],
 ) -> tuple[Weights, Float[Array, "K B"]]:
     """The logarithms of the weights before each row, and after the last one.
 
     `evidence`: logarithms of likelihoods. `returned`: the share of the weights that returns to the prior before a row.
     """
 
-    def row(log_weights: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        evidence, returned = row[0], row[1][None]
+    def row(log_weights: jax.Array, row: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        evidence, returned, valid = row[0], row[1][None], row[2]
         predicted = jnp.logaddexp(log_weights + jnp.log1p(-returned), jnp.log(prior * returned + 1e-30))
-        return jax.nn.log_softmax(predicted + evidence, axis=0), predicted
+        # Rows of padding would normalise the weights anew, which moves last bits.
+        return jnp.where(valid, jax.nn.log_softmax(predicted + evidence, axis=0), log_weights), predicted
 
-    after, predicted = jax.lax.scan(row, before, (jnp.moveaxis(evidence, 0, 1), returned))
+    after, predicted = jax.lax.scan(row, before, (jnp.moveaxis(evidence, 0, 1), returned, valid))
     return jnp.moveaxis(predicted, 0, 1), after
 
 

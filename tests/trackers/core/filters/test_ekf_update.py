@@ -92,6 +92,18 @@ def test_what_no_state_explains_keeps_its_digits_in_single_precision():
     assert float(rest) == pytest.approx(exact @ exact, rel=2e-3)
 
 
+def test_a_direction_that_is_hardly_observed_keeps_the_sum_of_squares_in_single_precision():
+    # As the distance by a small array: of the Cholesky factor of HᵀH three digits of seven would be left.
+    rng = np.random.default_rng(0)
+    H = rng.normal(size=(8, 3))
+    H[:, 2] = H[:, 0] + 5e-3 * H[:, 2]
+    residual = jnp.asarray(rng.normal(size=8), jnp.float32)
+    rows = [dict(enumerate(jnp.asarray(row, jnp.float32))) for row in H]
+    equivalent, factor, rest = compressed(list(residual), rows)
+    assert all(x > 0 for x in factor[2].values())
+    assert sum(x**2 for x in equivalent) + rest == pytest.approx(float(residual @ residual), rel=3e-6)
+
+
 BELIEFS = {
     "beam": (
         BeamMotion(Scale(1.0)), PlanePhases(STATION, 0.3), Beam(0.1, 0.2, 0.3, 0.4), None,
