@@ -40,7 +40,7 @@ SLACK_STUDENT_T = 2.0
 """That factor where readings have the noise of Student's t, which a Kalman filter approximates by reweighting."""
 
 TOO_SMALL = (
-    "the filter adds all noise of the motion and of the residual and counts no reading twice, or has more particles, or "
+    "the filter adds all noise of the motion and of the residual, counts no reading twice and has enough particles, or "
     "is a ParticleFilter where `step` or `measure` bends within the uncertainty"
 )
 TOO_LARGE = "the filter adds the noise of the motion and of the residual once, and uses every reading that is seen"
