@@ -154,7 +154,7 @@ def test_moments_that_are_not_those_of_conditioning_are_named(change, message):
     ],
 )
 def test_covariances_too_small_and_too_large_have_a_fix_each(size, message):
-    world = SimpleNamespace(recordings=[range(1)], errors=lambda mean, row: np.full((9, 2), size))
+    world = SimpleNamespace(recordings=[range(1)], errors=lambda mean, row: np.full((9, 2), size), normal=True)
     estimates = SimpleNamespace(mean=None, covariance=np.broadcast_to(np.eye(2), (9, 1, 2, 2)))
     with pytest.raises(tw.BrokenContract, match=message):
         _check_consistency(world, estimates)
