@@ -176,8 +176,8 @@ def table(outcomes: list[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Draw, test and write."""
+def main() -> int:
+    """Draw, test and write; 1 where a mutation was neither killed nor equivalent."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
     parser.add_argument("--count", type=int, default=60, help="number of mutations")
     parser.add_argument("--seed", type=int, default=0, help="seed of the draw")
@@ -213,6 +213,7 @@ def main() -> None:
                 found = scratch.failing_anyway({o.by for o in outcomes.values() if o.result == "killed"})
                 waiting = [k for k, o in sorted(outcomes.items()) if o.by in found]
     print(table([outcomes[k] for k in sorted(outcomes)]).rpartition("\n")[2])
+    return int(any(o.result not in ("killed", "equivalent") for o in outcomes.values()))
 
 
 def _write(path: Path, document: dict[str, Any], outcomes: dict[int, Outcome]) -> None:
@@ -228,4 +229,4 @@ def _commit() -> str:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
