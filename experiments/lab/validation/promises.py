@@ -17,6 +17,7 @@ from trackwright.experiments.lab.subprocesses import REPOSITORY
 TESTS = "python -m pytest -o addopts= --import-mode=importlib -q"
 CHUNKS = "tests/experiments/monte_carlo/test_chunk_store.py"
 FITS = "tests/tuning/test_fitting.py"
+CONTINUED = "tests/test_continued_runs.py tests/test_identities.py"
 
 
 class Promise(NamedTuple):
@@ -37,7 +38,7 @@ PROMISES = {
     ),
     "resumed": Promise(
         "the same bits after an interruption: of a study, a fit, a track",
-        f"{TESTS} {CHUNKS} {FITS} tests/test_continued_runs.py -k 'same_bits or resumed or ten_random and fix-kf'",
+        f"{TESTS} {CHUNKS} {FITS} {CONTINUED} -k 'same_bits or resumed or fix-kf-cut or one_row_at_a_time and fix-kf'",
     ),
     "releases": Promise("the same bits in later releases, for seven subjects", "python -m tests.released"),
     "gradients": Promise("gradients are those of independent oracles", "python -m trackwright.experiments verify"),
