@@ -68,6 +68,7 @@ def test_a_map_is_kept_where_errors_return_with_the_place_and_tracks_get_nearer(
     assert np.mean(after) < 0.85 * np.mean(before)
 
 
+@pytest.mark.slow
 def test_no_map_is_kept_of_errors_that_last_but_do_not_return():
     kept = [
         calibrate(_site(100 + seed, by_place=False, walks=3, seconds=60.0)).bearing_map is not None for seed in range(5)

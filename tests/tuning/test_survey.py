@@ -130,6 +130,7 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     assert abs(anchors[level, 2] - 0.5) <= flat.half_widths[level, 2] < 5.0
 
 
+@pytest.mark.slow
 def test_anchors_that_define_the_height_zero_have_no_other_side():
     (folder,) = simulated_site(0, (0.5,), 0.0)[0]
     found = survey(replace(folder, rig=Rig(folder.name)), frame=("A03", "A07", "A00"))

@@ -252,6 +252,7 @@ def test_a_noise_file_of_another_calibration_is_noticed(walks, tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_range_differences_are_calibrated_tracked_and_fitted_with_the_file(tmp_path):
     rng = np.random.default_rng(8)
     paths = [tmp_path / name for name in ("one", "two", "three")]

@@ -65,6 +65,7 @@ def test_options_without_sense_are_refused_in_one_line(walks, tmp_path, options,
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_range_differences_refine_the_positions_of_the_rig(tmp_path):
     room = tmp_path / "room"
     made = trackwright("simulate", "tdoa", "--n", 1, "--rows", 300, "--sigma-d", 0.03, "--hidden", 0, "--out", room)

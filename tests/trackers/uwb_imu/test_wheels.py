@@ -125,6 +125,7 @@ def test_filter_and_smoother_equal_dense_conditioning():
             )
 
 
+@pytest.mark.slow
 def test_a_body_of_one_tag_finds_its_heading_and_studies_count_bodies():
     worlds = {"body": World(WORLDS["body"], {"rows": 150, "tags": 2, "odometry": True, "hidden": 0.0, "lost": 0.0})}
     study = Study("body", "", worlds, {"body": TrackerConfig("body")}, runs=2, metrics=["rmse_m"])
