@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from trackwright.sim.worlds import SimulatedWorld
 
 COMMON = """
-        out: the folder to write; it must not exist or be empty.
-        n: trajectories, each of a tag, or body, of its own.
-        seed: the same seed gives the same numbers; a trajectory depends on the seed and its own number alone."""
+    out: the folder to write; it must not exist or be empty.
+    n: trajectories, each of a tag, or body, of its own.
+    seed: the same seed gives the same numbers; a trajectory depends on the seed and its own number alone."""
 """The help of the options that all worlds share."""
 
 
@@ -54,10 +54,11 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
     options.insert(0, inspect.Parameter("out", keyword, annotation=Folder))
     simulate.__signature__ = signature.replace(parameters=options, return_annotation=int)  # type: ignore[attr-defined]
     simulate.__annotations__ = {p.name: p.annotation for p in options} | {"return": int}
-    summary, _, arguments = (world.__doc__ or "").partition("\n")
+    # From Python 3.13 on docstrings have no indentation of their own.
+    summary, _, arguments = inspect.cleandoc(world.__doc__ or "").partition("\n")
     before, head, after = arguments.partition("Args:")
     simulate.__doc__ = (
-        f"{summary}\n\n    Writes one recording folder, its tables in Parquet.\n{before}{head}{COMMON}{after}"
+        f"{summary}\n\nWrites one recording folder, its tables in Parquet.\n{before}{head}{COMMON}{after}"
     )
     return simulate
 
