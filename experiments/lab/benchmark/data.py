@@ -42,15 +42,15 @@ def _paths() -> dict[str, Path]:
     return {file.parent.name: file.parent for folder in found for file in folder.glob("*/rig.toml")}
 
 
-def beginning_of(folder: RecordingFolder, most: int = MOST_READINGS) -> RecordingFolder:
-    """The recording up to the time at which its table of readings has `most` rows, with all of its truth.
+def beginning_of(folder: RecordingFolder) -> RecordingFolder:
+    """The recording up to the time at which its table of readings has `MOST_READINGS` rows, with all of its truth.
 
     Bearings, which trackers average, are not cut.
     """
     ends = [
-        folder.tables[name]["t_s"].sort()[most]
+        folder.tables[name]["t_s"].sort()[MOST_READINGS]
         for name in CHANNELS
-        if name in folder.tables and name != "bearings" and len(folder.tables[name]) > most
+        if name in folder.tables and name != "bearings" and len(folder.tables[name]) > MOST_READINGS
     ]
     if not ends:
         return folder

@@ -187,7 +187,7 @@ def compressed(
     remainder, equivalent, rows = list(residual), [], []
     for a, j in enumerate(columns):
         square = total(x * x for x in left[j])
-        # A direction that is not observed drops out instead of becoming infinite.
+        # What is not observed, as with antennas on a line, drops out instead of becoming infinite.
         observed = square > tolerance * whole[j]
         root = jnp.sqrt(jnp.where(observed, square, 1.0))
         unit = [jnp.where(observed, x / root, 0.0) for x in left[j]]

@@ -275,21 +275,12 @@ def congruence(rows: Sequence[SparseRow], upper: Sequence[Scalar], added: Sequen
     return tuple(result)
 
 
-def gram(rows: Sequence[SparseRow], columns: Sequence[int]) -> dict[tuple[int, int], Scalar]:
-    """JᵀJ over the given columns of the sparse rows J: upper triangle by (row, column) in the original numbering."""
-    return {
-        (i, j): total(times(row[i], row[j]) for row in rows if i in row and j in row)
-        for a, i in enumerate(columns)
-        for j in columns[a:]
-    }
-
-
 def cholesky(
     upper: dict[tuple[int, int], Scalar], columns: Sequence[int], tolerance: float
 ) -> dict[tuple[int, int], Scalar]:
     """Lower Cholesky factor of a semi-definite matrix; a pivot below `tolerance` × its diagonal gives a zero column.
 
-    Unobserved directions (all antennas masked, antennas on a line) thus drop out instead of becoming infinite.
+    Directions without variance thus drop out instead of becoming infinite.
     """
     L: dict[tuple[int, int], Scalar] = {}
     for a, j in enumerate(columns):
