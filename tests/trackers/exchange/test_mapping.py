@@ -111,6 +111,53 @@ def test_dates_with_and_without_a_time_zone_are_told_apart(dates, words):
         mapped_table(TableFile(Path("x"), frame), TableMapping("fixes", columns_of(["t_s=when in iso"])))
 
 
+def _of_dates(dates, order):
+    frame = pl.DataFrame({"when": dates, "tag": "T1", "x_m": 1.0, "y_m": 2.0, "z_m": 0.0})
+    return mapped_table(TableFile(Path("x"), frame), TableMapping("fixes", columns_of([f"t_s=when in {order}"])))
+
+
+@pytest.mark.parametrize(
+    ("order", "text"),
+    [
+        ("mm/dd/yyyy", "05/04/2026 14:13:20.000"),
+        ("MM/DD/YYYY", "5/4/2026 14:13:20"),
+        ("dd/mm/yyyy", "04/05/2026 14:13:20,0"),
+        ("dd-mm-yyyy", "04-05-2026T16:13:20+02:00"),
+        ("yyyy/mm/dd", "2026/05/04 14:13:20Z"),
+        ("iso", "2026-05-04T14:13:20.000000000Z"),
+        ("dd.mm.yyyy", "04.05.2026 14:13:20.000"),
+    ],
+)
+def test_dates_are_read_in_the_order_that_is_named(order, text):
+    table, _ = _of_dates([text, text], order)
+    assert table["t_s"].to_list() == [datetime(2026, 5, 4, 14, 13, 20, tzinfo=UTC).timestamp()] * 2
+
+
+@pytest.mark.parametrize(
+    ("order", "dates", "words"),
+    [
+        ("iso", ["05/04/2026 14:13:20"], "row 1, .*never guessed: name it, as 't_s=when in mm/dd/yyyy'"),
+        ("iso", ["05-04-2026 14:13:20"], "name it, as 't_s=when in mm-dd-yyyy'"),
+        ("iso", ["2026-05-04 14:13:20", "05/13/2026 14:13:20"], "row 2, column when: '05/13/2026 14:13:20'"),
+        ("iso", ["2026/05/04 14:13:20"], "expected a date such as 2026-05-31"),
+        ("iso", [20260504], "expected a date such as 2026-05-31"),
+        ("dd/mm/yyyy", ["04/05/2026 14:13:20", "05/13/2026 14:13:20"], "row 2, .*expected a date such as 31/05/2026"),
+        ("mm/dd/yyyy", ["05/04/26 14:13:20"], "expected a date such as 05/31/2026 14:00:00.25"),
+        ("mm/dd/yyyy", ["05/04/2026 02:13:20 PM"], "expected a date such as 05/31/2026 14:00:00.25"),
+        ("iso", ["04.05.2026 14:13:20", "05.13.2026 14:13:20"], "row 2, .*expected a date such as 31.05.2026"),
+    ],
+)
+def test_dates_in_another_order_than_the_one_named_are_refused(order, dates, words):
+    with pytest.raises(UnusableInput, match=words):
+        _of_dates(dates, order)
+
+
+def test_dotted_dates_are_day_month_year_and_a_line_says_so():
+    table, notices = _of_dates(["04.05.2026 14:13:20.500", "04.05.2026 14:13:21,500"], "iso")
+    assert table["t_s"][0] == datetime(2026, 5, 4, 14, 13, 20, 500_000, tzinfo=UTC).timestamp()
+    assert notices == ["column when: dates are read as dd.mm.yyyy"]
+
+
 @pytest.mark.parametrize(
     ("table", "columns", "words"),
     [

@@ -1,0 +1,61 @@
+"""Dates in columns of text as seconds since 1970: the order of day, month and year is stated, and never guessed."""
+
+from __future__ import annotations
+
+import re
+
+import polars as pl
+
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.table_file import TableFile, first_row
+
+ISO, DOTTED = "yyyy-mm-dd", "dd.mm.yyyy"
+ORDERS = {"iso": ISO, **{o: o for m in "/.-" for o in (f"dd{m}mm{m}yyyy", f"mm{m}dd{m}yyyy", f"yyyy{m}mm{m}dd")}}
+"""The orders of dates by the name that `t_s=COLUMN in NAME` has."""
+
+_PARTS = {"yyyy": r"(?P<y>\d{4})", "mm": r"(?P<m>\d{1,2})", "dd": r"(?P<d>\d{1,2})"}
+_ZONE = r"(?P<z>Z|[+-]\d\d:?(?:\d\d)?)"
+_TIME = rf"(?:[T ]+(?P<H>\d{{1,2}}):(?P<M>\d\d)(?::(?P<S>\d\d)(?:[.,](?P<f>\d{{1,9}})\d*)?)?\s*{_ZONE}?)?"
+
+
+def order_in(file: TableFile, column: str, order: str) -> str:
+    """The order of the dates in a column: dotted ones, unknown to ISO, are day, month, year everywhere."""
+    first = str(next(iter(file.frame[column]), "")).strip()
+    return DOTTED if order == ISO and re.match(r"\d{1,2}\.\d{1,2}\.\d{4}\b", first) else order
+
+
+def seconds_of(file: TableFile, column: str, order: str) -> pl.Series:
+    """Dates as seconds since 1970, UTC where they name no zone; raises UnusableInput with the row of another text."""
+    dates = file.frame[column]
+    if dates.dtype not in (pl.Datetime, pl.Date):
+        pattern = re.sub("yyyy|mm|dd", lambda match: _PARTS[match[0]], re.escape(order_in(file, column, order)))
+        parts = dates.cast(pl.String).str.strip_chars().str.extract_groups(f"^{pattern}{_TIME}$").struct.unnest()
+        time = (pl.col(name).fill_null("00") for name in "HMSf")
+        zone = pl.col("z").replace("Z", "+00").fill_null("+00")
+        date = pl.format("{}-{}-{} {}:{}:{}.{} {}", "y", "m", "d", *time, zone)
+        dates = parts.select(date.str.to_datetime("%Y-%m-%d %H:%M:%S%.f %#z", time_unit="ns", strict=False))["y"]
+        local = parts["z"].is_null()
+        wrong = dates.is_null() | (local != next(iter(local), True))
+        if wrong.any():
+            row = first_row(wrong)
+            raise UnusableInput(_no_date(file, column, row, order, dates.is_null()[row], parts["z"]))
+    whole = dates.dt.epoch("ns")
+    # The seconds are exact; only their sum with the fraction is rounded.
+    return (whole // 1_000_000_000).cast(pl.Float64) + (whole % 1_000_000_000).cast(pl.Float64) / 1e9
+
+
+def _no_date(file: TableFile, column: str, row: int, order: str, unknown: bool, zones: pl.Series) -> str:
+    """Why the text in a row is no date as those above: another order, or a time zone that the first row lacks."""
+    if not unknown:
+        found = [f"has {zone}" if zone else "has no time zone" for zone in (zones[row], zones[0])]
+        return (
+            f"{file.path}: column {column}: row {row + 1} {found[0]}, row 1 {found[1]}; expected a time zone in every "
+            "row, or in none"
+        )
+    text = str(file.frame[column][row])
+    example = order_in(file, column, order).replace("yyyy", "2026").replace("mm", "05").replace("dd", "31")
+    mark = "-" if "-" in text else "/"
+    return (
+        f"{file.location(row, column)}: {text!r}; expected a date such as {example} 14:00:00.25; another order is never "
+        f"guessed: name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd{mark}mm{mark}yyyy'"
+    )
