@@ -56,6 +56,6 @@ def _no_date(file: TableFile, column: str, row: int, order: str, unknown: bool, 
     example = order_in(file, column, order).replace("yyyy", "2026").replace("mm", "05").replace("dd", "31")
     mark = "-" if "-" in text else "/"
     return (
-        f"{file.location(row, column)}: {text!r}; expected a date such as {example} 14:00:00.25; another order is never "
-        f"guessed: name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd{mark}mm{mark}yyyy'"
+        f"{file.location(row, column)}: {text!r}; expected a date such as {example} 14:00:00.25; no order "
+        f"is guessed: name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd{mark}mm{mark}yyyy'"
     )

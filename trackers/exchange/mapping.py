@@ -330,6 +330,7 @@ def _part(
     unmapped = [name for name in file.frame.columns if name not in expressions]
     wanted = layout(mapping.table, [*expressions, *unmapped])
     ids = wanted.ids
+    _refuse_other_tags(file, mapping.tag, expressions.get("tag", Expression("tag", "tag")))
     if mapping.tag is not None:
         expressions["tag"] = Expression(repr(mapping.tag), constant=mapping.tag)
     if sensor is not None:
@@ -364,6 +365,19 @@ def _part(
             if name in expressions
         ]
     )
+
+
+def _refuse_other_tags(file: TableFile, tag: str | None, own: Expression) -> None:
+    """Raises UnusableInput where a `tag` for all rows, or `own` as a text, overwrites others that the rows have."""
+    given, column = own.constant if tag is None else tag, own.source or "tag"
+    if given is None or column not in file.frame.columns:
+        return
+    found = {*_texts(file.frame[column])} - {None, ""}
+    if found - {given} and (tag is not None or len(found) > 1):
+        raise UnusableInput(
+            f"{file.path}: the column {column} has {listed(sorted(found))}; --tag {given} would overwrite it; leave it "
+            f'out, or read rows of one tag alone: where = {{ {column} = ["{min(found)}"] }} in a file of --mapping'
+        )
 
 
 def _missing(file: TableFile, table: str, name: str) -> str:

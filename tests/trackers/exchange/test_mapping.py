@@ -72,6 +72,30 @@ def test_a_column_for_each_pair_of_anchors_becomes_a_row_for_each(tmp_path):
     assert table.rows() == [(0.1, "T", "A2", "A1", 1.0), (0.1, "T", "7", "A1", 2.0), (0.2, "T", "7", "A1", 2.5)]
 
 
+@pytest.mark.parametrize(
+    ("tags", "entries", "tag", "words"),
+    [
+        (["T1", "T2"], [], "T1", "the column tag has T1, T2; --tag T1 would overwrite it; leave it out"),
+        (["T1", "T1"], [], "X9", "the column tag has T1; --tag X9 would overwrite it"),
+        (["T1", "T2"], ["tag='T1'"], None, "the column tag has T1, T2; --tag T1 would overwrite it"),
+        ([7, 8], ["tag=tag"], "7", 'where = { tag = ["7"] } in a file of --mapping'),
+    ],
+)
+def test_a_tag_for_all_rows_that_others_would_lose_is_refused(tags, entries, tag, words):
+    frame = pl.DataFrame({"t_s": [0.0, 1.0], "tag": tags, "anchor": "A1", "range_m": 1.0})
+    with pytest.raises(UnusableInput, match=re.escape(words)):
+        mapped_table(TableFile(Path("x"), frame), TableMapping("ranges", columns_of(entries), tag=tag))
+
+
+def test_a_tag_for_all_rows_fills_what_is_empty_and_names_what_a_filter_has_left():
+    frame = pl.DataFrame({"t_s": [0.0, 1.0, 2.0], "tag": ["T1", "", "T2"], "anchor": "A1", "range_m": 1.0})
+    file = TableFile(Path("x"), frame)
+    table, _ = mapped_table(file, TableMapping("ranges", tag="T1", where={"tag": ["T1", ""]}))
+    assert table["tag"].to_list() == ["T1", "T1"]
+    table, _ = mapped_table(file, TableMapping("ranges", columns_of(["tag='X9'"]), where={"tag": ["T1"]}))
+    assert table["tag"].to_list() == ["X9"]
+
+
 def test_a_name_may_hold_blanks_and_signs():
     frame = pl.DataFrame({"t_s": [0.0], "my-d 1": [2.0], "id": [12]})
     mapping = TableMapping("ranges", columns_of(["range_m=my-d 1", "anchor=id"]), tag="T")
@@ -136,7 +160,7 @@ def test_dates_are_read_in_the_order_that_is_named(order, text):
 @pytest.mark.parametrize(
     ("order", "dates", "words"),
     [
-        ("iso", ["05/04/2026 14:13:20"], "row 1, .*never guessed: name it, as 't_s=when in mm/dd/yyyy'"),
+        ("iso", ["05/04/2026 14:13:20"], "row 1, .*no order is guessed: name it, as 't_s=when in mm/dd/yyyy'"),
         ("iso", ["05-04-2026 14:13:20"], "name it, as 't_s=when in mm-dd-yyyy'"),
         ("iso", ["2026-05-04 14:13:20", "05/13/2026 14:13:20"], "row 2, column when: '05/13/2026 14:13:20'"),
         ("iso", ["2026/05/04 14:13:20"], "expected a date such as 2026-05-31"),
