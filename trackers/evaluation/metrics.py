@@ -91,6 +91,15 @@ def _ratio(numerator: str, denominator: str) -> Formula:
     return lambda s: s[numerator] / s[denominator]
 
 
+def _sum(name: str) -> Formula:
+    return lambda s: s[name]
+
+
+def _inside(level: int, name: str) -> Formula:
+    """A zero covariance has no truth inside."""
+    return lambda s: s[f"inside {level} {name}"] / (s[f"n {name}"] + s.sums.get(f"zero {name}", 0))
+
+
 def _quantile(kind: str, share: float) -> Formula:
     return lambda s: s.quantile(kind, share)
 
@@ -134,9 +143,11 @@ def _consistency(name: str, dof: int) -> Iterator[Metric]:
     flat, suffix = name == "nees", name.removeprefix("nees")
     shape, space = ("ellipse", "") if flat else ("ellipsoid", " in 3-D")
     columns = {50: ("% in\n50 %", 1), 90: ("\n90 %", 1), 95: ("% in\n95 %", 0), 99: ("\n99 %", 1)} if flat else {}
+    for what, words in (("no", "rows without a covariance"), ("zero", "rows with a zero or singular covariance")):
+        yield Metric(f"n_{what}_covariance{suffix}", words + space, "rows", _sum(f"{what} {name}"))
     for p in LEVELS:
         short, rank = columns.get(p, ("", 0))
-        formula = _ratio(f"inside {p} {name}", f"n {name}")
+        formula = _inside(p, name)
         words = f"inside the {p} % {shape}"
         yield Metric(f"coverage_{p}{suffix}", words, "%", formula, short, rank, flat and p == 95, p / 100)
     mean = _ratio(f"sum {name}", f"n {name}")
