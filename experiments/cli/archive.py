@@ -115,11 +115,8 @@ def _renamed(paths: Sequence[Path]) -> dict[Path, str]:
             names[path] = read_rig(path / RIG_FILE)[0].name
     counts = Counter([*names.values(), *map(str, paths)])
     renamed = {path: str(path) for path, name in names.items() if counts[name] > 1 and name != str(path)}
-    if renamed:
-        path = next(iter(renamed))
-        notice(
-            f"notice: {len(renamed)} recordings have names of others, as {path} ('{names[path]}'): named by their paths"
-        )
+    for path in [*renamed][:1]:
+        notice(f"notice: {len(renamed)} recordings, as {path}, are named by their paths: others have their names")
     return renamed
 
 

@@ -130,8 +130,8 @@ def covariances(rows: pl.DataFrame) -> np.ndarray:
 
 def _upper_entries(rows: pl.DataFrame) -> dict[tuple[int, int], np.ndarray]:
     """The entries (n,) of `covariances` by row and column, those of the upper triangle."""
-    stds = [float_column(rows, f"std_{a}_m") for a in "xyz"]
-    entries = {(i, i): std * np.abs(std) for i, std in enumerate(stds)}  # of a negative one no variance
+    # A negative one is no variance.
+    entries = {(i, i): (std := float_column(rows, f"std_{a}_m")) * np.abs(std) for i, a in enumerate("xyz")}
     for i, j in ((0, 1), (0, 2), (1, 2)):
         cov = float_column(rows, f"cov_{'xyz'[i]}{'xyz'[j]}_m2")
         entries[i, j] = cov if np.isfinite(cov).all() else np.nan_to_num(cov)
@@ -172,8 +172,8 @@ def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str,
     plane = in_plane(estimate[:, 0])
     sizes |= {kind: np.where(plane, np.nan, sizes[kind]) for kind in COMPONENTS[2]}
     sigmas = np.stack([float_column(rows, "std_azimuth_rad"), float_column(rows, "std_elevation_rad")], axis=1)
-    each = nees(errors, (sigmas * np.abs(sigmas))[:, :, None] * np.eye(2))
-    return Scored(kept, errors, sizes, _judged(each, *errors.T, *sigmas.T), None)
+    each = _judged(nees(errors, (sigmas * np.abs(sigmas))[:, :, None] * np.eye(2)), *errors.T, *sigmas.T)
+    return Scored(kept, errors, sizes, each, None)
 
 
 def in_plane(azimuth: np.ndarray) -> np.ndarray:

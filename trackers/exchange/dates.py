@@ -14,8 +14,8 @@ ORDERS = {"iso": ISO, **{o: o for m in "/.-" for o in (f"dd{m}mm{m}yyyy", f"mm{m
 """The orders of dates by the name that `t_s=COLUMN in NAME` has."""
 
 _PARTS = {"yyyy": r"(?P<y>\d{4})", "mm": r"(?P<m>\d{1,2})", "dd": r"(?P<d>\d{1,2})"}
-_ZONE = r"(?P<z>Z|[+-]\d\d:?(?:\d\d)?)"
-_TIME = rf"(?:[T ]+(?P<H>\d{{1,2}}):(?P<M>\d\d)(?::(?P<S>\d\d)(?:[.,](?P<f>\d{{1,9}})\d*)?)?\s*{_ZONE}?)?"
+_SECONDS = r"(?::(?P<S>\d\d)(?:[.,](?P<f>\d{1,9})\d*)?)?"
+_TIME = rf"(?:[T ]+(?P<H>\d\d?):(?P<M>\d\d){_SECONDS}\s*(?P<z>Z|[+-]\d\d:?(?:\d\d)?)?)?"
 
 
 def order_in(file: TableFile, column: str, order: str) -> str:
@@ -26,36 +26,24 @@ def order_in(file: TableFile, column: str, order: str) -> str:
 
 def seconds_of(file: TableFile, column: str, order: str) -> pl.Series:
     """Dates as seconds since 1970, UTC where they name no zone; raises UnusableInput with the row of another text."""
-    dates = file.frame[column]
+    dates = texts = file.frame[column]
     if dates.dtype not in (pl.Datetime, pl.Date):
-        pattern = re.sub("yyyy|mm|dd", lambda match: _PARTS[match[0]], re.escape(order_in(file, column, order)))
+        order = order_in(file, column, order)
+        pattern = re.sub("yyyy|mm|dd", lambda match: _PARTS[match[0]], re.escape(order))
         parts = dates.cast(pl.String).str.strip_chars().str.extract_groups(f"^{pattern}{_TIME}$").struct.unnest()
-        time = (pl.col(name).fill_null("00") for name in "HMSf")
-        zone = pl.col("z").replace("Z", "+00").fill_null("+00")
+        time, zone = (pl.col(x).fill_null("00") for x in "HMSf"), pl.col("z").replace("Z", "+00").fill_null("+00")
         date = pl.format("{}-{}-{} {}:{}:{}.{} {}", "y", "m", "d", *time, zone)
         dates = parts.select(date.str.to_datetime("%Y-%m-%d %H:%M:%S%.f %#z", time_unit="ns", strict=False))["y"]
         local = parts["z"].is_null()
         wrong = dates.is_null() | (local != next(iter(local), True))
         if wrong.any():
-            row = first_row(wrong)
-            raise UnusableInput(_no_date(file, column, row, order, dates.is_null()[row], parts["z"]))
+            row, mark = first_row(wrong), "-" if "-" in str(texts[first_row(wrong)]) else "/"
+            fix = f"name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd{mark}mm{mark}yyyy'"
+            example = order.replace("yyyy", "2026").replace("mm", "05").replace("dd", "31")
+            expected = f"expected a date such as {example} 14:00:00.25; no order is guessed: {fix}"
+            if dates[row] is not None:
+                expected = f"row 1 {texts[0]!r}; expected a time zone in every row, or in none"
+            raise UnusableInput(f"{file.location(row, column)}: {texts[row]!r}; {expected}")
     whole = dates.dt.epoch("ns")
     # The seconds are exact; only their sum with the fraction is rounded.
     return (whole // 1_000_000_000).cast(pl.Float64) + (whole % 1_000_000_000).cast(pl.Float64) / 1e9
-
-
-def _no_date(file: TableFile, column: str, row: int, order: str, unknown: bool, zones: pl.Series) -> str:
-    """Why the text in a row is no date as those above: another order, or a time zone that the first row lacks."""
-    if not unknown:
-        found = [f"has {zone}" if zone else "has no time zone" for zone in (zones[row], zones[0])]
-        return (
-            f"{file.path}: column {column}: row {row + 1} {found[0]}, row 1 {found[1]}; expected a time zone in every "
-            "row, or in none"
-        )
-    text = str(file.frame[column][row])
-    example = order_in(file, column, order).replace("yyyy", "2026").replace("mm", "05").replace("dd", "31")
-    mark = "-" if "-" in text else "/"
-    return (
-        f"{file.location(row, column)}: {text!r}; expected a date such as {example} 14:00:00.25; no order "
-        f"is guessed: name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd{mark}mm{mark}yyyy'"
-    )

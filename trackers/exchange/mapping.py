@@ -370,14 +370,11 @@ def _part(
 def _refuse_other_tags(file: TableFile, tag: str | None, own: Expression) -> None:
     """Raises UnusableInput where a `tag` for all rows, or `own` as a text, overwrites others that the rows have."""
     given, column = own.constant if tag is None else tag, own.source or "tag"
-    if given is None or column not in file.frame.columns:
-        return
-    found = {*_texts(file.frame[column])} - {None, ""}
+    found = {*_texts(file.frame[column])} - {None, ""} if given and column in file.frame.columns else set()
     if found - {given} and (tag is not None or len(found) > 1):
-        raise UnusableInput(
-            f"{file.path}: the column {column} has {listed(sorted(found))}; --tag {given} would overwrite it; leave it "
-            f'out, or read rows of one tag alone: where = {{ {column} = ["{min(found)}"] }} in a file of --mapping'
-        )
+        fix = f'leave it out, or read one tag alone: where = {{ {column} = ["{min(found)}"] }} in a file of --mapping'
+        others = f"the column {column} has {listed(sorted(found))}"
+        raise UnusableInput(f"{file.path}: {others}; --tag {given} would overwrite it; {fix}")
 
 
 def _missing(file: TableFile, table: str, name: str) -> str:

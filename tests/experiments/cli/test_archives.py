@@ -248,7 +248,7 @@ def test_recordings_of_one_name_are_named_by_their_paths_before_the_first_is_tra
         write_recording(recording(name, k), tmp_path / "archive" / f"r{k}")
     done = trackwright("track", "archive", "--no-figures", "--out", "out")
     assert done.code == 0, done.err
-    assert "notice: 3 recordings have names of others, as archive/r0 ('same'): named by their paths" in done.err
+    assert "notice: 3 recordings, as archive/r0, are named by their paths: others have their names" in done.err
     names = ["archive/r0", "other", "archive/r2", "archive/r3"]
     assert _results(tmp_path / "out")["recording"].to_list() == names
     assert _results(tmp_path / "out")["rmse_m"].null_count() == 0

@@ -124,8 +124,14 @@ def test_frames_with_time_stamps_begin_at_their_origin():
 @pytest.mark.parametrize(
     ("dates", "words"),
     [
-        (["2026-05-04T14:13:20.26+02:00", "2026-05-04T14:13:20.36"], "row 2 has no time zone, row 1 has +02:00"),
-        (["2026-05-04T14:13:20.26", "2026-05-04T14:13:20.36Z"], "row 2 has Z, row 1 has no time zone"),
+        (
+            ["2026-05-04T14:13:20.26+02:00", "2026-05-04T14:13:20.36"],
+            "'2026-05-04T14:13:20.36'; row 1 '2026-05-04T14:13:20.26+02:00'; expected a time zone in",
+        ),
+        (
+            ["2026-05-04T14:13:20.26", "2026-05-04T14:13:20.36Z"],
+            "row 2, column when: '2026-05-04T14:13:20.36Z'; row 1 '2026-05-04T14:13:20.26'; expected a",
+        ),
         (["2026-05-04T14:13:20", "noon"], "row 2, column when: 'noon'; expected a date such as"),
     ],
 )
