@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.consistency import nees, nees_of_leading
+from trackwright.trackers.core.data.consistency import nees_of_leading
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.evaluation.association import Association, true_bearings
 from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
@@ -171,8 +171,9 @@ def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str,
     # In the plane of an array each azimuth is ± 90°, and its error says nothing.
     plane = in_plane(estimate[:, 0])
     sizes |= {kind: np.where(plane, np.nan, sizes[kind]) for kind in COMPONENTS[2]}
-    sigmas = np.stack([float_column(rows, "std_azimuth_rad"), float_column(rows, "std_elevation_rad")], axis=1)
-    each = _judged(nees(errors, (sigmas * np.abs(sigmas))[:, :, None] * np.eye(2)), *errors.T, *sigmas.T)
+    azimuth, elevation = (float_column(rows, f"std_{name}") for name in COMPONENTS[2])
+    upper = {(0, 0): azimuth * np.abs(azimuth), (0, 1): np.zeros(len(rows)), (1, 1): elevation * np.abs(elevation)}
+    each = _judged(nees_of_leading(errors, upper)[-1], *errors.T, azimuth, elevation)
     return Scored(kept, errors, sizes, each, None)
 
 

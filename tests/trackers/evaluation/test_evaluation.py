@@ -321,6 +321,16 @@ def test_bearings_are_scored_against_the_true_direction_from_their_station(stati
     assert overall["nees_mean"] == pytest.approx(0.25 + 0.25, rel=1e-12)
 
 
+@pytest.mark.parametrize(("bad", "zero"), [(0.0, 2), (math.nan, 0), (math.inf, 0)])
+def test_bearings_without_a_covariance_are_counted_too(stations, bad, zero):
+    tracks = _bearing_tracks(stations, [0.05, -0.1])
+    tracks = tracks.with_columns(std_azimuth_rad=pl.when(pl.col("t_s") < 0.5).then(bad).otherwise(0.1))
+    overall = evaluate_table(tracks, _still_walk(), stations).overall
+    assert (overall["n"], overall["n_no_covariance"], overall["n_zero_covariance"]) == (4, 2, zero)
+    assert overall["coverage_95"] == 2 / (2 + zero)
+    assert overall["nees_mean"] == pytest.approx(0.25 + 0.25, rel=1e-12)
+
+
 def test_the_angle_between_directions_is_the_great_circle(stations):
     evaluation = evaluate_table(_bearing_tracks(stations, [0.0, 0.1]), _still_walk(), stations)
     assert evaluation.overall["rmse_direction_rad"] == pytest.approx(0.1, rel=1e-12)
