@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -47,6 +50,7 @@ from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names
 from trackwright.trackers.evaluation.events import EVENTS
 from trackwright.trackers.recordings.atomic import config_hash, held
 from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
 
 LISTED = 20
@@ -65,7 +69,7 @@ def track_archive(
     `options`, `started`, `begin`, `put` as of `tracking.track_folders`. Raises UnusableInput where no recording can be
     tracked.
     """
-    tracking = _tracking(options)
+    tracking = _tracking(options, paths)
     store = RecordingStore(output_folder(options.out), TRACKED)
     with held(options.out):
         done, refused = _run("tracked", store, paths, tracking, options.cluster, begin("tracking", len(paths)))
@@ -95,12 +99,25 @@ def track_archive(
         return _ended("tracked", options.out, noticed, [refused[path] for path in paths if path in refused], len(paths))
 
 
-def _tracking(options: TrackOptions) -> Tracking:
+def _tracking(options: TrackOptions, paths: Sequence[Path]) -> Tracking:
     """How each recording is tracked; raises UnusableInput for unknown trackers and an unreadable calibration."""
     of_file = None if options.tuned is None else options.tuned.tracker
     names = tracker_names(options.tracker or of_file, options.noise)
     texts = tuple((name, file_of(name)) for name in names if spec_of(name))
-    return Tracking(texts, options, options.used.read_calibration())
+    return Tracking(texts, options, options.used.read_calibration(), _renamed(paths))
+
+
+def _renamed(paths: Sequence[Path]) -> dict[Path, str]:
+    """The path as the name of each recording whose name is that of another; raises nothing for an unreadable rig."""
+    names: dict[Path, str] = {}
+    for path in paths:
+        with suppress(UnusableInput):
+            names[path] = read_rig(path / RIG_FILE)[0].name
+    counts = Counter([*names.values(), *map(str, paths)])
+    renamed = {path: str(path) for path, name in names.items() if counts[name] > 1 and name != str(path)}
+    for path in [*renamed][:1]:
+        notice(f"notice: {len(renamed)} recordings, as {path}, are named by their paths: others have their names")
+    return renamed
 
 
 def _run(
@@ -176,7 +193,7 @@ def _show(
     folders, batches, tables, events = [], [], [], []
     texts = dict(tracking.names)
     for name in names:
-        folder, _ = ready(read_recording(run.paths[name]), options.used, tracking.calibration)
+        folder, _ = ready(replace(read_recording(run.paths[name]), name=name), options.used, tracking.calibration)
         batches += tracking.named(run.tracker, texts.get(run.tracker, ""), folder).batches(folder)
         folders.append(folder)
         tables.append(read_tracks(run.folders[name]))

@@ -11,7 +11,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -181,12 +181,13 @@ class Tracking:
     """How the recordings of an archive are tracked, as it travels.
 
     `names`: of the trackers, with the texts of the users' files; none for the one that fits each recording. `options`:
-    with the values that were read from files. `calibration`: the one that they name.
+    with the values that were read from files. `calibration`: the one that they name. `renamed`: names of recordings.
     """
 
     names: tuple[tuple[str, str], ...]
     options: TrackOptions
     calibration: Calibration | None
+    renamed: Mapping[Path, str]
 
     def settings(self) -> dict[str, Any]:
         """All that the outcome of a recording depends on, beside its content."""
@@ -200,11 +201,12 @@ class Tracking:
 
     def content(self, path: Path) -> str:
         """A digest of the content of a recording; raises OSError."""
-        return content_of(path)
+        return content_of(path) + self.renamed.get(path, "")
 
     def read(self, item: Item) -> RecordingFolder:
         """What is tracked; raises UnusableInput as `read_recording`."""
-        return read_recording(item.path)
+        folder = read_recording(item.path)
+        return replace(folder, name=self.renamed.get(item.path, folder.name))
 
     def __call__(self, recording: RecordingFolder) -> RecordingResult:
         """The estimates of one recording; raises UnusableInput where it has errors."""
@@ -266,7 +268,7 @@ class Scoring:
         """What is scored; raises UnusableInput as `read_tracks` and `read_truth`."""
         kept = self.tracked.read(item.folder)
         outcomes = [(outcome, read_tracks(item.folder / outcome["short"])) for outcome in kept["outcomes"]]
-        return outcomes, kept["notices"], read_truth(item.path)
+        return outcomes, kept["notices"], replace(read_truth(item.path), name=kept["outcomes"][0]["recording"])
 
     def __call__(self, estimated: Estimated) -> RecordingResult:
         """The metrics of one recording; raises UnusableInput without truth."""

@@ -143,12 +143,10 @@ def gathered(
 ) -> tuple[list[Run], Rows, int]:
     """The runs by tracker, the rows of the table of results, and how many recordings have notices.
 
-    Of what is stored of the recordings at `paths`, in this order. A second recording of one name is refused, since its
-    rows could not be told apart.
+    Of what is stored of the recordings at `paths`, in this order.
     """
     runs: dict[str, Run] = {}
     rows = Rows()
-    owners: dict[str, Path] = {}
     noticed = 0
     for path in paths:
         whole = str(path.resolve())
@@ -157,10 +155,6 @@ def gathered(
         kept = store.read(store.folder(path)) if path in done else {"outcomes": [], "notices": []}
         for summary in kept["outcomes"]:
             name, short = summary["recording"], summary["short"]
-            if (owner := owners.setdefault(name, path)) != path:
-                fix = "expected different names in rig.toml; rename one"
-                refused[path] = [f"{path}: is named '{name}', as is {owner}; {fix}"]
-                break
             run = runs.setdefault(short, Run(summary["tracker"], short, summary["bearing"]))
             run.add(path, store.folder(path) / short, summary)
             endings = "; ".join(f"{words} {n}" for words, n in summary["endings"].items())

@@ -61,8 +61,8 @@ def import_source(
         out: the recording folder to write, whose name is that of the recording; tables are added to an existing one.
         table: what the rows or messages are.
         columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
-            "range_m=distance in mm", "t_s=stamp in iso", "anchor=header.frame_id", "range_m[A1]=d1" for a column of
-            each anchor.
+            "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "anchor=header.frame_id", "range_m[A1]=d1"
+            for a column of each anchor.
         mapping: a TOML file with the table, columns, topic, tag, separator and decimal of several tables, instead of
             these options, or a preset for logs of a data set or kit: crazyflie, crazyflie-tdoa, isas-walk, miluv,
             starloc, util.

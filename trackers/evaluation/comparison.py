@@ -78,7 +78,7 @@ def errors_by_track(association: Association, scored: Scored) -> dict[Key, Track
     keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].rows()
     times = float_column(association.rows, "t_s")[scored.index]
     in_space = scored.sizes.get("3d_m", np.full(len(times), math.nan))
-    inside = np.where(np.isfinite(scored.nees), scored.nees <= chi_square_quantile(0.95, 2), math.nan)
+    inside = np.where(~np.isnan(scored.nees), scored.nees <= chi_square_quantile(0.95, 2), math.nan)
     ends = np.searchsorted(scored.index, association.starts)
     return {
         tuple(key): TrackErrors(times[a:b], scored.size[a:b], in_space[a:b], inside[a:b])

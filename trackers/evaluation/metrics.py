@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,8 +88,8 @@ def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat
 
 
-def _ratio(numerator: str, denominator: str) -> Formula:
-    return lambda s: s[numerator] / s[denominator]
+def _ratio(numerator: str, denominator: str, more: str = "") -> Formula:
+    return lambda s: s[numerator] / (s[denominator] + s.sums.get(more, 0))
 
 
 def _quantile(kind: str, share: float) -> Formula:
@@ -134,9 +135,11 @@ def _consistency(name: str, dof: int) -> Iterator[Metric]:
     flat, suffix = name == "nees", name.removeprefix("nees")
     shape, space = ("ellipse", "") if flat else ("ellipsoid", " in 3-D")
     columns = {50: ("% in\n50 %", 1), 90: ("\n90 %", 1), 95: ("% in\n95 %", 0), 99: ("\n99 %", 1)} if flat else {}
+    for what, words in (("no", "rows without a covariance"), ("zero", "rows with a zero or singular covariance")):
+        yield Metric(f"n_{what}_covariance{suffix}", words + space, "rows", itemgetter(f"{what} {name}"))
     for p in LEVELS:
         short, rank = columns.get(p, ("", 0))
-        formula = _ratio(f"inside {p} {name}", f"n {name}")
+        formula = _ratio(f"inside {p} {name}", f"n {name}", f"zero {name}")
         words = f"inside the {p} % {shape}"
         yield Metric(f"coverage_{p}{suffix}", words, "%", formula, short, rank, flat and p == 95, p / 100)
     mean = _ratio(f"sum {name}", f"n {name}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.consistency import nees, nees_of_leading
+from trackwright.trackers.core.data.consistency import nees_of_leading
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.evaluation.association import Association, true_bearings
 from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
@@ -24,7 +24,8 @@ class Scored:
     """Errors and NEES of the n scored rows.
 
     `index`: their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad; `sizes` (n,) by kind,
-    NaN of rows without one; `nees` of the horizontal position or of both angles; `nees_3d`, None for bearings.
+    NaN of rows without one; `nees` of the horizontal position or of both angles, infinite of a zero or singular
+    covariance, NaN of a missing or infinite one; `nees_3d` likewise, None for bearings.
     """
 
     index: np.ndarray
@@ -73,6 +74,9 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
             groups, known = rows.where(np.isfinite(each), each)
             sums |= nees_sums(name, known, dof, groups)
             values[name] = Values(known, groups.starts)
+            zero = rows.sum(np.isinf(each))
+            total = rows.count if dof == 2 else np.where(groups.count + zero > 0, sums["n 3d_m"], 0)
+            sums |= {f"zero {name}": zero, f"no {name}": total - groups.count}
     if PROTECTION in association.rows.columns:
         levels = float_column(association.rows, PROTECTION)
         of_scored = levels[scored.index]
@@ -126,7 +130,8 @@ def covariances(rows: pl.DataFrame) -> np.ndarray:
 
 def _upper_entries(rows: pl.DataFrame) -> dict[tuple[int, int], np.ndarray]:
     """The entries (n,) of `covariances` by row and column, those of the upper triangle."""
-    entries = {(i, i): float_column(rows, f"std_{a}_m") ** 2 for i, a in enumerate("xyz")}
+    # A negative one is no variance.
+    entries = {(i, i): (std := float_column(rows, f"std_{a}_m")) * np.abs(std) for i, a in enumerate("xyz")}
     for i, j in ((0, 1), (0, 2), (1, 2)):
         cov = float_column(rows, f"cov_{'xyz'[i]}{'xyz'[j]}_m2")
         entries[i, j] = cov if np.isfinite(cov).all() else np.nan_to_num(cov)
@@ -138,12 +143,24 @@ def _positions(association: Association, kept: np.ndarray) -> Scored:
     if len(kept) < len(rows):
         rows, truth = rows[kept], truth[kept]
     errors = np.stack([float_column(rows, f"{axis}_m") - true for axis, true in zip("xyz", truth.T, strict=True)]).T
-    _, flat, spatial = nees_of_leading(errors, _upper_entries(rows))
+    upper, cov = _upper_entries(rows), float_column(rows, "cov_xy_m2")
+    _, flat, spatial = nees_of_leading(errors, upper)
+    # One that other rows have is missing; a known height has no standard deviation in any row of its track.
+    plane = [*errors.T[:2], upper[0, 0], upper[1, 1], cov if np.nan_to_num(cov).any() else np.zeros(len(rows))]
+    tracks = Groups(association.starts)
+    free = tracks.sum(np.nan_to_num(float_column(association.rows, "std_z_m")) != 0) > 0
+    height = np.where(np.repeat(free, tracks.count)[kept], upper[2, 2], np.nan)
+    flat, spatial = _judged(flat, *plane), _judged(spatial, *plane, errors[:, 2], height)
     sizes = position_sizes(errors)
     if association.headings is not None:
         turned = float_column(rows, HEADING) - association.headings[kept]
         sizes["heading_rad"] = np.abs(np.pi - (np.pi - turned) % (2 * np.pi))
     return Scored(kept, errors, sizes, flat, spatial)
+
+
+def _judged(nees: np.ndarray, *reported: np.ndarray) -> np.ndarray:
+    """NEES (n,) as `Scored` has it, of errors and covariances as they are `reported`."""
+    return np.where(np.isfinite(reported).all(axis=0), np.where(np.isfinite(nees), nees, np.inf), np.nan)
 
 
 def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str, Mapping[str, Station]]) -> Scored:
@@ -154,8 +171,10 @@ def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str,
     # In the plane of an array each azimuth is ± 90°, and its error says nothing.
     plane = in_plane(estimate[:, 0])
     sizes |= {kind: np.where(plane, np.nan, sizes[kind]) for kind in COMPONENTS[2]}
-    sigmas = np.stack([float_column(rows, "std_azimuth_rad"), float_column(rows, "std_elevation_rad")], axis=1)
-    return Scored(kept, errors, sizes, nees(errors, sigmas[:, :, None] ** 2 * np.eye(2)), None)
+    azimuth, elevation = (float_column(rows, f"std_{name}") for name in COMPONENTS[2])
+    upper = {(0, 0): azimuth * np.abs(azimuth), (0, 1): np.zeros(len(rows)), (1, 1): elevation * np.abs(elevation)}
+    each = _judged(nees_of_leading(errors, upper)[-1], *errors.T, azimuth, elevation)
+    return Scored(kept, errors, sizes, each, None)
 
 
 def in_plane(azimuth: np.ndarray) -> np.ndarray:

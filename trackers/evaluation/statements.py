@@ -39,7 +39,7 @@ On the recordings used for development, covariances are too small on all above t
 """
 
 LOST = 0.1
-"""The share of rows in which tracks are lost, or start again, from which on covariances are not judged."""
+"""The share of rows in which tracks are lost, start again or have no covariance, beyond which these are not judged."""
 
 LASTING = 1.4
 """The ratio of `residual_ratio_5s` from which on residuals of some stations or anchors last.
@@ -61,8 +61,11 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     if overall["coverage_95"] is None:
         return losses + _innovations(overall, recordings)
     bad = [f"{r['recording']} ({_percent(r['coverage_95'])})" for r in recordings if not holds(r)]
+    gaps = _gaps(overall, "") or _gaps(overall, "_3d")
     several = f"do not hold in {len(bad)} of {len(recordings)} recordings: {listed(bad)}."
-    if len(recordings) > 1 and bad and holds(overall):
+    if _unknown(overall, "") > LOST:
+        sentences = losses
+    elif len(recordings) > 1 and bad and holds(overall):
         # Too large ones and too small ones have a good mean.
         sentences = [*losses, f"Reported covariances {several} In all rows {_figures(overall, '')}."]
     else:
@@ -70,7 +73,7 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
         sentences += [f"They {several}"] if len(recordings) > 1 and bad else []
     if overall.get("coverage_95_3d") is not None and not holds(overall, "_3d"):
         sentences.append(f"In three dimensions, reported {_covariance(overall, '_3d')}.")
-    sentences += _lasting(recordings)
+    sentences = [*sentences, *gaps, *_lasting(recordings)]
     if any(correlated(r) for r in recordings):
         sentences.append(f"NIS is correlated {_correlation(recordings)}: errors last longer than the model assumes.")
     return sentences
@@ -78,10 +81,24 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
 
 def holds(metrics: Mapping[str, Any], suffix: str = "") -> bool:
     """Whether the reported covariances hold, or are unknown; `suffix`: _3d for those in three dimensions."""
-    if metrics[f"coverage_95{suffix}"] is None:
+    if metrics[f"coverage_95{suffix}"] is None or max(_unknown(metrics, x) for x in ("", suffix)) > LOST:
         return True
     share, ratio = _as_printed(metrics, suffix)
     return COVERAGE[0] <= share <= COVERAGE[1] and RATIO[0] <= ratio <= RATIO[1]
+
+
+def _unknown(metrics: Mapping[str, Any], suffix: str) -> float:
+    """The share of rows without a covariance, or with one of zero."""
+    return (metrics.get(f"n_no_covariance{suffix}") or 0) / (metrics.get("n") or 1)
+
+
+def _gaps(metrics: Mapping[str, Any], suffix: str) -> list[str]:
+    """The sentence on rows without a covariance; none where all have one."""
+    none, zero = (metrics.get(f"n_{what}_covariance{suffix}") for what in ("no", "zero"))
+    space = " in three dimensions" if suffix else ""
+    judged = "; with more than a tenth, covariances are not judged" if _unknown(metrics, suffix) > LOST else ""
+    rows = f"{none} of {metrics['n']} rows are without a covariance{space}, {zero} of them with a zero or singular one"
+    return [f"{rows}, which has no truth inside{judged}."] if none else []
 
 
 def correlated(metrics: Mapping[str, Any]) -> bool:

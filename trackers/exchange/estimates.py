@@ -63,7 +63,7 @@ def assigned(tracks: pl.DataFrame, truths: dict[str, pl.DataFrame], tag: str | N
         if len(truths) != 1:
             raise UnusableInput(f"{path}: names no recording; found {len(truths)} with truth; give one in --truth")
         tracks = tracks.with_columns(recording=pl.lit(next(iter(truths))))
-    if "tag" not in tracks.columns or tag is not None:
+    if "tag" not in tracks.columns:
         known = sorted({str(t) for truth in truths.values() for t in truth["tag"].unique()})
         if tag is None and len(known) != 1:
             raise UnusableInput(

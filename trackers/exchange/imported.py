@@ -111,7 +111,7 @@ def import_frames(
 def _in_python(message: str, table: str) -> str:
     """The message with arguments of `import_frames` in place of the command line's options."""
     message = re.sub(r"--columns ('[^']*')", rf"columns={{'{table}': [\1]}}", message)
-    return message.replace("--tag ID", "tag='ID'").replace("--columns", "columns=")
+    return message.replace("--tag ID", "tag='ID'").replace("--tag ", "tag=").replace("--columns", "columns=")
 
 
 def _polars(frame: Any, table: str) -> pl.DataFrame:

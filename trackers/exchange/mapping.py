@@ -15,9 +15,10 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
+from trackwright.trackers.exchange.dates import ORDERS, order_in, seconds_of
 from trackwright.trackers.exchange.formats import beginning_of
 from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
-from trackwright.trackers.recordings.table_file import DATE, TableFile, first_row, read_table_file, remedy
+from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file, remedy
 
 # fmt: off
 UNITS: dict[str, dict[str, float]] = {
@@ -25,14 +26,14 @@ UNITS: dict[str, dict[str, float]] = {
         "m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048,
         "s": 299792458.0, "us": 299.792458, "ns": 0.299792458, "ps": 2.99792458e-4,
     },
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "iso": 1.0},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, **dict.fromkeys(ORDERS, 1.0)},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
     "mps": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 0.2777777777777778},
     "radps": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": 0.017453292519943295, "rpm": 0.10471975511965977},
     "mps2": {"m/s^2": 1.0, "cm/s^2": 1e-2, "mm/s^2": 1e-3, "g": 9.80665, "mg": 9.80665e-3},
 }
 # fmt: on
-"""By the ending of a column's name: units and their factors to it. `iso`: dates such as 2026-05-01T12:00:00.25.
+"""By the ending of a column's name: units and their factors to it. `iso`, `dd/mm/yyyy` …: dates in this order.
 
 A length in a unit of time is the way of light in that time."""
 
@@ -44,19 +45,18 @@ _EXPRESSION = re.compile(
 _TARGET = re.compile(r"(?P<name>[\w{}]+)(?:\[(?P<sensor>[^\]]+)\])?")
 _HOLE = re.compile(r"\{(\w+)\}")
 _UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|ns|deg|km|ft)[\])]$", re.IGNORECASE)
-_ZONE = re.compile(r":\d.*?(Z|[+-]\d{2}:?(?:\d{2})?)$")
 
 
 @dataclass(frozen=True)
 class Expression:
-    """`source` · `factor` + `shift`, or the text `constant`; `root`: the square root of the source; `iso`: a date."""
+    """`source` · `factor` + `shift`, or the text `constant`; `root`: root of the source; `date`: order of dates."""
 
     text: str
     source: str = ""
     factor: float = 1.0
     shift: float = 0.0
     root: bool = False
-    iso: bool = False
+    date: str = ""
     constant: str | None = None
 
 
@@ -109,7 +109,8 @@ def parsed(target: str, text: str) -> Expression:
             raise UnusableInput(f"{target}={text}: a division by zero")
         factor = 1.0 / factor
     shift = float(match["shift"] or 0.0) * (-1.0 if match["sign"] == "-" else 1.0)
-    scales, unit = UNITS.get(name.rpartition("_")[2], {}), match["unit"]
+    scales, unit = UNITS.get(name.rpartition("_")[2], {}), match["unit"] or ""
+    unit = unit.lower() if "YYYY" in unit else unit
     if unit and unit not in scales:
         fitting = ", ".join(scales) or "none: it has no unit"
         raise UnusableInput(f"{target}: unit {unit!r} does not fit {name}; expected one of {fitting}")
@@ -117,7 +118,7 @@ def parsed(target: str, text: str) -> Expression:
     source, root = match["source"].strip(), False
     if source.startswith("sqrt(") and source.endswith(")"):
         source, root = source[5:-1].strip(), True
-    return Expression(text, source.strip("`"), factor * scale, shift * scale, root, unit == "iso")
+    return Expression(text, source.strip("`"), factor * scale, shift * scale, root, ORDERS.get(unit, ""))
 
 
 def columns_of(entries: Sequence[str]) -> dict[str, Expression]:
@@ -298,6 +299,8 @@ def mapped_table(file: TableFile, mapping: TableMapping) -> tuple[pl.DataFrame, 
     by_sensor: dict[str | None, dict[str, Expression]] = {}
     file, mapping, notices = _asked(file, mapping)
     for target, expression in mapping.columns.items():
+        if order := expression.date and order_in(file, source := _source(file, target, expression), expression.date):
+            notices += [f"column {source}: dates are read as {order}"] * (order != expression.date)
         name, sensor = sensor_of(target)
         by_sensor.setdefault(sensor, {})[name] = expression
     shared = by_sensor.pop(None, {})
@@ -327,6 +330,7 @@ def _part(
     unmapped = [name for name in file.frame.columns if name not in expressions]
     wanted = layout(mapping.table, [*expressions, *unmapped])
     ids = wanted.ids
+    _refuse_other_tags(file, mapping.tag, expressions.get("tag", Expression("tag", "tag")))
     if mapping.tag is not None:
         expressions["tag"] = Expression(repr(mapping.tag), constant=mapping.tag)
     if sensor is not None:
@@ -361,6 +365,16 @@ def _part(
             if name in expressions
         ]
     )
+
+
+def _refuse_other_tags(file: TableFile, tag: str | None, own: Expression) -> None:
+    """Raises UnusableInput where a `tag` for all rows, or `own` as a text, overwrites others that the rows have."""
+    given, column = own.constant if tag is None else tag, own.source or "tag"
+    found = {*_texts(file.frame[column])} - {None, ""} if given and column in file.frame.columns else set()
+    if found - {given} and (tag is not None or len(found) > 1):
+        fix = f'leave it out, or read one tag alone: where = {{ {column} = ["{min(found)}"] }} in a file of --mapping'
+        others = f"the column {column} has {listed(sorted(found))}"
+        raise UnusableInput(f"{file.path}: {others}; --tag {given} would overwrite it; {fix}")
 
 
 def _missing(file: TableFile, table: str, name: str) -> str:
@@ -415,8 +429,8 @@ def _values(file: TableFile, name: str, expression: Expression) -> pl.Series:
     if expression.constant is not None:
         raise UnusableInput(f"{name}={expression.text}: a text; expected a column of numbers")
     source = _source(file, name, expression)
-    if expression.iso or file.frame[source].dtype in (pl.Datetime, pl.Date):
-        numbers = _seconds(file, source)
+    if expression.date or file.frame[source].dtype in (pl.Datetime, pl.Date):
+        numbers = seconds_of(file, source, expression.date)
     else:
         numbers = numbers_of(file, source)
     if name == "t_s" and numbers.has_nulls():
@@ -431,34 +445,6 @@ def _values(file: TableFile, name: str, expression: Expression) -> pl.Series:
     return (
         numbers * expression.factor + expression.shift if (expression.factor, expression.shift) != (1, 0) else numbers
     )
-
-
-def _seconds(file: TableFile, source: str) -> pl.Series:
-    """Dates as seconds since 1970, UTC where they name no zone; raises UnusableInput with the row of another text."""
-    column = file.frame[source]
-    if column.dtype == pl.String:
-        stamps = column.str.strip_chars().str.replace(",", ".", literal=True)
-        stamps = stamps.str.to_datetime(time_unit="ns", time_zone="UTC", strict=False)
-        wrong = stamps.is_null()
-        if wrong.any():
-            raise UnusableInput(_no_date(file, source, first_row(wrong)))
-        column = stamps
-    whole = column.dt.epoch("ns")
-    # The seconds are exact; only their sum with the fraction is rounded.
-    return (whole // 1_000_000_000).cast(pl.Float64) + (whole % 1_000_000_000).cast(pl.Float64) / 1e9
-
-
-def _no_date(file: TableFile, source: str, row: int) -> str:
-    """Why the text in a row is no date as those above: a time zone that the first row lacks, or the reverse."""
-    texts = file.frame[source]
-    first, other = (_ZONE.search(str(texts[k]).strip()) for k in (0, row))
-    if DATE.match(str(texts[row]).strip()) and (first is None) != (other is None):
-        zones = [f"has {zone[1]}" if zone else "has no time zone" for zone in (other, first)]
-        return (
-            f"{file.path}: column {source}: row {row + 1} {zones[0]}, row 1 {zones[1]}; expected a time zone in every "
-            "row, or in none"
-        )
-    return f"{file.location(row, source)}: {texts[row]!r}; expected a date such as 2026-05-01T12:00:00.25"
 
 
 def numbers_of(file: TableFile, column: str) -> pl.Series:

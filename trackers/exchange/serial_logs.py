@@ -197,10 +197,12 @@ class _Log:
         if match is None or match[1] != "c":
             raise _NoSuchLine(f"{where}: {body[:60]!r}; expected {_EXPECTED['trek1000']}")
         mask, ranges = int(match[2], 16), [int(text, 16) for text in match[3].split()]
+        if self.tag not in (None, match[8]):
+            raise UnusableInput(f"{where}: is of tag {match[8]}, which --tag {self.tag} would rename; leave --tag out")
         time = self.time_of(where, prefix, int(match[6], 16) / 1000)
         for k, millimetres in enumerate(ranges):
             if mask >> k & 1 and millimetres < 0x8000_0000:
-                self.ranges.append((time, self.tag or match[8], str(k), millimetres / 1000))
+                self.ranges.append((time, match[8], str(k), millimetres / 1000))
 
     def fira(self, where: str, body: str, prefix: str) -> None:
         """Adds the readings of a line of the makers' FiRa application (INITF); raises UnusableInput.

@@ -40,9 +40,7 @@ _PAGES_AT, _DICTIONARY_AT = 9, 11  # of a column in a group
 _PAGE_PACKED, _PAGES, _PAGE_VALUES = 3, (5, 7, 8), 1  # of the header of a page: its data or dictionary
 
 
-DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:[T ]|$)")
-"""The beginning of a date such as 2026-05-01T12:00:00.25."""
-
+_DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}(?:[T ]|$)")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 
@@ -73,8 +71,9 @@ def first_row(rows: pl.Series) -> int:
 
 def remedy(text: str, column: str) -> str:
     """What to do about a text where a number is expected."""
-    if DATE.match(text):
-        return f"it looks like a date, which `trackwright import` reads by 't_s={column} in iso'"
+    if _DATE.match(text):
+        order = "iso'" if text[4:5] == "-" else "dd/mm/yyyy', or its own order instead of that"
+        return f"it looks like a date, which `trackwright import` reads by 't_s={column} in {order}"
     if _DECIMAL_COMMA.fullmatch(text):
         return "it looks like a decimal comma, which `trackwright import --decimal ,` reads"
     return "leave a missing cell empty"

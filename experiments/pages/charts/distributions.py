@@ -83,7 +83,7 @@ def draw_distributions(
 
 def levels_of(nees: np.ndarray, dof: int) -> np.ndarray:
     """The level of the ellipse through the truth of each row, sorted; NaN is left out."""
-    return np.sort(chi_square_probability(nees[np.isfinite(nees)], dof))
+    return np.sort(chi_square_probability(nees[~np.isnan(nees)], dof))
 
 
 def observed_shares(levels_of_rows: np.ndarray, levels: np.ndarray) -> np.ndarray:

@@ -242,13 +242,20 @@ def test_page_and_figures_are_of_the_worst_the_median_and_the_best(tmp_path, mon
     ]
 
 
-def test_a_name_stands_for_one_recording(tmp_path):
-    for k, name in enumerate(("same", "other", "same")):
+def test_recordings_of_one_name_are_named_by_their_paths_before_the_first_is_tracked(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for k, name in enumerate(("same", "other", "same", "archive/r0")):
         write_recording(recording(name, k), tmp_path / "archive" / f"r{k}")
-    done = trackwright("track", tmp_path / "archive", *PLAIN, "--out", tmp_path / "out")
-    assert done.code == 1
-    assert "r2: is named 'same', as is " in done.err
-    assert _results(tmp_path / "out")["recording"].to_list() == ["same", "other", None]
+    done = trackwright("track", "archive", "--no-figures", "--out", "out")
+    assert done.code == 0, done.err
+    assert "notice: 3 recordings, as archive/r0, are named by their paths: others have their names" in done.err
+    names = ["archive/r0", "other", "archive/r2", "archive/r3"]
+    assert _results(tmp_path / "out")["recording"].to_list() == names
+    assert _results(tmp_path / "out")["rmse_m"].null_count() == 0
+    rmse = _results(tmp_path / "out")["rmse_m"].to_list()
+    assert trackwright("evaluate", "out").code == 0
+    assert _results(tmp_path / "out")["recording"].to_list() == names
+    assert _results(tmp_path / "out")["rmse_m"].to_list() == rmse
 
 
 def test_names_of_any_characters_cost_their_own_line(tmp_path):

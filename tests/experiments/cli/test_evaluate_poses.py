@@ -95,6 +95,15 @@ def test_a_table_with_standard_deviations_gets_its_nees(beginnings, truth, tmp_p
     assert_refused_last(said, "row 1 (line 2), column std_x_m: -0.1, expected a standard deviation above zero")
 
 
+def test_one_of_several_tags_in_a_table_is_scored_alone(beginnings, truth, tmp_path):
+    both = [truth.select("t_s", "x_m", "y_m", "z_m", tag=pl.lit(tag)) for tag in ("T1", "T2")]
+    pl.concat(both).write_csv(tmp_path / "own.csv")
+    said = trackwright("evaluate", tmp_path / "own.csv", "--truth", beginnings / "good", "--tag", "T1", "--json")
+    assert json.loads(said.out)["overall"]["n_rows"] == len(truth)
+    said = trackwright("evaluate", tmp_path / "own.csv", "--truth", beginnings / "good", "--tag", "X9")
+    assert_refused_last(said, "expected tags among T1, T2")
+
+
 def test_estimates_in_millimetres_and_a_height_that_is_known_exactly_are_scored(beginnings, truth, tmp_path):
     own = truth.select("t_s", pl.col("x_m", "y_m", "z_m") * 1000, std_x_m=0.1, std_y_m=0.1, std_z_m=0.0)
     own.write_csv(tmp_path / "own.csv")

@@ -186,6 +186,57 @@ def test_correlated_covariances_enter_the_nees():
     assert evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall["nees_mean"] == pytest.approx(4 / 3)
 
 
+def _with_covariances(axes, bad, n=400, sigma=0.05, **columns):
+    """Normal errors along so many axes; the standard deviations of a quarter of the rows are `bad`."""
+    rng = np.random.default_rng(7)
+    t, at = np.arange(n) / 10, np.zeros(n)
+    noise = {f"{a}_m": rng.normal(0.0, sigma, n) for a in "xyz"[:axes]}
+    stds = {f"std_{a}_m": np.where(np.arange(n) % 4 == 0, bad, sigma) for a in "xyz"[:axes]}
+    table = _tracks(t, at).with_columns(**noise, **(stds | columns))
+    squares = sum((x / sigma) ** 2 for x in noise.values())[np.arange(n) % 4 > 0]
+    truth = _truth(t, at, **({"z_m": at} if axes == 3 else {}))
+    return evaluate_table(table, {"hall": truth}), squares
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize(("bad", "zero"), [(0.0, 100), (-0.05, 100), (math.nan, 0), (math.inf, 0)])
+def test_rows_without_a_covariance_are_counted_and_a_zero_counts_as_outside(axes, bad, zero):
+    (found, squares), limit = _with_covariances(axes, bad), {2: 5.99146, 3: 7.81473}[axes]
+    suffix = "_3d" if axes == 3 else ""
+    assert found[f"n_no_covariance{suffix}"] == 100
+    assert found[f"n_zero_covariance{suffix}"] == zero
+    assert found[f"coverage_95{suffix}"] == pytest.approx((squares <= limit).sum() / (300 + zero))
+    assert found[f"nees{suffix}_ratio"] == pytest.approx(squares.mean() / axes)
+    (sentence,) = found.statements
+    assert sentence.startswith(f"100 of 400 rows are without a covariance, {zero} of them with a zero")
+    assert sentence.endswith("covariances are not judged.")
+    assert json.loads(to_json(found))["overall"][f"n_zero_covariance{suffix}"] == zero
+
+
+@pytest.mark.parametrize(("cov", "zero"), [(0.0025, 100), (0.004, 100), (math.nan, 0), (math.inf, 0)])
+def test_a_singular_covariance_counts_as_outside_and_a_missing_entry_as_none(cov, zero):
+    cov = pl.Series(np.where(np.arange(400) % 4 == 0, cov, 1e-9))
+    found, squares = _with_covariances(2, 0.05, cov_xy_m2=cov)
+    assert (found["n_no_covariance"], found["n_zero_covariance"]) == (100, zero)
+    assert found["coverage_95"] == pytest.approx((squares <= 5.99146).sum() / (300 + zero))
+    assert found["nees_ratio"] == pytest.approx(squares.mean() / 2, rel=1e-5)
+
+
+def test_few_rows_without_a_covariance_leave_a_verdict_and_their_count():
+    found, _ = _with_covariances(2, 0.05, std_x_m=pl.Series(np.where(np.arange(400) % 20, 0.05, math.nan)))
+    assert found.statements[0].startswith("Reported covariances hold")
+    assert found.statements[1].startswith("20 of 400 rows are without a covariance, 0 of them")
+
+
+def test_a_height_known_in_some_rows_alone_counts_as_zero():
+    deviations = pl.Series(np.where(np.arange(400) % 4, 0.05, 0.0))
+    found, squares = _with_covariances(3, 0.05, std_z_m=deviations)
+    assert found["n_no_covariance"] == 0
+    assert (found["n_no_covariance_3d"], found["n_zero_covariance_3d"]) == (100, 100)
+    assert found["coverage_95_3d"] == pytest.approx((squares <= 7.81473).sum() / 400)
+    assert "100 of 400 rows are without a covariance in three dimensions" in found.statements[1]
+
+
 def test_a_known_height_leaves_the_horizontal_metrics():
     tracks = _tracks([0.5], [1.0], std_x_m=[1.0], std_y_m=[1.0], std_z_m=[0.0])
     overall = evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
@@ -267,6 +318,16 @@ def test_bearings_are_scored_against_the_true_direction_from_their_station(stati
     # Sines and cosines of single angles come and go: some roundings of 1e-16.
     assert overall["rmse_azimuth_rad"] == pytest.approx(0.05, rel=1e-12)
     assert overall["bias_elevation_rad"] == pytest.approx(-0.1, rel=1e-12)
+    assert overall["nees_mean"] == pytest.approx(0.25 + 0.25, rel=1e-12)
+
+
+@pytest.mark.parametrize(("bad", "zero"), [(0.0, 2), (math.nan, 0), (math.inf, 0)])
+def test_bearings_without_a_covariance_are_counted_too(stations, bad, zero):
+    tracks = _bearing_tracks(stations, [0.05, -0.1])
+    tracks = tracks.with_columns(std_azimuth_rad=pl.when(pl.col("t_s") < 0.5).then(bad).otherwise(0.1))
+    overall = evaluate_table(tracks, _still_walk(), stations).overall
+    assert (overall["n"], overall["n_no_covariance"], overall["n_zero_covariance"]) == (4, 2, zero)
+    assert overall["coverage_95"] == 2 / (2 + zero)
     assert overall["nees_mean"] == pytest.approx(0.25 + 0.25, rel=1e-12)
 
 

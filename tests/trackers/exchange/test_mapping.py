@@ -72,6 +72,30 @@ def test_a_column_for_each_pair_of_anchors_becomes_a_row_for_each(tmp_path):
     assert table.rows() == [(0.1, "T", "A2", "A1", 1.0), (0.1, "T", "7", "A1", 2.0), (0.2, "T", "7", "A1", 2.5)]
 
 
+@pytest.mark.parametrize(
+    ("tags", "entries", "tag", "words"),
+    [
+        (["T1", "T2"], [], "T1", "the column tag has T1, T2; --tag T1 would overwrite it; leave it out"),
+        (["T1", "T1"], [], "X9", "the column tag has T1; --tag X9 would overwrite it"),
+        (["T1", "T2"], ["tag='T1'"], None, "the column tag has T1, T2; --tag T1 would overwrite it"),
+        ([7, 8], ["tag=tag"], "7", 'where = { tag = ["7"] } in a file of --mapping'),
+    ],
+)
+def test_a_tag_for_all_rows_that_others_would_lose_is_refused(tags, entries, tag, words):
+    frame = pl.DataFrame({"t_s": [0.0, 1.0], "tag": tags, "anchor": "A1", "range_m": 1.0})
+    with pytest.raises(UnusableInput, match=re.escape(words)):
+        mapped_table(TableFile(Path("x"), frame), TableMapping("ranges", columns_of(entries), tag=tag))
+
+
+def test_a_tag_for_all_rows_fills_what_is_empty_and_names_what_a_filter_has_left():
+    frame = pl.DataFrame({"t_s": [0.0, 1.0, 2.0], "tag": ["T1", "", "T2"], "anchor": "A1", "range_m": 1.0})
+    file = TableFile(Path("x"), frame)
+    table, _ = mapped_table(file, TableMapping("ranges", tag="T1", where={"tag": ["T1", ""]}))
+    assert table["tag"].to_list() == ["T1", "T1"]
+    table, _ = mapped_table(file, TableMapping("ranges", columns_of(["tag='X9'"]), where={"tag": ["T1"]}))
+    assert table["tag"].to_list() == ["X9"]
+
+
 def test_a_name_may_hold_blanks_and_signs():
     frame = pl.DataFrame({"t_s": [0.0], "my-d 1": [2.0], "id": [12]})
     mapping = TableMapping("ranges", columns_of(["range_m=my-d 1", "anchor=id"]), tag="T")
@@ -100,8 +124,14 @@ def test_frames_with_time_stamps_begin_at_their_origin():
 @pytest.mark.parametrize(
     ("dates", "words"),
     [
-        (["2026-05-04T14:13:20.26+02:00", "2026-05-04T14:13:20.36"], "row 2 has no time zone, row 1 has +02:00"),
-        (["2026-05-04T14:13:20.26", "2026-05-04T14:13:20.36Z"], "row 2 has Z, row 1 has no time zone"),
+        (
+            ["2026-05-04T14:13:20.26+02:00", "2026-05-04T14:13:20.36"],
+            "'2026-05-04T14:13:20.36'; row 1 '2026-05-04T14:13:20.26+02:00'; expected a time zone in",
+        ),
+        (
+            ["2026-05-04T14:13:20.26", "2026-05-04T14:13:20.36Z"],
+            "row 2, column when: '2026-05-04T14:13:20.36Z'; row 1 '2026-05-04T14:13:20.26'; expected a",
+        ),
         (["2026-05-04T14:13:20", "noon"], "row 2, column when: 'noon'; expected a date such as"),
     ],
 )
@@ -109,6 +139,53 @@ def test_dates_with_and_without_a_time_zone_are_told_apart(dates, words):
     frame = pl.DataFrame({"when": dates, "tag": "a", "x_m": 1.0, "y_m": 0.0, "z_m": 0.0})
     with pytest.raises(UnusableInput, match=re.escape(words)):
         mapped_table(TableFile(Path("x"), frame), TableMapping("fixes", columns_of(["t_s=when in iso"])))
+
+
+def _of_dates(dates, order):
+    frame = pl.DataFrame({"when": dates, "tag": "T1", "x_m": 1.0, "y_m": 2.0, "z_m": 0.0})
+    return mapped_table(TableFile(Path("x"), frame), TableMapping("fixes", columns_of([f"t_s=when in {order}"])))
+
+
+@pytest.mark.parametrize(
+    ("order", "text"),
+    [
+        ("mm/dd/yyyy", "05/04/2026 14:13:20.000"),
+        ("MM/DD/YYYY", "5/4/2026 14:13:20"),
+        ("dd/mm/yyyy", "04/05/2026 14:13:20,0"),
+        ("dd-mm-yyyy", "04-05-2026T16:13:20+02:00"),
+        ("yyyy/mm/dd", "2026/05/04 14:13:20Z"),
+        ("iso", "2026-05-04T14:13:20.000000000Z"),
+        ("dd.mm.yyyy", "04.05.2026 14:13:20.000"),
+    ],
+)
+def test_dates_are_read_in_the_order_that_is_named(order, text):
+    table, _ = _of_dates([text, text], order)
+    assert table["t_s"].to_list() == [datetime(2026, 5, 4, 14, 13, 20, tzinfo=UTC).timestamp()] * 2
+
+
+@pytest.mark.parametrize(
+    ("order", "dates", "words"),
+    [
+        ("iso", ["05/04/2026 14:13:20"], "row 1, .*no order is guessed: name it, as 't_s=when in mm/dd/yyyy'"),
+        ("iso", ["05-04-2026 14:13:20"], "name it, as 't_s=when in mm-dd-yyyy'"),
+        ("iso", ["2026-05-04 14:13:20", "05/13/2026 14:13:20"], "row 2, column when: '05/13/2026 14:13:20'"),
+        ("iso", ["2026/05/04 14:13:20"], "expected a date such as 2026-05-31"),
+        ("iso", [20260504], "expected a date such as 2026-05-31"),
+        ("dd/mm/yyyy", ["04/05/2026 14:13:20", "05/13/2026 14:13:20"], "row 2, .*expected a date such as 31/05/2026"),
+        ("mm/dd/yyyy", ["05/04/26 14:13:20"], "expected a date such as 05/31/2026 14:00:00.25"),
+        ("mm/dd/yyyy", ["05/04/2026 02:13:20 PM"], "expected a date such as 05/31/2026 14:00:00.25"),
+        ("iso", ["04.05.2026 14:13:20", "05.13.2026 14:13:20"], "row 2, .*expected a date such as 31.05.2026"),
+    ],
+)
+def test_dates_in_another_order_than_the_one_named_are_refused(order, dates, words):
+    with pytest.raises(UnusableInput, match=words):
+        _of_dates(dates, order)
+
+
+def test_dotted_dates_are_day_month_year_and_a_line_says_so():
+    table, notices = _of_dates(["04.05.2026 14:13:20.500", "04.05.2026 14:13:21,500"], "iso")
+    assert table["t_s"][0] == datetime(2026, 5, 4, 14, 13, 20, 500_000, tzinfo=UTC).timestamp()
+    assert notices == ["column when: dates are read as dd.mm.yyyy"]
 
 
 @pytest.mark.parametrize(

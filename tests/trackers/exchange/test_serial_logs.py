@@ -49,6 +49,11 @@ def test_the_lines_of_the_trek1000_manual_are_corrected_ranges_in_metres(tmp_pat
     assert log.notices == ["2 lines of raw (mr) and anchor (ma) ranges left out; mc lines are used"]
 
 
+def test_a_tag_that_trek1000_lines_do_not_name_is_refused(tmp_path):
+    with pytest.raises(UnusableInput, match="is of tag 0, which --tag T would rename; leave --tag out"):
+        _log(tmp_path, TREK, "trek1000", "T")
+
+
 def test_ranges_that_the_mask_of_trek1000_leaves_out_are_left_out(tmp_path):
     line = "mc 05 00000663 000005a3 00000512 ffffffff 095f c1 00024c24 a3:0\n"
     rows = _log(tmp_path, line, "trek1000", None).tables["ranges"].rows()

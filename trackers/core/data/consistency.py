@@ -54,10 +54,11 @@ def nees_of_leading(errors: Errors, upper: Entries) -> list[Float[np.ndarray, " 
     remainder = [np.asarray(x, float) for x in errors.T]
     P = {at: np.asarray(x, float) for (i, j), x in upper.items() for at in ((i, j), (j, i))}
     values: list[np.ndarray] = []
+    least = [1e-12 * P[j, j] for j in range(len(remainder))]  # what rounding leaves of a singular P
     # Covariances of a damaged file may overflow; the NEES of their rows is infinite or NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         for j, reduced in enumerate(remainder):
-            positive = P[j, j] > 0
+            positive = P[j, j] > least[j]
             pivot = P[j, j] if positive.all() else np.where(positive, P[j, j], math.nan)
             value = reduced**2 / pivot
             values.append(values[-1] + value if values else value)

@@ -1,0 +1,49 @@
+"""Dates in columns of text as seconds since 1970: the order of day, month and year is stated, and never guessed."""
+
+from __future__ import annotations
+
+import re
+
+import polars as pl
+
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.table_file import TableFile, first_row
+
+ISO, DOTTED = "yyyy-mm-dd", "dd.mm.yyyy"
+ORDERS = {"iso": ISO, **{o: o for m in "/.-" for o in (f"dd{m}mm{m}yyyy", f"mm{m}dd{m}yyyy", f"yyyy{m}mm{m}dd")}}
+"""The orders of dates by the name that `t_s=COLUMN in NAME` has."""
+
+_PARTS = {"yyyy": r"(?P<y>\d{4})", "mm": r"(?P<m>\d{1,2})", "dd": r"(?P<d>\d{1,2})"}
+_SECONDS = r"(?::(?P<S>\d\d)(?:[.,](?P<f>\d{1,9})\d*)?)?"
+_TIME = rf"(?:[T ]+(?P<H>\d\d?):(?P<M>\d\d){_SECONDS}\s*(?P<z>Z|[+-]\d\d:?(?:\d\d)?)?)?"
+
+
+def order_in(file: TableFile, column: str, order: str) -> str:
+    """The order of the dates in a column: dotted ones, unknown to ISO, are day, month, year everywhere."""
+    first = str(next(iter(file.frame[column]), "")).strip()
+    return DOTTED if order == ISO and re.match(r"\d{1,2}\.\d{1,2}\.\d{4}\b", first) else order
+
+
+def seconds_of(file: TableFile, column: str, order: str) -> pl.Series:
+    """Dates as seconds since 1970, UTC where they name no zone; raises UnusableInput with the row of another text."""
+    dates = texts = file.frame[column]
+    if dates.dtype not in (pl.Datetime, pl.Date):
+        order = order_in(file, column, order)
+        pattern = re.sub("yyyy|mm|dd", lambda match: _PARTS[match[0]], re.escape(order))
+        parts = dates.cast(pl.String).str.strip_chars().str.extract_groups(f"^{pattern}{_TIME}$").struct.unnest()
+        time, zone = (pl.col(x).fill_null("00") for x in "HMSf"), pl.col("z").replace("Z", "+00").fill_null("+00")
+        date = pl.format("{}-{}-{} {}:{}:{}.{} {}", "y", "m", "d", *time, zone)
+        dates = parts.select(date.str.to_datetime("%Y-%m-%d %H:%M:%S%.f %#z", time_unit="ns", strict=False))["y"]
+        local = parts["z"].is_null()
+        wrong = dates.is_null() | (local != next(iter(local), True))
+        if wrong.any():
+            row, mark = first_row(wrong), "-" if "-" in str(texts[first_row(wrong)]) else "/"
+            fix = f"name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd{mark}mm{mark}yyyy'"
+            example = order.replace("yyyy", "2026").replace("mm", "05").replace("dd", "31")
+            expected = f"expected a date such as {example} 14:00:00.25; no order is guessed: {fix}"
+            if dates[row] is not None:
+                expected = f"row 1 {texts[0]!r}; expected a time zone in every row, or in none"
+            raise UnusableInput(f"{file.location(row, column)}: {texts[row]!r}; {expected}")
+    whole = dates.dt.epoch("ns")
+    # The seconds are exact; only their sum with the fraction is rounded.
+    return (whole // 1_000_000_000).cast(pl.Float64) + (whole % 1_000_000_000).cast(pl.Float64) / 1e9
