@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from trackwright.trackers.core.jax_private import extra_options
 from trackwright.trackers.core.model.algebra import (
     ZERO,
     Jacobian,
@@ -44,12 +45,15 @@ def few(trajectories: int) -> bool:
     return trajectories <= FEW
 
 
-def compiler_options(trajectories: int) -> dict[str, str | bool] | None:
-    """XLA's compiler options for a program of this number of trajectories.
+def compiler_options(trajectories: int) -> dict[str, Any]:
+    """The options with which XLA compiles a filter of this number of trajectories best, for `jax.jit` and `.compile`.
 
-    Matrix products are compiled inline instead of calling a library: a loop becomes one kernel only without calls.
+    Multi-output fusion computes terms shared within a step once, not once per use. A loop whose step moves few bytes
+    becomes one kernel, without hundreds of calls in each step; for few trajectories matrix products are inline, since a
+    loop that calls a library stays many kernels. Options of XLA_FLAGS prevail.
     """
-    return {"xla_cpu_experimental_ynn_fusion_type": ""} if few(trajectories) else None
+    extra = extra_options(xla_cpu_use_multi_output_fusion="", xla_cpu_small_while_loop_byte_threshold="3000000")
+    return {"xla_cpu_experimental_ynn_fusion_type": ""} | extra if few(trajectories) else extra
 
 
 MOST = 4096
