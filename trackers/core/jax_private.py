@@ -43,7 +43,7 @@ EXTRA = "trackwright_extra_options"
 """The key among the options of a compilation at which `extra_options` stand, as a part of XLA's serialized options."""
 
 
-def extra_options(**options: str) -> dict[str, bytes]:
+def extra_options(options: dict[str, str]) -> dict[str, bytes]:
     """Options of one compilation that XLA takes from XLA_FLAGS alone, in `xla_backend_extra_options`; else none.
 
     jax hands a compilation's options on by name, which XLA refuses for this table; here they are merged into the

@@ -52,8 +52,10 @@ def compiler_options(trajectories: int) -> dict[str, Any]:
     becomes one kernel, without hundreds of calls in each step; for few trajectories matrix products are inline, since a
     loop that calls a library stays many kernels. Options of XLA_FLAGS prevail.
     """
-    extra = extra_options(xla_cpu_use_multi_output_fusion="", xla_cpu_small_while_loop_byte_threshold="3000000")
-    return {"xla_cpu_experimental_ynn_fusion_type": ""} | extra if few(trajectories) else extra
+    one_kernel = {"xla_cpu_small_while_loop_byte_threshold": "3000000"}
+    if few(trajectories):
+        return {"xla_cpu_experimental_ynn_fusion_type": "", **extra_options(one_kernel)}
+    return extra_options({"xla_cpu_use_multi_output_fusion": "", **one_kernel})
 
 
 MOST = 4096
