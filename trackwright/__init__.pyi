@@ -212,6 +212,7 @@ __all__ = [
     "Tracker",
     "TrackerState",
     "filter_batch",
+    "compiler_options",
     "Row",
     "AbstractFilter",
     "ExtendedKalman",

@@ -44,21 +44,18 @@ EXTRA = "trackwright_extra_options"
 
 
 def extra_options(options: dict[str, str]) -> dict[str, bytes]:
-    """Options of one compilation that XLA takes from XLA_FLAGS alone, in `xla_backend_extra_options`; else none.
+    """Entries of XLA's `xla_backend_extra_options` for one compilation; nothing where this release of jax lacks a way.
 
-    jax hands a compilation's options on by name, which XLA refuses for this table; here they are merged into the
-    serialized options, before and so below the user's own.
+    XLA refuses this table among options given by name, so jax's options get it in serialized form: before the entries
+    of XLA_FLAGS, which thus prevail.
     """
     try:
         compiler = import_module("jax._src.compiler")
-        given = compiler.get_compile_options
-        if not hasattr(given, EXTRA):
-            if (
-                "get_compile_options"
-                not in import_module("jax._src.interpreters.pxla").create_compile_options.__code__.co_names
-            ):
-                return {}
-            compiler.get_compile_options = _taking_extra(given)
+        caller = import_module("jax._src.interpreters.pxla").create_compile_options
+        if "get_compile_options" not in caller.__code__.co_names:
+            return {}
+        if not hasattr(compiler.get_compile_options, EXTRA):
+            compiler.get_compile_options = _taking_extra(compiler.get_compile_options)
     except MISSING:
         return {}
     entries = (_field(500, _field(1, k.encode()) + _field(2, v.encode())) for k, v in options.items())

@@ -46,11 +46,12 @@ def few(trajectories: int) -> bool:
 
 
 def compiler_options(trajectories: int) -> dict[str, Any]:
-    """The options with which XLA compiles a filter of this number of trajectories best, for `jax.jit` and `.compile`.
+    """The `compiler_options` of `jax.jit` with which XLA compiles a filter of so many trajectories best on a CPU.
 
-    Multi-output fusion computes terms shared within a step once, not once per use. A loop whose step moves few bytes
-    becomes one kernel, without hundreds of calls in each step; for few trajectories matrix products are inline, since a
-    loop that calls a library stays many kernels. Options of XLA_FLAGS prevail.
+    A loop whose step moves few bytes becomes one kernel, without hundreds of calls in each step. With few trajectories
+    products of matrices are compiled inline, since a loop that calls a library stays many kernels. With many,
+    multi-output fusion computes terms shared within a step once, not once per use; in derivatives of few trajectories,
+    whose loop stores several arrays of one shape, it would copy these whole in every step.
     """
     one_kernel = {"xla_cpu_small_while_loop_byte_threshold": "3000000"}
     if few(trajectories):
