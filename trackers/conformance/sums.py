@@ -14,9 +14,8 @@ from trackwright.trackers.conformance.contract import BrokenContract, NotApplica
 from trackwright.trackers.conformance.identities import ALONE
 from trackwright.trackers.conformance.ran import Ran, draws_random_numbers
 from trackwright.trackers.core.data.recording import stack
-from trackwright.trackers.core.model.covariance import compiler_options
 from trackwright.trackers.core.model.tunable import replaced, tunables
-from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.chunks import as_dtype, called
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
 
@@ -40,10 +39,9 @@ class Sums:
         self.nodes = tunables(self.model)
         self.labels = [name for name, node in self.nodes.items() for _ in range(np.size(node.raw))]
         self.point = np.concatenate([np.ravel(np.asarray(x.raw)) for x in self.nodes.values()] or [np.zeros(0)])
-        options = compiler_options(self.batch.size)
-        self.program = jax.jit(lambda vectors: jax.lax.map(self.sums, vectors), compiler_options=options)
+        self.program = jax.jit(lambda vectors: jax.lax.map(self.sums, vectors))
         self.values = self.around(STEP)
-        self.output: Output = eqx.filter_jit(filter_batch, compiler_options=options)(self.model, self.batch)
+        self.output: Output = called(filter_batch, self.model, self.batch)
 
     def sums(self, vector: Float[Array, " p"]) -> Float[Array, " 2"]:
         """The sums by `accumulate`, (2,), with the unconstrained values of all tunables."""
@@ -76,9 +74,7 @@ class Sums:
     def compare_alone(self) -> str:
         """Raises unless a recording alone has the estimates that it has in a batch, to rounding."""
         with jax.enable_x64(True):
-            alone = eqx.filter_jit(filter_batch, compiler_options=compiler_options(1))(
-                self.model, self.batch.columns(0, 1)
-            )
+            alone = called(filter_batch, self.model, self.batch.columns(0, 1), for_few=True)
         numbers = ((x.mean, x.cov, x.log_likelihood, x.nis, x.nis_dof, x.wrapped) for x in (alone, self.output))
         pairs = zip(*map(jax.tree_util.tree_leaves, numbers), strict=True)
         apart = max(_in_roundings(np.asarray(a)[..., 0], np.asarray(b)[..., 0]) for a, b in pairs)
@@ -96,8 +92,7 @@ class Sums:
         if draws_random_numbers(self.ran):
             raise NotApplicable("estimates depend on random numbers, whose derivative is no difference quotient")
         with jax.enable_x64(True):
-            of_sums = jax.jit(jax.jacfwd(self.sums), compiler_options=compiler_options(self.batch.size))
-            slopes = np.asarray(of_sums(jnp.asarray(self.point)))
+            slopes = np.asarray(jax.jit(jax.jacfwd(self.sums))(jnp.asarray(self.point)))
         here = self.values[0]
         up, down, far_up, far_down = np.split(self.values[1:].T, 4, axis=1)
         numeric = (up - down) / (2 * STEP)

@@ -50,7 +50,7 @@ def extra_options(options: dict[str, str]) -> dict[str, bytes]:
     of XLA_FLAGS, which thus prevail.
     """
     try:
-        compiler = import_module("jax._src.compiler")
+        compiler: Any = import_module("jax._src.compiler")
         caller = import_module("jax._src.interpreters.pxla").create_compile_options
         if "get_compile_options" not in caller.__code__.co_names:
             return {}
