@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 # Before jax computes. The suite compiles more than it computes: code that LLVM does not optimise takes a quarter less,
-# and fusions that do not pass through MLIR, which jaxlib 0.11 cannot be told, a fifth less again. trackwright adds its flags.
+# and fusions that do not pass through MLIR, which jaxlib 0.11 cannot be told, a fifth less again.
 os.environ.setdefault(
     "XLA_FLAGS",
     "--xla_backend_optimization_level=0"

@@ -13,15 +13,12 @@ recording into estimates. Tuning returns the same tracker with better noise leve
 Each name is imported when it is first used. Names needed more rarely are in modules, such as `tw.exchange` for files
 of other programs; docs/api.md lists all, and docs/concepts.md shows how they fit.
 
-Importing it adds to XLA_FLAGS the options with which filters compile and run fastest, unless such are set.
+Importing it changes nothing for other programs of the process: XLA's options go to single compilations.
 """
 
 from importlib.metadata import PackageNotFoundError, version
 
 from trackwright.trackers.core.on_demand import names_on_demand
-from trackwright.trackers.programs.process_settings import set_flags
-
-set_flags()
 
 try:
     __version__ = version("trackwright")

@@ -48,6 +48,7 @@ from trackwright.trackers.core.filters.particle.filter import ParticleFilter as 
 from trackwright.trackers.core.model.algebra import Vector as Vector
 from trackwright.trackers.core.model.algebra import diagonal as diagonal
 from trackwright.trackers.core.model.covariance import Gaussian as Gaussian
+from trackwright.trackers.core.model.covariance import compiler_options as compiler_options
 from trackwright.trackers.core.model.inputs import Input as Input
 from trackwright.trackers.core.model.inputs import Need as Need
 from trackwright.trackers.core.model.motion import AbstractMotion as AbstractMotion
@@ -211,6 +212,7 @@ __all__ = [
     "Tracker",
     "TrackerState",
     "filter_batch",
+    "compiler_options",
     "Row",
     "AbstractFilter",
     "ExtendedKalman",

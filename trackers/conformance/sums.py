@@ -15,7 +15,7 @@ from trackwright.trackers.conformance.identities import ALONE
 from trackwright.trackers.conformance.ran import Ran, draws_random_numbers
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.tunable import replaced, tunables
-from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.chunks import as_dtype, called
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
 
@@ -41,7 +41,7 @@ class Sums:
         self.point = np.concatenate([np.ravel(np.asarray(x.raw)) for x in self.nodes.values()] or [np.zeros(0)])
         self.program = jax.jit(lambda vectors: jax.lax.map(self.sums, vectors))
         self.values = self.around(STEP)
-        self.output: Output = eqx.filter_jit(filter_batch)(self.model, self.batch)
+        self.output: Output = called(filter_batch, self.model, self.batch)
 
     def sums(self, vector: Float[Array, " p"]) -> Float[Array, " 2"]:
         """The sums by `accumulate`, (2,), with the unconstrained values of all tunables."""
@@ -74,7 +74,7 @@ class Sums:
     def compare_alone(self) -> str:
         """Raises unless a recording alone has the estimates that it has in a batch, to rounding."""
         with jax.enable_x64(True):
-            alone = eqx.filter_jit(filter_batch)(self.model, self.batch.columns(0, 1))
+            alone = called(filter_batch, self.model, self.batch.columns(0, 1), for_few=True)
         numbers = ((x.mean, x.cov, x.log_likelihood, x.nis, x.nis_dof, x.wrapped) for x in (alone, self.output))
         pairs = zip(*map(jax.tree_util.tree_leaves, numbers), strict=True)
         apart = max(_in_roundings(np.asarray(a)[..., 0], np.asarray(b)[..., 0]) for a, b in pairs)

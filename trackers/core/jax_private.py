@@ -39,6 +39,51 @@ def identity(name: str, written: Callable[[Any], Any], platform: str | None = No
     return primitive.bind
 
 
+EXTRA = "trackwright_extra_options"
+"""The key among the options of a compilation at which `extra_options` stand, as a part of XLA's serialized options."""
+
+
+def extra_options(options: dict[str, str]) -> dict[str, bytes]:
+    """Entries of XLA's `xla_backend_extra_options` for one compilation; nothing where this release of jax lacks a way.
+
+    XLA refuses this table among options given by name, so jax's options get it in serialized form: before the entries
+    of XLA_FLAGS, which thus prevail.
+    """
+    try:
+        compiler: Any = import_module("jax._src.compiler")
+        caller = import_module("jax._src.interpreters.pxla").create_compile_options
+        if "get_compile_options" not in caller.__code__.co_names:
+            return {}
+        if not hasattr(compiler.get_compile_options, EXTRA):
+            compiler.get_compile_options = _taking_extra(compiler.get_compile_options)
+    except MISSING:
+        return {}
+    entries = (_field(500, _field(1, k.encode()) + _field(2, v.encode())) for k, v in options.items())
+    return {EXTRA: _field(3, _field(3, b"".join(entries)))}
+
+
+def _taking_extra(given: Callable[..., Any]) -> Callable[..., Any]:
+    """jax's function that makes the options of a compilation, which also takes `EXTRA` among them."""
+
+    def get_compile_options(*args: Any, env_options_overrides: Any = None, **kwargs: Any) -> Any:
+        overrides = dict(env_options_overrides or {})
+        extra = overrides.pop(EXTRA, None)
+        options = given(*args, env_options_overrides=overrides or None, **kwargs)
+        return options if extra is None else options.ParseFromString(extra + options.SerializeAsString())
+
+    setattr(get_compile_options, EXTRA, True)
+    return get_compile_options
+
+
+def _field(number: int, content: bytes) -> bytes:
+    """A field of a protocol buffer: its key and length as numbers of seven bits a byte, and its content."""
+
+    def number_of(value: int) -> bytes:
+        return bytes([value]) if value < 128 else bytes([value % 128 + 128]) + number_of(value // 128)
+
+    return number_of(number * 8 + 2) + number_of(len(content)) + content
+
+
 def is_literal(atom: Any) -> bool:
     """Whether an atom of a jaxpr is a constant, in `atom.val`, and no variable."""
     return hasattr(atom, "val")

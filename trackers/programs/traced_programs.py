@@ -53,7 +53,7 @@ class TracedPrograms:
         self.modules: tuple[tuple[int, str], bool] = ((0, ""), False)
 
     def program(
-        self, function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str | bool] | None = None
+        self, function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, Any] | None = None
     ) -> Program | None:
         """The compiled `function(model, part)` for arguments of these types; None where they have no key.
 
@@ -124,7 +124,7 @@ class TracedPrograms:
 
 
 def _compiled(
-    function: Callable[[Any, Any], Any], leaves: list[Any], structure: Any, options: dict[str, str | bool] | None
+    function: Callable[[Any, Any], Any], leaves: list[Any], structure: Any, options: dict[str, Any] | None
 ) -> tuple[Any, Any]:
     """The compiled program of the arrays among the leaves, as a list, and the structure of its result."""
     structures = []
@@ -188,7 +188,7 @@ def use(store: ProgramStore) -> None:
 
 
 def kept_program(
-    function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str | bool] | None
+    function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, Any] | None
 ) -> Program | None:
     """The compiled `function(model, part)` from the store in use; None without a store, or where it must be traced."""
     return None if _in_use is None else _in_use.program(function, model, part, options)

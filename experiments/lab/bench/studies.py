@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -15,7 +15,7 @@ from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World
 from trackwright.sim.worlds import WORLDS as MAKE
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.run.chunks import as_dtype, chunks
+from trackwright.trackers.core.run.chunks import as_dtype, called, chunks
 from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import batches
@@ -72,7 +72,7 @@ def of_a_chunk(world: str, tracker: str, output: Output) -> Row:
     )
     (condition,), config, ids = study.conditions, study.trackers[tracker], np.arange(count)
     assert study.chunk == count
-    program: Any = eqx.filter_jit(filter_batch)
+    program: Any = partial(called, filter_batch)
     rows = 0
 
     def one_round() -> tuple[float, ...]:

@@ -20,6 +20,7 @@ PRIVATE = (
     "jax.interpreters.partial_eval",
     "jax._src.config",
     "jax._src.compilation_cache",
+    "jax._src.compiler",
 )
 WITHOUT = f"""import sys, jax.experimental.serialize_executable, equinox, optax
 for name in {PRIVATE}:

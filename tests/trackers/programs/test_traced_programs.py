@@ -14,7 +14,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import TRACKERS, build
-from trackwright.trackers.core.run.chunks import as_dtype, chunks, jitted, outputs, outputs_and_state
+from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype, chunks, jitted, outputs, outputs_and_state
 from trackwright.trackers.programs.program_cache import ProgramStore
 from trackwright.trackers.programs.traced_programs import PREFIX, USERS_FILE, TracedPrograms
 from trackwright.trackers.recordings.tracks import batches
@@ -82,9 +82,9 @@ def _bits(tree):
 def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, store, compiled):
     model, part = _case(name)
     traced = jitted(outputs, model, part)
-    first = TracedPrograms(store).program(outputs, model, part)(model, part)
+    first = TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part)
     before = len(compiled)
-    later = TracedPrograms(store).program(outputs, model, part)(model, part)
+    later = TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part)
     assert len(compiled) == before
     assert _bits(traced) == _bits(first) == _bits(later)
     assert jax.tree_util.tree_structure(traced) == jax.tree_util.tree_structure(later)
@@ -93,25 +93,28 @@ def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, st
 def test_other_numbers_use_the_program_and_other_shapes_functions_and_settings_do_not(fixes, store):
     model, part = fixes
     programs = TracedPrograms(store)
-    first = programs.program(outputs, model, part)
+    first = programs.program(outputs, model, part, OPTIONS)
     louder = jax.tree_util.tree_map(lambda x: x + 0.5 if eqx.is_inexact_array(x) else x, model)
-    assert programs.program(outputs, louder, part) is first
+    assert programs.program(outputs, louder, part, OPTIONS) is first
     assert _bits(first(louder, part)) == _bits(jitted(outputs, louder, part))
     longer = jax.tree_util.tree_map(lambda x: np.concatenate([x, x]) if np.shape(x)[:1] == (16,) else x, part)
-    others = [programs.program(outputs, model, longer), programs.program(outputs_and_state, model, part)]
+    others = [
+        programs.program(outputs, model, longer, OPTIONS),
+        programs.program(outputs_and_state, model, part, OPTIONS),
+    ]
     with jax.default_matmul_precision("highest"):
-        others.append(programs.program(outputs, model, part))
+        others.append(programs.program(outputs, model, part, OPTIONS))
     assert len({first, *others}) == 4
 
 
 def test_a_damaged_program_is_traced_again(fixes, store):
     model, part = fixes
-    right = _bits(TracedPrograms(store).program(outputs, model, part)(model, part))
+    right = _bits(TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part))
     (path,) = store._path.glob(f"{PREFIX}*")
     store.put(path.name, b"not a program")
-    assert _bits(TracedPrograms(store).program(outputs, model, part)(model, part)) == right
+    assert _bits(TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part)) == right
     path.write_bytes(b"junk")
-    assert _bits(TracedPrograms(store).program(outputs, model, part)(model, part)) == right
+    assert _bits(TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part)) == right
 
 
 class _Mine(eqx.Module):
@@ -127,4 +130,4 @@ def test_code_of_others_is_traced(fixes, store, monkeypatch):
     assert programs.program(_case, model, part) is None
     assert programs.program(outputs, (_Mine(model[0]), None), part) is None
     monkeypatch.setitem(sys.modules, "trackwright_tracker_own", ModuleType("trackwright_tracker_own"))
-    assert programs.program(outputs, model, part) is None
+    assert programs.program(outputs, model, part, OPTIONS) is None

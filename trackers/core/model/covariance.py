@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from trackwright.trackers.core.jax_private import extra_options
 from trackwright.trackers.core.model.algebra import (
     ZERO,
     Jacobian,
@@ -44,12 +45,18 @@ def few(trajectories: int) -> bool:
     return trajectories <= FEW
 
 
-def compiler_options(trajectories: int) -> dict[str, str | bool] | None:
-    """XLA's compiler options for a program of this number of trajectories.
+def compiler_options(trajectories: int) -> dict[str, Any]:
+    """The `compiler_options` of `jax.jit` with which XLA compiles a filter of so many trajectories best on a CPU.
 
-    Matrix products are compiled inline instead of calling a library: a loop becomes one kernel only without calls.
+    A loop whose step moves few bytes becomes one kernel, without hundreds of calls in each step. With few trajectories
+    products of matrices are compiled inline, since a loop that calls a library stays many kernels. With many,
+    multi-output fusion computes terms shared within a step once, not once per use; in derivatives of few trajectories,
+    whose loop stores several arrays of one shape, it would copy these whole in every step.
     """
-    return {"xla_cpu_experimental_ynn_fusion_type": ""} if few(trajectories) else None
+    one_kernel = {"xla_cpu_small_while_loop_byte_threshold": "3000000"}
+    if few(trajectories):
+        return {"xla_cpu_experimental_ynn_fusion_type": "", **extra_options(one_kernel)}
+    return extra_options({"xla_cpu_use_multi_output_fusion": "", **one_kernel})
 
 
 MOST = 4096

@@ -208,12 +208,11 @@ class PackedResult:
 
 def on_host(function: Callable[[Any, Batch], Tree], model: Any, part: Batch, call: Callable[..., Any]) -> Tree:
     """`function(model, part)` by a program that `call` finds, as NumPy arrays."""
-    options = compiler_options(part.size)
     if few(part.size):
         # The loop of few trajectories is so short that a call with a hundred arrays takes as long.
-        unpacked: Tree = call(PackedResult(function), model, part, options).unpacked()
+        unpacked: Tree = call(PackedResult(function), model, part, for_few=True).unpacked()
         return unpacked
-    return jax.tree_util.tree_map(np.asarray, call(function, model, part, options))
+    return jax.tree_util.tree_map(np.asarray, call(function, model, part))
 
 
 def _applied(function: Callable[[Any, Any], Tree], model: Any, part: Any) -> Tree:
@@ -221,8 +220,9 @@ def _applied(function: Callable[[Any, Any], Tree], model: Any, part: Any) -> Tre
     return function(model, part)
 
 
-jitted = eqx.filter_jit(_applied)
-jitted_for_few = eqx.filter_jit(_applied, compiler_options=compiler_options(1))  # type: ignore[call-overload]
+OPTIONS, OPTIONS_FOR_FEW = compiler_options(CHUNK), compiler_options(1)
+jitted = eqx.filter_jit(_applied, compiler_options=OPTIONS)  # type: ignore[call-overload]
+jitted_for_few = eqx.filter_jit(_applied, compiler_options=OPTIONS_FOR_FEW)  # type: ignore[call-overload]
 
 
 class Programs:
@@ -232,31 +232,27 @@ class Programs:
         self.compiling: defaultdict[Hashable, Lock] = defaultdict(Lock)
         self.compiled: set[Hashable] = set()
 
-    def dispatch(
-        self, function: Callable[[Any, Batch], Tree], model: Any, part: Batch, options: dict[str, str | bool] | None
-    ) -> Tree:
+    def dispatch(self, function: Callable[[Any, Batch], Tree], model: Any, part: Batch, for_few: bool = False) -> Tree:
         """The result of `called`, whose computation may still run."""
         leaves, kind = jax.tree_util.tree_flatten((model, part))
         shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
         program = kind, shapes, part.dt.device
         if program in self.compiled:
-            return called(function, model, part, options)
+            return called(function, model, part, for_few)
         with self.compiling[program]:
-            result = called(function, model, part, options)
+            result = called(function, model, part, for_few)
             self.compiled.add(program)
         return result
 
 
-def called(
-    function: Callable[[Any, Any], Tree], model: Any, part: Any, options: dict[str, str | bool] | None = None
-) -> Tree:
+def called(function: Callable[[Any, Any], Tree], model: Any, part: Any, for_few: bool = False) -> Tree:
     """`function(model, part)` by a compiled program, loaded without tracing where possible.
 
-    `options`: see `compiler_options`.
+    `for_few`: with the options of few trajectories.
     """
-    program = kept_program(function, model, part, options)
+    program = kept_program(function, model, part, OPTIONS_FOR_FEW if for_few else OPTIONS)
     if program is None:
-        program = partial(jitted if options is None else jitted_for_few, function)
+        program = partial(jitted_for_few if for_few else jitted, function)
     result: Tree = program(model, part)
     return result
 

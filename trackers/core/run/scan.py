@@ -217,7 +217,7 @@ def scan_rows(
         sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
     # Particles have no derivative, so that nothing is marked as dependent.
     start = (before, sums) if tracker.filter.has_particle_axis else mark_dependent((before, sums), tracker)
-    (carry, sums), outputs = jax.lax.scan(body, start, (rows, batch.truth))
+    (carry, sums), outputs = jax.lax.scan(jax.checkpoint(body, prevent_cse=False), start, (rows, batch.truth))
     if every_row:
         return tuple(x[:, 0] for x in scores_of.unpacked(outputs)), None, None
     if score is not None:
