@@ -52,6 +52,21 @@ FLOOR = 10.0
 """Nats below its maximum to which the density of a row falls where the test for track loss compares it."""
 
 
+def log_densities(
+    line: Polyline, points: int, sensors: Mapping[str, AbstractSensor], row: Row
+) -> tuple[jax.Array, jax.Array, Scalar]:
+    """Arclengths (points,), the log densities of a row's readings for a tag there, and the log density at its peak."""
+    along = jnp.arange(points, dtype=row.dt.dtype) * (line.length / (points - 1))
+
+    def at(arclength: Scalar) -> tuple[Scalar, Scalar]:
+        view = floor_state(line, PathState(arclength, 0.0 * arclength))
+        residuals = [s.residual(row.readings[n], list(s.measure(view, row.inputs))) for n, s in sensors.items()]
+        return total(log_density(r) for r in residuals), total(r.log_scale for r in residuals)
+
+    densities, peaks = jax.vmap(at)(along)
+    return along, densities, peaks[0]
+
+
 class LineStart(AbstractStart):
     """Prior of arclength, updated with the first measurements, and of speed.
 
@@ -65,7 +80,7 @@ class LineStart(AbstractStart):
     sigma_start: Noise
     sigma_speed: Noise
     resting: bool = eqx.field(static=True)
-    points: int = eqx.field(static=True)
+    points: int = eqx.field(static=True, default=POINTS)
 
     smooth: ClassVar[bool] = True
 
@@ -74,31 +89,16 @@ class LineStart(AbstractStart):
         return jnp.any(jnp.stack(seen))
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        along = self._places(row)
+        along, densities, _ = log_densities(self.line, self.points, sensors, row)
         prior = jnp.exp(-2.0 * (along / self.line.length) ** 2)
         # On a closed path the first point is the last one.
         prior = jnp.ones_like(along).at[0].set(0.0) if self.line.closed else prior.at[0].set(jnp.sum(prior))
 
-        densities, _ = self.log_densities(sensors, row)
         weights = jnp.exp(densities - jnp.max(densities)) * prior
         weights = weights / jnp.sum(weights)
         along = self.line.gathered(along, weights)
         mean = jnp.sum(weights * along)
         return jnp.stack([mean, jnp.sum(weights * (along - mean) ** 2)])
-
-    def log_densities(self, sensors: Mapping[str, AbstractSensor], row: Row) -> tuple[jax.Array, Scalar]:
-        """The log density of a row's readings for a tag at each of the points along the path, and its maximum."""
-
-        def at(arclength: Scalar) -> tuple[Scalar, Scalar]:
-            view = floor_state(self.line, PathState(arclength, 0.0 * arclength))
-            residuals = [s.residual(row.readings[n], list(s.measure(view, row.inputs))) for n, s in sensors.items()]
-            return total(log_density(r) for r in residuals), total(r.log_scale for r in residuals)
-
-        densities, peaks = jax.vmap(at)(self._places(row))
-        return densities, peaks[0]
-
-    def _places(self, row: Row) -> jax.Array:
-        return jnp.arange(self.points, dtype=row.dt.dtype) * (self.line.length / (self.points - 1))
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         arclength, zero = candidate[0], jnp.zeros_like(candidate[0])
@@ -109,39 +109,31 @@ class LineStart(AbstractStart):
 
 
 class ElsewherePolicy(AbstractTrackLoss):
-    """Track loss where readings agree with the tag elsewhere on the path: one carried by hand, or a start gone wrong.
+    """Track loss where readings agree with a tag elsewhere on the path: one carried by hand, or a start gone wrong.
 
-    The log-likelihood ratio of a tag anywhere on the path against the track is summed, from zero on (Page's CUSUM); at
-    `score_limit` nats the track is lost. A density counts as at least e^−`FLOOR` of its maximum: a wild reading that no
-    place explains says nothing, and no single one enough. A new track rests on one reading and begins halfway. Gaps
-    on a known path are no track loss, so that `max_gap` is infinite.
+    The log-likelihood ratio of a tag anywhere on the path against the track is summed over rows from zero on (Page's
+    CUSUM); beyond `score_limit` nats the track is lost. A density counts as at least e^−`FLOOR` of its peak: a reading
+    that no place explains says nothing, and no single reading enough. A new track, which rests on one reading, begins
+    at three quarters of the limit. On a known path a gap is no track loss; see also `leaving.py`.
     """
 
-    initial: ClassVar[float] = 20.0
+    initial: ClassVar[float] = 0.75
     limit: ClassVar[str] = "score_limit"
     score_limit: Threshold
     max_gap: Threshold
+    points: int = eqx.field(static=True)
 
-    def __init__(self, score_limit: float = 30.0):
-        self.score_limit, self.max_gap = Threshold(score_limit), Threshold(np.inf, "s")
+    def __init__(self, points: int, score_limit: float = 40.0):
+        self.score_limit, self.max_gap, self.points = Threshold(score_limit), Threshold(np.inf, "s"), points
 
-    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
-        return jnp.maximum(statistic - innovation.log_likelihood, 0.0)
+    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
+        _, densities, peak = log_densities(tracker.motion.line, self.points, tracker.sensors, row)
+        anywhere = jnp.maximum(logsumexp(densities) - np.log(self.points), peak - FLOOR)
+        ratio = jax.lax.stop_gradient(anywhere - jnp.maximum(innovation.log_likelihood, peak - FLOOR))
+        return jnp.maximum(statistic + ratio / self.score_limit.value, 0.0)
 
     def exceeded(self, statistic: Scalar) -> Scalar:
-        return statistic > self.score_limit.value
-
-
-class LineTracker(Tracker):
-    """A tracker whose test for track loss has log-likelihoods relative to those of a tag anywhere on the path."""
-
-    start: LineStart
-
-    def loss_statistic(self, before: Scalar, row: Row, innovation: Innovation) -> Scalar:
-        densities, peak = self.start.log_densities(self.sensors, row)
-        anywhere = jnp.maximum(logsumexp(densities) - np.log(len(densities)), peak - FLOOR)
-        ratio = jnp.maximum(innovation.log_likelihood, peak - FLOOR) - anywhere
-        return jax.lax.stop_gradient(super().loss_statistic(before, row, innovation._replace(log_likelihood=ratio)))
+        return statistic > 1.0
 
 
 def line_motion(line: Polyline, sigma_a: float = SIGMA_A) -> LineMotion | HaltingMotion:
@@ -155,8 +147,7 @@ def line_tracker(
 ) -> Tracker:
     """Particle filter of arclength and speed on a known path (thesis, 2.2); estimates are position and velocity."""
     _require_path("line_tracker", motion)
-    particles = ParticleFilter(n_particles, output_map=_output_map(motion))
-    return LineTracker(motion, sensors, _start(motion), particles, ElsewherePolicy())
+    return _tracker(motion, sensors, ParticleFilter(n_particles, output_map=_output_map(motion)))
 
 
 def line_grid_tracker(
@@ -176,7 +167,7 @@ def line_grid_tracker(
         f"at most {MOST_CELLS}, as with a greater spacing; a particle filter (line-pf) needs no grid",
     )
     grid = GridFilter(_output_map(motion), cells, speeds, fastest)
-    return LineTracker(motion, sensors, _start(motion), grid, ElsewherePolicy())
+    return _tracker(motion, sensors, grid)
 
 
 def _require_path(function: str, motion: Any) -> None:
@@ -185,9 +176,11 @@ def _require_path(function: str, motion: Any) -> None:
     require(fits, function, motion, f"a motion along a path, as {function}(line_motion(Polyline(knots)), sensors)")
 
 
-def _start(motion: LineMotion | HaltingMotion) -> LineStart:
+def _tracker(motion: LineMotion | HaltingMotion, sensors: Mapping[str, AbstractSensor], filter: Any) -> Tracker:
     points = int(np.clip(np.ceil(float(motion.line.length) / CLOSE) + 1, POINTS, MOST_POINTS))
-    return LineStart(motion.line, Scale(0.5, "m"), Scale(0.1, "m/s"), isinstance(motion, HaltingMotion), points)
+    resting = isinstance(motion, HaltingMotion)
+    start = LineStart(motion.line, Scale(0.5, "m"), Scale(0.1, "m/s"), resting, points)
+    return Tracker(motion, sensors, start, filter, ElsewherePolicy(points))
 
 
 def _output_map(motion: LineMotion | HaltingMotion) -> PathOutputMap:

@@ -289,10 +289,6 @@ class Tracker(AbstractTracker):
             innovations.append(innovation)
         return belief, Innovation(*(total(x) for x in zip(*innovations, strict=True)))
 
-    def loss_statistic(self, before: Scalar, row: Row, innovation: Innovation) -> Scalar:
-        """The statistic of the test for track loss after a row."""
-        return self.track_loss.after(before, innovation)
-
     def advance(self, carry: Carry, row: Row, belief: Any, innovation: Innovation) -> tuple[Carry, StepInfo]:
         """The carry of one trajectory after a row, from its updated belief: track status and diagnostics.
 
@@ -309,7 +305,7 @@ class Tracker(AbstractTracker):
             finite = jnp.isfinite(compute_once(total(x if x.ndim == 0 else jnp.sum(x) for x in numbers)))
         has_measurement = nis_dof > 0
         innovation = Innovation(log_likelihood, nis, nis_dof, wrapped)
-        statistic = self.loss_statistic(carry.loss_statistic, row, innovation)
+        statistic = self.track_loss.after(carry.loss_statistic, innovation, row, self)
         time_since_measurement = carry.time_since_measurement + row.dt
         lost = self.track_loss.exceeded(statistic) | (time_since_measurement > self.track_loss.max_gap.value)
         if ROOM in self.track_loss.inputs and ROOM.name in row.inputs and not self.filter.has_particle_axis:
