@@ -355,7 +355,7 @@ def _made_cases() -> Iterator[Case]:
     yield made("line-grid without halts", "line-grid", _on_line(line_grid_tracker, free), idle=_GRID_IDLE, **grid)
     closed = _on_line(line_grid_tracker, halting, closed=True)
     yield made("line-grid, closed", "line-grid", closed, idle=_RESTING_IDLE, **grid)
-    walk = Tracker(ConstantPosition(0.5, 2), {FIXES: FloorFixes(0.3)}, KnownStart(_place), few)
+    walk = Tracker(ConstantPosition(0.5, 2), {FIXES: FloorFixes(0.3, None)}, KnownStart(_place), few)
     yield made("random walk", "line-pf", lambda: walk, add=_from_the_first_knot, draws=True, **fixes, smoothable=False)
     two = {FIXES: FixSensor(0.1, 0.3), RANGES: RangeSensor(1, len(CORNERS), 0.1, 2.0, 4.0)}
     both = partial(replace, fix_tracker(), sensors=two)
@@ -520,6 +520,7 @@ SENSORS = {
     "fixes below the anchors' plane": SensorCase(_MIRROR.in_mode(0), _ROOM, {"plane": np.array(1.5)}),
     "fixes above the anchors' plane": SensorCase(_MIRROR.in_mode(1), _ROOM, {"plane": np.array(1.5)}),
     "fixes on the floor": SensorCase(FloorFixes(0.3), _ROOM, None, (0.01, 0.02)),
+    "fixes on the floor, normal errors": SensorCase(FloorFixes(0.3, None), _ROOM, None, (0.01, 0.02)),
     "ranges": SensorCase(RangeSensor(2, 2, 0.1, 2.0, 4.0), _ROOM, _TWO_ANCHORS),
     "ranges with variances": SensorCase(RangeSensor(2, 2, 0.1, 2.0, 4.0), _ROOM, _TWO_ANCHORS, (0.02, 0.01)),
     "range differences": SensorCase(RangeDifferenceSensor(2, 0.1, 4.0), _ROOM, _TWO_PAIRS),

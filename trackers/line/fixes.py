@@ -9,12 +9,13 @@ from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.motion import Noise, as_scale
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, Residual, independent
+from trackwright.trackers.core.model.tunable import Scale
 
 FIXES = "fixes"
 
 
 class FloorFixes(AbstractSensor):
-    """x and y of a fix, m, with independent normal errors of standard deviation `sigma_p` m (1.25).
+    """x and y of a fix, m, with independent errors of scale `sigma_p` m: Student's t, for `dof` None normal (1.25).
 
     Reported variances of x and y, m², add to that of `sigma_p`.
     """
@@ -22,9 +23,11 @@ class FloorFixes(AbstractSensor):
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
 
     sigma_p: Noise
+    dof: Noise | None
 
-    def __init__(self, sigma_p: float | Noise):
+    def __init__(self, sigma_p: float | Noise, dof: float | None = 4.0):
         self.sigma_p = as_scale(sigma_p, "m", "measurement noise", "horizontal")
+        self.dof = None if dof is None else Scale(dof)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -42,4 +45,4 @@ class FloorFixes(AbstractSensor):
         variances = reading.reported if len(reading.reported) else [0.0, 0.0]
         sigmas = [(self.sigma_p.value**2 + v) ** 0.5 for v in variances]
         differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-        return independent(differences, sigmas, reading.seen)
+        return independent(differences, sigmas, reading.seen, None if self.dof is None else self.dof.value)

@@ -98,8 +98,10 @@ class GridFilter(AbstractFilter[GridBelief]):
         seen = particle_residuals(PathState(along, jnp.zeros_like(along)), motion, sensor, reading, inputs)
         densities = seen.log_density
         probabilities = jnp.sum(belief.travelling, axis=1) + belief.resting
-        top = jnp.max(densities)
-        factor = jnp.exp(densities - top)
+        # Relative to the best cell that has any probability: beside a wild reading's foot all others would underflow.
+        possible = probabilities > jnp.finfo(probabilities.dtype).tiny
+        top = jnp.max(jnp.where(possible, densities, -jnp.inf))
+        factor = jnp.where(possible, jnp.exp(jnp.minimum(densities - top, 0.0)), 0.0)
         likelihood = jnp.sum(probabilities * factor)
         factor = factor / likelihood
         nis = weighted_nis(seen.whitened, probabilities, seen.dof)
@@ -145,8 +147,10 @@ class GridFilter(AbstractFilter[GridBelief]):
             for s in (source, source - 1)
         ]
         advanced = (1.0 - fraction) * shifted[0] + fraction * shifted[1]
-        rest = jnp.sum(travelling, axis=0) - jnp.sum(advanced[:-1], axis=0)
-        return advanced.at[-1].set(jnp.maximum(rest, 0.0))
+        # A sum of what arrives: the rounding of a difference is a probability there, which a wild reading brings out.
+        reached = jnp.arange(self.cells, dtype=shift.dtype)[:, None] + shift[None, :]
+        arrived = jnp.clip(reached - (self.cells - 2), 0.0, 1.0)
+        return advanced.at[-1].set(jnp.sum(travelling * arrived, axis=0))
 
     def _speed_transition(self, sigma: Scalar) -> jax.Array:
         """The transition matrix (speeds, speeds) of max(0, speed + a), with `sigma` of a in grid steps.
@@ -158,7 +162,8 @@ class GridFilter(AbstractFilter[GridBelief]):
         lags = np.arange(2 * n)
         cosines = jnp.asarray(np.cos(np.outer(lags, angles)) / (4 * n), sigma.dtype)
         decay = jnp.exp(sigma**2 * jnp.asarray(np.cos(angles) - 1.0, sigma.dtype))
-        kernel = jnp.maximum(jnp.matmul(cosines, decay, precision="highest"), 0.0)
+        # Less the rounding of the sum, which would be a probability of every speed.
+        kernel = jnp.maximum(jnp.matmul(cosines, decay, precision="highest") - jnp.finfo(sigma.dtype).eps, 0.0)
         # The mass beyond j steps, by cumulative sums from the far end, which stay positive.
         beyond = jnp.matmul(jnp.asarray(np.triu(np.ones((2 * n, 2 * n))), sigma.dtype), kernel, precision="highest")
         difference = np.abs(np.arange(n)[None, :] - np.arange(n)[:, None])

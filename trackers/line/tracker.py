@@ -9,8 +9,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import logsumexp
 
 from trackwright.trackers.core.errors import require
+from trackwright.trackers.core.filters.filter import Innovation
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, log_density
 from trackwright.trackers.core.model.algebra import Scalar, diagonal, total
 from trackwright.trackers.core.model.covariance import Gaussian
@@ -18,8 +20,8 @@ from trackwright.trackers.core.model.motion import Noise
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
 from trackwright.trackers.core.model.start import AbstractStart
-from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.model.tunable import Scale, Threshold
+from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import (
@@ -40,14 +42,29 @@ SIGMA_LINE = 0.02
 CURVE_SPACING = 0.5
 """Mean distance between knots, m, below which they are treated as points on a curve."""
 
-PATIENT = TrackLossPolicy(nis_limit=30.0, max_gap=np.inf)
-"""On a known path a gap is no track loss, and errors of fixes are correlated over seconds; see also `leaving.py`."""
-
 MOST_CELLS = 2**16
 """Cells of the longest path of a grid filter, 3 km of 5 cm: with 64 speeds, 17 MB for each tag."""
 
-START_GRID = 201
-"""Points along the path at which the prior of a start is evaluated."""
+POINTS, CLOSE, MOST_POINTS = 201, 0.5, 4097
+"""Points along the path at which a row's density is evaluated: at least, at most m apart, and at most."""
+
+FLOOR = 10.0
+"""Nats below its maximum to which the density of a row falls where the test for track loss compares it."""
+
+
+def log_densities(
+    line: Polyline, points: int, sensors: Mapping[str, AbstractSensor], row: Row
+) -> tuple[jax.Array, jax.Array, Scalar]:
+    """Arclengths (points,), the log densities of a row's readings for a tag there, and the log density at its peak."""
+    along = jnp.arange(points, dtype=row.dt.dtype) * (line.length / (points - 1))
+
+    def at(arclength: Scalar) -> tuple[Scalar, Scalar]:
+        view = floor_state(line, PathState(arclength, 0.0 * arclength))
+        residuals = [s.residual(row.readings[n], list(s.measure(view, row.inputs))) for n, s in sensors.items()]
+        return total(log_density(r) for r in residuals), total(r.log_scale for r in residuals)
+
+    densities, peaks = jax.vmap(at)(along)
+    return along, densities, peaks[0]
 
 
 class LineStart(AbstractStart):
@@ -63,6 +80,7 @@ class LineStart(AbstractStart):
     sigma_start: Noise
     sigma_speed: Noise
     resting: bool = eqx.field(static=True)
+    points: int = eqx.field(static=True, default=POINTS)
 
     smooth: ClassVar[bool] = True
 
@@ -71,20 +89,11 @@ class LineStart(AbstractStart):
         return jnp.any(jnp.stack(seen))
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        along = jnp.arange(START_GRID, dtype=row.dt.dtype) * (self.line.length / (START_GRID - 1))
+        along, densities, _ = log_densities(self.line, self.points, sensors, row)
         prior = jnp.exp(-2.0 * (along / self.line.length) ** 2)
         # On a closed path the first point is the last one.
         prior = jnp.ones_like(along).at[0].set(0.0) if self.line.closed else prior.at[0].set(jnp.sum(prior))
 
-        def log_likelihood(arclength: Scalar) -> Scalar:
-            view = floor_state(self.line, PathState(arclength, 0.0 * arclength))
-            densities = []
-            for name, sensor in sensors.items():
-                reading = row.readings[name]
-                densities.append(log_density(sensor.residual(reading, list(sensor.measure(view, row.inputs)))))
-            return total(densities)
-
-        densities = jax.vmap(log_likelihood)(along)
         weights = jnp.exp(densities - jnp.max(densities)) * prior
         weights = weights / jnp.sum(weights)
         along = self.line.gathered(along, weights)
@@ -99,6 +108,34 @@ class LineStart(AbstractStart):
         return Gaussian(PathState(arclength, zero), diagonal([start, speed], zero))
 
 
+class ElsewherePolicy(AbstractTrackLoss):
+    """Track loss where readings agree with a tag elsewhere on the path: one carried by hand, or a start gone wrong.
+
+    The log-likelihood ratio of a tag anywhere on the path against the track is summed over rows from zero on (Page's
+    CUSUM); beyond `score_limit` nats the track is lost. A density counts as at least e^−`FLOOR` of its peak: a reading
+    that no place explains says nothing, and no single reading enough. A new track, which rests on one reading, begins
+    at three quarters of the limit. On a known path a gap is no track loss; see also `leaving.py`.
+    """
+
+    initial: ClassVar[float] = 0.75
+    limit: ClassVar[str] = "score_limit"
+    score_limit: Threshold
+    max_gap: Threshold
+    points: int = eqx.field(static=True)
+
+    def __init__(self, points: int, score_limit: float = 40.0):
+        self.score_limit, self.max_gap, self.points = Threshold(score_limit), Threshold(np.inf, "s"), points
+
+    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
+        _, densities, peak = log_densities(tracker.motion.line, self.points, tracker.sensors, row)
+        anywhere = jnp.maximum(logsumexp(densities) - np.log(self.points), peak - FLOOR)
+        ratio = jax.lax.stop_gradient(anywhere - jnp.maximum(innovation.log_likelihood, peak - FLOOR))
+        return jnp.maximum(statistic + ratio / self.score_limit.value, 0.0)
+
+    def exceeded(self, statistic: Scalar) -> Scalar:
+        return statistic > 1.0
+
+
 def line_motion(line: Polyline, sigma_a: float = SIGMA_A) -> LineMotion | HaltingMotion:
     """`HaltingMotion`; `LineMotion` for a path without joins, or with knots that draw a curve; `sigma_a` m/s per √s."""
     curved = line.length < CURVE_SPACING * len(line.lengths)
@@ -110,9 +147,7 @@ def line_tracker(
 ) -> Tracker:
     """Particle filter of arclength and speed on a known path (thesis, 2.2); estimates are position and velocity."""
     _require_path("line_tracker", motion)
-    return Tracker(
-        motion, sensors, _start(motion), ParticleFilter(n_particles, output_map=_output_map(motion)), PATIENT
-    )
+    return _tracker(motion, sensors, ParticleFilter(n_particles, output_map=_output_map(motion)))
 
 
 def line_grid_tracker(
@@ -132,7 +167,7 @@ def line_grid_tracker(
         f"at most {MOST_CELLS}, as with a greater spacing; a particle filter (line-pf) needs no grid",
     )
     grid = GridFilter(_output_map(motion), cells, speeds, fastest)
-    return Tracker(motion, sensors, _start(motion), grid, PATIENT)
+    return _tracker(motion, sensors, grid)
 
 
 def _require_path(function: str, motion: Any) -> None:
@@ -141,8 +176,11 @@ def _require_path(function: str, motion: Any) -> None:
     require(fits, function, motion, f"a motion along a path, as {function}(line_motion(Polyline(knots)), sensors)")
 
 
-def _start(motion: LineMotion | HaltingMotion) -> LineStart:
-    return LineStart(motion.line, Scale(0.5, "m"), Scale(0.1, "m/s"), isinstance(motion, HaltingMotion))
+def _tracker(motion: LineMotion | HaltingMotion, sensors: Mapping[str, AbstractSensor], filter: Any) -> Tracker:
+    points = int(np.clip(np.ceil(float(motion.line.length) / CLOSE) + 1, POINTS, MOST_POINTS))
+    resting = isinstance(motion, HaltingMotion)
+    start = LineStart(motion.line, Scale(0.5, "m"), Scale(0.1, "m/s"), resting, points)
+    return Tracker(motion, sensors, start, filter, ElsewherePolicy(points))
 
 
 def _output_map(motion: LineMotion | HaltingMotion) -> PathOutputMap:

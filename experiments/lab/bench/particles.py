@@ -92,7 +92,7 @@ def rmse(estimated: np.ndarray, truth: np.ndarray) -> float:
 
 def ours(fixes: np.ndarray, times: np.ndarray, chunk: int = CHUNK, particles: int = PARTICLES) -> Run:
     """The tracker `line-pf` without halts; it also computes the covariance and the NIS of every row."""
-    tracker = line_tracker(LineMotion(Polyline(THESIS_KNOTS), SIGMA_A), {FIXES: FloorFixes(SIGMA_P)}, particles)
+    tracker = line_tracker(LineMotion(Polyline(THESIS_KNOTS), SIGMA_A), {FIXES: FloorFixes(SIGMA_P, None)}, particles)
     seen = np.ones(fixes.shape[1:], bool)
     batch = stack([Recording(times, {FIXES: Readings(f, seen)}, name=f"trajectory {k}") for k, f in enumerate(fixes)])
     run = filtering(tracker, batch, chunk)

@@ -148,7 +148,7 @@ def _read(sensor: AbstractSensor, predicted: np.ndarray, rng: np.random.Generato
         common = rng.uniform(-np.pi, np.pi, shape[1])
         return predicted + common + float(sensor.sigma_p.value) * rng.normal(size=shape)
     if isinstance(sensor, FloorFixes):
-        return predicted + float(sensor.sigma_p.value) * rng.normal(size=shape)
+        return predicted + float(sensor.sigma_p.value) * _unit(rng, sensor.dof, shape)
     if isinstance(sensor, BearingSensor):
         sigmas = np.array([[float(sensor.sigma_azimuth.value)], [float(sensor.sigma_elevation.value)]])
         return predicted + sigmas * _unit(rng, sensor.dof, shape)

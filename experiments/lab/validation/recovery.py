@@ -123,7 +123,7 @@ def beams() -> System:
 def carts() -> System:
     """B: a cart on a bent line, by the grid filter; a coarser grid would bias the noise of the fixes low."""
     line = tw.Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]])
-    tracker = tw.line_grid_tracker(tw.line.LineMotion(line, 0.04), {FIXES: FloorFixes(0.3)}, 0.03, 0.6, 32)
+    tracker = tw.line_grid_tracker(tw.line.LineMotion(line, 0.04), {FIXES: FloorFixes(0.3, None)}, 0.03, 0.6, 32)
     start = KnownStart(lambda x: PathState(*x), (0.5, 0.15), (0.15, 0.03))
     known = replace(tracker, start=start, track_loss=NEVER_LOST)
     return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), 2, 16, 32, 0.5)

@@ -137,7 +137,7 @@ def score_form(particles: ParticleFilter) -> ParticleFilter:
 def corridor_tracker(n_particles: int, estimator: Estimator = score_form) -> Tracker:
     """The tracker whose model is the corridor's world; its particles die at the walls."""
     particles = UniformParticles(estimator(ParticleFilter(n_particles, potential=Walls(rectangle(CORRIDOR)))))
-    sensors = {FIXES: FloorFixes(SIGMA_FIX)}
+    sensors = {FIXES: FloorFixes(SIGMA_FIX, None)}
     return Tracker(ConstantPosition(SIGMA_MOVE, 2), sensors, CORRIDOR_START, particles, NEVER_LOST)
 
 
@@ -165,7 +165,7 @@ class HaltStart(AbstractStart):
 def halt_tracker(filter: Any) -> Tracker:
     """The tracker whose model is the halt's world, with a particle or a grid filter."""
     motion = LineMotion(Polyline([[0.0, 0.0], [12.0, 0.0]]), HALT_SIGMA_A)
-    sensors = {FIXES: FloorFixes(HALT_SIGMA_FIX)}
+    sensors = {FIXES: FloorFixes(HALT_SIGMA_FIX, None)}
     return Tracker(motion, sensors, HaltStart(Scale(HALT_SPREAD, "m")), filter, NEVER_LOST)
 
 

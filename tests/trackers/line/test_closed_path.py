@@ -38,7 +38,7 @@ def _run(kind, line, filter, first):
     else:
         motion = HaltingMotion(line, 0.3, halting=0.6, rest=2.0)
         build, start, sigmas = lambda x: HaltingState(*x), [first, 0.4, 0.0], [0.3, 0.2, 0.0]
-    tracker = Tracker(motion, {FIXES: FloorFixes(0.2)}, KnownStart(build), filter, NEVER_LOST)
+    tracker = Tracker(motion, {FIXES: FloorFixes(0.2, None)}, KnownStart(build), filter, NEVER_LOST)
     return tracker.run(recording(times, {FIXES: (values, np.ones((ROWS, 2), bool))}, start, np.diag(sigmas) ** 2))
 
 

@@ -58,7 +58,7 @@ def _run(kind, filter, keys):
     if rest is not None:
         mean, spread = [*mean, rest], [*spread, 0.0]
     start = KnownStart((lambda x: PathState(*x)) if rest is None else (lambda x: HaltingState(*x)))
-    tracker = Tracker(motion, {FIXES: FloorFixes(SIGMA_FIX)}, start, filter, NEVER_LOST)
+    tracker = Tracker(motion, {FIXES: FloorFixes(SIGMA_FIX, None)}, start, filter, NEVER_LOST)
     values = _floor(PLACES)
     one = {FIXES: (values, np.ones_like(values, bool))}
     cov = np.diag(spread) ** 2

@@ -56,7 +56,7 @@ def _fixes(seed=6):
 
 def _tracker(kind, filter):
     motion, build, _, _ = STARTS[kind]
-    return Tracker(motion, {FIXES: FloorFixes(0.25)}, KnownStart(build), filter, NEVER_LOST)
+    return Tracker(motion, {FIXES: FloorFixes(0.25, None)}, KnownStart(build), filter, NEVER_LOST)
 
 
 def _trajectories(kind, count):
@@ -148,7 +148,7 @@ def test_the_gradient_of_the_grids_likelihood_is_the_central_difference():
 
     def log_likelihood(sigma_a, sigma_p):
         motion = HaltingMotion(LINE, 1.0, halting=0.6, rest=2.0)
-        tracker = Tracker(motion, {FIXES: FloorFixes(1.0)}, KnownStart(STARTS["halting"][1]), GRID, NEVER_LOST)
+        tracker = Tracker(motion, {FIXES: FloorFixes(1.0, None)}, KnownStart(STARTS["halting"][1]), GRID, NEVER_LOST)
         model = as_dtype(tracker, batch.dt.dtype)
         model = _with(model, jnp.log(sigma_a), jnp.log(sigma_p))
         return filter_batch(model, jax.tree_util.tree_map(jnp.asarray, batch)).log_likelihood.sum()

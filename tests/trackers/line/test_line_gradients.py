@@ -23,7 +23,7 @@ def slopes():
     start = LineStart(motion.line, Scale(0.5, "m"), Scale(0.1, "m/s"), resting=True)
 
     def of(filter, keys):
-        tracker = Tracker(motion, {FIXES: FloorFixes(0.25)}, start, filter, NEVER_LOST)
+        tracker = Tracker(motion, {FIXES: FloorFixes(0.25, None)}, start, filter, NEVER_LOST)
         return gradients(tracker, stack(_trajectories("halting", keys)), TUNED)
 
     return of(GRID, 1).gradient[:, 0], of(ParticleFilter(PARTICLES, output_map=REPORT), KEYS).gradient

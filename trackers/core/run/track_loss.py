@@ -13,6 +13,7 @@ from trackwright.trackers.core.filters.filter import Innovation
 from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.covariance import AnyCovariance, variance
 from trackwright.trackers.core.model.inputs import Input, Need
+from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import Threshold
 
@@ -47,8 +48,8 @@ class AbstractTrackLoss(eqx.Module):
         return ()
 
     @abstractmethod
-    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
-        """The test statistic after a row."""
+    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
+        """The test statistic after a row of a tracker."""
 
     @abstractmethod
     def exceeded(self, statistic: Scalar) -> Scalar:
@@ -78,7 +79,7 @@ class TrackLossPolicy(AbstractTrackLoss):
         self.nis_limit, self.nis_window = Threshold(nis_limit), Threshold(nis_window)
         self.max_gap = Threshold(max_gap, "s")
 
-    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
+    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
         correction = (innovation.nis / jnp.maximum(innovation.nis_dof, 1.0) - statistic) / self.nis_window.value
         return statistic + jnp.where(innovation.nis_dof > 0, correction, 0.0)
 
@@ -110,7 +111,7 @@ class TrackScorePolicy(AbstractTrackLoss):
     def inputs(self) -> tuple[Input, ...]:
         return (ROOM,)
 
-    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
+    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
         ratio = innovation.log_likelihood + innovation.nis_dof * jnp.log(self.width.value)
         return jnp.minimum(statistic + ratio, 0.0)
 

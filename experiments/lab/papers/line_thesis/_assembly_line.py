@@ -8,7 +8,7 @@ the path enter both, and are therefore underestimated.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -21,11 +21,12 @@ from trackwright.sim.corruptions import gauss_markov, white_noise
 from trackwright.sim.line import simulate_line
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.model.polyline import Polyline
-from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
-from trackwright.trackers.line.motion import LineMotion
+from trackwright.trackers.line.motion import HaltingMotion, LineMotion
 from trackwright.trackers.line.rows import path_of
-from trackwright.trackers.line.tracker import line_grid_tracker, line_tracker
+from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import knot_times
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory
@@ -103,8 +104,16 @@ def open_ended(knots: Any) -> Polyline:
     return Polyline(np.vstack([knots[:-1], knots[-1] + BEYOND * along]))
 
 
-def _sensors() -> dict[str, FloorFixes]:
-    return {FIXES: FloorFixes(MEASUREMENT_NOISE)}
+def _on_path(
+    name: str, about: str, make: Callable[..., Tracker], motion: Callable[[Trajectory], Any]
+) -> mc.TrackerConfig:
+    """A tracker as in the thesis: with normal errors, and without a start where readings agree on another place."""
+
+    def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+        tracker = make(motion(trajectory), {FIXES: FloorFixes(MEASUREMENT_NOISE, None)})
+        return dataclasses.replace(tracker, track_loss=TrackLossPolicy(nis_limit=30.0, max_gap=np.inf))
+
+    return built(name, about, build)
 
 
 def _ended(trajectory: Trajectory) -> LineMotion:
@@ -116,19 +125,21 @@ def _open(trajectory: Trajectory) -> LineMotion:
     return LineMotion(open_ended(trajectory.folder.rig.path_knots), 0.1)
 
 
+def _halting(trajectory: Trajectory) -> LineMotion | HaltingMotion:
+    return line_motion(path_of(trajectory.folder))
+
+
 def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, dof=None, planar=planar)
 
 
 RAW = built("moving-average", "the measurements themselves", FIXES_ALONE.spec.build)
 KALMAN = built("fix-kf", "the thesis's Kalman filter, (1.3)-(1.21)", _kalman)
-PARTICLE = built(
-    "line-pf", "the thesis's particle filter, (2.1)-(2.5)", lambda t, planar: line_tracker(_open(t), _sensors())
-)
-STOPPING = built(
-    "line-pf", "the same on a path that ends at its last knot", lambda t, planar: line_tracker(_ended(t), _sensors())
-)
-GRID = built("line-grid", "grid, no segment", lambda t, planar: line_grid_tracker(_ended(t), _sensors()))
+PARTICLE = _on_path("line-pf", "the thesis's particle filter, (2.1)-(2.5)", line_tracker, _open)
+STOPPING = _on_path("line-pf", "the same on a path that ends at its last knot", line_tracker, _ended)
+GRID = _on_path("line-grid", "grid, no segment", line_grid_tracker, _ended)
+SEGMENT = _on_path("line-pf", "particles, segment", line_tracker, _halting)
+GRID_SEGMENT = _on_path("line-grid", "grid, segment", line_grid_tracker, _halting)
 
 
 def distances(tracked: mc.TrackedRuns) -> np.ndarray:

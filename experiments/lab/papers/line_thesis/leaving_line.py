@@ -190,9 +190,7 @@ STUDY = mc.Study(
     },
     trackers={
         "particle": line.with_noise(line.PARTICLE, NUMBERS["sigma_particle"]),
-        "grid": mc.TrackerConfig(
-            "line-grid", {"sensors.fixes.sigma_p": line.MEASUREMENT_NOISE, line.SIGMA: NUMBERS["sigma_particle"]}
-        ),
+        "grid": line.with_noise(line.GRID_SEGMENT, NUMBERS["sigma_particle"]),
     },
     runs=200,
     measures={

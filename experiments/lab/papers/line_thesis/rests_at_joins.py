@@ -124,7 +124,6 @@ def past_the_place(results: mc.Results, figure: Figure) -> None:
 
 
 _LINES = line.worlds(fitted("papers/line_thesis/table_3_1"), ("situation 2, set 2", "situation 1, set 2"))
-_NOISE = {"sensors.fixes.sigma_p": line.MEASUREMENT_NOISE}
 STUDY = mc.Study(
     name="rests-at-joins",
     about="Does a segment in the state keep the filter from overshooting rests where segments meet?",
@@ -134,9 +133,9 @@ STUDY = mc.Study(
     },
     trackers={
         "particles": line.STOPPING,
-        "particles, segment": mc.TrackerConfig("line-pf", _NOISE),
+        "particles, segment": line.SEGMENT,
         "grid": line.GRID,
-        "grid, segment": mc.TrackerConfig("line-grid", _NOISE),
+        "grid, segment": line.GRID_SEGMENT,
     },
     runs=30,
     grid={SIGMA: SWEPT},
