@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.filters.filter import Innovation
-from trackwright.trackers.core.model.algebra import Scalar
-from trackwright.trackers.core.model.covariance import AnyCovariance, variance
+from trackwright.trackers.core.model.algebra import Scalar, total
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, variance
 from trackwright.trackers.core.model.inputs import Input, Need
+from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import Threshold
 
@@ -37,7 +39,6 @@ class AbstractTrackLoss(eqx.Module):
     the time without measurements, s; np.inf for none.
     """
 
-    initial: ClassVar[float]
     limit: ClassVar[str]
     max_gap: eqx.AbstractVar[Threshold]
 
@@ -47,11 +48,15 @@ class AbstractTrackLoss(eqx.Module):
         return ()
 
     @abstractmethod
-    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
-        """The test statistic after a row."""
+    def initial(self, prior: Gaussian) -> Any:
+        """The test statistic of a new track."""
 
     @abstractmethod
-    def exceeded(self, statistic: Scalar) -> Scalar:
+    def after(self, statistic: Any, innovation: Innovation, row: Row, tracker: Any) -> Any:
+        """The test statistic after a row of a tracker."""
+
+    @abstractmethod
+    def exceeded(self, statistic: Any) -> Scalar:
         """Whether the statistic is beyond its limit."""
 
     def relaxed(self, factor: float) -> AbstractTrackLoss:
@@ -68,7 +73,6 @@ class TrackLossPolicy(AbstractTrackLoss):
     `max_gap`: as in `AbstractTrackLoss`. np.inf disables a limit.
     """
 
-    initial: ClassVar[float] = 1.0
     limit: ClassVar[str] = "nis_limit"
     nis_limit: Threshold
     nis_window: Threshold
@@ -78,12 +82,25 @@ class TrackLossPolicy(AbstractTrackLoss):
         self.nis_limit, self.nis_window = Threshold(nis_limit), Threshold(nis_window)
         self.max_gap = Threshold(max_gap, "s")
 
-    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
+    def initial(self, prior: Gaussian) -> Scalar:
+        return jnp.ones_like(prior.cov[0])
+
+    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
         correction = (innovation.nis / jnp.maximum(innovation.nis_dof, 1.0) - statistic) / self.nis_window.value
         return statistic + jnp.where(innovation.nis_dof > 0, correction, 0.0)
 
     def exceeded(self, statistic: Scalar) -> Scalar:
         return statistic > self.nis_limit.value
+
+
+class Elsewhere(NamedTuple):
+    """The evidence that a tag is at another place, nats, and the place (3,), m."""
+
+    evidence: Scalar
+    place: Any
+
+
+PRICE = 0.2
 
 
 class TrackScorePolicy(AbstractTrackLoss):
@@ -96,7 +113,6 @@ class TrackScorePolicy(AbstractTrackLoss):
     of the measurements. `max_gap`: as in `AbstractTrackLoss`.
     """
 
-    initial: ClassVar[float] = 0.0
     limit: ClassVar[str] = "score_limit"
     score_limit: Threshold
     width: Threshold
@@ -110,12 +126,32 @@ class TrackScorePolicy(AbstractTrackLoss):
     def inputs(self) -> tuple[Input, ...]:
         return (ROOM,)
 
-    def after(self, statistic: Scalar, innovation: Innovation) -> Scalar:
-        ratio = innovation.log_likelihood + innovation.nis_dof * jnp.log(self.width.value)
-        return jnp.minimum(statistic + ratio, 0.0)
+    def initial(self, prior: Gaussian) -> Elsewhere:
+        place = [*prior.mean.position, jnp.zeros_like(prior.cov[0])][:3]
+        return Elsewhere(0.0 * place[0], jnp.stack(place))
 
-    def exceeded(self, statistic: Scalar) -> Scalar:
-        return statistic < -self.score_limit.value
+    def after(self, statistic: Elsewhere, innovation: Innovation, row: Row, tracker: Any) -> Elsewhere:
+        here, there = (
+            jax.nn.softplus(x + innovation.nis_dof * jnp.log(self.width.value))
+            for x in (innovation.log_likelihood, log_density_at(statistic.place, row, tracker))
+        )
+        gain = jnp.where(innovation.nis_dof > 0, there - here - PRICE, 0.0)
+        evidence = jax.lax.stop_gradient(jnp.maximum(statistic.evidence + gain, 0.0))
+        new = (evidence <= 0.0) & tracker.start.can_start(row)
+        candidate = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
+        return Elsewhere(evidence, jnp.where(new, candidate, statistic.place))
+
+    def exceeded(self, statistic: Elsewhere) -> Scalar:
+        return statistic.evidence > self.score_limit.value
+
+
+def log_density_at(place: Any, row: Row, tracker: Any) -> Scalar:
+    """The log density of a row's readings of a tag at this place (3,), m, as a start there predicts them."""
+    view = tracker.motion.view(tracker.start.belief(place, row).mean)
+    return total(
+        s.residual(row.readings[name], list(s.measure(view, row.inputs))).log_density
+        for name, s in tracker.sensors.items()
+    )
 
 
 def outside(mean: Any, cov: AnyCovariance, room: Any) -> Scalar:

@@ -304,7 +304,8 @@ class Tracker(AbstractTracker):
             numbers = jax.tree_util.tree_leaves(eqx.filter(belief, eqx.is_inexact_array))
             finite = jnp.isfinite(compute_once(total(x if x.ndim == 0 else jnp.sum(x) for x in numbers)))
         has_measurement = nis_dof > 0
-        statistic = self.track_loss.after(carry.loss_statistic, Innovation(log_likelihood, nis, nis_dof, wrapped))
+        innovation = Innovation(log_likelihood, nis, nis_dof, wrapped)
+        statistic = self.track_loss.after(carry.loss_statistic, innovation, row, self)
         time_since_measurement = carry.time_since_measurement + row.dt
         lost = self.track_loss.exceeded(statistic) | (time_since_measurement > self.track_loss.max_gap.value)
         if ROOM in self.track_loss.inputs and ROOM.name in row.inputs and not self.filter.has_particle_axis:
