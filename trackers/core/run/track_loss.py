@@ -59,6 +59,10 @@ class AbstractTrackLoss(eqx.Module):
     def exceeded(self, statistic: Any) -> Scalar:
         """Whether the statistic is beyond its limit."""
 
+    def candidates(self, found: Any, statistic: Any) -> Any:
+        """The candidates of new tracks, given those that the start found in this row and the statistics before."""
+        return found
+
     def relaxed(self, factor: float) -> AbstractTrackLoss:
         """The test with its limit multiplied, for noise levels so wrong that most rows would exceed it."""
         threshold: Threshold = getattr(self, self.limit)
@@ -140,6 +144,9 @@ class TrackScorePolicy(AbstractTrackLoss):
         new = (evidence <= 0.0) & tracker.start.can_start(row)
         candidate = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
         return Elsewhere(evidence, jnp.where(new, candidate, statistic.place))
+
+    def candidates(self, found: Any, statistic: Elsewhere) -> Any:
+        return jnp.where(self.exceeded(statistic), statistic.place, found)
 
     def exceeded(self, statistic: Elsewhere) -> Scalar:
         return statistic.evidence > self.score_limit.value
