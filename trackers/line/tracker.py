@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.errors import require
-from trackwright.trackers.core.filters.particle.filter import ParticleFilter, log_density
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.algebra import Scalar, diagonal, total
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.motion import Noise
@@ -81,7 +81,7 @@ class LineStart(AbstractStart):
             densities = []
             for name, sensor in sensors.items():
                 reading = row.readings[name]
-                densities.append(log_density(sensor.residual(reading, list(sensor.measure(view, row.inputs)))))
+                densities.append(sensor.residual(reading, list(sensor.measure(view, row.inputs))).log_density)
             return total(densities)
 
         densities = jax.vmap(log_likelihood)(along)

@@ -35,8 +35,7 @@ SIGMAS = 3.0
 class AbstractTrackLoss(eqx.Module):
     """The test for track loss, after which a track restarts; sweeps change its thresholds, fits do not.
 
-    `initial`: the test statistic of a new track. `limit`: the name of its threshold. `max_gap`: limit of
-    the time without measurements, s; np.inf for none.
+    `limit`: the name of its threshold. `max_gap`: limit of the time without measurements, s; np.inf for none.
     """
 
     limit: ClassVar[str]
@@ -60,7 +59,7 @@ class AbstractTrackLoss(eqx.Module):
         """Whether the statistic is beyond its limit."""
 
     def candidates(self, found: Any, statistic: Any) -> Any:
-        """The candidates of new tracks, given those that the start found in this row and the statistics before."""
+        """The candidates from which tracks start, given those `found` in this row; by default these."""
         return found
 
     def relaxed(self, factor: float) -> AbstractTrackLoss:
@@ -97,24 +96,26 @@ class TrackLossPolicy(AbstractTrackLoss):
         return statistic > self.nis_limit.value
 
 
+PRICE = 0.2
+"""Evidence, nats, that each reading costs another place, so that one which explains no readings is given up."""
+
+
 class Elsewhere(NamedTuple):
-    """The evidence that a tag is at another place, nats, and the place (3,), m."""
+    """The evidence that a tag is at another place, nats, and that place (3,), m."""
 
     evidence: Scalar
     place: Any
 
 
-PRICE = 0.2
-
-
 class TrackScorePolicy(AbstractTrackLoss):
-    """Track loss by the fall of the track score, for heavy tails, which bound the NIS, and by the room.
+    """Track loss by the evidence for another place, for heavy tails, which bound the NIS, and by the room.
 
-    The track score is the log-likelihood ratio of the track against unrelated measurements of uniform density 1/`width`
-    (Blackman and Popoli 1999, section 6.2). A track is lost where the score is more than `score_limit` nats below its
-    maximum (Page's CUSUM test), which under a correct model has a probability of at most e^−`score_limit` per row. It
-    is also lost where its mean is more than `SIGMAS` standard deviations outside the input `room`. `width`: in the unit
-    of the measurements. `max_gap`: as in `AbstractTrackLoss`.
+    The other place is where a start in an earlier row would have been. Its evidence is the log-likelihood ratio of the
+    later readings, with the density 1/`width` for the half of them that may be wild on both sides, so that readings
+    which agree with neither decide nothing. Without evidence the place is that of the latest row which suffices for a
+    start (Page's CUSUM test). Beyond `score_limit` nats the track is lost and starts again there. It is also lost where
+    its mean is more than `SIGMAS` standard deviations outside the input `room`. `width`: in the unit of the
+    measurements. `max_gap`: as in `AbstractTrackLoss`.
     """
 
     limit: ClassVar[str] = "score_limit"
@@ -131,33 +132,33 @@ class TrackScorePolicy(AbstractTrackLoss):
         return (ROOM,)
 
     def initial(self, prior: Gaussian) -> Elsewhere:
-        place = [*prior.mean.position, jnp.zeros_like(prior.cov[0])][:3]
-        return Elsewhere(0.0 * place[0], jnp.stack(place))
+        zero = jnp.zeros_like(prior.cov[0])
+        return Elsewhere(zero, jnp.stack([*prior.mean.position, zero][:3]))
 
     def after(self, statistic: Elsewhere, innovation: Innovation, row: Row, tracker: Any) -> Elsewhere:
-        here, there = (
-            jax.nn.softplus(x + innovation.nis_dof * jnp.log(self.width.value))
-            for x in (innovation.log_likelihood, log_density_at(statistic.place, row, tracker))
-        )
-        gain = jnp.where(innovation.nis_dof > 0, there - here - PRICE, 0.0)
-        evidence = jax.lax.stop_gradient(jnp.maximum(statistic.evidence + gain, 0.0))
-        new = (evidence <= 0.0) & tracker.start.can_start(row)
-        candidate = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
-        return Elsewhere(evidence, jnp.where(new, candidate, statistic.place))
-
-    def candidates(self, found: Any, statistic: Elsewhere) -> Any:
-        return jnp.where(self.exceeded(statistic), statistic.place, found)
+        densities = innovation.log_likelihood, log_density_at(statistic.place, row, tracker)
+        here, there = (x + innovation.nis_dof * jnp.log(self.width.value) for x in densities)
+        gain = jax.nn.softplus(there) - jax.nn.softplus(here)
+        # A reading that agrees with the track never speaks against it, however well another place explains it.
+        gain = jnp.where(here > 0.0, jnp.minimum(gain, 0.0), gain) - PRICE
+        evidence = jnp.maximum(statistic.evidence + jnp.where(innovation.nis_dof > 0, gain, 0.0), 0.0)
+        place = tracker.start.candidate(tracker.sensors, row)
+        unfounded = (evidence <= 0.0) & tracker.start.can_start(row)
+        return jax.lax.stop_gradient(Elsewhere(evidence, jnp.where(unfounded, place, statistic.place)))
 
     def exceeded(self, statistic: Elsewhere) -> Scalar:
         return statistic.evidence > self.score_limit.value
 
+    def candidates(self, found: Any, statistic: Elsewhere) -> Any:
+        return jnp.where(self.exceeded(statistic), statistic.place, found)
+
 
 def log_density_at(place: Any, row: Row, tracker: Any) -> Scalar:
-    """The log density of a row's readings of a tag at this place (3,), m, as a start there predicts them."""
+    """The log density of a row's readings of a tag that starts at this place (3,), m."""
     view = tracker.motion.view(tracker.start.belief(place, row).mean)
     return total(
-        s.residual(row.readings[name], list(s.measure(view, row.inputs))).log_density
-        for name, s in tracker.sensors.items()
+        sensor.residual(row.readings[name], list(sensor.measure(view, row.inputs))).log_density
+        for name, sensor in tracker.sensors.items()
     )
 
 
