@@ -13,7 +13,7 @@ from jax.scipy.special import logsumexp
 
 from trackwright.trackers.core.errors import require
 from trackwright.trackers.core.filters.filter import Innovation
-from trackwright.trackers.core.filters.particle.filter import ParticleFilter, log_density
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.algebra import Scalar, diagonal, total
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.motion import Noise
@@ -61,7 +61,7 @@ def log_densities(
     def at(arclength: Scalar) -> tuple[Scalar, Scalar]:
         view = floor_state(line, PathState(arclength, 0.0 * arclength))
         residuals = [s.residual(row.readings[n], list(s.measure(view, row.inputs))) for n, s in sensors.items()]
-        return total(log_density(r) for r in residuals), total(r.log_scale for r in residuals)
+        return total(r.log_density for r in residuals), total(r.log_scale for r in residuals)
 
     densities, peaks = jax.vmap(at)(along)
     return along, densities, peaks[0]
@@ -117,7 +117,6 @@ class ElsewherePolicy(AbstractTrackLoss):
     at three quarters of the limit. On a known path a gap is no track loss; see also `leaving.py`.
     """
 
-    initial: ClassVar[float] = 0.75
     limit: ClassVar[str] = "score_limit"
     score_limit: Threshold
     max_gap: Threshold
@@ -125,6 +124,9 @@ class ElsewherePolicy(AbstractTrackLoss):
 
     def __init__(self, points: int, score_limit: float = 40.0):
         self.score_limit, self.max_gap, self.points = Threshold(score_limit), Threshold(np.inf, "s"), points
+
+    def initial(self, prior: Gaussian) -> Scalar:
+        return jnp.full_like(prior.cov[0], 0.75)
 
     def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
         _, densities, peak = log_densities(tracker.motion.line, self.points, tracker.sensors, row)

@@ -70,6 +70,14 @@ class Residual(NamedTuple):
     wrapped: Scalar = False
     dof: Scalar | None = None
 
+    @property
+    def log_density(self) -> Scalar:
+        """The log density of the reading."""
+        if self.dof is None:
+            return self.log_scale - 0.5 * total(r * r for r in self.whitened)
+        dof = self.dof
+        return self.log_scale - 0.5 * (dof + 1.0) * total(jnp.log1p(r * r / dof) for r in self.whitened)
+
 
 class AbstractSensor(eqx.Module):
     """A source of readings with a fixed number of channels.

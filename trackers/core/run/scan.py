@@ -57,7 +57,7 @@ class Carry(NamedTuple):
     belief: Any
     running: Scalar
     started: Scalar
-    loss_statistic: Scalar
+    loss_statistic: Any
     time_since_measurement: Scalar
 
 
@@ -96,7 +96,7 @@ def carry_of(tracker: RecursiveTracker, prior: Gaussian, key: RawKey, number: Sc
     one = jnp.ones_like(prior.cov[0])
     # A new key for every start of a trajectory; XLA drops it where the filter draws no random numbers.
     key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), number))
-    return Carry(tracker.filter.init(prior, key), one > 0, one > 0, one * tracker.track_loss.initial, one * 0)
+    return Carry(tracker.filter.init(prior, key), one > 0, one > 0, tracker.track_loss.initial(prior), one * 0)
 
 
 def in_form(carry: Carry, few: bool) -> Carry:
@@ -293,7 +293,7 @@ def reinitialise(
     """
     sufficient = jax.vmap(tracker.start.can_start, in_axes=-1)(row)
     need = row.valid & ~carry.running & sufficient & (info.status != Status.NON_FINITE)
-    candidates = search(tracker, row, need, few)
+    candidates = tracker.track_loss.candidates(search(tracker, row, need, few), carry.loss_statistic)
     axes = carry_axes(tracker)
 
     def with_new_tracks() -> Carry:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.filters.filter import Innovation
-from trackwright.trackers.core.model.algebra import Scalar
-from trackwright.trackers.core.model.covariance import AnyCovariance, variance
+from trackwright.trackers.core.model.algebra import Scalar, total
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, variance
 from trackwright.trackers.core.model.inputs import Input, Need
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import component_names
@@ -34,11 +35,9 @@ SIGMAS = 3.0
 class AbstractTrackLoss(eqx.Module):
     """The test for track loss, after which a track restarts; sweeps change its thresholds, fits do not.
 
-    `initial`: the test statistic of a new track. `limit`: the name of its threshold. `max_gap`: limit of
-    the time without measurements, s; np.inf for none.
+    `limit`: the name of its threshold. `max_gap`: limit of the time without measurements, s; np.inf for none.
     """
 
-    initial: ClassVar[float]
     limit: ClassVar[str]
     max_gap: eqx.AbstractVar[Threshold]
 
@@ -48,12 +47,20 @@ class AbstractTrackLoss(eqx.Module):
         return ()
 
     @abstractmethod
-    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
+    def initial(self, prior: Gaussian) -> Any:
+        """The test statistic of a new track."""
+
+    @abstractmethod
+    def after(self, statistic: Any, innovation: Innovation, row: Row, tracker: Any) -> Any:
         """The test statistic after a row of a tracker."""
 
     @abstractmethod
-    def exceeded(self, statistic: Scalar) -> Scalar:
+    def exceeded(self, statistic: Any) -> Scalar:
         """Whether the statistic is beyond its limit."""
+
+    def candidates(self, found: Any, statistic: Any) -> Any:
+        """The candidates from which tracks start, given those `found` in this row; by default these."""
+        return found
 
     def relaxed(self, factor: float) -> AbstractTrackLoss:
         """The test with its limit multiplied, for noise levels so wrong that most rows would exceed it."""
@@ -69,7 +76,6 @@ class TrackLossPolicy(AbstractTrackLoss):
     `max_gap`: as in `AbstractTrackLoss`. np.inf disables a limit.
     """
 
-    initial: ClassVar[float] = 1.0
     limit: ClassVar[str] = "nis_limit"
     nis_limit: Threshold
     nis_window: Threshold
@@ -79,6 +85,9 @@ class TrackLossPolicy(AbstractTrackLoss):
         self.nis_limit, self.nis_window = Threshold(nis_limit), Threshold(nis_window)
         self.max_gap = Threshold(max_gap, "s")
 
+    def initial(self, prior: Gaussian) -> Scalar:
+        return jnp.ones_like(prior.cov[0])
+
     def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
         correction = (innovation.nis / jnp.maximum(innovation.nis_dof, 1.0) - statistic) / self.nis_window.value
         return statistic + jnp.where(innovation.nis_dof > 0, correction, 0.0)
@@ -87,17 +96,28 @@ class TrackLossPolicy(AbstractTrackLoss):
         return statistic > self.nis_limit.value
 
 
-class TrackScorePolicy(AbstractTrackLoss):
-    """Track loss by the fall of the track score, for heavy tails, which bound the NIS, and by the room.
+PRICE = 0.2
+"""Evidence, nats, that each reading costs another place, so that one which explains no readings is given up."""
 
-    The track score is the log-likelihood ratio of the track against unrelated measurements of uniform density 1/`width`
-    (Blackman and Popoli 1999, section 6.2). A track is lost where the score is more than `score_limit` nats below its
-    maximum (Page's CUSUM test), which under a correct model has a probability of at most e^−`score_limit` per row. It
-    is also lost where its mean is more than `SIGMAS` standard deviations outside the input `room`. `width`: in the unit
-    of the measurements. `max_gap`: as in `AbstractTrackLoss`.
+
+class Elsewhere(NamedTuple):
+    """The evidence that a tag is at another place, nats, and that place (3,), m."""
+
+    evidence: Scalar
+    place: Any
+
+
+class TrackScorePolicy(AbstractTrackLoss):
+    """Track loss by the evidence for another place, for heavy tails, which bound the NIS, and by the room.
+
+    The other place is where a start in an earlier row would have been. Its evidence is the log-likelihood ratio of the
+    later readings, with the density 1/`width` for the half of them that may be wild on both sides, so that readings
+    which agree with neither decide nothing. Without evidence the place is that of the latest row which suffices for a
+    start (Page's CUSUM test). Beyond `score_limit` nats the track is lost and starts again there. It is also lost where
+    its mean is more than `SIGMAS` standard deviations outside the input `room`. `width`: in the unit of the
+    measurements. `max_gap`: as in `AbstractTrackLoss`.
     """
 
-    initial: ClassVar[float] = 0.0
     limit: ClassVar[str] = "score_limit"
     score_limit: Threshold
     width: Threshold
@@ -111,12 +131,35 @@ class TrackScorePolicy(AbstractTrackLoss):
     def inputs(self) -> tuple[Input, ...]:
         return (ROOM,)
 
-    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
-        ratio = innovation.log_likelihood + innovation.nis_dof * jnp.log(self.width.value)
-        return jnp.minimum(statistic + ratio, 0.0)
+    def initial(self, prior: Gaussian) -> Elsewhere:
+        zero = jnp.zeros_like(prior.cov[0])
+        return Elsewhere(zero, jnp.stack([*prior.mean.position, zero][:3]))
 
-    def exceeded(self, statistic: Scalar) -> Scalar:
-        return statistic < -self.score_limit.value
+    def after(self, statistic: Elsewhere, innovation: Innovation, row: Row, tracker: Any) -> Elsewhere:
+        densities = innovation.log_likelihood, log_density_at(statistic.place, row, tracker)
+        here, there = (x + innovation.nis_dof * jnp.log(self.width.value) for x in densities)
+        gain = jax.nn.softplus(there) - jax.nn.softplus(here)
+        # A reading that agrees with the track never speaks against it, however well another place explains it.
+        gain = jnp.where(here > 0.0, jnp.minimum(gain, 0.0), gain) - PRICE
+        evidence = jnp.maximum(statistic.evidence + jnp.where(innovation.nis_dof > 0, gain, 0.0), 0.0)
+        place = tracker.start.candidate(tracker.sensors, row)
+        unfounded = (evidence <= 0.0) & tracker.start.can_start(row)
+        return jax.lax.stop_gradient(Elsewhere(evidence, jnp.where(unfounded, place, statistic.place)))
+
+    def exceeded(self, statistic: Elsewhere) -> Scalar:
+        return statistic.evidence > self.score_limit.value
+
+    def candidates(self, found: Any, statistic: Elsewhere) -> Any:
+        return jnp.where(self.exceeded(statistic), statistic.place, found)
+
+
+def log_density_at(place: Any, row: Row, tracker: Any) -> Scalar:
+    """The log density of a row's readings of a tag that starts at this place (3,), m."""
+    view = tracker.motion.view(tracker.start.belief(place, row).mean)
+    return total(
+        sensor.residual(row.readings[name], list(sensor.measure(view, row.inputs))).log_density
+        for name, sensor in tracker.sensors.items()
+    )
 
 
 def outside(mean: Any, cov: AnyCovariance, room: Any) -> Scalar:

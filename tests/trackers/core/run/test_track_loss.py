@@ -4,12 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import trackwright as tw
 from trackwright.experiments.lab.validation.track_loss import detection
 from trackwright.trackers.core.model.rig import MARGIN, room_rows
 from trackwright.trackers.core.model.tunable import with_values
-from trackwright.trackers.core.run.track_loss import ROOM, SIGMAS
+from trackwright.trackers.core.run.track_loss import PRICE, ROOM, SIGMAS
+from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.start_nearby import NEARBY
 
 ANCHORS = np.array([[0.0, 0.0, 2.0], [8.0, 0.0, 1.0], [8.0, 6.0, 2.5], [0.0, 6.0, 1.0]])
@@ -69,26 +71,43 @@ def test_a_track_three_standard_deviations_outside_the_room_is_lost_and_starts_a
     assert error[recording.times > BACK_S + 2].max() < 0.5
 
 
-def test_a_track_is_lost_where_its_score_has_fallen_by_the_limit_below_its_maximum():
+def _log_densities(recording, places):
+    """Of each range at a place of its own (T, 3), by the defaults of `range_tracker`: a two-piece Student's t."""
+    sigma, skew, dof, bias = 0.09, 4.0, 1.8, 0.07
+    errors = recording.readings[RANGES].values[:, 0] - bias
+    errors -= np.linalg.norm(places - recording.inputs["anchors"], axis=1)
+    scales = np.where(errors > 0, sigma * skew, sigma)
+    return stats.t.logpdf(errors / scales, dof) - np.log(sigma * (1 + skew) / 2)
+
+
+def test_a_track_is_lost_where_the_evidence_for_another_place_passes_the_limit_and_starts_again_there():
     recording, path = _recording(np.full(len(TIMES), 5.0))
     tracker = tw.range_tracker(4, planar=True)
     free, kept = _never(tracker).run(recording), tracker.run(recording)
-    policy = tracker.track_loss
-    ratios = free.log_likelihood + free.nis_dof * np.log(policy.width.value)
-    score = np.cumsum(ratios.astype(float))
-    fallen = np.maximum.accumulate(np.maximum(score, 0.0)) - score
-    lost = _first(fallen > policy.score_limit.value)
-    assert lost == _first(kept.status == tw.Status.RESTARTED)
-    assert AWAY_S < recording.times[lost] < AWAY_S + 1
-    _assert_same_before(free, kept, lost)
+    policy, nearby = tracker.track_loss, recording.inputs[NEARBY.name]
+    log_width = np.log(policy.width.value)
+    first = _first(free.status == tw.Status.OK)
+    evidence, place = 0.0, nearby[first, :3]
+    for row in range(first + 1, len(nearby)):
+        there = _log_densities(recording, np.broadcast_to(place, (len(nearby), 3)))[row] + log_width
+        here = free.log_likelihood[row] + log_width
+        gain = np.logaddexp(0.0, there) - np.logaddexp(0.0, here)
+        evidence = max(evidence + (min(gain, 0.0) if here > 0 else gain) - PRICE, 0.0)
+        if evidence > policy.score_limit.value:
+            break
+        if evidence == 0.0 and nearby[row, 3] == 1:
+            place = nearby[row, :3]
+    assert row == _first(kept.status == tw.Status.RESTARTED)
+    assert AWAY_S < recording.times[row] < AWAY_S + 1
+    _assert_same_before(free, kept, row)
+    np.testing.assert_allclose([p[row] for p in kept.mean.position], place[:2], rtol=1e-6)
     error = np.hypot(*(np.asarray(p) - q for p, q in zip(kept.mean.position, path.T, strict=False)))
     assert error[(recording.times > AWAY_S + 2) & (recording.times < BACK_S)].max() < 0.5
 
 
 @pytest.mark.slow
-def test_kidnapped_tags_are_found_and_no_other_track_is_lost():
+def test_of_carried_tags_with_a_range_every_eighth_of_a_second_no_other_track_is_lost():
     with_test, without = detection("ranges", 24), detection("ranges", 24, 1e9)
     assert with_test.false_alarms == without.false_alarms == without.detected == 0
-    assert with_test.detected > 0.8
-    assert with_test.errors[0] < 0.3 * without.errors[0]
+    assert with_test.errors[1] <= without.errors[1] < 0.7
     assert detection("bearings", 24).false_alarms == 0

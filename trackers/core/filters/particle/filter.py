@@ -218,7 +218,7 @@ def particle_residuals(
         wrapped = (
             None if result.wrapped is False else jnp.where(result.wrapped, 1.0, 0.0).astype(result.log_scale.dtype)
         )
-        return list(result.whitened), log_density(result), wrapped
+        return list(result.whitened), result.log_density, wrapped
 
     first = residual(jax.tree_util.tree_map(lambda x: x[..., 0], states))
     return ParticleResiduals(*jax.vmap(every, in_axes=-1, out_axes=-1)(states), first.nis_dof, first.dof)
@@ -245,14 +245,6 @@ def weighted_mean(states: State, weights: Weights) -> State:
 def second_moments(values: list[Float[Array, " N"]], weights: Weights) -> tuple[Scalar, ...]:
     """Σ weight·a·b for each pair of the values, (N,) each, in the order of an upper triangle."""
     return tuple(jnp.sum(weights * values[i] * values[j]) for i, j in triangle(len(values)))
-
-
-def log_density(result: Residual) -> Scalar:
-    """The log density of a reading, from its whitened residual."""
-    if result.dof is None:
-        return result.log_scale - 0.5 * total(r * r for r in result.whitened)
-    dof = result.dof
-    return result.log_scale - 0.5 * (dof + 1.0) * total(jnp.log1p(r * r / dof) for r in result.whitened)
 
 
 def weighted_nis(whitened: list[Float[Array, " N"]], weights: Weights, dof: Scalar | None) -> Scalar:
