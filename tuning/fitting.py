@@ -118,26 +118,16 @@ class FitResult(Generic[AnyTracker]):
     @cached_property
     def cautions(self) -> list[str]:
         """Caveats on the result (`tuning.fit_cautions`). For a likelihood this runs the filter once more."""
-        cautions = [*standstill(self.start_vector, self.vector, self.selected), *self.collapsed]
+        cautions = standstill(self.start_vector, self.vector, self.selected)
+        cautions += collapsed(self.parameters, self.start_vector, self.vector, self.readings, self.uncertainty)
         cautions += heavy_tails(self.parameters, self.vector)
         if self.uncertainty is not None:
+            if np.isnan(self.uncertainty.optimum.nats_per_unit) and not (self.converged or self.selected):
+                cautions.append("the fit took all its steps before it came to rest")
             cautions += deciding(self.problem, self.uncertainty, self.recordings)
         if self.problem.objective.is_likelihood:
             cautions += [*repetitions(self.readings), *correlation(self.problem, self.vector)]
         return cautions
-
-    @cached_property
-    def collapsed(self) -> list[str]:
-        """Those of the cautions that are on noise levels which fell to their floor, or to next to nothing."""
-        return list(collapsed(self.parameters, self.start_vector, self.vector, self.readings, self.uncertainty))
-
-    @property
-    def at_optimum(self) -> bool:
-        """Whether the fit reached an optimum, as far as its curvature or its optimiser shows."""
-        uncertainty = self.uncertainty
-        if uncertainty is None or np.isnan(uncertainty.optimum.nats_per_unit):
-            return uncertainty is not None and uncertainty.at_optimum and self.converged
-        return uncertainty.at_optimum
 
     @property
     def standard_errors(self) -> dict[str, np.ndarray]:
