@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.reading_grids import ReadingGrid, of_raw_re
 from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
-from trackwright.tuning.fit_cautions import collapsed, correlation, deciding, heavy_tails, repetitions, standstill
+from trackwright.tuning.fit_cautions import collapsed, correlation, heavy_tails, repetitions, standstill
 from trackwright.tuning.identifiability import identifiability_issues, kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
 from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still, with_effect
@@ -121,10 +121,8 @@ class FitResult(Generic[AnyTracker]):
         cautions = standstill(self.start_vector, self.vector, self.selected)
         cautions += collapsed(self.parameters, self.start_vector, self.vector, self.readings, self.uncertainty)
         cautions += heavy_tails(self.parameters, self.vector)
-        if self.uncertainty is not None:
-            if np.isnan(self.uncertainty.optimum.nats_per_unit) and not (self.converged or self.selected):
-                cautions.append("the fit took all its steps before it came to rest")
-            cautions += deciding(self.problem, self.uncertainty, self.recordings)
+        if self.uncertainty is not None and np.isnan(self.uncertainty.optimum.nats_per_unit):
+            cautions += [] if self.converged or self.selected else ["the fit took all its steps before it came to rest"]
         if self.problem.objective.is_likelihood:
             cautions += [*repetitions(self.readings), *correlation(self.problem, self.vector)]
         return cautions

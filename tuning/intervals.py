@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import chdtri
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.objectives import AbstractObjective
@@ -295,25 +296,25 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[LeftOutBlock]:
 
     With the compiled programs of the fit, since only truth is hidden. Empty where the objective needs none.
     """
-    uncertainty, (quantity,) = _model(result), data.training[0].recording.truth
+    uncertainty, quantity = _model(result), next(iter(data.training[0].recording.truth))
     if uncertainty is None or not (data.objective.needs_truth and data.stacked):
         return []
     known = [t.recording.times[t.recording.truth[quantity][1]] for t in data.training]
     edges = np.quantile(np.concatenate(known), np.linspace(0, 1, BLOCKS + 1))
     edges[[0, -1]] = -np.inf, np.inf
-    blocks = []
+    blocks, fitted, free = list[LeftOutBlock](), result.problem, ~uncertainty.at_bound
+
+    def hidden(trajectory: Trajectory) -> Trajectory:
+        recording = trajectory.recording
+        values, seen = recording.truth[quantity]
+        rest = seen & ((recording.times < start) | (recording.times >= stop))
+        return replace(trajectory, recording=replace(recording, truth={quantity: (values, rest)}))
+
     for start, stop in pairwise(edges.tolist()):
-        hidden = []
-        for trajectory in data.training:
-            recording = trajectory.recording
-            values, seen = recording.truth[quantity]
-            apart = (recording.times >= start) & (recording.times < stop)
-            hidden.append(replace(trajectory, recording=replace(recording, truth={quantity: (values, seen & ~apart)})))
-        part = replace(data, training=hidden)
-        problem = result.problem.over(part.batches(), part.weights())
-        free = ~uncertainty.at_bound
-        vector = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS).vectors[
-            0
-        ]
-        blocks.append(LeftOutBlock(start, stop, by_label(result.parameters, np.clip(vector, *result.limits))))
+        part = replace(data, training=[hidden(trajectory) for trajectory in data.training])
+        problem = Problem(fitted.tracker, part.batches(), fitted.objective, fitted.parameters, weights=part.weights())
+        problem.moving = fitted.moving
+        refitted = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
+        vector = np.clip(refitted.vectors[0], *result.limits)
+        blocks.append(LeftOutBlock(start, stop, by_label(result.parameters, vector)))
     return blocks

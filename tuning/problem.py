@@ -124,13 +124,6 @@ class Problem:
         alone = self.few or has_particles(self.tracker) or not self.parameters
         self.vectors_per_call = 1 if alone else max(1, min(MAX_VECTORS, fitting))
         self.lately: dict[tuple[Any, ...], Sequence[tuple[np.ndarray, ...]]] = {}
-        self.chunk = chunk
-
-    def over(self, batches: Sequence[AnyBatch], weights: Sequence[Float[np.ndarray, " B"]]) -> Problem:
-        """The same objective over other batches, here; those of the same shapes have the same compiled programs."""
-        other = Problem(self.tracker, batches, self.objective, self.parameters, self.chunk, self.priors, weights)
-        other.moving = self.moving
-        return other
 
     def evaluate(
         self,

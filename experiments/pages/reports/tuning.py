@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -136,9 +136,6 @@ WORSE = 0.02
 WORSE_BY = 0.01
 """The same, absolute: in nats, which have no natural zero, and for distances between distributions."""
 
-FAR = 0.1
-"""Distance of NIS or NEES from its distribution (`tuning.pit_uniformity`) above which covariances are misleading."""
-
 ADVICE = "Do not use such values as measurements: freeze or tie these parameters, or record more motion."
 
 
@@ -154,14 +151,9 @@ class Advice:
 
 def advice_on(data: TuningReportData) -> Advice:
     """Summary, warnings and advice on a tuning result."""
-    warnings = [*(_sentence(text) for text in data.cautions), *_undetermined(data), *_inconsistent(data)]
+    warnings = [*(_sentence(text) for text in data.cautions), *_undetermined(data)]
     best = data.metric(data.objective)
     parts = [_change(best, best.training) if best else f"{data.objective_about} was tuned"]
-    rmse = data.metric("rmse")
-    if rmse is not None and math.isfinite(rmse.held_out[0]):
-        parts.append(f"on held-out recordings {_change(rmse, rmse.held_out)}")
-    elif rmse is not None and best is not rmse and math.isfinite(rmse.training[0]):
-        parts.append(_change(rmse, rmse.training))
     determined = [p.determined for p in data.parameters]
     if determined and None not in determined:
         parts.append(_determined(determined.count(True), len(determined)))
@@ -195,29 +187,6 @@ def _change(metric: MetricChange, pair: tuple[float, float]) -> str:
     relative = percent_change(*pair) if metric.unit not in ("nats", "1") else ""
     change = f" ({relative})" if relative else ""
     return f"{uncapitalised(metric.title)} changed from {number(pair[0])} to {number(pair[1])}{unit}{change}"
-
-
-def _shapes(data: TuningReportData) -> Iterator[tuple[str, MetricChange]]:
-    """NIS and NEES, where they are known, with the distances from their distributions."""
-    for quantity in ("NIS", "NEES"):
-        metric = data.metric(f"{quantity.lower()}-shape")
-        if metric is not None:
-            yield quantity, metric
-
-
-def _inconsistent(data: TuningReportData) -> list[str]:
-    """Warnings where NIS or NEES is far from its distribution, also where it was before."""
-    warnings = []
-    for quantity, metric in _shapes(data):
-        held_out = math.isfinite(metric.held_out[1])
-        value = (metric.held_out if held_out else metric.training)[1]
-        if value > FAR:
-            where = "held-out recordings" if held_out else "the recordings tuned on"
-            warnings.append(
-                f"{quantity} is far from its distribution on {where} (distance "
-                f"{number(value)}; below {FAR} is acceptable): the reported covariances are wrong there."
-            )
-    return warnings
 
 
 def _undetermined(data: TuningReportData) -> list[str]:

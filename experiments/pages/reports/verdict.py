@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.text.wording import number
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.evaluation.comparison import Difference, paired_means
@@ -43,7 +42,9 @@ class Verdict(NamedTuple):
     @property
     def word(self) -> str:
         """The verdict in a word or two."""
-        return "not judged" if self.change is None else _word(self.change)
+        if self.change is None:
+            return "not judged"
+        return "better" if self.change.low > 0 else "worse" if self.change.high < 0 else "not told apart"
 
     def sentence(self, about: str) -> str:
         """What the verdict is by; `about`: in words, the recordings."""
@@ -79,10 +80,6 @@ def changed(change: Difference) -> str:
     return f"{change.first:.2f} → {change.second:.2f} nats, {change.value:+.2f} ({interval})"
 
 
-def _word(change: Difference) -> str:
-    return "better" if change.low > 0 else "worse" if change.high < 0 else "not told apart"
-
-
 def judge(sides: Sequence[Association], folders: Sequence[RecordingFolder], dimensions: int) -> Verdict:
     """The verdict on the estimates of left-out recordings before and after, of the same rows."""
     stations = {folder.name: folder.rig.stations for folder in folders}
@@ -111,64 +108,45 @@ def judge(sides: Sequence[Association], folders: Sequence[RecordingFolder], dime
 def _why(folder: RecordingFolder, folders: Sequence[RecordingFolder], after: Association) -> str:
     """What is different in a recording, as far as its truth shows it."""
     others = [other for other in folders if other is not folder]
-    reasons = [*_mirrored(folder, after)]
-    if others:
-        reasons += [*_anchors(folder, others), *_motion(folder, others), *_short(folder, others)]
+    reasons = [*_mirrored(folder, after), *(_beside(folder, others) if others else ())]
     return "; ".join(reasons) or "its truth shows no difference in motion, anchors, height or length"
 
 
 def _mirrored(folder: RecordingFolder, after: Association) -> Iterator[str]:
     """Whether heights are nearer to the mirror image of the true ones in the plane of the anchors."""
-    heights = [float(place[2]) for place in folder.rig.anchors.values()]
-    side = after.of_recording(folder.name)
-    if not heights or np.ptp(heights) > FLAT_M or "z_m" not in side.rows.columns:
-        return
-    estimated, true = float_column(side.rows, "z_m")[side.scored], side.truth[side.scored, 2]
-    share = np.mean(np.abs(estimated - (2 * np.mean(heights) - true)) < np.abs(estimated - true))
-    if share > 0.5:
-        yield f"its height is mirrored in the anchors' plane in {100 * share:.0f} % of the rows"
+    side, heights = after.of_recording(folder.name), [float(place[2]) for place in folder.rig.anchors.values()]
+    if heights and np.ptp(heights) <= FLAT_M and "z_m" in side.rows.columns:
+        estimated, true = float_column(side.rows, "z_m")[side.scored], side.truth[side.scored, 2]
+        share = np.mean(np.abs(estimated + true - 2 * np.mean(heights)) < np.abs(estimated - true))
+        if share > 0.5:
+            yield f"its height is mirrored in the anchors' plane in {100 * share:.0f} % of the rows"
 
 
-def _anchors(folder: RecordingFolder, others: Sequence[RecordingFolder]) -> Iterator[str]:
-    """The anchor whose ranges contradict those of the other recordings most."""
+def _beside(folder: RecordingFolder, others: Sequence[RecordingFolder]) -> Iterator[str]:
+    """The anchor that contradicts the other recordings most, another level of motion, and others that are too short."""
     found = []
     for name, pairs in calibration_pairs([folder, *others], KINDS["ranges"]).items():
         errors, here = (pairs.measured - pairs.true)[:, 0], pairs.recording == 0
         if here.any() and not here.all():
-            own, theirs = (float(np.nanmedian(errors[of])) for of in (here, ~here))
-            found.append((abs(own - theirs), name, own, theirs))
-    away, name, own, theirs = max(found, default=(0.0, "", 0.0, 0.0))
-    if away > CONTRADICTS_M:
+            found.append((name, float(np.nanmedian(errors[here])), float(np.nanmedian(errors[~here]))))
+    name, own, theirs = max(found, key=lambda x: abs(x[1] - x[2]), default=("", 0.0, 0.0))
+    if abs(own - theirs) > CONTRADICTS_M:
         yield f"ranges of anchor {name} have a median error of {own:+.2f} m, in the others {theirs:+.2f} m"
-
-
-def _motion(folder: RecordingFolder, others: Sequence[RecordingFolder]) -> Iterator[str]:
-    """Whether the tag accelerates much more, or less, than in the other recordings."""
-    own, theirs = _acceleration(folder), float(np.nanmedian([_acceleration(other) for other in others]))
+    (own, lasts), *motions = map(_motion, (folder, *others))
+    theirs = float(np.nanmedian([acceleration for acceleration, _ in motions]))
     if max(own, theirs) > OTHER_MOTION * min(own, theirs):
-        yield f"its tag accelerates with {number(own)} m/s² (RMS over 1 s), those of the others with {number(theirs)}"
+        yield f"its tag accelerates with {own:.2g} m/s² (RMS over 1 s), those of the others with {theirs:.2g}"
+    if (rest := sum(seconds for _, seconds in motions)) < 0.5 * lasts:
+        yield f"it lasts {lasts:.0f} s, and the others together only {rest:.0f} s"
 
 
-def _acceleration(folder: RecordingFolder) -> float:
-    """The root mean square of the true acceleration over the floor, m/s², over a second; NaN of less than three."""
-    squares = []
-    for tag in folder.paths.number:
-        times, positions = folder.paths.of_tag(tag)
+def _motion(folder: RecordingFolder) -> tuple[float, float]:
+    """The root mean square of the true acceleration over the floor, m/s², over a second, and the time it spans, s."""
+    squares, spans = [np.zeros(0)], [0.0]
+    for times, positions in map(folder.paths.of_tag, folder.paths.number):
         grid = np.arange(times[0], times[-1], 1.0)
         places = np.stack([np.interp(grid, times, positions[:, k]) for k in range(2)])
         squares.append((np.diff(places, 2, axis=1) ** 2).sum(axis=0))
+        spans.append(float(times[-1] - times[0]))
     joined = np.concatenate(squares)
-    return float(np.sqrt(np.nanmean(joined))) if np.isfinite(joined).any() else float("nan")
-
-
-def _short(folder: RecordingFolder, others: Sequence[RecordingFolder]) -> Iterator[str]:
-    """Whether the other recordings together are short beside this one."""
-    own, theirs = _seconds(folder), sum(map(_seconds, others))
-    if theirs < 0.5 * own:
-        yield f"it lasts {own:.0f} s, and the others together only {theirs:.0f} s"
-
-
-def _seconds(folder: RecordingFolder) -> float:
-    """The time that the truth spans, s."""
-    times = float_column(folder.tables["truth"], "t_s")
-    return float(times.max() - times.min())
+    return float(np.sqrt(np.nanmean(joined))) if np.isfinite(joined).any() else float("nan"), max(spans)

@@ -140,7 +140,6 @@ def test_the_page_opens_with_the_verdict_and_nothing_warns_of_a_better_one():
     by = "Mean log density of the true position, held-out recordings: -2.00 → 1.00 nats, +3.00 (95 % interval +2.50 to +3.50)."
     assert advice.summary.startswith(by)
     assert "0.4812 to 0.1327 nats" in advice.summary
-    assert "held-out recordings RMSE changed from 0.3233 to 0.2517 m (−22 %)" in advice.summary
     assert "determine both parameters" in advice.summary
 
 
@@ -175,12 +174,6 @@ def test_what_the_recordings_do_not_determine_is_said_in_words(changes, words):
     advice = advice_on(report_data(**changes))
     assert not advice.good
     assert any(all(word in warning for word in words) for warning in advice.warnings)
-
-
-def test_the_covariances_of_an_inconsistent_filter_are_not_recommended_even_if_they_improved():
-    kept = tuple(n for n in report_data().parameters if n.determined)
-    advice = advice_on(report_data(parameters=kept, metrics=_with_metric("nis-shape", held_out=(0.5, 0.3))))
-    assert "NIS is far from its distribution on held-out recordings (distance 0.3" in advice.warnings[0]
 
 
 def test_the_cautions_of_a_fit_are_warnings():
