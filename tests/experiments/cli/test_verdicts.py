@@ -3,8 +3,11 @@
 import json
 import math
 import tomllib
+from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import polars as pl
 import pytest
@@ -13,7 +16,9 @@ import trackwright as tw
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli.tuning_folder import table
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.tuning.data import fit_data
+from trackwright.tuning.intervals import left_out_blocks
 from trackwright.tuning.parameters import by_label, flatten, select_parameters
 from trackwright.tuning.tuned_file import read_tuned
 
@@ -128,3 +133,25 @@ def test_a_tuned_number_without_a_unit_has_none_in_the_table():
     )
     units = {line.split()[0]: line.split()[4:] for line in table(result, "nll", {}).splitlines()}
     assert (units["sensors.fixes.dof"], units["sensors.fixes.sigma_horizontal"]) == ([], ["m"])
+
+
+def test_the_values_without_a_block_of_time_are_those_of_a_fit_to_the_rest_and_compile_nothing(tmp_path):
+    folder = read_recording(_walk(tmp_path / "one", 6, 0.3, rows=400))
+    named = tw.build("fix-kf", folder)
+    data = fit_data(named.only_batch([folder]), "state-nll")
+    level = "sensors.fixes.sigma_horizontal"
+    result = tw.fit(data.tracker, data, data.objective, level)
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(listen := lambda name, seconds, **_: compiled.append(name))
+    blocks = left_out_blocks(result, data)
+    jax.monitoring.unregister_event_duration_listener(listen)
+    assert not [name for name in compiled if name.endswith("backend_compile_duration")]
+    assert [blocks[0].start, blocks[-1].stop, len(blocks)] == [-np.inf, np.inf, 4]
+    assert all(a.stop == b.start for a, b in pairwise(blocks))
+    for block in blocks[:2]:
+        truth = folder.tables["truth"].filter(~pl.col("t_s").is_between(block.start, block.stop, "left"))
+        # Farther apart than truth is interpolated over.
+        rest = replace(folder, tables=folder.tables | {"truth": truth})
+        alone = tw.fit(named, rest, "state-nll", level)
+        assert float(block.values[level]) == pytest.approx(float(alone.values[level]), rel=0.01)
+        assert abs(np.log(block.values[level] / result.values[level])) > 0.005

@@ -34,7 +34,7 @@ def _tracks(folders, sigma, off=0.1, mirrored=False):
     rows = []
     for folder in folders:
         truth = folder.tables["truth"]
-        height = 5.0 - pl.col("z_m") if mirrored else pl.col("z_m")
+        height = -pl.col("z_m") + 5.0 if mirrored else pl.col("z_m")
         noise = np.random.default_rng(1).normal(size=len(truth)) * 0.02
         rows.append(truth.with_columns(pl.col("x_m") + off + noise, height, recording=pl.lit(folder.name)))
         rows[-1] = rows[-1].with_columns(**{f"std_{a}_m": pl.lit(sigma) for a in "xyz"})
