@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -283,18 +282,11 @@ BLOCKS = 4
 """Blocks of time of a single recording."""
 
 
-class LeftOutBlock(NamedTuple):
-    """A block of time, from `start` to before `stop`, s, and the values by label fitted without its truth."""
+def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float, dict[str, np.ndarray]]]:
+    """Blocks of time with as many true positions each: start, stop, and the values by label fitted without its truth.
 
-    start: float
-    stop: float
-    values: dict[str, np.ndarray]
-
-
-def left_out_blocks(result: FitResult, data: FitData) -> list[LeftOutBlock]:
-    """As `left_out_values`, of blocks of time with as many true positions each; `data`: what was fitted to.
-
-    With the compiled programs of the fit, since only truth is hidden. Empty where the objective needs none.
+    `data`: what was fitted to. With the compiled programs of the fit, since only truth is hidden. Empty as
+    `left_out_values`, and where the objective needs no truth.
     """
     uncertainty, quantity = _model(result), next(iter(data.training[0].recording.truth))
     if uncertainty is None or not (data.objective.needs_truth and data.stacked):
@@ -302,7 +294,7 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[LeftOutBlock]:
     known = [t.recording.times[t.recording.truth[quantity][1]] for t in data.training]
     edges = np.quantile(np.concatenate(known), np.linspace(0, 1, BLOCKS + 1))
     edges[[0, -1]] = -np.inf, np.inf
-    blocks, fitted, free = list[LeftOutBlock](), result.problem, ~uncertainty.at_bound
+    blocks, fitted, free = list[tuple[float, float, dict[str, np.ndarray]]](), result.problem, ~uncertainty.at_bound
 
     def hidden(trajectory: Trajectory) -> Trajectory:
         recording = trajectory.recording
@@ -316,5 +308,5 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[LeftOutBlock]:
         problem.moving = fitted.moving
         refitted = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
         vector = np.clip(refitted.vectors[0], *result.limits)
-        blocks.append(LeftOutBlock(start, stop, by_label(result.parameters, vector)))
+        blocks.append((start, stop, by_label(result.parameters, vector)))
     return blocks

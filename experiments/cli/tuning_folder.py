@@ -46,9 +46,6 @@ from trackwright.tuning.tuned_file import tuned_content, write_tuned
 INTERRUPTED = 130
 """The exit code of a command that Ctrl-C ended, as shells have it."""
 
-WORSE = 1
-"""The exit code with --check where left-out recordings got worse."""
-
 
 def tune_folders(
     folders: list[RecordingFolder] | FoldersInTurn,
@@ -60,8 +57,7 @@ def tune_folders(
 ) -> tuple[int, dict[str, Any]]:
     """Fits to the first folders, those of `recordings`, writes all files and prints the table.
 
-    Returns the exit code, and the content of tuned.toml. `started`, `clock`: when the command began. `begin`: of a
-    stage.
+    Returns the exit code and the content of tuned.toml. `started`, `clock`: when it began. `begin`: of a stage.
     """
     count = len(recordings)
     if options.used.calibration is not None and not isinstance(folders, FoldersInTurn):
@@ -79,7 +75,7 @@ def tune_folders(
     if fitted.result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
         return INTERRUPTED, content
-    return WORSE if options.check and compared.verdict.word == "worse" else 0, content
+    return int(options.check and compared.verdict.word == "worse"), content
 
 
 def judged(fitted: Fitted, before: Association) -> Compared:

@@ -58,8 +58,7 @@ def log_densities(association: Association, scored: Scored, dimensions: int) -> 
     """
     rows = association.rows[scored.index]
     if is_bearing(rows):
-        variances = [float_column(rows, f"std_{angle}") ** 2 for angle in COMPONENTS[2]]
-        determinant = variances[0] * variances[1]
+        determinant = (float_column(rows, "std_azimuth_rad") * float_column(rows, "std_elevation_rad")) ** 2
     else:
         determinant = np.linalg.det(covariances(rows)[:, :dimensions, :dimensions])
     square = scored.nees_3d if dimensions == 3 and scored.nees_3d is not None else scored.nees

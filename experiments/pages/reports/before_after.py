@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,7 +45,7 @@ class Compared(NamedTuple):
     rows: tuple[tuple[str, ...], ...]
     statements: tuple[str, ...]
     verdict: Verdict
-    metrics: Mapping[str, Mapping[str, tuple[float | None, float | None]]] = MappingProxyType({})
+    metrics: Mapping[str, Mapping[str, tuple[float | None, float | None]]] = {}
 
     def text(self) -> str:
         """The table and the sentences for a terminal."""

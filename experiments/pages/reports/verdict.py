@@ -108,18 +108,14 @@ def judge(sides: Sequence[Association], folders: Sequence[RecordingFolder], dime
 def _why(folder: RecordingFolder, folders: Sequence[RecordingFolder], after: Association) -> str:
     """What is different in a recording, as far as its truth shows it."""
     others = [other for other in folders if other is not folder]
-    reasons = [*_mirrored(folder, after), *(_beside(folder, others) if others else ())]
-    return "; ".join(reasons) or "its truth shows no difference in motion, anchors, height or length"
-
-
-def _mirrored(folder: RecordingFolder, after: Association) -> Iterator[str]:
-    """Whether heights are nearer to the mirror image of the true ones in the plane of the anchors."""
+    reasons = [*(_beside(folder, others) if others else ())]
     side, heights = after.of_recording(folder.name), [float(place[2]) for place in folder.rig.anchors.values()]
     if heights and np.ptp(heights) <= FLAT_M and "z_m" in side.rows.columns:
         estimated, true = float_column(side.rows, "z_m")[side.scored], side.truth[side.scored, 2]
         share = np.mean(np.abs(estimated + true - 2 * np.mean(heights)) < np.abs(estimated - true))
         if share > 0.5:
-            yield f"its height is mirrored in the anchors' plane in {100 * share:.0f} % of the rows"
+            reasons.insert(0, f"its height is mirrored in the anchors' plane in {100 * share:.0f} % of the rows")
+    return "; ".join(reasons) or "its truth shows no difference in motion, anchors, height or length"
 
 
 def _beside(folder: RecordingFolder, others: Sequence[RecordingFolder]) -> Iterator[str]:

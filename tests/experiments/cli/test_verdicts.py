@@ -146,12 +146,12 @@ def test_the_values_without_a_block_of_time_are_those_of_a_fit_to_the_rest_and_c
     blocks = left_out_blocks(result, data)
     jax.monitoring.unregister_event_duration_listener(listen)
     assert not [name for name in compiled if name.endswith("backend_compile_duration")]
-    assert [blocks[0].start, blocks[-1].stop, len(blocks)] == [-np.inf, np.inf, 4]
-    assert all(a.stop == b.start for a, b in pairwise(blocks))
-    for block in blocks[:2]:
-        truth = folder.tables["truth"].filter(~pl.col("t_s").is_between(block.start, block.stop, "left"))
-        # Farther apart than truth is interpolated over.
+    assert [blocks[0][0], blocks[-1][1], len(blocks)] == [-np.inf, np.inf, 4]
+    assert all(a[1] == b[0] for a, b in pairwise(blocks))
+    for start, stop, values in blocks[:2]:
+        # In holes of that length truth is not interpolated.
+        truth = folder.tables["truth"].filter(~pl.col("t_s").is_between(start, stop, "left"))
         rest = replace(folder, tables=folder.tables | {"truth": truth})
         alone = tw.fit(named, rest, "state-nll", level)
-        assert float(block.values[level]) == pytest.approx(float(alone.values[level]), rel=0.01)
-        assert abs(np.log(block.values[level] / result.values[level])) > 0.005
+        assert float(values[level]) == pytest.approx(float(alone.values[level]), rel=0.01)
+        assert abs(np.log(values[level] / result.values[level])) > 0.005
