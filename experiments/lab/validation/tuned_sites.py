@@ -6,7 +6,6 @@ site's only recording is judged by halves.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -44,15 +43,16 @@ def of_a_site(site: Site, seconds: float | None) -> Iterator[Row]:
     folders = [shortened(folder, seconds) for folder in recorded(site.pattern)]
     folders = folders if len(folders) > 1 else list(halves(folders[0]))
     for folder in folders:
-        began, seen, own = time.monotonic(), "", ""
+        seen = own = ""
         try:
             verdict, apart = judged_apart(site.tracker, [other for other in folders if other is not folder], folder)
             seen, own = (f"{x.word}: {x.why_not if x.change is None else changed(x.change)}" for x in (verdict, apart))
-            right = "yes" if verdict.word == apart.word else "open" if "not" in verdict.word + apart.word else "no"
+            words = verdict.word, apart.word
+            right = "open" if "not" in "".join(words) else "yes" if words[0] == words[1] else "no"
         except UnusableInput as error:
             right = f"not fitted: {error}"
-        row = {"site": site.name, "recording": folder.name, "s": time.monotonic() - began}
-        yield row | {"verdict of the others": seen, "on it": own, "right": right}
+        names = {"site": site.name, "recording": folder.name}
+        yield names | {"verdict of the others": seen, "on it": own, "right": right}
 
 
 def shortened(folder: RecordingFolder, seconds: float | None) -> RecordingFolder:
