@@ -51,8 +51,7 @@ def of_a_site(site: Site, seconds: float | None) -> Iterator[Row]:
             right = "open" if "not" in "".join(words) else "yes" if words[0] == words[1] else "no"
         except UnusableInput as error:
             right = f"not fitted: {error}"
-        names = {"site": site.name, "recording": folder.name}
-        yield names | {"verdict of the others": seen, "on it": own, "right": right}
+        yield {"site": site.name, "recording": folder.name, "of the others": seen, "on it": own, "right": right}
 
 
 def shortened(folder: RecordingFolder, seconds: float | None) -> RecordingFolder:

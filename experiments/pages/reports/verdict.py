@@ -93,10 +93,8 @@ def judge(sides: Sequence[Association], folders: Sequence[RecordingFolder], dime
         return Verdict(None, {}, {}, "no estimate has both a covariance and a truth")
     before, after = (x[known] for x in densities)
     times, names = float_column(sides[0].rows, "t_s")[known], sides[0].rows["recording"].to_numpy()[known]
-    changes = {}
-    for name in np.unique(names):
-        of = names == name
-        changes[str(name)] = paired_means(times[of], before[of], after[of], names[of])
+    rows = {str(name): names == name for name in np.unique(names)}
+    changes = {name: paired_means(*(x[of] for x in (times, before, after, names))) for name, of in rows.items()}
     whole, worse = paired_means(times, before, after, names), {}
     for folder in folders:
         change = changes.get(folder.name)

@@ -32,7 +32,7 @@ def test_each_recording_of_a_site_is_judged_with_the_values_of_the_others(root, 
     rows = json.loads((root / "sites.json").read_text("utf-8"))["rows"]
     assert [row["recording"] for row in rows] == ["hall-1", "hall-2", "hall-1, first half", "hall-1, second half"]
     for row in rows[:2]:
-        words = [row[side].partition(": ")[0] for side in ("verdict of the others", "on it")]
+        words = [row[side].partition(": ")[0] for side in ("of the others", "on it")]
         assert set(words) <= {"better", "worse", "not told apart"}
         assert row["right"] == ("open" if "not told apart" in words else "yes" if words[0] == words[1] else "no")
     assert all(row["right"].startswith("not fitted: ") for row in rows[2:])
