@@ -125,7 +125,7 @@ def test_a_tracker_of_ones_own_is_checked_by_file(turning, capsys):
 @pytest.mark.slow
 def test_a_tracker_of_ones_own_is_tuned_swept_and_studied_by_file(turning):
     args = ("--tracker", "turning.py:TURNING")
-    done = trackwright("tune", "agv", *args, "--tune", "sensors.*", "--steps", 4, "--force", "--out", "tuned")
+    done = trackwright("tune", "agv", *args, "--tune", "sensors.*", "--steps", 4, "--out", "tuned")
     assert done.code == 0, done.err
     assert trackwright("sweep", "agv", *args, "--over", "sensors.fixes.sigma_fix=0.1:0.3:3", "--out", "swept").code == 0
     study = 'runs = 4\n[worlds.agv]\nrows = 50\n[trackers.turning]\ntracker = "turning.py:TURNING"\n[trackers.fix-kf]\n'
@@ -197,9 +197,7 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
 @pytest.mark.slow
 def test_a_kind_of_ones_own_is_tuned_swept_and_studied_by_file(hall):
     _as_in_a_new_process()
-    done = trackwright(
-        "tune", "hall", *OWN, "--tune", "sensors.bistatic.sigma_p", "--steps", 4, "--force", "--out", "tuned"
-    )
+    done = trackwright("tune", "hall", *OWN, "--tune", "sensors.bistatic.sigma_p", "--steps", 4, "--out", "tuned")
     assert done.code == 0, done.err
     _as_in_a_new_process()
     assert (

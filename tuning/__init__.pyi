@@ -1,5 +1,4 @@
 from trackwright.tuning.diagnostics import innovations_of as innovations_of
-from trackwright.tuning.diagnostics import violated_assumptions as violated_assumptions
 from trackwright.tuning.fitting import Place as Place
 from trackwright.tuning.guessing import first_guess as first_guess
 from trackwright.tuning.identifiability import identifiability_issues as identifiability_issues
@@ -21,5 +20,4 @@ __all__ = [
     "parse_objective",
     "profile",
     "surface_of",
-    "violated_assumptions",
 ]

@@ -1,4 +1,4 @@
-"""Diagnostics of a filter's innovations: NIS against its distribution, whiteness, and violated noise assumptions.
+"""Diagnostics of a filter's innovations: NIS against its distribution, and whiteness.
 
 The spread of readings that a scale of Student's t implies: the heavier the tails, the smaller the scale beside it.
 """
@@ -21,15 +21,6 @@ from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.run.tracker import AbstractTracker
-
-MIN_AUTOCORRELATION = 0.1
-"""Correlation of consecutive rows from which on errors count as correlated in time."""
-
-NIS_RATIO = (0.75, 1.33)
-"""NIS per degree of freedom outside of which the noise differs in size."""
-
-TAIL_PROBABILITY, MAX_TAIL_RATIO = 1e-3, 5.0
-"""Probability of an outlying NIS, and the ratio of observed to expected outliers above which there are too many."""
 
 
 @dataclass(frozen=True)
@@ -198,33 +189,6 @@ def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Fl
             of_dof[inside] = np.exp(log_u - scipy.special.betaln(a, b)) / scale
         density += count / len(innovations.dof) * of_dof
     return density
-
-
-def violated_assumptions(innovations: Innovations) -> list[str]:
-    """The violated noise assumptions, each as a clause with the number that shows it."""
-    violated: list[str] = []
-    if not len(innovations.nis):
-        return violated
-    correlations, pairs = autocorrelation(innovations, 1)
-    if pairs and correlations[0] > max(MIN_AUTOCORRELATION, 3 / np.sqrt(pairs)):
-        violated.append(
-            f"that errors of consecutive rows are independent (their NIS is correlated by {correlations[0]:.2f})"
-        )
-    probabilities = nis_probabilities(innovations)
-    # The median is robust against a few outliers.
-    middle = float(np.median(probabilities))
-    ratio = float(innovations.nis.sum() / innovations.dof.sum())
-    if not NIS_RATIO[0] <= ratio <= NIS_RATIO[1] and abs(middle - 0.5) > 0.1:
-        violated.append(
-            "that the noise is as large as in the recordings tuned on "
-            f"(NIS per degree of freedom {ratio:.2g}, expected 1)"
-        )
-    outliers = float(np.mean(probabilities > 1 - TAIL_PROBABILITY)) / TAIL_PROBABILITY
-    if outliers > MAX_TAIL_RATIO:
-        violated.append(
-            f"that large errors are as rare as in its distribution ({outliers:.0f} times as many beyond 99.9 %)"
-        )
-    return violated
 
 
 class Spread(NamedTuple):

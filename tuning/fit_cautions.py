@@ -1,4 +1,4 @@
-"""What speaks against a finished fit: it stood still, a level collapsed, one recording decides, rows are correlated.
+"""What speaks against a finished fit: it stood still, a level collapsed, rows are correlated.
 
 Correlated innovations inflate the variance of the likelihood's scores: that of a noise level is about NIS − dof of each
 row. Sums of it over windows of time have the variance of independent rows times an inflation, which grows with the
@@ -18,22 +18,16 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.recordings.reading_grids import REPEATED, ReadingGrid
-from trackwright.tuning.parameters import Parameter, component_kinds, component_names, grid_of, split
+from trackwright.tuning.parameters import Parameter, grid_of, split
 from trackwright.tuning.parts import BESIDE, Computation, Point, plain_rows
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined, refit
+from trackwright.tuning.uncertainty import Uncertainty
 
 COLLAPSED = 1e-3
 """Part of its starting value below which a noise level has collapsed."""
 
 MOVED = 1e-6
 """Change in unconstrained coordinates below which a fit has not moved."""
-
-DECIDES, CHANGES = 0.6, math.log(1.5)
-"""Share of all influence, and change of a number by leaving it out, from which on one recording decides a fit."""
-
-ROUNDS = 8
-"""Steps of a fit without some recordings, from the optimum of all."""
 
 INFLATION = 2.0
 """Rows with the information of one from which on innovations are correlated."""
@@ -93,41 +87,6 @@ def _determined(uncertainty: Uncertainty | None, parameter: Parameter) -> bool:
         return False
     sigmas = np.where(uncertainty.undetermined | uncertainty.at_bound, np.inf, uncertainty.sigmas)
     return any(p.label == parameter.label and np.all(x < 1.0) for p, x in split(uncertainty.parameters, sigmas))
-
-
-def deciding(problem: Problem, uncertainty: Uncertainty, recordings: Sequence[str]) -> list[str]:
-    """A clause where one recording, or one piece of a single recording, decides the fit.
-
-    `recordings`: that of each trajectory. The one with the most influence is left out, and the rest fitted again by a
-    few steps.
-    """
-    optimum: Optimum = uncertainty.optimum
-    used = np.asarray(recordings)[optimum.used]
-    names = [f"recording {name}" for name in used]
-    if len(set(names)) == 1:
-        names = [f"piece {k + 1} of {name}" for k, name in enumerate(used)]
-    groups, index = np.unique(names, return_inverse=True)
-    if len(groups) < 3 or not np.all(np.isfinite(optimum.hessian)):
-        return []
-    free = ~uncertainty.at_bound
-    _, inverse, _ = determined(optimum.hessian, free)
-    pulls = np.stack([optimum.influence[index.ravel() == g].sum(axis=0) for g in range(len(groups))])
-    shares = np.einsum("gp,pq,gq->g", pulls, inverse, pulls)
-    worst = int(np.argmax(shares))
-    if problem.stochastic or not shares[worst] > DECIDES * shares.sum():
-        return []
-    rest = optimum.used.astype(float)
-    rest[np.flatnonzero(optimum.used)[index.ravel() == worst]] = 0.0
-    refitted = refit(problem, optimum.vector[None], optimum.hessian, free, rest[None], ROUNDS).vectors[0]
-    scales = np.array(component_kinds(uncertainty.parameters)) == Scale
-    change = np.where(scales & ~uncertainty.undetermined, refitted - optimum.vector, 0.0)
-    largest = int(np.argmax(np.abs(change)))
-    if not abs(change[largest]) > CHANGES:
-        return []
-    name = component_names(uncertainty.parameters)[largest]
-    more = "larger" if change[largest] > 0 else "smaller"
-    factor = math.exp(abs(float(change[largest])))
-    return [f"{groups[worst]} decides the fit: without it {name} would be {factor:.2g} times {more}"]
 
 
 def repetitions(grids: Sequence[ReadingGrid]) -> Iterator[str]:

@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.reading_grids import ReadingGrid, of_raw_re
 from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
-from trackwright.tuning.fit_cautions import collapsed, correlation, deciding, heavy_tails, repetitions, standstill
+from trackwright.tuning.fit_cautions import collapsed, correlation, heavy_tails, repetitions, standstill
 from trackwright.tuning.identifiability import identifiability_issues, kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
 from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still, with_effect
@@ -118,26 +118,14 @@ class FitResult(Generic[AnyTracker]):
     @cached_property
     def cautions(self) -> list[str]:
         """Caveats on the result (`tuning.fit_cautions`). For a likelihood this runs the filter once more."""
-        cautions = [*standstill(self.start_vector, self.vector, self.selected), *self.collapsed]
+        cautions = standstill(self.start_vector, self.vector, self.selected)
+        cautions += collapsed(self.parameters, self.start_vector, self.vector, self.readings, self.uncertainty)
         cautions += heavy_tails(self.parameters, self.vector)
-        if self.uncertainty is not None:
-            cautions += deciding(self.problem, self.uncertainty, self.recordings)
+        if self.uncertainty is not None and np.isnan(self.uncertainty.optimum.nats_per_unit):
+            cautions += [] if self.converged or self.selected else ["the fit took all its steps before it came to rest"]
         if self.problem.objective.is_likelihood:
             cautions += [*repetitions(self.readings), *correlation(self.problem, self.vector)]
         return cautions
-
-    @cached_property
-    def collapsed(self) -> list[str]:
-        """Those of the cautions that are on noise levels which fell to their floor, or to next to nothing."""
-        return list(collapsed(self.parameters, self.start_vector, self.vector, self.readings, self.uncertainty))
-
-    @property
-    def at_optimum(self) -> bool:
-        """Whether the fit reached an optimum, as far as its curvature or its optimiser shows."""
-        uncertainty = self.uncertainty
-        if uncertainty is None or np.isnan(uncertainty.optimum.nats_per_unit):
-            return uncertainty is not None and uncertainty.at_optimum and self.converged
-        return uncertainty.at_optimum
 
     @property
     def standard_errors(self) -> dict[str, np.ndarray]:

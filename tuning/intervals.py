@@ -1,12 +1,12 @@
 """95 % intervals of tuned numbers: by curvature and scatter, by profile likelihood, or by bootstrap.
 
-And the values that are fitted to all recordings but one (cross-validation).
+And the values that are fitted to all recordings but one, or to all of one but a block of time (cross-validation).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +14,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import chdtri
 
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.tuning.data import FitData
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, by_label, physical, physical_vector
@@ -245,19 +247,20 @@ LEFT_OUT_ROUNDS = 8
 """Steps of each fit from the optimum of all recordings."""
 
 
+def _model(result: FitResult) -> Uncertainty | None:
+    """The model of the objective from which a few steps fit a part of the recordings; None without one."""
+    known = None if result.problem.stochastic else result.uncertainty
+    return known if known is None or np.all(np.isfinite(known.optimum.hessian)) else None
+
+
 def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
     """For each recording, the values by label that are fitted to the others, all at once.
 
     Numbers at a bound, and those that keep their starting values, stay there. Empty for one recording, for an
     interrupted fit, and for particle filters, whose gradients are too noisy for a few steps.
     """
-    uncertainty, names = result.uncertainty, list(dict.fromkeys(name for name in result.recordings if name))
-    if (
-        uncertainty is None
-        or result.problem.stochastic
-        or len(names) < 2
-        or not np.all(np.isfinite(uncertainty.optimum.hessian))
-    ):
+    uncertainty, names = _model(result), list(dict.fromkeys(name for name in result.recordings if name))
+    if uncertainty is None or len(names) < 2:
         return {}
     folds = [names[k::MOST_FOLDS] for k in range(min(len(names), MOST_FOLDS))]
     recordings = np.asarray(result.recordings)
@@ -266,10 +269,44 @@ def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
     vectors = refit(
         result.problem, starts, uncertainty.optimum.hessian, ~uncertainty.at_bound, weights, LEFT_OUT_ROUNDS
     ).vectors
-    vectors = np.clip(vectors, *result.limits)
+    values = [by_label(result.parameters, np.clip(vector, *result.limits)) for vector in vectors]
     return {
-        name: by_label(result.parameters, vector)
-        for fold, vector, others in zip(folds, vectors, weights, strict=True)
+        name: of_fold
+        for fold, of_fold, others in zip(folds, values, weights, strict=True)
         for name in fold
         if others.any()
     }
+
+
+BLOCKS = 4
+"""Blocks of time of a single recording."""
+
+
+def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float, dict[str, np.ndarray]]]:
+    """Blocks of time with as many true positions each: start, stop, and the values by label fitted without its truth.
+
+    `data`: what was fitted to. With the compiled programs of the fit, since only truth is hidden. Empty as
+    `left_out_values`, and where the objective needs no truth.
+    """
+    uncertainty, quantity = _model(result), next(iter(data.training[0].recording.truth))
+    if uncertainty is None or not (data.objective.needs_truth and data.stacked):
+        return []
+    known = [t.recording.times[t.recording.truth[quantity][1]] for t in data.training]
+    edges = np.quantile(np.concatenate(known), np.linspace(0, 1, BLOCKS + 1))
+    edges[[0, -1]] = -np.inf, np.inf
+    blocks, fitted, free = list[tuple[float, float, dict[str, np.ndarray]]](), result.problem, ~uncertainty.at_bound
+
+    def hidden(trajectory: Trajectory) -> Trajectory:
+        recording = trajectory.recording
+        values, seen = recording.truth[quantity]
+        rest = seen & ((recording.times < start) | (recording.times >= stop))
+        return replace(trajectory, recording=replace(recording, truth={quantity: (values, rest)}))
+
+    for start, stop in pairwise(edges.tolist()):
+        part = replace(data, training=[hidden(trajectory) for trajectory in data.training])
+        problem = Problem(fitted.tracker, part.batches(), fitted.objective, fitted.parameters, weights=part.weights())
+        problem.moving = fitted.moving
+        refitted = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
+        vector = np.clip(refitted.vectors[0], *result.limits)
+        blocks.append((start, stop, by_label(result.parameters, vector)))
+    return blocks

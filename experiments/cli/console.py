@@ -52,8 +52,8 @@ def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> t
     return usable, refused
 
 
-def errors_of(recording: RecordingFolder, force: bool, calibrated: bool) -> list[str]:
-    """A line for each mistake of `quick_check`; raises UnusableInput for errors without `force`."""
+def errors_of(recording: RecordingFolder, force: bool | None, calibrated: bool) -> list[str]:
+    """A line for each mistake of `quick_check`; raises UnusableInput for errors without `force`, None for no option."""
     from trackwright.trackers.recordings.checks.all_checks import quick_check
 
     mistakes = quick_check(recording, calibrated)
@@ -61,11 +61,11 @@ def errors_of(recording: RecordingFolder, force: bool, calibrated: bool) -> list
     errors = [line for line, mistake in zip(lines, mistakes, strict=True) if mistake.level == "error"]
     if errors and not force:
         more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
-        raise UnusableInput(f"{errors[0]}{more}; --force takes it as it is")
+        raise UnusableInput(f"{errors[0]}{more}{'' if force is None else '; --force takes it as it is'}")
     return lines
 
 
-def checked(recordings: list[RecordingFolder], force: bool, calibrated: bool) -> list[RecordingFolder]:
+def checked(recordings: list[RecordingFolder], force: bool | None, calibrated: bool) -> list[RecordingFolder]:
     """The recordings; prints what `errors_of` returns of them, and raises as it."""
     for recording in recordings:
         for line in errors_of(recording, force, calibrated):
@@ -151,9 +151,9 @@ def output_folder(path: Path) -> Path:
 class FoldersInTurn(Sequence[RecordingFolder]):
     """Recordings that are read whenever they are asked for, and kept by nobody here; notices are printed once."""
 
-    def __init__(self, paths: Sequence[Path], used: ReadingOptions, force: bool = False) -> None:
+    def __init__(self, paths: Sequence[Path], used: ReadingOptions) -> None:
         refuse_repeated(paths)
-        self.paths, self.used, self.force, self.numbers = paths, used, force, dict[str, int]()
+        self.paths, self.used, self.numbers = paths, used, dict[str, int]()
         self.calibration = used.read_calibration()
 
     def __len__(self) -> int:
@@ -164,7 +164,7 @@ class FoldersInTurn(Sequence[RecordingFolder]):
             return [self[k] for k in range(len(self))[which]]
         number = range(len(self))[which]
         known, read = number in self.numbers.values(), [read_recording(self.paths[number])]
-        (recording,) = read if known else checked(read, self.force, self.calibration is not None)
+        (recording,) = read if known else checked(read, None, self.calibration is not None)
         folder, lines = ready(recording, self.used, self.calibration)
         for line in () if known else lines:
             notice(f"notice: {line}")

@@ -290,9 +290,7 @@ class TuneOptions(TrackerOptions):
         cluster: hold the rows on the workers of a Dask cluster, tcp://HOST:8786, or of processes here, local:4, which
             all see the folder --out; for recordings that no memory holds, with the same tuned.toml.
         piece_rows: rows of the segments into which long recordings are cut.
-        force: fit to recordings in spite of the errors that `trackwright check` finds, and write tuned.toml even where
-            a level collapsed, the fit ended before its optimum, or a recording gets worse: RMSE more than 5 % larger,
-            covariances that held and do not, or a share inside the 95 % ellipse farther from 95 % by more than 5 %.
+        check: exit code 1 where the verdict is worse: the log density of true positions of left-out recordings fell.
         no_figures: draw no figure.
         no_report: write no report.html.
         format: of the figure, tuning.png or tuning.pdf.
@@ -315,7 +313,7 @@ class TuneOptions(TrackerOptions):
     resume: bool = False
     cluster: Address | None = None
     piece_rows: int = 8000
-    force: bool = False
+    check: bool = False
     no_figures: bool = False
     no_report: bool = False
     format: FigureFormat = "png"

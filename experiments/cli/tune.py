@@ -26,11 +26,11 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
     options.read()
     with json_alone(options.json) as put, stages("tune") as begin:
         begin("reading")
-        paths, used, force = (*recordings, *options.held_out), options.used, options.force
+        paths, used = (*recordings, *options.held_out), options.used
         folders = (
-            prepared(checked(read_recordings(paths), force, used.calibration is not None), used)
+            prepared(checked(read_recordings(paths), None, used.calibration is not None), used)
             if options.cluster is None
-            else FoldersInTurn(paths, used, force)
+            else FoldersInTurn(paths, used)
         )
         begin("preparing")
         keep_programs()

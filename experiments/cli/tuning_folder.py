@@ -1,4 +1,4 @@
-"""The end of `trackwright tune`: recordings before and after, what is refused, and all files but the checkpoint."""
+"""The end of `trackwright tune`: recordings before and after, and all files but the checkpoint."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -26,6 +26,7 @@ from trackwright.experiments.pages.reports.before_after import (
     compare,
     track_changes,
     tracked,
+    with_truth,
 )
 from trackwright.experiments.pages.reports.tuning import write_tuning_report
 from trackwright.experiments.pages.reports.tuning_data import collect, recording_names
@@ -39,14 +40,11 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue, identifiability_issues
-from trackwright.tuning.intervals import Interval, intervals_of, left_out_values, without_intervals
+from trackwright.tuning.intervals import Interval, intervals_of, left_out_blocks, left_out_values, without_intervals
 from trackwright.tuning.tuned_file import tuned_content, write_tuned
 
 INTERRUPTED = 130
 """The exit code of a command that Ctrl-C ended, as shells have it."""
-
-REFUSED = 1
-"""The exit code where the values of a fit are not written."""
 
 
 def tune_folders(
@@ -59,8 +57,7 @@ def tune_folders(
 ) -> tuple[int, dict[str, Any]]:
     """Fits to the first folders, those of `recordings`, writes all files and prints the table.
 
-    Returns the exit code, and the content of tuned.toml. With the code `REFUSED` that file is not written, and the
-    content has the reason as `refused`. `started`, `clock`: when the command began. `begin`: of a stage.
+    Returns the exit code and the content of tuned.toml. `started`, `clock`: when it began. `begin`: of a stage.
     """
     count = len(recordings)
     if options.used.calibration is not None and not isinstance(folders, FoldersInTurn):
@@ -68,51 +65,63 @@ def tune_folders(
         count, folders = sum(map(len, parts[:count])), [part for of_folder in parts for part in of_folder]
     with fit_workers(options.cluster, options.out) as workers:
         fitted = fit_folders(folders, count, options, begin, workers)
-        result, held_out = fitted.result, bool(fitted.data.held_out)
-        names = {name for name in result.recordings if name}
-        if len(names) > 1 and not held_out:
-            begin(f"leaving out each of {len(names)} recordings")
-        left_out = {} if held_out else left_out_values(result)
+        begin("leaving out recordings")
+        before = tracked(fitted.named, fitted.shown)
+        compared = judged(fitted, before)
         begin("comparing before and after")
-        compared, plans = _compared(fitted, left_out, not options.no_report)
+        plans = None if options.no_report else _plans(fitted, before)
         begin("report")
-        reasons = [] if options.force else refusals(result, compared, held_out)
-        refused = f"{options.out / 'tuned.toml'} is not written: {in_words(reasons)}" if reasons else ""
-        content = _write_run(fitted, recordings, time.perf_counter() - clock, started, compared, plans, refused)
-    if refused:
-        notice(refused)
-        return REFUSED, content | {"refused": refused}
-    if result.uncertainty is None:
+        content = _write_run(fitted, recordings, time.perf_counter() - clock, started, compared, plans)
+    if fitted.result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
         return INTERRUPTED, content
-    return 0, content
+    return int(options.check and compared.verdict.word == "worse"), content
 
 
-def _compared(
-    fitted: Fitted, left_out: Mapping[str, Mapping[str, np.ndarray]], report: bool
-) -> tuple[Compared, TrackChanges | None]:
-    """The recordings shown, tracked with the values before and after the fit; `report`: with plans, of others too.
+def judged(fitted: Fitted, before: Association) -> Compared:
+    """The recordings shown, `before` the fit and with values fitted without them, and the verdict."""
+    result, data, shown = fitted.result, fitted.data, fitted.shown
+    count, dimensions = len({trajectory.folder.name for trajectory in data.training}), data.dimensions
+    about, why_not, parts = "held-out recordings", "", list[pl.DataFrame]()
+    if not data.held_out:
+        part = f"{len(shown)} of {count} " if len(shown) < count else ""
+        about = f"{part}recording{'s' if count > 1 else ''} tuned on"
+        # All are tracked with the values of each fold, by the one program that is compiled for them.
+        if left_out := left_out_values(result):
+            about += ", each with values fitted to the others"
+            values_of = {folder.name: left_out.get(folder.name, result.values) for folder in shown}
+            for values in {id(values): values for values in values_of.values()}.values():
+                own = pl.col("recording").is_in([name for name, other in values_of.items() if other is values])
+                parts.append(_with(fitted, values).run(shown).table.filter(own))
+        elif blocks := left_out_blocks(result, data):
+            about += f", each of {len(blocks)} blocks of time with values fitted without its truth"
+            for start, stop, values in blocks:
+                own = pl.col("t_s").is_between(start, stop, "left")
+                parts.append(_with(fitted, values).run(shown).table.filter(own))
+        elif data.objective.needs_truth:
+            why_not = "the fit cannot leave a recording or a block of time out"
+        else:
+            about += ", whose truth the fit has not seen"
+    if result.uncertainty is None:
+        why_not = "the fit was interrupted"
+    after = with_truth(pl.concat(parts), shown) if parts else tracked(_with(fitted, result.values), shown)
+    return compare((before, after), shown, dimensions, about, why_not)
 
-    `left_out`: by recording, the values fitted to the others, with which the table shows it.
-    """
-    result = fitted.result
 
-    def named(values: Mapping[str, np.ndarray]) -> NamedTracker:
-        by_name = {name: values[p.label] for p in result.parameters for name in p.names}
-        return fitted.named.with_values(by_name, "the fit")
-
-    room = max(MOST_PLANS - len(fitted.shown), 0) if report else 0
-    folders = [*fitted.shown, *fitted.others[:room]]
-    before, after = (tracked(side, folders) for side in (fitted.named, named(result.values)))
-    others = [tracked(named(left_out.get(folder.name, result.values)), [folder]) for folder in fitted.shown if left_out]
-    count = len({trajectory.folder.name for trajectory in fitted.data.training})
-    part = f"{len(fitted.shown)} of {count} " if len(fitted.shown) < count else ""
-    about = "held-out recordings" if fitted.data.held_out else f"{part}recordings tuned on"
-    about += ", each with values fitted to the others" if left_out else ""
+def _plans(fitted: Fitted, before: Association) -> TrackChanges:
+    """The tracks with the values before and after the fit, of the recordings shown and of some others."""
+    others = fitted.others[: max(MOST_PLANS - len(fitted.shown), 0)]
     held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
-    plans = track_changes(before, after, folders, held_out) if report else None
-    judged = Association.joined(others) if left_out else after
-    return compare((before, judged), fitted.shown, fitted.data.dimensions, about), plans
+    if others:
+        before = Association.joined([before, tracked(fitted.named, others)])
+    folders = [*fitted.shown, *others]
+    return track_changes(before, tracked(_with(fitted, fitted.result.values), folders), folders, held_out)
+
+
+def _with(fitted: Fitted, values: Mapping[str, np.ndarray]) -> NamedTracker:
+    """The tracker with the values by label."""
+    by_name = {name: values[p.label] for p in fitted.result.parameters for name in p.names}
+    return fitted.named.with_values(by_name, "the fit")
 
 
 def _write_run(
@@ -122,12 +131,10 @@ def _write_run(
     started: datetime,
     compared: Compared,
     plans: TrackChanges | None,
-    refused: str,
 ) -> dict[str, Any]:
     """Writes all files to the folder, prints what they show, and returns the content of tuned.toml.
 
-    `seconds`: that the command took. `plans`: the tracks before and after. `refused`: why tuned.toml is not written;
-    empty where it is.
+    `seconds`: that the command took. `plans`: the tracks before and after.
     """
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
     objective, unit = str(options.objective), "rad" if data.training[0].station else "m"
@@ -140,11 +147,8 @@ def _write_run(
         from trackwright.trackers.recordings.input_file import identity
 
         calibration_id = identity(calibration)
-    content = tuned_content(fitted.named.name, objective, result, intervals, calibration_id)
-    if refused:
-        (out / "tuned.toml").unlink(missing_ok=True)
-    else:
-        write_tuned(out / "tuned.toml", content)
+    content = compared.content() | tuned_content(fitted.named.name, objective, result, intervals, calibration_id)
+    write_tuned(out / "tuned.toml", content)
     figures = None if options.no_figures else options.format
     _write_trace(out, result, objective, unit, figures)
     issues, cautions = list[IdentifiabilityIssue](), without_intervals(result.uncertainty, intervals)
@@ -161,12 +165,12 @@ def _write_run(
     if not options.no_report:
         written.insert(0, "report.html")
         known = collect(result, fitted.reported, objective, intervals, issues)
-        notes = [*([refused] if refused else []), *_notes(data, result, fitted.reported), *known.notes]
+        notes = [*_notes(data, result, fitted.reported), *known.notes]
         known = replace(
             known,
             training=recording_names(data.training),
             command=command,
-            next_commands=(f"{command} --force" if refused else use, command),
+            next_commands=(use, command),
             tracker=fitted.named.name,
             tracker_about=spec_of(fitted.named.name).about,
             seconds=seconds,
@@ -177,13 +181,12 @@ def _write_run(
         )
         write_tuning_report(out / "report.html", known)
     extra = {"recordings": [str(p) for p in recordings], "filter_runs": result.filter_runs}
-    write_manifest(out, sys.argv, options.config("resume"), started, extra=extra)
+    write_manifest(out, sys.argv, options.config("resume", "check"), started, extra=extra)
     print(table(result, objective, intervals))
     for text in (*(issue.text for issue in issues), *cautions):
         print(f"notice: {text}")
     print(compared.text(), end="")
-    files = ", ".join(written)
-    print(f"wrote {out}: {files}" if refused else f"wrote {out / 'tuned.toml'}, {files}; use it: {use}")
+    print(f"wrote {out / 'tuned.toml'}, {', '.join(written)}; use it: {use}")
     return content
 
 
@@ -233,27 +236,3 @@ def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) 
             interval = f"{a:.4g} to {b:.4g}" if np.isfinite([a, b]).all() else "-"
             rows.append((label, f"{before:.4g}", f"{after:.4g}", interval, unit))
     return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"
-
-
-class Refusal(NamedTuple):
-    """What is wrong with the values of a fit, in a clause, and the usual fix."""
-
-    text: str
-    fix: str
-
-
-def refusals(result: FitResult, compared: Compared, held_out: bool) -> list[Refusal]:
-    """The reasons not to use the values; none for a fit that was interrupted, of which the user knows."""
-    if result.uncertainty is None:
-        return []
-    reasons = [Refusal(text, "--freeze it or --bound it, or --average repeats") for text in result.collapsed]
-    if not (held_out or result.at_optimum):
-        reasons.append(Refusal("the fit ended before its optimum", "more --steps or --starts"))
-    return reasons + [Refusal(text, "--tune fewer numbers, or more recordings") for text in compared.worse]
-
-
-def in_words(reasons: Sequence[Refusal]) -> str:
-    """All reasons and what to do, in one line."""
-    fixes = dict.fromkeys(reason.fix for reason in reasons)
-    texts = "; ".join(reason.text for reason in reasons)
-    return f"{texts}. Usual fix: {', or '.join(fixes)}; --force writes it all the same"

@@ -284,7 +284,7 @@ def _fitted(
     training, held_out = data.batches(), data.batches(held_out=True)
     # Intervals are computed from the result and don't change the fit, nor does the place where it is computed.
     config = {
-        name: value for name, value in options.config("resume").items() if name not in ("intervals", "cluster", "force")
+        name: value for name, value in options.config("resume").items() if name not in ("intervals", "cluster", "check")
     }
     fingerprint = checkpoint.fingerprint(
         config, [*training, *held_out], flatten(select_parameters(data.tracker, "*", thresholds=True))

@@ -54,7 +54,7 @@ def stores() -> Path:
 
 def fit_command(folder: Path) -> tuple:
     """The command of the fit in the folder."""
-    few = ("--steps", 2, "--force", "--starts", 1, "--free-height", "--no-figures", "--no-report")
+    few = ("--steps", 2, "--starts", 1, "--free-height", "--no-figures", "--no-report")
     return "tune", folder / "good", "--tracker", "fix-kf", *few, "--out", folder / "fit", "--resume"
 
 
@@ -89,7 +89,7 @@ def tuned(seed: int, number: int, place: Path) -> tuple[str, str, int]:
     """A recording with one fault through `tune`."""
     folder, words = broken_recording(seed, number, place, 1)
     tracker, out = _tracker(seed, number, folder, ("ranges", "fixes", "bearings")), place / "out"
-    few = ("--steps", 1, "--force", "--starts", 1, "--free-height", "--no-figures", "--no-report")
+    few = ("--steps", 1, "--starts", 1, "--free-height", "--no-figures", "--no-report")
     return f"{words} ({tracker})", *faults_of(("tune", folder, "--tracker", tracker, *few, "--out", out), folder, out)
 
 

@@ -111,7 +111,7 @@ def long_fit(place: Path) -> Job:
 def _fit(world: str, steps: int) -> Job:
     # Adam takes all its steps, so that a fit is not over before it is hurt.
     few = ("--optimiser", "adam", "--steps", str(steps), "--starts", "2", "--no-figures", "--no-report", "--resume")
-    words = ("tune", world, "--tracker", "fix-kf", "--tune", "motion.sigma_a", "sensors.*.sigma*", "--force", *few)
+    words = ("tune", world, "--tracker", "fix-kf", "--tune", "motion.sigma_a", "sensors.*.sigma*", *few)
     return Job("tune", words, ("tuned.toml", "trace.csv"))
 
 

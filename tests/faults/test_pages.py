@@ -67,7 +67,7 @@ def test_the_page_of_a_plan_escapes_every_name(marked, tmp_path):
 
 @pytest.mark.slow
 def test_pages_of_a_fit_and_a_calibration_escape_every_name(marked, tmp_path):
-    few = ("--steps", 2, "--starts", 1, "--force")
+    few = ("--steps", 2, "--starts", 1)
     said = trackwright("tune", marked, "--tracker", "fix-kf", *few, "--out", tmp_path / "fit")
     assert said.code == 0, said
     _check_pages(tmp_path / "fit", 1)

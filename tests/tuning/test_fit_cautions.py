@@ -96,18 +96,6 @@ def test_degrees_of_freedom_that_leave_no_mean_are_named():
     assert [text.partition(",")[0] for text in texts[1]] == ["sensors.fixes.dof ended at 0.006"]
 
 
-def test_one_recording_that_decides_is_named():
-    rng = np.random.default_rng(4)
-    made = [_gauge(_walk(rng, 300), s * rng.normal(size=300)) for s in (0.1, 0.1, 2.0, 0.1)]
-    result = tw.fit(line_tracker(), made, "nll", LEVELS)
-    (text,) = (text for text in result.cautions if "decides" in text)
-    assert text.startswith("recording 3 decides the fit: without it sensors.gauge.sigma would be ")
-    alone = tw.fit(line_tracker(), [*made[:2], made[3]], "nll", LEVELS)
-    factor = float(result.values["sensors.gauge.sigma"] / alone.values["sensors.gauge.sigma"])
-    assert float(text.split(" would be ")[1].split(" times")[0]) == pytest.approx(factor, rel=0.05)
-    assert text.endswith("times smaller")
-
-
 def test_correlated_errors_are_named_with_how_much_too_narrow_intervals_are():
     rng, rows = np.random.default_rng(5), 6000
     errors = _gauss_markov(rng, rows, 0.3, 2.0) * np.exp(_gauss_markov(rng, rows, 0.8, 5.0))
@@ -184,8 +172,8 @@ def test_more_recordings_than_folds_are_left_out_several_at_once(monkeypatch):
     every = tw.fit(line_tracker(), _world(), "nll", LEVELS)
     found = left_out_values(every)
     assert sorted(found) == ["1", "2", "3"]
-    assert found["1"] is not found["3"]
-    assert {k: float(v) for k, v in found["1"].items()} == {k: float(v) for k, v in found["3"].items()}
+    assert found["1"] is found["3"]
+    assert found["1"] is not found["2"]
 
 
 def test_one_recording_has_no_other():

@@ -164,32 +164,60 @@ def _in_pieces(
     for k in range(len(names)):
         times = [rows.times[of == k] for rows, of in zip(joined, recording, strict=True)]
         spans.append((max(x.min() for x in times), min(x.max() for x in times)))
-    length = _piece_length(joined, recording, spans)
-    numbers, before = [np.full(len(rows.times), -1) for rows in joined], 0
+    length = _piece_length([(rows.times, rows.error**2) for rows in joined], recording, spans)
+    parts = []
+    for rows, of in zip(joined, recording, strict=True):
+        piece = _numbered(rows.times, of, spans, length)
+        parts.append(_Pieces(rows, piece).of(np.unique(piece[piece >= 0])))
+    return tuple(parts)  # type: ignore[return-value]
+
+
+def paired_means(times: np.ndarray, first: np.ndarray, second: np.ndarray, recording: np.ndarray) -> Difference:
+    """The difference of the means of two values (n,) of the same rows; all recordings have the same weight.
+
+    `times` (n,), s; `recording` (n,): the name of that of each row.
+    """
+    _, of, rows = np.unique(recording, return_inverse=True, return_counts=True)
+    spans = [(times[of == k].min(), times[of == k].max()) for k in range(len(rows))]
+    # About the mean of each recording: what differs between them is no correlation in time.
+    means = np.bincount(of, second - first) / rows
+    length = _piece_length([(times, np.zeros(len(of))), (times, second - first - means[of])], [of, of], spans)
+    _, piece = np.unique(_numbered(times, of, spans, length), return_inverse=True)
+    a, b, weight = (np.bincount(piece, x / rows[of]) for x in (first, second, np.ones(len(of))))
+    with np.errstate(invalid="ignore"):  # of one piece none is left
+        without = ((b - a).sum() - (b - a)) / (weight.sum() - weight)
+    return jackknifed(float(a.sum() / weight.sum()), float(b.sum() / weight.sum()), without)
+
+
+def _numbered(times: np.ndarray, of: np.ndarray, spans: Sequence[tuple], length: float) -> np.ndarray:
+    """The piece (n,) of each row of the recordings `of` (n,), whose spans have pieces of that length, s; −1 outside."""
+    piece, before = np.full(len(times), -1), 0
     for k, (begin, end) in enumerate(spans):
         count = max(int((end - begin) / length), 1) if end > begin else 1
-        for rows, of, piece in zip(joined, recording, numbers, strict=True):
-            in_span = np.flatnonzero((of == k) & (rows.times >= begin) & (rows.times <= end))
-            share = (rows.times[in_span] - begin) / max(end - begin, 1e-9)
-            piece[in_span] = before + np.minimum((share * count).astype(int), count - 1)
+        in_span = np.flatnonzero((of == k) & (times >= begin) & (times <= end))
+        share = (times[in_span] - begin) / max(end - begin, 1e-9)
+        piece[in_span] = before + np.minimum((share * count).astype(int), count - 1)
         before += count
-    return tuple(  # type: ignore[return-value]
-        _Pieces(rows, piece).of(np.arange(before)) for rows, piece in zip(joined, numbers, strict=True)
-    )
+    return piece
 
 
-def _piece_length(joined: Sequence[TrackErrors], recording: Sequence[np.ndarray], spans: Sequence[tuple]) -> float:
-    """Seconds: a thirtieth of the time of all recordings, and several correlation times of the difference."""
+def _piece_length(
+    values: Sequence[tuple[np.ndarray, np.ndarray]], recording: Sequence[np.ndarray], spans: Sequence[tuple]
+) -> float:
+    """Seconds: a thirtieth of the time of all recordings, and several correlation times of the difference.
+
+    `values`: of each run, the times of its rows and the values whose difference that is.
+    """
     total = sum(max(end - begin, 0.0) for begin, end in spans)
     width, runs = max(total / BINS, 1e-9), []
     for k, (begin, end) in enumerate(spans):
         count = max(int((end - begin) / width), 1)
         means = []
-        for rows, of in zip(joined, recording, strict=True):
-            in_span = (of == k) & (rows.times >= begin) & (rows.times <= end)
-            place = np.minimum(((rows.times[in_span] - begin) / width).astype(int), count - 1)
+        for (times, value), of in zip(values, recording, strict=True):
+            in_span = (of == k) & (times >= begin) & (times <= end)
+            place = np.minimum(((times[in_span] - begin) / width).astype(int), count - 1)
             n = np.bincount(place, minlength=count)
-            means.append(np.bincount(place, rows.error[in_span] ** 2, minlength=count) / np.where(n, n, np.nan))
+            means.append(np.bincount(place, value[in_span], minlength=count) / np.where(n, n, np.nan))
         difference = means[1] - means[0]
         runs.append(difference[np.isfinite(difference)])
     return max(total / MOST_PIECES, CORRELATION_TIMES * width * _correlation_time(runs), 1e-9)

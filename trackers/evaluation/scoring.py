@@ -52,6 +52,21 @@ def score(
     return _positions(association, kept)
 
 
+def log_densities(association: Association, scored: Scored, dimensions: int) -> np.ndarray:
+    """The log density (n,), nats, of each scored row's truth under the normal distribution that the row reports.
+
+    `dimensions`: 3 for positions in space, 2 for those over the floor and for bearings. NaN without a covariance.
+    """
+    rows = association.rows[scored.index]
+    if is_bearing(rows):
+        determinant = (float_column(rows, "std_azimuth_rad") * float_column(rows, "std_elevation_rad")) ** 2
+    else:
+        determinant = np.linalg.det(covariances(rows)[:, :dimensions, :dimensions])
+    square = scored.nees_3d if dimensions == 3 and scored.nees_3d is not None else scored.nees
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return -0.5 * (square + np.log(determinant) + dimensions * np.log(2 * np.pi))
+
+
 def scores_of_tracks(association: Association, scored: Scored) -> Scores:
     """The scores of each track: errors and NEES of its scored rows, NIS and track loss of all of them."""
     all_rows, status = Groups(association.starts), association.truth_status

@@ -114,7 +114,7 @@ def workers_of(pid: int) -> list[int]:
 
 
 TUNE, STEPS = ("motion.sigma_a", "sensors.*.sigma*"), 8
-FIT = ("--tracker", "fix-kf", "--optimiser", "adam", "--starts", "1", "--force", "--no-report", "--no-figures",
+FIT = ("--tracker", "fix-kf", "--optimiser", "adam", "--starts", "1", "--no-report", "--no-figures",
        "--tune", *TUNE, "--steps", str(STEPS))  # fmt: skip
 """Forced: so few steps may end before the optimum."""
 

@@ -1,30 +1,31 @@
-"""Fits on every site as `trackwright tune` makes them, and what it refuses.
+"""Fits on every site as `trackwright tune` makes them, and whether their verdict is right for a recording not seen.
 
-Each recording is judged with the values fitted to the others; halves of a site's only recording are judged so.
+Every recording of a site is left out once: the fit to the others and its verdict, then the recording with its values. A
+site's only recording is judged by halves.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from trackwright.experiments.cli.options import TuneOptions
 from trackwright.experiments.cli.runtime import keep_programs
-from trackwright.experiments.cli.tuning_folder import in_words, refusals
+from trackwright.experiments.cli.tuning_folder import judged
+from trackwright.experiments.cli.tuning_job import fit_folders
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
 from trackwright.experiments.lab.validation.sites import SITES, Site, recorded
-from trackwright.experiments.pages.reports.before_after import Compared, compare, tracked
-from trackwright.trackers.catalogue import build
+from trackwright.experiments.pages.reports.before_after import tracked
+from trackwright.experiments.pages.reports.verdict import Verdict, changed, judge
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.selection import Selection
 from trackwright.tuning.calibrating import halves
-from trackwright.tuning.fitting import FitResult, fit
-from trackwright.tuning.intervals import left_out_values
 
 
 def tuned_sites(*, seconds: float | None = None, site: tuple[str, ...] = (), output: Output = DEFAULTS) -> int:
-    """Fits on every site with one recording left out each, and whether `tune` writes the values.
+    """Fits on every site without each of its recordings, their verdicts, and the recording with their values.
 
     Args:
         seconds: of each recording with truth, from its beginning; default: all.
@@ -32,24 +33,25 @@ def tuned_sites(*, seconds: float | None = None, site: tuple[str, ...] = (), out
     """
     keep_programs()
     names = chosen(site, (one.name for one in SITES))
-    rows = shown(of_a_site(one, seconds) for one in SITES if one.name in names)
+    rows = shown(row for one in SITES if one.name in names for row in of_a_site(one, seconds))
     output.publish("validation tuned-sites", Table(rows))
     return 0
 
 
-def of_a_site(site: Site, seconds: float | None) -> Row:
-    """What a fit to a site's recordings ends with; its table is printed."""
-    began = time.monotonic()
+def of_a_site(site: Site, seconds: float | None) -> Iterator[Row]:
+    """A row for each recording of a site that is left out."""
     folders = [shortened(folder, seconds) for folder in recorded(site.pattern)]
-    try:
-        result, compared = judged(site, folders if len(folders) > 1 else list(halves(folders[0])))
-    except UnusableInput as error:
-        ended = f"not fitted: {error}"
-    else:
-        print(f"{site.name}\n{compared.text()}", end="", flush=True)
-        refused = refusals(result, compared, held_out=False)
-        ended = f"refused: {in_words(refused)}" if refused else "written"
-    return {"site": site.name, "tracker": site.tracker, "s": time.monotonic() - began, "tune": ended}
+    folders = folders if len(folders) > 1 else list(halves(folders[0]))
+    for folder in folders:
+        seen = own = ""
+        try:
+            verdict, apart = judged_apart(site.tracker, [other for other in folders if other is not folder], folder)
+            seen, own = (f"{x.word}: {x.why_not if x.change is None else changed(x.change)}" for x in (verdict, apart))
+            words = verdict.word, apart.word
+            right = "open" if "not" in "".join(words) else "yes" if words[0] == words[1] else "no"
+        except UnusableInput as error:
+            right = f"not fitted: {error}"
+        yield {"site": site.name, "recording": folder.name, "of the others": seen, "on it": own, "right": right}
 
 
 def shortened(folder: RecordingFolder, seconds: float | None) -> RecordingFolder:
@@ -58,16 +60,12 @@ def shortened(folder: RecordingFolder, seconds: float | None) -> RecordingFolder
     return folder if seconds is None else Selection(start=start, stop=start + seconds).of(folder)
 
 
-def judged(site: Site, folders: Sequence[RecordingFolder]) -> tuple[FitResult, Compared]:
-    """The fit to all recordings, and each of them with the defaults and with the values fitted to the others."""
-    named = build(site.tracker, folders)
-    result = fit(named, folders)
-    left_out = left_out_values(result)
-    after = []
-    for folder in folders:
-        values = left_out.get(folder.name, result.values)
-        by_name = {name: values[p.label] for p in result.parameters for name in p.names}
-        after.append(tracked(named.with_values(by_name, "the fit"), [folder]))
-    dimensions = getattr(result.problem.objective, "dimensions", 2)
-    about = f"{site.name}, each with values fitted to the others"
-    return result, compare((tracked(named, folders), Association.joined(after)), folders, dimensions, about)
+def judged_apart(tracker: str, folders: Sequence[RecordingFolder], apart: RecordingFolder) -> tuple[Verdict, Verdict]:
+    """The verdict of a fit to recordings, and that on the recording `apart` with its values."""
+    with TemporaryDirectory() as place:
+        options = TuneOptions(tracker=tracker, out=Path(place))
+        fitted = fit_folders(list(folders), len(folders), options, lambda *_: lambda *_: None)
+    compared = judged(fitted, tracked(fitted.named, folders))
+    values = {name: fitted.result.values[p.label] for p in fitted.result.parameters for name in p.names}
+    sides = [tracked(named, [apart]) for named in (fitted.named, fitted.named.with_values(values, "the fit"))]
+    return compared.verdict, judge(sides, [apart], fitted.data.dimensions)

@@ -1,7 +1,8 @@
-"""Recordings before and after a fit: errors and consistency as `evaluate` has them, what got worse, tracks."""
+"""Recordings before and after a fit: errors and consistency as `evaluate` has them, the verdict, tracks."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,17 +10,19 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import polars as pl
 
 from trackwright.experiments.pages.charts.floor import ellipse_rows
 from trackwright.experiments.pages.charts.style import broken_at_gaps
 from trackwright.experiments.pages.reports.pages import drawn_rows
+from trackwright.experiments.pages.reports.verdict import Verdict, cells, density_content, judge
 from trackwright.experiments.text.tables import rendered, ruled_table, terminal_width
 from trackwright.experiments.text.wording import SHOWN, fixed, length_unit
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.association import Association, associate_truth
-from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate_association
+from trackwright.trackers.evaluation.evaluate import evaluate_association
 from trackwright.trackers.evaluation.scoring import covariances
-from trackwright.trackers.evaluation.statements import LIMITS, covariance_statements, holds
+from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
@@ -31,37 +34,62 @@ DEGREES = SHOWN["rad"]
 
 
 class Compared(NamedTuple):
-    """A table of recordings before and after tuning, and sentences on the covariances after it.
+    """A table of recordings before and after tuning, the verdict, and sentences on the covariances after it.
 
-    `about`: in words, the recordings; `head`: its columns; `rows`: the text of its cells. `worse`: clauses on the
-    recordings that got worse.
+    `about`: in words, the recordings; `head`: its columns; `rows`: the text of its cells. `metrics`: of each recording
+    by name, before and after.
     """
 
     about: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     statements: tuple[str, ...]
-    worse: tuple[str, ...] = ()
+    verdict: Verdict
+    metrics: Mapping[str, Mapping[str, tuple[float | None, float | None]]] = {}
 
     def text(self) -> str:
         """The table and the sentences for a terminal."""
         title = f"{self.about[0].upper()}{self.about[1:]}, before → after"
-        return rendered(terminal_width(WIDTH), ruled_table(title, self.head, 1, self.rows), *self.statements)
+        verdict = f"Verdict: {self.verdict.word}. {self.verdict.sentence(self.about)}"
+        sentences = (*self.statements, verdict, *self.verdict.got_worse)
+        return rendered(terminal_width(WIDTH), ruled_table(title, self.head, 1, self.rows), *sentences)
+
+    def content(self) -> dict[str, Any]:
+        """The verdict and the table as tuned.toml holds them, nan for what is unknown."""
+        verdict = self.verdict
+        whole = {} if verdict.change is None else {"log_density": density_content(verdict.change)}
+        recordings = {}
+        for name, metrics in self.metrics.items():
+            of_recording: dict[str, Any] = {
+                metric: [math.nan if x is None else float(f"{x:.6g}") for x in pair] for metric, pair in metrics.items()
+            }
+            if name in verdict.recordings:
+                of_recording["log_density"] = density_content(verdict.recordings[name])
+            recordings[name] = of_recording | ({"worse": verdict.worse[name]} if name in verdict.worse else {})
+        return {"verdict": verdict.word, "judged_by": self.about, **whole, "recordings": recordings}
 
 
 def tracked(tracker: NamedTracker, folders: Sequence[RecordingFolder]) -> Association:
     """The estimates of the recordings, tracked as `track` does it, with their truth."""
-    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
-    return associate_truth(tracker.run(folders).table, truths)
+    return with_truth(tracker.run(folders).table, folders)
 
 
-def compare(sides: Sequence[Association], folders: Sequence[RecordingFolder], dimensions: int, about: str) -> Compared:
+def with_truth(tracks: pl.DataFrame, folders: Sequence[RecordingFolder]) -> Association:
+    """Estimates of the recordings with their truth."""
+    return associate_truth(tracks, {f.name: f.tables["truth"] for f in folders if "truth" in f.tables})
+
+
+def compare(
+    sides: Sequence[Association], folders: Sequence[RecordingFolder], dimensions: int, about: str, why_not: str = ""
+) -> Compared:
     """Errors of the recordings `folders` in the estimates before and after tuning, those of `tracked`.
 
     `dimensions`: 3 for errors and ellipsoids in space, 2 for those over the floor. `about`: in words, the recordings.
-    A recording without truth has no figures but those of its innovations.
+    `why_not`: why there is no verdict. A recording without truth has no figures but those of its innovations.
     """
-    before, after = (_evaluation(side, folders) for side in sides)
+    names, stations = sorted(f.name for f in folders), {f.name: f.rig.stations for f in folders}
+    sides = [Association.joined([side.of_recording(name) for name in names]) for side in sides]
+    before, after = (evaluate_association(side, stations) for side in sides)
     suffix = "_3d" if dimensions == 3 and before.overall.get("coverage_95_3d") is not None else ""
     error = "rmse_direction_rad" if before.bearing else f"rmse{suffix}_m"
     pairs = list(zip(before.recordings, after.recordings, strict=True))
@@ -73,22 +101,20 @@ def compare(sides: Sequence[Association], folders: Sequence[RecordingFolder], di
         "NEES/dof": (f"nees{suffix}_ratio", 1.0, 2),
         "NIS r 1 s": ("nis_correlation_1s", 1.0, 2),
     }
-    rows = [(old["recording"], *_cells(old, new, named.values())) for old, new in pairs]
+    verdict = Verdict(None, {}, {}, why_not) if why_not else judge(sides, folders, 3 if suffix else 2)
+    rows = [
+        (name := old["recording"], *_cells(old, new, named.values()), *cells(verdict.recordings.get(name)))
+        for old, new in pairs
+    ]
     if len(pairs) > 1:
         means = [_means(side, named.values()) for side in zip(*pairs, strict=True)]
-        rows.append((f"mean of {len(pairs)}", *_cells(means[0], means[1], named.values())))
+        rows.append((f"mean of {len(pairs)}", *_cells(means[0], means[1], named.values()), *cells(verdict.change)))
     sentences = covariance_statements(after.overall, after.recordings)
-    # A better height is no excuse for a worse place on the floor.
-    judged = {"": error.replace("_3d", ""), suffix: error}
-    clauses = tuple(
-        clause for old, new in pairs for ending, metric in judged.items() for clause in worse(old, new, metric, ending)
-    )
-    return Compared(about, ("recording", *named), tuple(rows), tuple(sentences), clauses)
-
-
-def _evaluation(side: Association, folders: Sequence[RecordingFolder]) -> Evaluation:
-    joined = Association.joined([side.of_recording(name) for name in sorted(f.name for f in folders)])
-    return evaluate_association(joined, {f.name: f.rig.stations for f in folders})
+    metrics = {
+        old["recording"]: {metric: (old[metric], new[metric]) for metric, _, _ in named.values()} for old, new in pairs
+    }
+    head = ("recording", *named, "log density, nats", "difference, 95 %")
+    return Compared(about, head, tuple(rows), tuple(sentences), verdict, metrics)
 
 
 def _cells(old: Any, new: Any, columns: Any) -> Iterator[str]:
@@ -104,39 +130,6 @@ def _means(metrics: Sequence[Any], columns: Any) -> dict[str, float | None]:
         values = [m[name] for m in metrics]
         means[name] = None if None in values else sum(values) / len(values)
     return means
-
-
-MOST_ERROR = 1.05
-"""The ratio of the RMSE after to that before from which on a recording gets worse."""
-
-FARTHER = 0.05
-"""How much farther from 95 % the share inside the ellipse may be after than before."""
-
-
-def worse(old: Mapping[str, Any], new: Mapping[str, Any], error: str, suffix: str) -> Iterator[str]:
-    """A clause where a recording's metrics after a fit are worse than before, in error or in coverage.
-
-    Worse: an RMSE over `MOST_ERROR` times as large; covariances that held and do not; a share inside the 95 % ellipse
-    farther from 95 % by `FARTHER`. `error`: the name of the RMSE; `suffix`: that of metrics in three dimensions.
-    """
-    before, after = old[error], new[error]
-    name, share = new["recording"], f"coverage_95{suffix}"
-    if None in (before, after):
-        return
-    if after > MOST_ERROR * before:
-        unit = DEGREES if error.endswith("_rad") else length_unit(after)
-        digits = 3 if unit.name == "m" else 1
-        figures = [fixed(unit.factor * x, digits) for x in (before, after)]
-        which = "3-D " if suffix else "horizontal " if error == "rmse_m" else ""
-        yield f"{name}: {which}RMSE {figures[0]} → {figures[1]} {unit.name}"
-    if None in (old[share], new[share]):
-        return
-    lost = holds(old, suffix) and not holds(new, suffix)
-    if lost or abs(new[share] - 0.95) > abs(old[share] - 0.95) + FARTHER:
-        shares = " → ".join(f"{100 * side[share]:.0f}" for side in (old, new))
-        ratios = " → ".join(f"{side[f'nees{suffix}_ratio']:.2f}" for side in (old, new))
-        limits = f" (held before; {' and '.join(LIMITS)})" if lost else ""
-        yield f"{name}: {shares} % in the 95 % {'ellipsoid' if suffix else 'ellipse'}, NEES/dof {ratios}{limits}"
 
 
 MOST_PLANS = 8

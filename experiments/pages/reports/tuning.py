@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +26,6 @@ from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TuningReportData
 from trackwright.experiments.text.wording import MISSING, number, percent_change, uncapitalised
 from trackwright.trackers.core.wording import counted
-from trackwright.tuning.diagnostics import violated_assumptions
 
 SAME = 0.1
 """The relative difference of values up to which two starts end at one point, as the optimiser has it."""
@@ -137,15 +136,12 @@ WORSE = 0.02
 WORSE_BY = 0.01
 """The same, absolute: in nats, which have no natural zero, and for distances between distributions."""
 
-FAR = 0.1
-"""Distance of NIS or NEES from its distribution (`tuning.pit_uniformity`) above which covariances are misleading."""
-
 ADVICE = "Do not use such values as measurements: freeze or tie these parameters, or record more motion."
 
 
 @dataclass(frozen=True)
 class Advice:
-    """`word`: what to do; `summary`: one sentence; `good`: whether there are no warnings."""
+    """`word`: the verdict; `summary`: in sentences; `good`: whether it is better."""
 
     word: str
     summary: str
@@ -155,15 +151,9 @@ class Advice:
 
 def advice_on(data: TuningReportData) -> Advice:
     """Summary, warnings and advice on a tuning result."""
-    against = [*(_sentence(text) for text in data.cautions), *_worse(data), *_undetermined(data)]
-    doubts = _inconsistent(data)
+    warnings = [*(_sentence(text) for text in data.cautions), *_undetermined(data)]
     best = data.metric(data.objective)
     parts = [_change(best, best.training) if best else f"{data.objective_about} was tuned"]
-    rmse = data.metric("rmse")
-    if rmse is not None and math.isfinite(rmse.held_out[0]):
-        parts.append(f"on held-out recordings {_change(rmse, rmse.held_out)}")
-    elif rmse is not None and best is not rmse and math.isfinite(rmse.training[0]):
-        parts.append(_change(rmse, rmse.training))
     determined = [p.determined for p in data.parameters]
     if determined and None not in determined:
         parts.append(_determined(determined.count(True), len(determined)))
@@ -172,8 +162,11 @@ def advice_on(data: TuningReportData) -> Advice:
     sentence = "; ".join(parts)
     if not sentence.startswith(data.objective):
         sentence = sentence[0].upper() + sentence[1:]
-    word = "Check before use." if against else "Use the estimates, not the covariances." if doubts else "Ready to use."
-    return Advice(word, f"{sentence}.", not (against or doubts), (*against, *doubts))
+    if data.compared is None:
+        return Advice("Not judged.", f"{sentence}.", False, tuple(warnings))
+    verdict, about = data.compared.verdict, data.compared.about
+    summary, word = f"{verdict.sentence(about)} {sentence}.", f"{verdict.word.capitalize()}."
+    return Advice(word, summary, verdict.word == "better", (*verdict.got_worse, *warnings))
 
 
 def is_worse(metric: MetricChange, pair: tuple[float, float]) -> bool:
@@ -194,61 +187,6 @@ def _change(metric: MetricChange, pair: tuple[float, float]) -> str:
     relative = percent_change(*pair) if metric.unit not in ("nats", "1") else ""
     change = f" ({relative})" if relative else ""
     return f"{uncapitalised(metric.title)} changed from {number(pair[0])} to {number(pair[1])}{unit}{change}"
-
-
-def _shapes(data: TuningReportData) -> Iterator[tuple[str, MetricChange]]:
-    """NIS and NEES, where they are known, with the distances from their distributions."""
-    for quantity in ("NIS", "NEES"):
-        metric = data.metric(f"{quantity.lower()}-shape")
-        if metric is not None:
-            yield quantity, metric
-
-
-def _inconsistent(data: TuningReportData) -> list[str]:
-    """Warnings where NIS or NEES is far from its distribution, also where it was before."""
-    warnings = []
-    for quantity, metric in _shapes(data):
-        held_out = math.isfinite(metric.held_out[1])
-        value = (metric.held_out if held_out else metric.training)[1]
-        if value > FAR:
-            where = "held-out recordings" if held_out else "the recordings tuned on"
-            warnings.append(
-                f"{quantity} is far from its distribution on {where} (distance "
-                f"{number(value)}; below {FAR} is acceptable): the reported covariances are wrong there."
-            )
-    return warnings
-
-
-def _worse(data: TuningReportData) -> list[str]:
-    """Warnings where a metric got worse."""
-    warnings = []
-    goal = data.metric(data.objective)
-    if goal is not None and goal.training[1] > goal.training[0]:
-        warnings.append(f"The objective itself got worse: {_change(goal, goal.training)}.")
-    rmse = data.metric("rmse")
-    if rmse is not None and is_worse(rmse, rmse.held_out):
-        more = f"more than {100 * WORSE:.0f} % worse"
-        warnings.append(f"Held-out {_change(rmse, rmse.held_out)}: {more}. {_why(data)}")
-    for quantity, metric in _shapes(data):
-        where = [
-            name
-            for name, pair in (("the recordings tuned on", metric.training), ("held-out recordings", metric.held_out))
-            if is_worse(metric, pair)
-        ]
-        if where:
-            warnings.append(
-                f"{quantity} is further from its distribution than before on {' and '.join(where)}: the reported "
-                "covariances are less reliable than the old ones."
-            )
-    return warnings
-
-
-def _why(data: TuningReportData) -> str:
-    """The assumptions that the innovations after the fit contradict."""
-    violated = [] if data.innovations is None else violated_assumptions(data.innovations[1])
-    if not violated:
-        return "The innovations contradict no noise assumption: perhaps too few recordings were tuned on."
-    return f"The innovations contradict the assumption {'; and '.join(violated)}."
 
 
 def _undetermined(data: TuningReportData) -> list[str]:

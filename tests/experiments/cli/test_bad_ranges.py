@@ -111,7 +111,9 @@ def test_errors_of_the_check_stop_whatever_is_fitted_to_a_recording(tmp_path):
         ("calibrate", tmp_path / "feet", "--out", out / "c.toml"),
         ("survey", tmp_path / "millimetres", "--out", out / "rig.toml"),
     ):
-        assert_refused_last(trackwright(*words), f"{words[1]}: ranges: ", "; --force takes it as it is")
+        said = trackwright(*words)
+        assert_refused_last(said, f"{words[1]}: ranges: ")
+        assert ("; --force takes it as it is" in said.err) == (words[0] != "tune")
     assert not [*out.glob("*")]
     # An antenna delay is what a calibration removes.
     said = trackwright("calibrate", tmp_path / "late", "--out", out / "c.toml")

@@ -198,7 +198,7 @@ def test_a_file_that_is_no_calibration_is_refused(walks, tmp_path, command):
     assert_refused(said, f"{tmp_path / 'tuned.toml'}: no `format`, expected `format = 1`")
 
 
-FIT = ("--tracker", "uwb", "--tune", "sensors.ranges.sigma_r", "--steps", 1, "--starts", 1, "--force")
+FIT = ("--tracker", "uwb", "--tune", "sensors.ranges.sigma_r", "--steps", 1, "--starts", 1)
 
 
 def test_a_recording_of_the_calibration_is_fitted_with_one_of_others_and_the_file_names_it(walks, tmp_path):

@@ -92,7 +92,7 @@ def test_the_noise_is_tuned_by_the_particles_score_between_the_walls(there):
     tuned = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
     said = trackwright(
         "tune", there / "corner", "--tracker", "floor-pf", "--tune", *tuned, "--steps", 6, "--starts", 1,
-        "--force", "--out", there / "tuned",
+        "--out", there / "tuned",
     )  # fmt: skip
     assert said.code == 0, said.err
     # The fixes are off by a metre and more, slowly and by 0.2 m at random; the tracker begins with 0.1 m.

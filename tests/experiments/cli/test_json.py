@@ -40,7 +40,7 @@ def test_metrics_of_several_trackers_are_named_by_them(room, tmp_path):
 
 
 def test_the_result_of_a_fit_and_of_a_sweep(room, tmp_path):
-    words = (room, "--tracker", "uwb", "--tune", "motion.sigma_a", "--steps", 1, "--starts", 1, "--force", *PLAIN)
+    words = (room, "--tracker", "uwb", "--tune", "motion.sigma_a", "--steps", 1, "--starts", 1, *PLAIN)
     found, _ = _result("tune", *words, "--out", tmp_path / "fit")
     written = tomllib.loads((tmp_path / "fit" / "tuned.toml").read_text("utf-8"))
     assert found["tunables"].keys() == written["tunables"].keys() == {"motion.sigma_a"}

@@ -97,7 +97,7 @@ def test_a_tag_on_a_closed_path_is_tracked_round_it_and_has_no_height(worlds, tm
 
 @pytest.mark.slow
 def test_particles_are_tuned_by_their_score(worlds, tmp_path):
-    options = ("--tracker", "line-pf", "--tune", "sensors.*.sigma_p", "--steps", 6, "--starts", 1, "--force")
+    options = ("--tracker", "line-pf", "--tune", "sensors.*.sigma_p", "--steps", 6, "--starts", 1)
     start = tmp_path / "start.toml"
     start.write_text('[tunables."sensors.fixes.sigma_p"]\nvalue = 3.0\n')
     said = trackwright("tune", worlds / "line", *options, "--start", start, "--out", tmp_path / "out")

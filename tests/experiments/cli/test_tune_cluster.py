@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import tomllib
 
 import pytest
 
@@ -25,7 +26,6 @@ FIT = (
     "--objective",
     "nll",
     "--no-figures",
-    "--force",
 )
 
 
@@ -73,7 +73,9 @@ def test_a_fit_on_a_cluster_writes_the_numbers_of_a_fit_here(paths, elsewhere, t
 def test_a_report_of_a_fit_on_a_cluster_shows_a_part_of_many_recordings(paths, elsewhere, tmp_path):
     here, there = _both(tmp_path, *paths, "--steps", 1, "--starts", 1)
     assert (here.code, there.code) == (0, 0), there.err
-    _assert_same_files(tmp_path)
+    # The verdict is that on the recordings shown.
+    a, b = (tomllib.loads((tmp_path / out / "tuned.toml").read_text()) for out in "ab")
+    assert (a["tunables"], len(a["recordings"]), len(b["recordings"])) == (b["tunables"], 10, 8)
     pages = [(tmp_path / out / "report.html").read_text("utf-8") for out in "ab"]
     assert ["What is shown of the recordings tuned on is that of 8 of all 10." in page for page in pages] == [
         False,

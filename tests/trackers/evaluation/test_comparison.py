@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from trackwright.trackers.evaluation.comparison import LEAST_PIECES, TrackErrors, holm, paired_differences
+from trackwright.trackers.evaluation.comparison import LEAST_PIECES, TrackErrors, holm, paired_differences, paired_means
 
 STEP_S = 0.1
 
@@ -121,3 +121,23 @@ def test_the_last_common_row_counts_as_every_other():
     last[-1] = [30.0, 40.0]
     found = paired_differences(_run(still), _run(last), ("rmse_m",))["rmse_m"]
     assert found.second == pytest.approx(np.sqrt(np.mean(np.sum(last**2, axis=-1))), rel=1e-12)
+
+
+def test_the_interval_of_a_mean_holds_the_true_difference_of_lasting_values_of_unlike_recordings():
+    rng, held, names = np.random.default_rng(8), 0, np.repeat(["a", "b"], [1500, 500])
+    times = np.concatenate([np.arange(1500), np.arange(500)]) * STEP_S
+    for _ in range(200):
+        noise = np.zeros(len(times))
+        for start, stop in ((0, 1500), (1500, 2000)):
+            white = rng.normal(size=stop - start)
+            for k in range(start + 1, stop):
+                noise[k] = 0.8 * noise[k - 1] + white[k - start]
+        first = rng.normal() + np.zeros(len(times))
+        found = paired_means(times, first, first + noise + np.where(names == "a", 3.0, -1.0), names)
+        held += found.low <= 1.0 <= found.high  # each recording has the same say, however long it is
+    assert 184 <= held <= 200
+
+
+def test_the_mean_of_one_short_piece_has_no_interval():
+    found = paired_means(np.zeros(1), np.ones(1), np.full(1, 3.0), np.array(["a"]))
+    assert (found.value, np.isnan(found.low), found.pieces) == (2.0, True, 1)

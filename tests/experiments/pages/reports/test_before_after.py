@@ -218,8 +218,11 @@ def test_the_figures_are_those_of_evaluate_and_recordings_have_the_same_say(walk
     found = compare(_both(trackers, folders), folders, dimensions, "held-out recordings")
     sides = [{r["recording"]: r for r in tw.evaluate(t.run(folders), folders).recordings} for t in trackers]
     assert [row[0] for row in found.rows] == ["long", "short", "mean of 2"]
-    for name, *cells in found.rows[:2]:
+    for name, *cells, density, difference in found.rows[:2]:
         before, after = (side[name] for side in sides)
+        change = found.verdict.recordings[name]
+        assert density == f"{change.first:.2f} → {change.second:.2f}"
+        assert difference == f"{change.value:+.2f} ± {change.high - change.value:.2f}"
         error, share, nees, correlation = (cell.split(" → ") for cell in cells)
         assert error == [f"{100 * m[f'rmse{suffix}_m']:.1f}" for m in (before, after)]
         assert share == [f"{100 * m[f'coverage_95{suffix}']:.0f}" for m in (before, after)]
@@ -228,11 +231,10 @@ def test_the_figures_are_those_of_evaluate_and_recordings_have_the_same_say(walk
     mean = np.mean([sides[1][name][f"rmse{suffix}_m"] for name in ("short", "long")])
     assert found.rows[2][1].split(" → ")[1] == f"{100 * mean:.1f}"
     assert found.statements[0].startswith("Reported ")
-    assert found.worse == ()
-    back = compare(_both(trackers[::-1], folders), folders, dimensions, "held-out recordings").worse
-    expected = [False, True][: dimensions - 1]
-    for name in ("short", "long"):
-        assert ["ellipsoid" in text for text in back if text.startswith(name) and "95 %" in text] == expected
+    assert found.verdict.word == "better"
+    back = compare(_both(trackers[::-1], folders), folders, dimensions, "held-out recordings").verdict
+    assert (back.word, list(back.worse)) == ("worse", ["short", "long"])
+    assert back.change.value == pytest.approx(-found.verdict.change.value)
     text = found.text()
     assert text.startswith("Held-out recordings, before → after")
     assert all(cell in text for row in found.rows for cell in row)
@@ -258,4 +260,5 @@ def test_the_page_of_a_tuning_run_shows_the_table(walks):
 def test_recordings_tracked_beside_those_shown_change_nothing(walks):
     folders, trackers = walks
     sides = _both(trackers, folders)
-    assert compare(sides, folders[:1], 2, "a") == compare(_both(trackers, folders[:1]), folders[:1], 2, "a")
+    found, alone = (compare(x, folders[:1], 2, "a") for x in (sides, _both(trackers, folders[:1])))
+    assert found[:4] == alone[:4]
