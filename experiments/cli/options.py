@@ -128,12 +128,15 @@ class TrackerOptions:
             tables.
         set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; those of `trackwright tunables`.
         free_height: estimate the height of tags whose height the rig gives.
+        side: where tags are of anchors in one plane, at which heights may be mirrored; default: below from 2 m on,
+            above up to 0.5 m.
     """
 
     out: Folder
     tracker: Tracker | None = None
     set_: tuple[Setting, ...] = ()
     free_height: bool = False
+    side: Literal["above", "below"] | None = None
     used: ReadingOptions = field(default_factory=ReadingOptions)
 
     def __post_init__(self) -> None:
