@@ -15,7 +15,7 @@ SECONDS, SIZE = 15.0, np.array([12.0, 8.0])
 FLOOR = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0], [0.5, 1]])
 
 
-def site(seed, plane, height):
+def _site(seed, plane, height):
     """A recording with ranges to six anchors within 0.3 m of a plane, each with a bias, to a tag at `height(t)`."""
     random = np.random.default_rng(seed)
     anchors = np.column_stack([FLOOR * SIZE, plane + random.uniform(-0.15, 0.15, 6)])
@@ -30,12 +30,12 @@ def site(seed, plane, height):
     return RecordingFolder(f"r{seed}", None, rig, {"ranges": pl.DataFrame(rows), "truth": pl.DataFrame(truth)})
 
 
-HALLS = [site(k, 3.0, lambda t: 1.1 + 0.0 * t) for k in range(5)]
-DRONES = [site(k, 0.15, lambda t: 0.2 + 1.8 * np.clip((t - 2.0) / 4.0, 0.0, 1.0)) for k in range(5)]
-MIDDLE = [site(k, 1.3, lambda t: 2.3 + 0.0 * t) for k in range(5)]
+HALLS = [_site(k, 3.0, lambda t: 1.1 + 0.0 * t) for k in range(5)]
+DRONES = [_site(k, 0.15, lambda t: 0.2 + 1.8 * np.clip((t - 2.0) / 4.0, 0.0, 1.0)) for k in range(5)]
+MIDDLE = [_site(k, 1.3, lambda t: 2.3 + 0.0 * t) for k in range(5)]
 
 
-def wrong_side(tracks, folders):
+def _wrong_side(tracks, folders):
     """The recordings of which a tenth of the estimates, or more, is on the other side than the truth."""
     lines = mirrored_heights(associate_truth(tracks.table, {f.name: f.tables["truth"] for f in folders}), folders)
     return [f.name for f in folders if any(f.name in line for line in lines)]
@@ -45,14 +45,14 @@ def wrong_side(tracks, folders):
 @pytest.mark.parametrize("name", ["uwb", "multilateration"])
 def test_tracks_are_on_the_likely_side_of_anchors_at_the_ceiling_and_on_the_floor(name, folders):
     tracks = tw.build(name, folders).run(folders)
-    assert wrong_side(tracks, folders) == []
+    assert _wrong_side(tracks, folders) == []
     assert [line.partition(":")[0] for line in tracks.notices] == [folder.rig.name for folder in folders]
 
 
 def test_a_given_side_decides_where_neither_is_likelier_and_truth_tells_the_wrong_one():
     above, below = (tw.build("uwb", MIDDLE, side=side).run(MIDDLE) for side in ("above", "below"))
-    assert (wrong_side(above, MIDDLE), above.notices) == ([], ())
-    assert wrong_side(below, MIDDLE) == [folder.name for folder in MIDDLE]
+    assert (_wrong_side(above, MIDDLE), above.notices) == ([], ())
+    assert _wrong_side(below, MIDDLE) == [folder.name for folder in MIDDLE]
 
 
 def test_arrays_take_the_side_too():
