@@ -90,7 +90,7 @@ class DriftingBiases(AbstractMotion):
         return eqx.tree_at(lambda motion: motion.speed, self, shrunk_speed(belief), is_leaf=lambda x: x is None)
 
     def step(self, state: BiasedState, inputs: Inputs, dt: Scalar, w: Vector) -> BiasedState:
-        if HEIGHT_LIMITS.name in inputs and len(state.position) == 3:
+        if len(state.position) == 3 and HEIGHT_LIMITS.name in inputs:
             (x, y, z), (vx, vy, vz) = state.position, state.velocity
             inside = mirrored(z, inputs[HEIGHT_LIMITS.name])
             climb = jnp.where(inside == z, vz, -vz)

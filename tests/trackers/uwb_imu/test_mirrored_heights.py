@@ -24,7 +24,12 @@ def _site(seed, plane, height):
     place = np.column_stack([6.0 + 3.0 * np.cos(turn), 4.0 + 2.0 * np.sin(turn), height(t)])
     ranges = np.linalg.norm(place[:, None] - anchors, axis=2) + random.normal(0.04, 0.05, 6)
     ranges += random.normal(0.0, 0.06, ranges.shape)
-    rows = {"t_s": np.repeat(t, 6), "tag": ["T"] * 6 * len(t), "anchor": [*"abcdef"] * len(t), "range_m": ranges.ravel()}
+    rows = {
+        "t_s": np.repeat(t, 6),
+        "tag": ["T"] * 6 * len(t),
+        "anchor": [*"abcdef"] * len(t),
+        "range_m": ranges.ravel(),
+    }
     truth = {"t_s": t, "tag": ["T"] * len(t)} | dict(zip(("x_m", "y_m", "z_m"), place.T, strict=True))
     rig = Rig(f"site {seed}", dict(zip("abcdef", anchors, strict=True)))
     return RecordingFolder(f"r{seed}", None, rig, {"ranges": pl.DataFrame(rows), "truth": pl.DataFrame(truth)})
