@@ -190,16 +190,19 @@ TRACKERS: Mapping[str, TrackerSpec] = _Catalogue()
 
 
 def build(
-    name: str, recordings: RecordingFolder | Sequence[RecordingFolder], free_height: bool = False
+    name: str,
+    recordings: RecordingFolder | Sequence[RecordingFolder],
+    free_height: bool = False,
+    side: str | None = None,
 ) -> NamedTracker:
     """The tracker of this name for recordings; `name` is one of the catalogue's or `FILE.py:NAME` of a `TrackerSpec`.
 
-    `free_height`: estimate the height of tags even where rig.toml gives it. Raises UnusableInput for an unknown name
-    and for a recording that lacks what the tracker reads.
+    `free_height`: estimate the height of tags even where rig.toml gives it. `side`: above or below, where the tags are
+    of anchors in one plane. Raises UnusableInput for an unknown name and where the recording lacks what is read.
     """
     from trackwright.trackers.recordings.named_tracker import NamedTracker
 
-    return NamedTracker.of(name, spec_of(name), recordings, free_height)
+    return NamedTracker.of(name, spec_of(name), recordings, free_height, side)
 
 
 def tracker_for(recordings: RecordingFolder | Sequence[RecordingFolder], free_height: bool = False) -> NamedTracker:

@@ -78,13 +78,15 @@ def range_recording(
     anchor: np.ndarray | None = None,
     std: np.ndarray | None = None,
     height: float | None = None,
+    side: str | None = None,
     truth: np.ndarray | None = None,
     name: str = "recording",
 ) -> Recording:
     """Ranges to `anchors` (A, 3) m, one per row, as `range_tracker` reads them; `std`: of the shape of `ranges`, m.
 
     `ranges`: (T, A) m, one column per anchor, each of which becomes a row of its own; or (T,) with the number `anchor`
-    (T,) of the anchor of each. Ranges that are not positive are masked.
+    (T,) of the anchor of each. Ranges that are not positive are masked. `side`: above or below, where the tag is of
+    anchors in one plane.
     """
     anchors = np.asarray(anchors, float)
     if anchors.ndim != 2 or anchors.shape[1] != 3:
@@ -115,12 +117,12 @@ def range_recording(
     values, seen = _masked("ranges", table[:, None], len(times))
     seen &= values > 0.0
     check_times(name, seconds(times))
-    rig = Rig("arrays", anchors={str(number): place for number, place in enumerate(anchors)})
+    rig = Rig("arrays", anchors={str(number): place for number, place in enumerate(anchors)}, side=side)
     _refuse_other_units("range_recording", seconds(times), rig, "ranges", {"range_m": values[seen]})
     variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, table))[:, None] ** 2
     readings = Readings(values, seen, variances)
     ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
-    inputs = range_inputs(ends, seconds(times), readings, number, anchors, heights)
+    inputs = range_inputs(ends, seconds(times), readings, number, anchors, heights, rig)
     inputs[ROOM.name] = room_rows(anchors, None, len(values))
     return Recording(times, {RANGES: readings}, inputs | _height(times, height), _truth(truth, len(times)), name)
 

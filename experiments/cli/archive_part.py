@@ -227,7 +227,8 @@ class Tracking:
 
     def named(self, name: str, text: str, folder: RecordingFolder) -> NamedTracker:
         """A tracker for one recording; raises UnusableInput as `NamedTracker.of` and where values do not fit."""
-        return self.options.applied(NamedTracker.of(name, spec_here(name, text), folder, self.options.free_height))
+        made = NamedTracker.of(name, spec_here(name, text), folder, self.options.free_height, self.options.side)
+        return self.options.applied(made)
 
     def _tracked(self, name: str, text: str, folder: RecordingFolder) -> tuple[Outcome, list[str]]:
         """The outcome of one tracker, and its notices."""

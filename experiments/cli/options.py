@@ -123,17 +123,18 @@ class TrackerOptions:
 
     Args:
         out: the folder to write to.
-        tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; several names with
-            commas are compared by `track`; default: that of the file `--noise` or `--start`, else the one that fits the
-            tables.
+        tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; `track` compares
+            several, with commas; default: that of the file `--noise` or `--start`, else the one that fits the tables.
         set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; those of `trackwright tunables`.
         free_height: estimate the height of tags whose height the rig gives.
+        side: where tags are of anchors in one plane; default: below from 2 m on, above up to 0.5 m, else either.
     """
 
     out: Folder
     tracker: Tracker | None = None
     set_: tuple[Setting, ...] = ()
     free_height: bool = False
+    side: Literal["above", "below"] | None = None
     used: ReadingOptions = field(default_factory=ReadingOptions)
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import polars as pl
 
 from trackwright.experiments.cli.archive_folders import RESULTS
@@ -27,6 +28,7 @@ from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
 from trackwright.trackers.catalogue import ENTRIES, build, fitting, spec_of
 from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.rig import SAY_SIDE
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
@@ -37,6 +39,7 @@ from trackwright.trackers.evaluation.residuals import residual_ratios
 from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.checks.residuals import delay_against_truth
+from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
@@ -47,6 +50,10 @@ if TYPE_CHECKING:
 
 LATE_S = 0.1
 """Delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice."""
+
+APART_M, MIRRORED_SHARE = 0.5, 0.1
+"""Distance of true heights from the anchors' plane, m, from which on their side counts; share of estimates on the other
+side that is worth a notice."""
 
 
 class TrackedBy(NamedTuple):
@@ -204,7 +211,7 @@ def _track(
     `of`: how many trackers are compared; the only one has a table of errors, figures and its page in its folder.
     """
     name, folders = run
-    named = build(name, folders, options.free_height)
+    named = build(name, folders, options.free_height, options.side)
     notice_unused_calibration(folders, name, named.spec.table)
     named = options.applied(named)
     batches = named.batches(folders)
@@ -316,13 +323,35 @@ def with_truth(
     truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
     association = associate_truth(table, truths)
     if association.scored.any():
-        return association, late_readings(named, folders)
+        return association, [*mirrored_heights(association, folders), *late_readings(named, folders)]
     try:
         if truths:
             refuse_without_overlap(association, truths)
     except UnusableInput as problem:
         return association, [f"not evaluated: {problem}"]
     return association, []
+
+
+def mirrored_heights(association: Association, folders: Sequence[RecordingFolder]) -> list[str]:
+    """A line with the recordings in which heights are on the other side of the anchors' plane than the true ones."""
+    names = []
+    for folder in folders:
+        part, plane = association.of_recording(folder.name), folder.rig.plane
+        if plane is not None and "std_z_m" in part.rows.columns:
+            true, estimated = part.truth[:, 2] - plane, float_column(part.rows, "z_m") - plane
+            apart = part.scored & (abs(true) > APART_M) & (float_column(part.rows, "std_z_m") > 0)
+            if np.mean((true * estimated < 0) & apart) > MIRRORED_SHARE:
+                names.append(folder.name)
+    return [f"{listed(names)}: height mirrored at the anchors' plane; {SAY_SIDE}"] if names else []
+
+
+def mirror_lines(named: NamedTracker, folders: Sequence[RecordingFolder]) -> list[str]:
+    """The lines on heights that are, or may be, mirrored in recordings that a tracker, run as it is, tells about."""
+    if all(batch.planar for batch in named.batches(folders)) or all(folder.rig.plane is None for folder in folders):
+        return []
+    tracks, truths = named.run(folders), {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+    told = [line for line in tracks.notices if SAY_SIDE in line]
+    return [*told, *mirrored_heights(associate_truth(tracks.table, truths), folders)]
 
 
 def late_readings(named: NamedTracker, folders: Sequence[RecordingFolder]) -> list[str]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from trackwright.experiments.cli.console import FoldersInTurn, notice_unused_calibration, output_folder
 from trackwright.experiments.cli.options import TrackerOptions, TuneOptions
+from trackwright.experiments.cli.tracking import mirror_lines
 from trackwright.experiments.pages.reports.before_after import MOST_PLANS
 from trackwright.experiments.pages.reports.tuning_data import recording_names
 from trackwright.experiments.text.terminal import Advance, Begin, notice
@@ -87,6 +88,8 @@ def fit_folders(
     """
     first = folders if workers is None else folders[:1]
     named = tracker_for_folders(first, options)
+    for line in mirror_lines(named, first):
+        notice(f"notice: {line}")
     goal = options.objective
     goal = "nll" if goal is None and (options.prior or options.intervals == "profile") else goal
     how = (options.piece_rows, options.dimensions, options.weigh)
@@ -124,7 +127,7 @@ def tracker_for_folders(folders: Sequence[RecordingFolder], options: TrackerOpti
     name = options.tracker or of_file or fitting(folders[0])
     if options.tracker is None:
         notice(f"tracker: {name}{f', that of {options.file}' if of_file else ''}; choose another with --tracker")
-    named = build(name, folders, options.free_height)
+    named = build(name, folders, options.free_height, options.side)
     notice_unused_calibration(folders, name, named.spec.table)
     return options.valued(named)
 

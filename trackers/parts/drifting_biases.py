@@ -11,8 +11,9 @@ import numpy as np
 
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, total
 from trackwright.trackers.core.model.covariance import Gaussian, variance
-from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS, Input, Inputs
 from trackwright.trackers.core.model.motion import AbstractMotion, Noise
+from trackwright.trackers.core.model.rig import mirrored
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import Scale
@@ -38,7 +39,8 @@ class DriftingBiases(AbstractMotion):
     velocities, s. `sigma_bias`: standard deviation of the biases: one number for all, or k that they take in turn, as
     of azimuth and elevation. A shared bias is constant, the others decay at the rate 1/`time_constant` +
     speed/`length`, s and m: multipath and obstruction depend on the place. `biases`: their number. Exact at constant
-    speed (Gelb 1974, section 3.8): there two steps equal one long step.
+    speed (Gelb 1974, section 3.8): there two steps equal one long step. Heights are mirrored at the input
+    `height_limits`.
     """
 
     sigma_a: Noise
@@ -75,6 +77,10 @@ class DriftingBiases(AbstractMotion):
     def noise_dimension(self) -> int:
         return 6 + self.biases
 
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return (HEIGHT_LIMITS,)
+
     def at(self, belief: Gaussian) -> DriftingBiases:
         """The motion whose biases decay with the speed of this belief, shrunk by its uncertainty.
 
@@ -84,6 +90,11 @@ class DriftingBiases(AbstractMotion):
         return eqx.tree_at(lambda motion: motion.speed, self, shrunk_speed(belief), is_leaf=lambda x: x is None)
 
     def step(self, state: BiasedState, inputs: Inputs, dt: Scalar, w: Vector) -> BiasedState:
+        if len(state.position) == 3 and HEIGHT_LIMITS.name in inputs:
+            (x, y, z), (vx, vy, vz) = state.position, state.velocity
+            inside = mirrored(z, inputs[HEIGHT_LIMITS.name])
+            climb = jnp.where(inside == z, vz, -vz)
+            state = state._replace(position=Vector(x, y, inside), velocity=Vector(vx, vy, climb))
         position, velocity = damped(self, state, dt, w)
         if not self.biases:
             return BiasedState(position, velocity, state.bias, state.shared)

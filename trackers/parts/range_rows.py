@@ -6,10 +6,12 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.recording import Readings
-from trackwright.trackers.core.model.rig import room_rows
+from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
+from trackwright.trackers.core.model.rig import Rig, mirrored, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.recent_positions import recent_positions
+from trackwright.trackers.parts.start_nearby import NEARBY
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
@@ -30,7 +32,7 @@ def range_trajectories(folder: RecordingFolder, free_height: bool, quality: bool
     readings, number = range_rows(folder, rows, quality)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     anchors = anchor_positions(folder)
-    inputs = range_inputs(rows.starts, rows.times, readings, number, anchors, heights)
+    inputs = range_inputs(rows.starts, rows.times, readings, number, anchors, heights, folder.rig)
     inputs |= room_of_anchors(folder, len(number))
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
 
@@ -67,14 +69,22 @@ def range_inputs(
     number: np.ndarray,
     anchors: np.ndarray,
     heights: np.ndarray,
+    rig: Rig,
 ) -> dict[str, np.ndarray]:
-    """The inputs of rows with one range each: `anchors` (N, 3) m, `anchor` (N, 1), its number, and `nearby` (N, 4).
+    """The inputs of rows with one range each: `anchors`, `anchor`, its number, `nearby` and `height_limits`.
 
     `starts` (n + 1,): the first row of each of n tags, then N. `number` (N,): of each range's anchor in `anchors`
     (A, 3). `heights` (n,) m: of the tags, NaN where unknown.
     """
     nearby = recent_positions(starts, times, anchors, number, readings.values[:, 0], readings.seen[:, 0], heights)
-    return {"anchors": anchors[number], "anchor": number[:, None].astype(float), "nearby": nearby}
+    return {"anchors": anchors[number], "anchor": number[:, None].astype(float), **within_limits(nearby, rig)}
+
+
+def within_limits(nearby: np.ndarray, rig: Rig) -> dict[str, np.ndarray]:
+    """The inputs `height_limits` and `nearby` (N, 4), with heights on the likely side of the anchors' plane."""
+    limits = rig.height_limits()
+    nearby[:, 2] = np.where(nearby[:, 3] > 0, mirrored(nearby[:, 2], limits), 0.0)
+    return {NEARBY.name: nearby, HEIGHT_LIMITS.name: np.broadcast_to(limits, (len(nearby), 2))}
 
 
 def anchor_positions(folder: RecordingFolder) -> np.ndarray:

@@ -21,6 +21,7 @@ from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.reading_grids import above_rounding, counted_once
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec, faults_named
 from trackwright.trackers.recordings.tracks import Tracks, track
+from trackwright.trackers.recordings.trajectories import Trajectories
 
 Recordings = RecordingFolder | Sequence[RecordingFolder]
 
@@ -32,18 +33,19 @@ FAR_M = 1000.0
 class NamedTracker:
     """A tracker of the catalogue, or a user's own, for recording folders.
 
-    `tracker`: the tracker of the first trajectory of the recordings it was made for. `values`: physical numbers by
-    tunable name or shell pattern that replace the defaults in every recording; `source`: where they come from, for
-    messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. `motion_levels`,
-    `error_levels`: whether it runs at several levels of motion, and of errors; None for the catalogue's choice. A
-    recording with other stations or anchors gets a tracker of its own geometry with the same numbers. `made_for`: the
-    recordings that it was made for and their rows, which are made only once.
+    `tracker`: the tracker of the first trajectory of the recordings it was made for. `side`: above or below, where tags
+    are of anchors in one plane. `values`: physical numbers by tunable name or shell pattern that replace the defaults
+    in every recording; `source`: where they come from, for messages. `smoothed`: whether each row uses the later rows,
+    too, `lag` seconds of them or all. `motion_levels`, `error_levels`: whether it runs at several levels of motion, and
+    of errors; None for the catalogue's choice. A recording with other stations or anchors gets a tracker of its own
+    geometry with the same numbers. `made_for`: the recordings that it was made for and their rows, made only once.
     """
 
     name: str
     spec: TrackerSpec
     tracker: AbstractTracker
     free_height: bool = False
+    side: str | None = None
     values: Mapping[str, Any] = field(default_factory=dict)
     source: str = "values"
     smoothed: bool = False
@@ -53,13 +55,15 @@ class NamedTracker:
     made_for: tuple[list[RecordingFolder], list[TrackerBatch]] = field(default_factory=lambda: ([], []))
 
     @classmethod
-    def of(cls, name: str, spec: TrackerSpec, recordings: Recordings, free_height: bool = False) -> NamedTracker:
+    def of(
+        cls, name: str, spec: TrackerSpec, recordings: Recordings, free_height: bool = False, side: str | None = None
+    ) -> NamedTracker:
         """The tracker of an entry for recordings; raises UnusableInput for a recording that lacks what it reads."""
         folders = folder_list(recordings)
-        groups = _batches(spec, folders, name, free_height)
+        groups = _batches(spec, folders, name, free_height, side)
         if not groups:
             raise UnusableInput(f"tracker '{name}': no trajectory in the recordings; expected one tag at least")
-        return cls(name, spec, groups[0].tracker, free_height, made_for=(folders, groups))
+        return cls(name, spec, groups[0].tracker, free_height, side, made_for=(folders, groups))
 
     def run(
         self, recordings: Recordings, advance: Callable[[int], None] = lambda done: None, *, seed: int = 0
@@ -95,7 +99,7 @@ class NamedTracker:
         made_for, groups = self.made_for
         # Rows of long recordings take longer to make than to filter.
         if len(folders) != len(made_for) or any(a is not b for a, b in zip(folders, made_for, strict=True)):
-            groups = _batches(self.spec, folders, self.name, self.free_height)
+            groups = _batches(self.spec, folders, self.name, self.free_height, self.side)
         return [replace(group, tracker=with_values(group.tracker, self.values, self.source)) for group in groups]
 
     def only_batch(self, recordings: Recordings) -> TrackerBatch:
@@ -201,13 +205,21 @@ class NamedTracker:
         return f"<tracker {self.name}: {self.spec.about}{smoothed}; tunables {', '.join(self.tunables)}>"
 
 
-def _batches(spec: TrackerSpec, folders: Sequence[RecordingFolder], name: str, free_height: bool) -> list[TrackerBatch]:
+def _batches(
+    spec: TrackerSpec, folders: Sequence[RecordingFolder], name: str, free_height: bool, side: str | None
+) -> list[TrackerBatch]:
     """The batches of recordings as trackers read them: about an origin nearby, each reading once."""
     names = spec.reads.difference(spec.every_row)
+    if side is not None:
+        folders = [replace(folder, rig=replace(folder.rig, side=side)) for folder in folders]
     prepared = [counted_once(near_origin(folder), names) for folder in folders]
     groups = spec.batches([folder for folder, _ in prepared], name, free_height)
-    notices = tuple(line for folder, lines in prepared for line in (*lines, *spec.notices(folder, free_height)))
-    return [replace(groups[0], notices=notices), *groups[1:]] if groups else []
+    notices = [line for folder, lines in prepared for line in (*lines, *spec.notices(folder, free_height))]
+    if spec.reads <= {"ranges", "tdoa", "imu", "odometry"}:
+        solid = (Trajectories.of(group.trajectories).folders for group in groups if not group.planar)
+        rigs = {id(folder.rig): folder.rig for folders in solid for folder in folders}
+        notices += dict.fromkeys(line for rig in rigs.values() for line in rig.mirror_notice())
+    return [replace(groups[0], notices=tuple(notices)), *groups[1:]] if groups else []
 
 
 def folder_list(recordings: Recordings) -> list[RecordingFolder]:

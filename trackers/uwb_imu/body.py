@@ -59,7 +59,7 @@ class TurningBody(AbstractMotion):
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        return () if self.wheels is None else (ODOMETRY, ARM)
+        return self.place.inputs if self.wheels is None else (*self.place.inputs, ODOMETRY, ARM)
 
     def at(self, belief: Gaussian) -> TurningBody:
         return eqx.tree_at(lambda motion: motion.place, self, self.place.at(belief))

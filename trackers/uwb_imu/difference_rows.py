@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.data.recording import Readings
-from trackwright.trackers.parts.range_rows import anchor_positions, lacks_a_plane, room_of_anchors
+from trackwright.trackers.parts.range_rows import anchor_positions, lacks_a_plane, room_of_anchors, within_limits
 from trackwright.trackers.parts.recent_positions import WINDOWS_S
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -73,7 +73,7 @@ def difference_trajectories(folder: RecordingFolder, free_height: bool) -> Traje
     inputs = {
         "pairs": anchors[number].reshape(count, -1),
         "pair": number.reshape(count, -1).astype(float),
-        "nearby": recent_hyperbolic_positions(starts, times, readings, number, anchors, heights),
+        **within_limits(recent_hyperbolic_positions(starts, times, readings, number, anchors, heights), folder.rig),
         **room_of_anchors(folder, count),
     }
     return trajectories_of(folder, rows.tags, starts, times, {TDOA: readings}, inputs)

@@ -12,8 +12,9 @@ from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import require
 from trackwright.trackers.core.model.algebra import Scalar, Vector, triangle
-from trackwright.trackers.core.model.inputs import HEIGHT, Input, Need
+from trackwright.trackers.core.model.inputs import HEIGHT, HEIGHT_LIMITS, Input, Need
 from trackwright.trackers.core.model.motion import Noise, Placed
+from trackwright.trackers.core.model.rig import mirrored
 from trackwright.trackers.core.model.sensor import rounding_variance
 from trackwright.trackers.core.model.tunable import Scale, freeze
 from trackwright.trackers.core.run.requirements import Layout
@@ -29,8 +30,8 @@ SOLVED_AT_ONCE = 64
 class Multilateration(AbstractEpochwiseTracker):
     """The position of every row with at least three ranges at a known height, else four.
 
-    Readings under `name` with any number of slots; inputs `anchors` (3·slots,) m and `height` m. `sigma_r` m: standard
-    deviation of a range; the Cauchy scale is three times that. The covariance is the least-squares one.
+    Readings under `name` with any number of slots; inputs `anchors` (3·slots,) m, `height` m and `height_limits` m.
+    `sigma_r` m: standard deviation of a range; the Cauchy scale is three times it. Covariances are least-squares ones.
     """
 
     sigma_r: Noise
@@ -40,11 +41,11 @@ class Multilateration(AbstractEpochwiseTracker):
     @property
     def inputs(self) -> tuple[Input, ...]:
         """The known inputs that it reads."""
-        return ANCHORS, HEIGHT
+        return ANCHORS, HEIGHT, HEIGHT_LIMITS
 
     def check_layout(self, layout: Layout) -> None:
         layout.check_readings("Multilateration", self.name, 3 if self.planar else 4)
-        needs = (Need.ALWAYS, Need.PLANAR) if self.planar else (Need.ALWAYS,)
+        needs = (Need.ALWAYS, Need.PLANAR if self.planar else Need.IF_GIVEN)
         layout.check_inputs("Multilateration", self.inputs, layout.readings[self.name][0], needs)
 
     def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
@@ -61,9 +62,13 @@ class Multilateration(AbstractEpochwiseTracker):
         fits = jax.lax.map(lambda x: block(*x), jax.tree_util.tree_map(lambda x: in_blocks(x, rows), arrays))
         fit = jax.tree_util.tree_map(lambda x: out_of_blocks(x, rows, *jnp.shape(batch.dt)), fits)
         zero, n = jnp.zeros_like(fit.cost), 2 if self.planar else 3
-        mean = Placed(Vector(*(fit.position[:, k] for k in range(n))))
+        place, turned = [fit.position[:, k] for k in range(n)], jnp.ones_like(zero)
+        if HEIGHT_LIMITS.name in inputs and not self.planar:
+            place[2] = mirrored(place[2], jnp.moveaxis(inputs[HEIGHT_LIMITS.name], 1, 0))
+            turned = jnp.where(place[2] == fit.position[:, 2], 1.0, -1.0)
+        mean = Placed(Vector(*place))
         variance = sigma**2 + rounding_variance(jnp.max(jnp.where(reading.seen, reading.values, 0.0), axis=1))
-        cov = tuple(variance * fit.covariance[:, i, j] for i, j in triangle(n))
+        cov = tuple(variance * fit.covariance[:, i, j] * (turned if i < j == 2 else 1.0) for i, j in triangle(n))
         valid = jnp.asarray(batch.valid)
         status = jnp.where(valid, jnp.where(fit.determined, Status.OK, Status.WAITING), Status.PADDING)
         return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8)), ()

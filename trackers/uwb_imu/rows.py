@@ -13,6 +13,7 @@ import polars as pl
 
 from trackwright.trackers.core.data.recording import Columns, Readings
 from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.parts.range_rows import (
@@ -98,7 +99,7 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
     rows = _ranges_by_body(folder)
     readings, number = range_rows(folder, rows, quality=True)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
-    inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
+    inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights, folder.rig)
     inputs |= {"levers": _levers(folder, rows, upright=True)}
     if ODOMETRY.name not in folder.tables:
         inputs |= room_of_anchors(folder, len(number))
@@ -173,7 +174,7 @@ def _ranges_with_imu(
     """The trajectories of the tags in `bodies`, which holds the tags on the body of each; `rows`: ranges by body."""
     readings, number = range_rows(folder, rows)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
-    inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
+    inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights, folder.rig)
     if any(len(body) > 1 for body in bodies.values()):
         inputs["levers"] = _levers(folder, rows)
     return _with_imu(folder, rows.tags, rows, bodies, {RANGES: readings}, inputs)
@@ -240,7 +241,8 @@ class Snapshots(NamedTuple):
 def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's ranges, one row per time, with the latest range of every anchor in a slot of its own."""
     snapshots = _snapshots(folder, free_height)
-    inputs = {"anchors": np.tile(anchor_positions(folder).ravel(), (len(snapshots.times), 1))}
+    rows = {"anchors": anchor_positions(folder).ravel(), HEIGHT_LIMITS.name: folder.rig.height_limits()}
+    inputs = {name: np.tile(row, (len(snapshots.times), 1)) for name, row in rows.items()}
     readings = {RANGES: Readings(snapshots.latest, snapshots.fresh)}
     return trajectories_of(folder, snapshots.rows.tags, snapshots.starts, snapshots.times, readings, inputs)
 

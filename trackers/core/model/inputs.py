@@ -60,3 +60,8 @@ HEIGHT = Input(
     Need.PLANAR,
 )
 """The input that completes a planar position to one in space: `sensor.position_in_space`."""
+
+HEIGHT_LIMITS = Input(
+    "height_limits", (2,), "m", "lowest and highest height of a tag", "`range_recording`", Need.IF_GIVEN
+)
+"""The input with the side of the anchors' plane on which a tag is."""

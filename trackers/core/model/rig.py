@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -94,14 +95,24 @@ class Tag:
     offset: Point | None = None
 
 
+THIN, FLAT = 0.1, 0.6
+"""Share of the largest extent, and extent across their best plane, m, up to which anchors leave mirror images."""
+
+FLOOR, CEILING, ANYWHERE = 0.5, 2.0, 1e4
+"""Heights, m: of anchors that tags are likely above, at most, and below, at least; one that no tag reaches."""
+
+SAY_SIDE = "give height_m in rig.toml, or --side above or below"
+
+
 @dataclass(frozen=True)
 class Rig:
     """The fixed geometry of an installation.
 
     `bodies`: the tags on each rigid body, which have an `offset`.
     `path_knots`: (k, 2) m, corners of a known path on the floor. `walls`: (n, 4) m, x1, y1, x2, y2 of each; `outline`:
-    (m, 2) m, corners of the floor that holds the tags. `about`, `licence`, `source`: free text. Raises UnusableInput
-    for an anchor without three finite coordinates.
+    (m, 2) m, corners of the floor that holds the tags. `about`, `licence`, `source`: free text. `side`: above or below,
+    where the tags are of anchors in one plane; None if unknown. Raises UnusableInput for another side, and for an
+    anchor without three finite coordinates.
     """
 
     name: str
@@ -115,8 +126,11 @@ class Rig:
     about: str = ""
     licence: str = ""
     source: str = ""
+    side: str | None = None
 
     def __post_init__(self) -> None:
+        if self.side not in (None, "above", "below"):
+            raise UnusableInput(f"side {self.side!r}: expected 'above' or 'below', of the plane of the anchors")
         for name, place in self.anchors.items():
             if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
                 raise UnusableInput(f"Rig: anchor {name} is at {np.asarray(place).tolist()}; expected [x, y, z], m")
@@ -124,6 +138,36 @@ class Rig:
     def places(self) -> list[Point]:
         """The positions of its anchors, then of its stations, (3,) m each."""
         return [np.asarray(p) for p in (*self.anchors.values(), *(s.position for s in self.stations.values()))]
+
+    @property
+    def plane(self) -> float | None:
+        """The height, m, of the plane of the anchors, at which heights may be mirrored; None where they have none."""
+        places = np.array([*self.anchors.values()], float).reshape(-1, 3)
+        if len(places) < 3:
+            return None
+        _, sizes, axes = np.linalg.svd(places - places.mean(axis=0))
+        flat = sizes[2] <= THIN * sizes[0] and np.ptp(places @ axes[2]) <= FLAT
+        return float(places[:, 2].mean()) if flat and abs(axes[2, 2]) > 0.7 else None
+
+    @property
+    def likely_side(self) -> str | None:
+        """The `side`, or that which is likely by the height of the plane; None for either."""
+        height = FLOOR if self.plane is None else self.plane
+        return self.side or ("above" if height <= FLOOR else "below" if height >= CEILING else None)
+
+    def height_limits(self) -> Float[np.ndarray, " 2"]:
+        """The lowest and highest height of the tags, m: the plane of the anchors, if any, on the likely side of it."""
+        limits = np.array([-ANYWHERE, ANYWHERE])
+        if self.plane is not None and self.likely_side is not None:
+            limits[int(self.likely_side == "below")] = self.plane
+        return limits
+
+    def mirror_notice(self) -> list[str]:
+        """A line where heights may be mirrored, and nobody said on which side the tags are."""
+        if self.plane is None or self.side is not None:
+            return []
+        where = f"{self.name}: heights may be mirrored at the plane of the anchors, z {self.plane:.2f} m"
+        return [f"{where}; tags are taken to be {self.likely_side or 'on either side of'} it; {SAY_SIDE}"]
 
     def on_body_of(self, tag: str) -> tuple[str, ...]:
         """The tags on the body of this one, itself among them; without `bodies` all that have an `offset` are on one.
@@ -162,6 +206,11 @@ def room_rows(
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = 0.0 if outline is not None else max(MARGIN, float((high - low).max()))
     return np.broadcast_to(np.stack([low - margin, high + margin], axis=1).ravel(), (rows, 4))
+
+
+def mirrored(height: Any, limits: Any) -> Any:
+    """Heights, m, mirrored at the limit, (2,) m, beyond which they are; others as they are."""
+    return 2.0 * height.clip(limits[0], limits[1]) - height
 
 
 def checked_knots(knots: ArrayLike) -> Float[np.ndarray, "k 2"]:

@@ -17,7 +17,7 @@ import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.model.rig import SAY_SIDE, THIN, Rig
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.checks.readings import known_median
@@ -25,7 +25,6 @@ from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 from trackwright.trackers.recordings.truth import TruePaths
 
-THIN = 0.1  # share of the largest extent below which anchors count as coplanar or collinear
 WEAK_RANGES = 5.0  # m per m above which a coordinate counts as weakly determined
 WEAK_ANGLES = 0.5  # m per degree
 POINTS = 400  # positions at which dilution is evaluated, at most
@@ -172,8 +171,8 @@ def _flat(places: np.ndarray, known_height: bool, least: int = 3) -> Iterator[Ch
         message = "the anchors are collinear: positions on a circle around their line cannot be distinguished"
     elif dimension == "plane" and abs(normal[2]) > 0.7:
         message = "the anchors are coplanar: the height is weakly determined and may be mirrored at their plane"
-        if known_height:
-            level, message = "info", f"{message} (the height of the tags is known)"
+        known = "the height of the tags is known" if known_height else SAY_SIDE
+        level, message = "info" if known_height else level, f"{message} ({known})"
     elif dimension == "plane":
         message = "the anchors are coplanar in a vertical plane: positions may be mirrored at it"
     else:
