@@ -90,15 +90,6 @@ def test_the_fit_of_an_own_tracker_finds_the_noise_of_its_sensors(example):
     assert left["error"].std() < 0.4 * left["pressure"][:, 0].std()
 
 
-@pytest.mark.slow
-def test_the_watch_names_the_anchor_that_was_moved_and_when(example):
-    left = example("watch_site")
-    cause = left["watch"].cause
-    assert (cause.name, cause.sources[0].name) == ("moved", left["MOVED"])
-    assert left["watch"].onset_s == pytest.approx(left["AT_S"], abs=15.0)
-    np.testing.assert_allclose(cause.size, left["BY"][: len(cause.size)], atol=0.12)
-
-
 def test_days_with_more_obstructions_have_larger_errors_and_innovations(example, tmp_path):
     left = example("recordings_to_pandas")
     assert left["summary"]["rmse_m"].corr(left["summary"]["nis_per_dof"], method="spearman") > 0.5
@@ -132,4 +123,4 @@ def test_the_pictures_of_the_gallery_are_small_and_all_shown():
     shown = re.findall(r"\]\(gallery/([\w-]+\.png)\)", (ROOT / "docs" / "gallery.md").read_text("utf-8"))
     assert sorted(shown) == [path.name for path in pictures]
     assert max(path.stat().st_size for path in pictures) < LARGEST
-    assert len(EXAMPLES) == 8
+    assert len(EXAMPLES) == 7

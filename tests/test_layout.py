@@ -32,7 +32,7 @@ def _part(module):
             return f"core.{beyond.partition('.')[0]}"
         known = ("core", "programs", "recordings", "parts", "evaluation", "exchange", "conformance", *SYSTEMS)
         return inside if inside in known else "trackers"
-    if module.startswith(("tuning.design", "tuning.survey", "tuning.watch")):
+    if module.startswith(("tuning.design", "tuning.survey")):
         return module.split(".")[1]
     if package == "experiments":
         return f"experiments.{rest.partition('.')[0]}"
@@ -62,12 +62,11 @@ MAY_IMPORT = {
     "tuning": {*BASE, "tuning"},
     "design": {*BASE, *SYSTEMS, "tuning", "design"},
     "survey": {*LIBRARY, "tuning", "survey"},
-    "watch": {*LIBRARY, "tuning", "watch"},
 }
 LAYERS = ("text", "jobs", "monte_carlo", "pages", "cli", "lab")
 """The folders of experiments; each imports itself and those before it."""
 
-OUTSIDE = {*LIBRARY, "sim", "tuning", "design", "survey", "watch"}
+OUTSIDE = {*LIBRARY, "sim", "tuning", "design", "survey"}
 for count, layer in enumerate(LAYERS, 1):
     MAY_IMPORT[f"experiments.{layer}"] = {
         *OUTSIDE,

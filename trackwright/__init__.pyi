@@ -139,8 +139,6 @@ from trackwright.tuning.survey.surveying import survey as survey
 from trackwright.tuning.sweeping import sweep as sweep
 from trackwright.tuning.tuned_file import read_tuned as read_tuned
 from trackwright.tuning.tuned_file import write_tuned as write_tuned
-from trackwright.tuning.watch.result import Watch as Watch
-from trackwright.tuning.watch.watching import watch as watch
 
 __version__: str
 
@@ -282,12 +280,10 @@ __all__ = [
     "StateLogLikelihood",
     "PITUniformity",
     "Weighted",
-    # systematic errors of stations and anchors, positions of anchors without truth, changes of a site, tuned files
+    # systematic errors of stations and anchors, positions of anchors without truth, tuned files
     "calibrate",
     "survey",
     "Survey",
-    "watch",
-    "Watch",
     "read_tuned",
     "write_tuned",
     # modules

@@ -17,7 +17,6 @@ COMMANDS = {
     "import": "cli.import_source:import_source",
     "check": "cli.check:check",
     "survey": "cli.survey:survey",
-    "watch": "cli.watch:watch",
     "calibrate": "cli.check:calibrate_recordings",
     "track": "cli.track:track",
     "evaluate": "cli.track:evaluate_tracks",

@@ -198,8 +198,6 @@ class TrackOptions(TrackerOptions):
         protection: an output folder of `track`, tracked as this run is, of other recordings of the site with truth that
             no calibration or fit has seen; several give protection levels, the radius that holds the true position.
         probability: that of the protection levels.
-        watch: a recording folder of the site in normal operation; several are a baseline with which it is told whether
-            the site has changed since, with exit code 1, and from when on no protection level holds.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself, as --keep-going does, on a Dask cluster, tcp://HOST:8786, or in
             processes here, local:4.
@@ -219,7 +217,6 @@ class TrackOptions(TrackerOptions):
     errors: Literal["given", "auto"] | None = None
     protection: tuple[Folder, ...] = ()
     probability: float = 0.999
-    watch: tuple[Folder, ...] = ()
     seed: int = 0
     cluster: Address | None = None
     no_figures: bool = False
@@ -257,7 +254,6 @@ class TrackOptions(TrackerOptions):
     def manifest(self, tracker: str) -> dict[str, Any]:
         """What the manifest of a run of this tracker holds of the options."""
         unused = [] if self.protection else ["protection", "probability"]
-        unused += [] if self.watch else ["watch"]
         return self.config("cluster", "force", "keep_going", *unused) | {"tracker": tracker, "set": self.values}
 
 

@@ -10,7 +10,7 @@ import polars as pl
 
 from trackwright.experiments.cli.evaluating import sources
 from trackwright.experiments.cli.options import TrackOptions
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.protection import Protection, protection
 from trackwright.trackers.recordings.atomic import json_text
 from trackwright.trackers.recordings.calibration import read_calibration
@@ -18,7 +18,7 @@ from trackwright.trackers.recordings.folder import read_recordings
 from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.tracks_table import read_tracks
 
-FREE = ("seed", "part", "protection", "probability", "watch")
+FREE = ("seed", "part", "protection", "probability")
 """Options of `track` that evidence need not share."""
 
 FILES = ("noise", "calibration")
@@ -28,8 +28,8 @@ FILES = ("noise", "calibration")
 def protection_of(options: TrackOptions, tracker: str) -> Protection:
     """The protection level from `--protection`, for a run of this tracker.
 
-    Raises UnusableInput as `protection`, for evidence that was tracked otherwise, for a recording of the evidence on
-    which the calibration that tracked it was estimated, and for one that the baseline of `--watch`, if any, lacks.
+    Raises UnusableInput as `protection`, for evidence that was tracked otherwise, and for a recording of the evidence
+    on which the calibration that tracked it was estimated.
     """
     expected = json.loads(json_text(options.manifest(tracker)))
     parts, folders = [], []
@@ -38,13 +38,6 @@ def protection_of(options: TrackOptions, tracker: str) -> Protection:
         recordings = read_recordings(sources(path))  # `track` printed their notices when they were tracked
         _refuse_others(path, expected, {folder.name for folder in recordings})
         folders += recordings
-    watched = {path.resolve() for path in options.watch}
-    lacking = [folder.name for folder in folders if folder.path is None or folder.path.resolve() not in watched]
-    if watched and lacking:
-        raise UnusableInput(
-            f"--watch: lacks {listed(lacking)}, evidence of --protection; expected all of it in the baseline: a change "
-            "since is not seen otherwise"
-        )
     tracks = pl.concat(parts, how="diagonal_relaxed")
     return protection(tracks, folders, options.probability)
 

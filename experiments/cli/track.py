@@ -30,11 +30,10 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
     with json_alone(options.json) as put, stages("track") as begin:
         begin("reading")
         archive = archive_of(recordings, options.keep_going or options.cluster is not None)
-        for name in ("protection", "watch"):
-            if archive is not None and getattr(options, name):
-                raise UnusableInput(
-                    f"--{name}: applies to single recordings, found an archive; track them by themselves"
-                )
+        if archive is not None and options.protection:
+            raise UnusableInput(
+                "--protection: applies to single recordings, found an archive; track them by themselves"
+            )
         if archive is None:
             usable, refused = usable_recordings(recordings, options.force, options.used.calibration is not None)
             folders = prepared(usable, options.used)
@@ -45,13 +44,9 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
             from trackwright.experiments.cli.archive import track_archive
 
             return track_archive(archive, options, started, begin, put)
-        from trackwright.experiments.cli.tracking import track_folders, watch_of
+        from trackwright.experiments.cli.tracking import track_folders
 
-        watch = None
-        if options.watch:
-            begin("watching")
-            watch = watch_of(options, usable)
-        return track_folders(folders, refused, options, started, begin, put, watch)
+        return track_folders(folders, refused, options, started, begin, put)
 
 
 DEFAULTS = EvaluateOptions()

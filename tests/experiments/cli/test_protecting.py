@@ -47,7 +47,6 @@ def test_levels_are_a_column_a_metric_a_condition_and_a_figure(tracked, tmp_path
         (["--protection", "of-0", "--smooth"], ["was tracked with smooth False, this run has True"]),
         (["--protection", "0"], ["tracks.parquet: no such file"]),
         (["--protection", "of-0", "--keep-going"], ["--protection: applies to single recordings, found an archive"]),
-        (["--watch", "0", "--keep-going"], ["--watch: applies to single recordings, found an archive"]),
     ],
 )
 def test_evidence_that_does_not_fit_is_refused(tracked, tmp_path, options, words):
