@@ -81,8 +81,6 @@ from trackwright.trackers.core.run.tracker import TrackerState as TrackerState
 from trackwright.trackers.core.run.tracker import filter_batch as filter_batch
 from trackwright.trackers.evaluation.evaluate import Evaluation as Evaluation
 from trackwright.trackers.evaluation.evaluate import evaluate as evaluate
-from trackwright.trackers.evaluation.protection import Protection as Protection
-from trackwright.trackers.evaluation.protection import protection as protection
 from trackwright.trackers.from_arrays import bearing_recording as bearing_recording
 from trackwright.trackers.from_arrays import fix_recording as fix_recording
 from trackwright.trackers.from_arrays import phase_recording as phase_recording
@@ -180,8 +178,6 @@ __all__ = [
     "Status",
     "evaluate",
     "Evaluation",
-    "protection",
-    "Protection",
     # trackers ready to run on arrays
     "fix_tracker",
     "singer_tracker",

@@ -195,9 +195,6 @@ class TrackOptions(TrackerOptions):
         errors: auto scales the covariances to the errors of this recording (several levels of biases, weighted by how
             well they predict the readings); given takes the noise levels as they are. By default auto for uwb without
             --calibration, --noise, --set, --smooth and --motion auto.
-        protection: an output folder of `track`, tracked as this run is, of other recordings of the site with truth that
-            no calibration or fit has seen; several give protection levels, the radius that holds the true position.
-        probability: that of the protection levels.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself, as --keep-going does, on a Dask cluster, tcp://HOST:8786, or in
             processes here, local:4.
@@ -215,8 +212,6 @@ class TrackOptions(TrackerOptions):
     lag: Seconds | None = None
     motion: Literal["given", "auto"] = "given"
     errors: Literal["given", "auto"] | None = None
-    protection: tuple[Folder, ...] = ()
-    probability: float = 0.999
     seed: int = 0
     cluster: Address | None = None
     no_figures: bool = False
@@ -234,8 +229,6 @@ class TrackOptions(TrackerOptions):
             )
         if not 0 <= self.seed < 2**64:
             raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
-        if not 0.5 <= self.probability < 1.0:
-            raise UnusableInput(f"--probability {self.probability:g}: expected a number from 0.5 to below 1, as 0.999")
 
     @property
     def file(self) -> Path | None:
@@ -253,8 +246,7 @@ class TrackOptions(TrackerOptions):
 
     def manifest(self, tracker: str) -> dict[str, Any]:
         """What the manifest of a run of this tracker holds of the options."""
-        unused = [] if self.protection else ["protection", "probability"]
-        return self.config("cluster", "force", "keep_going", *unused) | {"tracker": tracker, "set": self.values}
+        return self.config("cluster", "force", "keep_going") | {"tracker": tracker, "set": self.values}
 
 
 @OPTIONS

@@ -30,10 +30,6 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
     with json_alone(options.json) as put, stages("track") as begin:
         begin("reading")
         archive = archive_of(recordings, options.keep_going or options.cluster is not None)
-        if archive is not None and options.protection:
-            raise UnusableInput(
-                "--protection: applies to single recordings, found an archive; track them by themselves"
-            )
         if archive is None:
             usable, refused = usable_recordings(recordings, options.force, options.used.calibration is not None)
             folders = prepared(usable, options.used)

@@ -189,11 +189,6 @@ def _track(
     heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
     if heights and not named.spec.bearing_only:
         notice(f"height: known from rig.toml for {counted(heights, 'tag')} and used; estimate it with --free-height")
-    protection = None
-    if options.protection:
-        from trackwright.experiments.cli.protecting import protection_of
-
-        protection = protection_of(options, name)
     output_folder(out)
     give_back()
     advance = begin("tracking", sum(len(batch.trajectories) for batch in batches))
@@ -201,8 +196,6 @@ def _track(
     give_back()
     begin("errors and events")
     table, summaries = tracks.table, tracks.summaries
-    if protection is not None:
-        table = protection.applied(table)
     atomic_write(out / TRACKS, partial(write_tracks, table))
     happened = events_of(table, named.spec, batches)
     atomic_write(out / EVENTS, happened.write_parquet)
@@ -220,8 +213,6 @@ def _track(
             print(f"Without truth: {uncapitalised(sentence)}")
     elif of == 1:
         print(to_text(evaluation, terminal_width()), end="")
-    if protection is not None:
-        print(f"{protection}.")
     metrics = to_json(evaluation)
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)

@@ -22,7 +22,6 @@ CASES = (
     "bearing_surveys",
     "bearing_surveys:real_bearing_surveys",
     "offsets",
-    "protection_levels",
     "track_loss",
     "bag_tour",
     "promises",

@@ -50,7 +50,6 @@ PROMISES = {
     "refused": Promise(
         "what readings do not determine is refused or marked, not guessed",
         f"{TESTS} {FITS} tests/tuning/test_uncertainty.py tests/tuning/test_survey.py tests/trackers/fusion "
-        "tests/trackers/evaluation/test_protection.py "
         "-k 'undetermined or no_interval or refuses or cannot_support or no_start'",
     ),
     "coverage": Promise(
