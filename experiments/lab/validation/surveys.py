@@ -23,11 +23,10 @@ from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chos
 from trackwright.experiments.lab.validation.sites import recorded
 from trackwright.experiments.text.terminal import progress
 from trackwright.trackers.core.data.consistency import NORMAL
-from trackwright.tuning.survey.anchors import Ranges
 from trackwright.tuning.survey.frames import aligned, frame_of
-from trackwright.tuning.survey.result import AnchorSurvey, Survey
+from trackwright.tuning.survey.result import Survey
 from trackwright.tuning.survey.solving import FISHER
-from trackwright.tuning.survey.surveying import survey
+from trackwright.tuning.survey.surveying import delays_before, survey
 from trackwright.tuning.survey.walks import walks_of
 
 SURVEYS = 200
@@ -38,9 +37,6 @@ SCALE, DOF, LASTING, LASTS = 0.1, 4.0, 0.05, 3.0
 HEIGHTS: Mapping[str, tuple[float | None, ...]] = {"space": (None,), "one height": (1.2,), "two heights": (0.5, 1.9)}
 SECONDS, RATE = 90.0, 4.0
 """Duration of all walks of a survey, and epochs a second."""
-
-DIFFERENCE_SURVEYS, ROUGH = 20, 0.15
-"""Surveys with range differences, and the standard deviation, m, of the positions that they refine."""
 
 REAL = {
     "starloc-fast": (("starloc-fast-s1",), 1.7),
@@ -79,45 +75,6 @@ def real_surveys(*sites: str, output: Output = DEFAULTS) -> int:
     return 0
 
 
-def difference_surveys(*, output: Output = DEFAULTS) -> int:
-    """Rough positions of anchors refined by range differences: simulated rooms, and flights; 1 if intervals fail."""
-    keep_programs()
-    worlds = {"clear": 0.0, "hidden for a tenth of the time": 0.1}
-    rows = []
-    for name, hidden in worlds.items():
-        seeds = range(1 if output.small else DIFFERENCE_SURVEYS)
-        folders = [[tw.simulate.tdoa(n=1, rows=900, seed=seed, hidden=hidden).folder()] for seed in seeds]
-        rows.append(_refined(f"simulated, {name}", folders))
-    flights = [[flight] for flight in recorded("util-*")]
-    if flights and not output.small:
-        # Of several rough rigs each: a flight is one sample of its errors.
-        rows += [_refined(flight[0].name, [flight] * 5) for flight in flights]
-    output.publish("validation difference-surveys", Table(rows, note="Errors: root mean squares of a coordinate."))
-    return int(not output.small and any(row["inside 95 %"] < COVERED[0] for row in rows[: len(worlds)]))
-
-
-def _refined(name: str, sites: Sequence[Sequence[tw.RecordingFolder]]) -> Row:
-    """The errors of anchors of `sites`, displaced by `ROUGH`, before and after a survey."""
-    before, after, scaled, seconds = [], [], [], []
-    for seed, folders in enumerate(sites):
-        true = folders[0].rig.anchors
-        random = np.random.default_rng([seed, 36])
-        rough = {anchor: at + ROUGH * random.standard_normal(3) for anchor, at in true.items()}
-        began = time.process_time()
-        found = survey([replace(f, rig=replace(f.rig, anchors=rough)) for f in folders], given="all", sigma=ROUGH)
-        seconds.append(time.process_time() - began)
-        places = np.stack([true[anchor] for anchor in found.names])
-        before.append(np.stack([rough[anchor] for anchor in found.names]) - places)
-        after.append(found.positions - places)
-        scaled.append(after[-1] / found.half_widths[:, :3])
-    size_before, size_after = (100.0 * float(np.sqrt(np.mean(np.square(of)))) for of in (before, after))
-    return {
-        "site": name, "surveys": len(sites), "given, cm": size_before, "surveyed, cm": size_after,
-        "ratio": size_after / size_before, "inside 95 %": 100.0 * float(np.mean(np.abs(scaled) < 1.0)),
-        "s": float(np.median(seconds)),
-    }  # fmt: skip
-
-
 def _row(walk: str, lasting: float, rows: Sequence[Row]) -> Row:
     z, bound = (np.concatenate([row[key] for row in rows]) for key in ("z", "over bound"))
     covered = 100.0 * float(np.mean(np.abs(z) < NORMAL)) if len(z) else np.nan
@@ -139,7 +96,6 @@ def simulated_survey(seed: int, walk: str, lasting: float) -> Row:
     began = time.process_time()
     found = survey(folders)
     seconds = time.process_time() - began
-    assert isinstance(found, AnchorSurvey)
     turn, shift = frame_of(anchors[:3], np.concatenate(paths), walk != "space")
     true = anchors @ turn.T + shift
     if walk == "space" and np.abs(found.positions - true * [1, 1, -1]).sum() < np.abs(found.positions - true).sum():
@@ -160,7 +116,7 @@ def simulated_survey(seed: int, walk: str, lasting: float) -> Row:
 
 
 def _bound(
-    found: AnchorSurvey,
+    found: Survey,
     folders: Sequence[tw.RecordingFolder],
     paths: Sequence[np.ndarray],
     true: np.ndarray,
@@ -171,7 +127,7 @@ def _bound(
     Errors that last are normal and unknown beside anchors and paths: of the readings of an anchor, those of Student's t
     count as normal ones of the same Fisher information.
     """
-    precision = Ranges().prior(len(true)).precision
+    precision = delays_before(len(true)).precision
     for walk, path, density in zip(walks_of(folders, found.names, None), paths, found.densities, strict=True):
         times = np.arange(len(path)) / RATE
         offset = np.column_stack([np.interp(walk.times, times, column) for column in path.T]) - true[walk.anchor]
