@@ -13,7 +13,6 @@ from trackwright.trackers.core.errors import UnusableInput
 ABOUT = "Trackers for wireless indoor positioning: how accurate, with which noise levels?"
 
 COMMANDS = {
-    "plan": "cli.plan:plan",
     "import": "cli.import_source:import_source",
     "check": "cli.check:check",
     "survey": "cli.survey:survey",
