@@ -101,6 +101,17 @@ def test_the_planned_bound_is_that_of_cramer_and_rao_and_the_gradient_lowers_it_
     assert left["means"]["moved along the walls"] < 1.02 * left["over"](corners, left["places"]).mean()
 
 
+@pytest.mark.slow
+def test_fastening_points_are_told_apart_from_the_spacing_on_that_the_papers_name(example):
+    found = example("worksteps", 8)["found"]
+    for tracker in ("direct", "cascade"):
+        assert found[tracker, "named right"][0.005] < 0.5
+        assert found[tracker, "unlocked right"][0.005] < 0.05
+    for tracker in ("uwb", "uwb-imu"):
+        assert found[tracker, "named right"][0.2] > 0.85
+        assert found[tracker, "unlocked wrong"][0.2] < 0.05
+
+
 def test_days_with_more_obstructions_have_larger_errors_and_innovations(example, tmp_path):
     left = example("recordings_to_pandas")
     assert left["summary"]["rmse_m"].corr(left["summary"]["nis_per_dof"], method="spearman") > 0.5
@@ -134,4 +145,4 @@ def test_the_pictures_of_the_gallery_are_small_and_all_shown():
     shown = re.findall(r"\]\(gallery/([\w-]+\.png)\)", (ROOT / "docs" / "gallery.md").read_text("utf-8"))
     assert sorted(shown) == [path.name for path in pictures]
     assert max(path.stat().st_size for path in pictures) < LARGEST
-    assert len(EXAMPLES) == 8
+    assert len(EXAMPLES) == 9

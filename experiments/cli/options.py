@@ -436,10 +436,6 @@ class EvaluateOptions:
             default: the tracked recordings.
         json: print all metrics as JSON instead of a table.
         fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
-        worksteps: a table of fastening points, name, x_m, y_m and optionally z_m; adds how often the tool is
-            unlocked at the right one.
-        tolerance: distance to a fastening point, m, up to which the tool is at it; default: half the smallest distance
-            between two points.
         cluster: score each recording of an archive on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
     """
 
@@ -447,8 +443,6 @@ class EvaluateOptions:
     used: PartOptions = field(default_factory=PartOptions)
     json: bool = False
     fail_if: Annotated[str, Parameter(metavar="CONDITION")] | None = None
-    worksteps: File | None = None
-    tolerance: Annotated[float, Parameter(metavar="M")] | None = None
     cluster: Address | None = None
     poses: PoseOptions = field(default_factory=PoseOptions)
 

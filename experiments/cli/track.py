@@ -58,11 +58,7 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
         folder: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
             tag, which --tag names.
     """
-    poses, truth, worksteps = options.poses, options.truth, options.worksteps
-    if options.tolerance is not None and worksteps is None:
-        raise UnusableInput(
-            f"--tolerance {options.tolerance:g}: applies to fastening points; expected --worksteps POINTS too"
-        )
+    poses, truth = options.poses, options.truth
     if not folder.exists():
         raise UnusableInput(
             f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"
@@ -72,9 +68,9 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
     from trackwright.trackers.recordings.tracks_table import TRACKS
 
     if is_archive(folder):
-        if poses.given or truth or worksteps is not None:
+        if poses.given or truth:
             raise UnusableInput(
-                f"{folder}: is an archive; expected no --truth, --worksteps and trajectory options; "
+                f"{folder}: is an archive; expected no --truth and trajectory options; "
                 f"evaluate one of {folder / RECORDINGS}/*/*"
             )
         # jax takes a second to import, which the help and a refused folder need not wait for.
@@ -86,8 +82,6 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
     if options.cluster is not None:
         raise UnusableInput(f"--cluster {options.cluster}: {folder} is no archive; leave --cluster out")
     if folder.is_file() or poses.given or not all(path.is_dir() for path in truth):
-        if worksteps is not None:
-            raise UnusableInput("--worksteps: applies to a folder of `track`, without trajectory options and files")
         known = truth if truth or folder.is_file() else sources(folder)
         return evaluate_poses(folder, known, options)
     return evaluate_folder(folder, options)

@@ -94,16 +94,11 @@ def tuned(seed: int, number: int, place: Path) -> tuple[str, str, int]:
 
 
 def toml_read(seed: int, number: int, place: Path) -> tuple[str, str, int]:
-    """A broken file of tuned values, calibration, mapping, study or points through the command that reads it."""
+    """A broken file of tuned values, calibration, mapping or study through the command that reads it."""
     draw, good = damage(seed, number), stores() / "good"
-    kind = pick(draw, ("tuned", "calibration", "study", "mapping", "points"))
+    kind = pick(draw, ("tuned", "calibration", "study", "mapping"))
     path, out = place / f"{kind}.toml", place / "out"
     quick = ("--no-figures", "--no-report", "--out", out)
-    if kind == "points":
-        path = path.with_suffix(".csv")
-        path.write_text(POINTS)
-        words = broken_file(draw, path)
-        return words, *faults_of(("evaluate", stores() / "run", "--worksteps", path), place, out)
     path.write_bytes(
         broken_toml(draw, {"tuned": TUNED, "calibration": CALIBRATION, "study": STUDY, "mapping": MAPPING}[kind])
     )

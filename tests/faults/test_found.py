@@ -15,7 +15,6 @@ from trackwright.experiments.text.tables import width_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.tracks_table import source_paths
-from trackwright.trackers.worksteps.tracks import read_points
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.optimisers import Adam
 
@@ -123,12 +122,6 @@ def test_a_line_of_another_system_within_a_table_with_semicolons_is_refused(tmp_
 def test_a_checkpoint_of_another_number_of_arrays_is_no_state_of_a_fit(count):
     with pytest.raises(UnusableInput, match=rf"checkpoint.npz: holds {count} arrays, .*begin anew"):
         from_arrays(Adam(3), [np.zeros((2, 3))] * count)
-
-
-def test_points_beyond_all_coordinates_are_refused(tmp_path):
-    (tmp_path / "points.csv").write_text("name,x_m,y_m\nP1,1e200,0\nP2,1,1\n")
-    with pytest.raises(UnusableInput, match="row 1 .*column x_m: '1e200', expected a finite number, m, at most"):
-        read_points(tmp_path / "points.csv")
 
 
 def test_hundreds_of_unknown_columns_are_one_notice(tmp_path):

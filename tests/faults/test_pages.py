@@ -59,12 +59,6 @@ def test_pages_of_tracks_escape_every_name(marked, tmp_path):
     _check_pages(tmp_path / "out", 2)
 
 
-def test_the_page_of_a_plan_escapes_every_name(marked, tmp_path):
-    said = trackwright("plan", marked, "--out", tmp_path / "plan")
-    assert said.code == 0, said
-    _check_pages(tmp_path / "plan", 1)
-
-
 @pytest.mark.slow
 def test_pages_of_a_fit_and_a_calibration_escape_every_name(marked, tmp_path):
     few = ("--steps", 2, "--starts", 1, "--force")

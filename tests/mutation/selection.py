@@ -29,7 +29,6 @@ NOT_NUMERIC = (
     # The laboratory: what it prints is compared with committed pages by its own commands, not by tests.
     "experiments/lab/bench",
     "experiments/lab/papers",
-    "experiments/lab/questions",
     "experiments/lab/validation",
 )
 """Files, messages and the laboratory: no figure of the product depends on them."""
