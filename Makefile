@@ -1,4 +1,4 @@
-# Targets: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers benchmark bench-gpu clean. Each makes the environment it needs.
+# Targets: env demo test test-slow digests lint docs gallery papers bench bench-peers benchmark bench-gpu clean. Each makes the environment it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -7,7 +7,7 @@ GPU := .venv-gpu/bin
 DOCS := .venv-docs/bin
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
-.PHONY: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers benchmark bench-gpu clean
+.PHONY: env demo test test-slow digests lint docs gallery papers bench bench-peers benchmark bench-gpu clean
 
 env: .venv/installed
 
@@ -45,7 +45,7 @@ test: env
 test-slow: env
 	XLA_FLAGS=--xla_backend_optimization_level=0 $(BIN)/python -m pytest -m slow
 
-# Of changed lines alone: make mutate MUTATE='--since origin/main'
+# Of changed lines alone: make MUTATE='--since origin/main'
 mutate: env
 	$(BIN)/python -m tests.mutation $(MUTATE)
 

@@ -96,19 +96,6 @@ def test_metrics_that_no_command_wrote_are_refused(tmp_path, change):
     assert_refused(said, "a/evaluation.json: cannot be read")
 
 
-def test_a_kind_of_world_that_is_a_list_is_refused(tmp_path):
-    (tmp_path / "study.toml").write_text("[worlds.line]\nkind = [1]\n[trackers.fix-kf]\n")
-    said = trackwright("study", tmp_path / "study.toml", "--out", tmp_path / "out")
-    assert_refused(said, "worlds.line: kind '[1]' is unknown")
-
-
-@pytest.mark.parametrize("number", ["inf", "nan", "1" + "0" * 400])
-def test_a_number_of_a_study_beyond_all_floats_is_refused(tmp_path, number):
-    (tmp_path / "study.toml").write_text(f"[worlds.line]\nrate_hz = {number}\n[trackers.fix-kf]\n")
-    said = trackwright("study", tmp_path / "study.toml", "--out", tmp_path / "out")
-    assert_refused(said, "worlds: rate_hz = ", "expected a finite number")
-
-
 def test_a_line_of_another_system_within_a_table_with_semicolons_is_refused(tmp_path):
     (tmp_path / "log.csv").write_bytes(b"t_s;x_m;y_m\n0;1\r2;3\n")
     said = trackwright(

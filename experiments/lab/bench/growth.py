@@ -20,7 +20,7 @@ from trackwright.experiments.lab.bench.timing import apart, cold_and_warm
 from trackwright.experiments.lab.benchmark.adapters import with_filterpy
 from trackwright.experiments.lab.benchmark.adapters.plain import filtered
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
-from trackwright.experiments.lab.validation.track_loss import kidnapped_walk
+from trackwright.experiments.lab.kidnapped import kidnapped_walk
 from trackwright.experiments.lab.verify.worlds import NEVER_LOST
 from trackwright.sim import worlds
 from trackwright.trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_tracker
@@ -192,7 +192,7 @@ def inertial(version: str, size: int) -> Run:
 
 
 def bearings(version: str, size: int) -> Run:
-    """Walks as `experiments.lab.validation.track_loss` simulates them, with drifting biases in the state or without."""
+    """Walks as `experiments.lab.kidnapped` simulates them, with drifting biases in the state or without."""
     batch = stack([kidnapped_walk(seed, "bearings").recording for seed in range(size)])
     tracker = bearing_tracker(4, planar=True)
     if version == "constant velocity":

@@ -27,16 +27,13 @@ PARTS = {
     "bench.studies": ("--tracker", "fix-kf", "uwb"),
     "bench.recordings": ("--recordings", "labyrinth", "--smooth"),
     "validation.default_levels": ("bearings",),
-    "validation.peer_levels": ("--kind", "fixes"),
     "validation.tuned_sites": ("--site", "isas", "--seconds", "10"),
-    "validation.envelope": ("fix-kf",),
     "validation.nis_expectation": ("fix-kf",),
     "validation.recovery": ("C",),
-    "validation.promises": ("mutations",),
 }
 """Arguments of those whose other parts take long, or need libraries that are no dependencies."""
 
-ELSEWHERE = ("bench.gpu", "validation.real_recordings", "validation.bag_tour")
+ELSEWHERE = ("bench.gpu", "validation.real_recordings")
 """Those that tests of their own run."""
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from tests.faults.values import MARKUP
 from tests.faulty import RIG, good_tables
 from tests.in_process import trackwright
 
-TAG = "T1" + MARKUP
+MARKUP = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
+"""Text that a page has to escape."""
 
 
 def _named(name: str) -> str:

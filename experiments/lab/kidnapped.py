@@ -1,10 +1,4 @@
-"""False alarms and delays of track loss, by simulation.
-
-Walks in a room of 12 by 6 m, with ranges or with bearings whose errors have Student's t distribution; halfway each tag
-is carried 6.7 m away at once. Measured are the tracks lost before that, which are false alarms, the share lost within
-5 s after it, the median delay, and the median error 1 and 3 s after it, with the score test and without. Then the
-tracks lost in worlds of `tw.simulate`, all of them false alarms. Noise levels are the trackers' defaults.
-"""
+"""Walks of tags that are carried away, and how soon the loss of their track is found."""
 
 from __future__ import annotations
 
@@ -13,19 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 import trackwright as tw
-from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.recordings.rig_file import mounted
 
-TRAJECTORIES = 500
 RATE_HZ, SECONDS, HEIGHT = 8.0, 60.0, 1.1
 SIZE = np.array([12.0, 6.0])
 CORNERS = np.array([[0.0, 0.0, 2.3], [12.0, 0.0, 2.3], [12.0, 6.0, 2.3], [0.0, 6.0, 2.3]])
 PATIENCE_S, JUDGED_S = 5.0, (1.0, 3.0)
 """Longest delay that counts as a detection, and times after the kidnapping at which errors are taken, s."""
-
-NEVER = 1e9
-"""A limit of the score that no track reaches, nats."""
 
 
 class Walk(NamedTuple):
@@ -102,29 +91,3 @@ def detection(sensor: str, trajectories: int, score_limit: float | None = None) 
     after = np.array(delays)
     medians = tuple(float(e) for e in np.median(errors, axis=0))
     return Detection(before, float(np.mean(after <= PATIENCE_S)), float(np.median(after)), medians)
-
-
-def lost(folder: tw.RecordingFolder, tracker: str) -> tuple[int, int, int]:
-    """The tags of a recording folder, their rows, and the tags whose track is lost."""
-    table = tw.build(tracker, folder).run(folder).to_polars()
-    restarted = table.filter(table["status"].is_in(["lost", "restarted"]))
-    return table["tag"].n_unique(), len(table), restarted["tag"].n_unique()
-
-
-def track_loss(*, output: Output = DEFAULTS) -> int:
-    """False alarms and delays of track loss, on simulated tags that are carried away, and in worlds where none is."""
-    count, walks, worlds = 20 if output.small else TRAJECTORIES, list[Row](), list[Row]()
-    for sensor in ("ranges", "bearings"):
-        for label, limit in (("score", None), ("none", NEVER)):
-            result = detection(sensor, count, limit)
-            errors = {f"error m after {t:g} s": e for t, e in zip(JUDGED_S, result.errors, strict=True)}
-            delay = result.delay if np.isfinite(result.delay) else None
-            lost_of = {"lost before": result.false_alarms, "detected %": 100 * result.detected, "delay s": delay}
-            walks.append({"walks": sensor, "test": label, **lost_of, **errors})
-    for make, tracker in ((tw.simulate.ranges, "uwb"), (tw.simulate.tool, "uwb"), (tw.simulate.tool, "uwb-imu")):
-        tags, rows, gone = lost(make(n=count, seed=7).folder(), tracker)
-        worlds.append({"world": make.__name__, "tracker": tracker, "tags": tags, "rows": rows, "tags lost": gone})
-    output.publish(
-        "validation track-loss", Table(walks, f"{count} tags carried away"), Table(worlds, "none carried away")
-    )
-    return 0
