@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from trackwright.experiments.cli.options import EvaluateOptions, Recording, TrackOptions
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions, Recording, TrackOptions
+from trackwright.trackers.core.errors import UnusableInput, listed
 
 
 def track(*recordings: Recording, options: TrackOptions) -> int:
@@ -48,17 +49,32 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
 DEFAULTS = EvaluateOptions()
 
 
-def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> int:
-    """Error metrics of estimates against truth; exit 1 by --fail-if.
+def evaluate_tracks(*folders: Recording, options: EvaluateOptions = DEFAULTS) -> int:
+    """Error metrics of estimates against truth, or runs compared; exit 1 by --fail-if.
 
     By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, KITTI, EuRoC, or a table
-    with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
+    with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo. Of
+    several runs: metrics, differences from the first, a page and figures.
 
     Args:
-        folder: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
-            tag, which --tag names.
+        folders: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
+            tag, which --tag names; or two or more output folders of `track`, or of `study`, to compare.
     """
     poses, truth = options.poses, options.truth
+    if len(folders) > 1:
+        alone = EvaluateOptions(json=options.json, metrics=options.metrics, format=options.format)
+        if options != replace(alone, poses=PoseOptions(out=poses.out)):
+            raise UnusableInput(
+                f"{listed(map(str, folders))}: are compared; expected --out, --metrics, --format and --json alone"
+            )
+        from trackwright.experiments.cli.comparing import COMPARISON, print_comparison
+
+        out = (poses.out or Path("out")) / COMPARISON
+        print_comparison(folders, out, options.format, options.metrics, options.json)
+        return 0
+    if options.metrics or options.format != DEFAULTS.format:
+        raise UnusableInput(f"{folders[0]}: is one run; expected --metrics and --format with two or more to compare")
+    (folder,) = folders
     if not folder.exists():
         raise UnusableInput(
             f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"

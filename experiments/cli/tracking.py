@@ -151,7 +151,7 @@ def track_folders(
             pages += [] if page is None else [page]
         if of > 1:
             begin("comparison")
-            from trackwright.experiments.cli.report import COMPARISON, print_comparison
+            from trackwright.experiments.cli.comparing import COMPARISON, print_comparison
 
             if pages:
                 _write_page(options.out, pages)

@@ -80,7 +80,7 @@ def test_results_that_no_study_wrote_are_refused(tmp_path, content):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "results.json").write_text(json.dumps(content))
-    said = trackwright("report", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
+    said = trackwright("evaluate", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
     assert_refused(said, "a/results.json: cannot be read", "run the study")
 
 
@@ -92,7 +92,7 @@ def test_metrics_that_no_command_wrote_are_refused(tmp_path, change):
         (tmp_path / name).mkdir()
         content = {"kind": "position", "overall": {"rmse_m": 1.0}, "recordings": [], **change}
         (tmp_path / name / "evaluation.json").write_text(json.dumps(content))
-    said = trackwright("report", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
+    said = trackwright("evaluate", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
     assert_refused(said, "a/evaluation.json: cannot be read")
 
 

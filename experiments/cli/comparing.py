@@ -1,38 +1,13 @@
-"""`trackwright report`."""
+"""Comparison of runs: what `evaluate` does with several, and `track` with several trackers."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
-
-from trackwright.experiments.cli.options import FigureFormat, File, Recording
 
 COMPARISON = "comparison.html"
 """The page that `track` writes where it ran several trackers."""
-
-
-def report(
-    *runs: Recording,
-    out: File = Path("out") / COMPARISON,
-    metrics: tuple[Annotated[str, Parameter(metavar="METRIC")], ...] = (),
-    format: FigureFormat = "png",
-    json: bool = False,
-) -> int:
-    """Compare runs: metrics, differences from the first, a page, figures.
-
-    Args:
-        runs: two or more output folders of `study`, or two or more of `track`.
-        out: the page to write; figures are written beside it.
-        metrics: of studies: names of the metrics to show, as in results.json.
-        format: of the figures.
-        json: print JSON instead of tables: the tables, and each metric's difference from the first run.
-    """
-    print_comparison(runs, out, format, metrics, json)
-    return 0
 
 
 def print_comparison(
