@@ -130,7 +130,6 @@ from trackwright.tuning.objectives import StateLogLikelihood as StateLogLikeliho
 from trackwright.tuning.objectives import Weighted as Weighted
 from trackwright.tuning.optimisers import LBFGS as LBFGS
 from trackwright.tuning.optimisers import Adam as Adam
-from trackwright.tuning.pit_uniformity import PITUniformity as PITUniformity
 from trackwright.tuning.priors import Prior as Prior
 from trackwright.tuning.survey.result import Survey as Survey
 from trackwright.tuning.survey.surveying import survey as survey
@@ -274,7 +273,6 @@ __all__ = [
     "NegativeLogLikelihood",
     "RootMeanSquareError",
     "StateLogLikelihood",
-    "PITUniformity",
     "Weighted",
     # systematic errors of stations and anchors, positions of anchors without truth, tuned files
     "calibrate",

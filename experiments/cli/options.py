@@ -255,9 +255,9 @@ class TuneOptions(TrackerOptions):
     """What is fitted, how, and what is written.
 
     Args:
-        objective: state-nll, the negative log density of the truth under the reported position and covariance; rmse,
-            nees-shape (need truth as well); nll, the negative log-likelihood, nis-shape (need none); or a sum,
-            e.g. state-nll+0.1*rmse. Default: state-nll where there is truth, else nll.
+        objective: state-nll, the negative log density of the truth under the reported position and covariance, or rmse,
+            which need truth; nll, the negative log-likelihood, which needs none; or a sum, e.g. state-nll+0.1*rmse.
+            Default: state-nll where there is truth, else nll.
         tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
             levels of motion and sensors, and with truth the latency of fixes.
         freeze: patterns of tunables to keep.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -135,10 +135,7 @@ WORSE = 0.02
 """Relative increase above which a metric counts as worse."""
 
 WORSE_BY = 0.01
-"""The same, absolute: in nats, which have no natural zero, and for distances between distributions."""
-
-FAR = 0.1
-"""Distance of NIS or NEES from its distribution (`tuning.pit_uniformity`) above which covariances are misleading."""
+"""The same, absolute: in nats, which have no natural zero."""
 
 ADVICE = "Do not use such values as measurements: freeze or tie these parameters, or record more motion."
 
@@ -181,7 +178,7 @@ def is_worse(metric: MetricChange, pair: tuple[float, float]) -> bool:
     before, after = pair
     if not (math.isfinite(before) and math.isfinite(after)):
         return math.isfinite(before)
-    return after > before + (WORSE * before if metric.unit not in ("nats", "1") else WORSE_BY)
+    return after > before + (WORSE * before if metric.unit != "nats" else WORSE_BY)
 
 
 def is_better(metric: MetricChange, pair: tuple[float, float]) -> bool:
@@ -190,33 +187,19 @@ def is_better(metric: MetricChange, pair: tuple[float, float]) -> bool:
 
 
 def _change(metric: MetricChange, pair: tuple[float, float]) -> str:
-    unit = "" if metric.unit == "1" else f" {metric.unit}"
-    relative = percent_change(*pair) if metric.unit not in ("nats", "1") else ""
+    unit = f" {metric.unit}"
+    relative = percent_change(*pair) if metric.unit != "nats" else ""
     change = f" ({relative})" if relative else ""
     return f"{uncapitalised(metric.title)} changed from {number(pair[0])} to {number(pair[1])}{unit}{change}"
 
 
-def _shapes(data: TuningReportData) -> Iterator[tuple[str, MetricChange]]:
-    """NIS and NEES, where they are known, with the distances from their distributions."""
-    for quantity in ("NIS", "NEES"):
-        metric = data.metric(f"{quantity.lower()}-shape")
-        if metric is not None:
-            yield quantity, metric
-
-
 def _inconsistent(data: TuningReportData) -> list[str]:
-    """Warnings where NIS or NEES is far from its distribution, also where it was before."""
-    warnings = []
-    for quantity, metric in _shapes(data):
-        held_out = math.isfinite(metric.held_out[1])
-        value = (metric.held_out if held_out else metric.training)[1]
-        if value > FAR:
-            where = "held-out recordings" if held_out else "the recordings tuned on"
-            warnings.append(
-                f"{quantity} is far from its distribution on {where} (distance "
-                f"{number(value)}; below {FAR} is acceptable): the reported covariances are wrong there."
-            )
-    return warnings
+    """A warning where the innovations after the fit contradict the noise assumptions."""
+    violated = [] if data.innovations is None else violated_assumptions(data.innovations[1])
+    if not violated:
+        return []
+    assumption = "; and ".join(violated)
+    return [f"The innovations contradict the assumption {assumption}: the reported covariances are wrong there."]
 
 
 def _worse(data: TuningReportData) -> list[str]:
@@ -229,17 +212,6 @@ def _worse(data: TuningReportData) -> list[str]:
     if rmse is not None and is_worse(rmse, rmse.held_out):
         more = f"more than {100 * WORSE:.0f} % worse"
         warnings.append(f"Held-out {_change(rmse, rmse.held_out)}: {more}. {_why(data)}")
-    for quantity, metric in _shapes(data):
-        where = [
-            name
-            for name, pair in (("the recordings tuned on", metric.training), ("held-out recordings", metric.held_out))
-            if is_worse(metric, pair)
-        ]
-        if where:
-            warnings.append(
-                f"{quantity} is further from its distribution than before on {' and '.join(where)}: the reported "
-                "covariances are less reliable than the old ones."
-            )
     return warnings
 
 

@@ -322,4 +322,6 @@ def test_a_truth_along_the_path_of_the_rig_is_fitted_to_the_fixes(tmp_path, monk
     found = known.join(pl.read_parquet("fitted/truth.parquet"), on=["tag", "t_s"])
     assert len(found) > 0.9 * len(known)
     assert ((found["x_m"] - found["x_m_right"]) ** 2).mean() ** 0.5 < 0.5
-    assert_refused_last(trackwright("import", "line", "--path", "--tag", "T1", "--out", "other"), "--path", "--out alone")
+    assert_refused_last(
+        trackwright("import", "line", "--path", "--tag", "T1", "--out", "other"), "--path", "--out alone"
+    )

@@ -146,11 +146,6 @@ def test_a_change_too_small_to_matter_is_shown_in_per_cent():
     ("changes", "words"),
     [
         ({"metrics": _with_metric("rmse", held_out=(0.3, 0.307))}, ("Held-out RMSE", "more than 2 % worse")),
-        (
-            {"metrics": _with_metric("nis-shape", training=(0.1, 0.2))},
-            ("NIS", "on the recordings tuned on", "less reliable"),
-        ),
-        ({"metrics": _with_metric("nis-shape", held_out=(0.1, 0.2))}, ("NIS", "on held-out recordings")),
         ({"metrics": _with_metric("nll", training=(0.1, 0.2))}, ("objective itself got worse",)),
         ({}, ("do not determine start.sigma_start", "freeze or tie")),
         ({"issues": ("a and b are not determined one by one",)}, ("a and b are not", "freeze or tie")),
@@ -164,9 +159,10 @@ def test_what_got_worse_is_said_in_words(changes, words):
 
 def test_the_covariances_of_an_inconsistent_filter_are_not_recommended_even_if_they_improved():
     kept = tuple(n for n in report_data().parameters if n.determined)
-    advice = advice_on(report_data(parameters=kept, metrics=_with_metric("nis-shape", held_out=(0.5, 0.3))))
+    advice = advice_on(report_data(parameters=kept, innovations=(innovations(0.3), innovations(0.55))))
     assert advice.word == "Use the estimates, not the covariances."
-    assert "NIS is far from its distribution on held-out recordings (distance 0.3" in advice.warnings[0]
+    assert advice.warnings[0].startswith("The innovations contradict the assumption ")
+    assert advice.warnings[0].endswith("the reported covariances are wrong there.")
 
 
 def test_the_cautions_of_a_fit_are_warnings():
