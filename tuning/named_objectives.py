@@ -99,7 +99,7 @@ def _evaluated(
     objectives: Mapping[str, AbstractObjective],
     weights: Sequence[Float[np.ndarray, " B"]] | None,
 ) -> dict[str, float]:
-    together = Weighted(tuple(objectives.values()), (1.0,) * len(objectives)).for_tracker(tracker)
+    together = Weighted(tuple(objectives.values()), (1.0,) * len(objectives))
     (sums,) = Problem(tracker, batches, together, [], weights=weights).terms(np.zeros((1, 0)))
     metrics = {}
     for name, objective, terms in zip(objectives, together.parts, together.split(sums), strict=True):

@@ -12,7 +12,14 @@ import pytest
 
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import atomic_write, config_hash, json_text
+from trackwright.trackers.recordings.atomic import (
+    PREFIX,
+    atomic_write,
+    beside,
+    config_hash,
+    json_text,
+    remove_abandoned,
+)
 
 
 def _half_then(error):
