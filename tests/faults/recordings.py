@@ -128,12 +128,10 @@ def flipped(draw: Draw, data: bytes) -> bytes:
 
 
 def cut(draw: Draw, data: bytes) -> bytes:
-    """The beginning alone."""
     return data[: int(draw.integers(len(data) + 1))]
 
 
 def encoded(draw: Draw, data: bytes) -> bytes:
-    """In another encoding."""
     return data.decode("latin-1").encode(pick(draw, ("utf-16", "utf-32", "utf-8-sig", "cp037")), "replace")
 
 
