@@ -19,7 +19,6 @@ from scipy.optimize import minimize
 import trackwright as tw
 from trackwright.experiments.lab.runner import EVIDENCE, Case, Figures, read
 from trackwright.experiments.lab.validation.sites import read as recording
-from trackwright.trackers.recordings.selection import Selection
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.tuning.data import FitArrays, fit_data
 from trackwright.tuning.parameters import flatten, select_parameters
@@ -28,9 +27,6 @@ from trackwright.tuning.problem import Problem
 FILE = EVIDENCE / "levels.csv"
 EVALUATIONS, FIRST_STEP, LOST = 200, 0.4, 50.0
 """Runs of the filter over the recordings; side of the first simplex; nats a row of a filter that diverges."""
-
-MOST_RANGES = 90_000
-"""Ranges of a recording that are read, from its beginning: 40 s of lias-planar-fast, all of the others."""
 
 DRIFTING = ("sigma_a", "memory", "sigma_bias", "time_constant", "length")
 
@@ -59,12 +55,10 @@ TRACKERS = {
 
 
 def cases() -> Iterator[Case]:
-    """For each tracker, the levels found on all sites, and those found without each."""
+    """For each tracker, the levels found without each site."""
     for tracker, levels in TRACKERS.items():
-        sites = dict.fromkeys(site_of(tracker, name) for name in levels.recordings)
-        for left_out in (None, *sites):
-            what = "all sites" if left_out is None else f"without {left_out}"
-            yield Case(what, tracker, f"{EVALUATIONS} evaluations", partial(found, tracker, left_out))
+        for site in dict.fromkeys(site_of(tracker, name) for name in levels.recordings):
+            yield Case(f"without {site}", tracker, f"{EVALUATIONS} evaluations", partial(found, tracker, site))
 
 
 def site_of(tracker: str, name: str) -> str:
@@ -94,16 +88,15 @@ def at(named: tw.NamedTracker, levels: Mapping[str, Any]) -> tw.NamedTracker:
     )
 
 
-def found(tracker: str, without: str | None) -> Figures:
-    """The levels by keyword, to four digits, and the objective, nats a row, of the present levels and of these."""
+def found(tracker: str, without: str) -> Figures:
+    """The levels by keyword, to four digits."""
     names = [name for name in TRACKERS[tracker].recordings if site_of(tracker, name) != without]
-    objective = Objective(tracker, [_shortened(recording(name)) for name in names])
+    objective = Objective(tracker, [recording(name) for name in names])
     start = objective.start()
     steps = FIRST_STEP * np.diag(np.resize([1.0, -1.0], len(start)))
     options = {"maxfev": EVALUATIONS, "initial_simplex": np.vstack([start, start + steps]), "adaptive": True}
     best = minimize(objective, start, method="Nelder-Mead", options=options)
-    levels = {name: " ".join(f"{x:.4g}" for x in np.ravel(x)) for name, x in objective.values(best.x).items()}
-    return {**levels, "nats_present": objective(start), "nats_found": float(best.fun)}
+    return {name: " ".join(f"{x:.4g}" for x in np.ravel(level)) for name, level in objective.values(best.x).items()}
 
 
 class Objective:
@@ -144,11 +137,3 @@ class Objective:
     def _tracker(self, group: TrackerBatch, values: Mapping[str, Any]) -> tw.AbstractTracker:
         count = len(getattr(group.trajectories[0].folder.rig, self.levels.numbered))
         return self.levels.builder(count, group.planar, **values)
-
-
-def _shortened(folder: tw.RecordingFolder) -> tw.RecordingFolder:
-    """The recording up to the last of its first `MOST_RANGES`."""
-    if "ranges" not in folder.tables:
-        return folder
-    times = folder.tables["ranges"]["t_s"][:MOST_RANGES]
-    return Selection(stop=float(times[-1])).of(folder)

@@ -4,7 +4,7 @@ Five worlds of each tracker of the catalogue with a NIS, by `own_worlds.py` with
 simulated recording; beside it the share of the means over `WINDOW` rows inside the 95 % band of `nis_band`. Rows count
 from `SETTLED` s on: the prior of a start is wider than a linearisation is exact, and that of phases is drawn within one
 lobe of the array. `cascade` and `mhk` read what other estimators make of the readings, errors that no model of their
-own has: they run on simulated worlds as these are.
+own has, and the motion of `imm` switches: they run on simulated worlds as these are.
 """
 
 from __future__ import annotations
@@ -20,13 +20,9 @@ import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, own_world
 from trackwright.sim import SimulatedWorld, work_station, worlds
-from trackwright.trackers.baselines.fixes import floor_tracker
-from trackwright.trackers.parts.walls import Walls
 from trackwright.tuning.diagnostics import nis_band, student_t_dof_of
 
 TAGS, SEEDS, SETTLED, WINDOW = 24, 5, 5.0, 50
-FAR = 200.0 * np.array([[-1, -1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, 1, -1, -1]])
-"""Walls that no tag reaches, m."""
 
 
 class World(NamedTuple):
@@ -53,12 +49,6 @@ def bearings(seed: int) -> World:
     return World(tw.bearing_tracker(len(stations)), [recording] * TAGS, 1.0)
 
 
-def floor(seed: int) -> World:
-    """Tags on a wide floor."""
-    recording = tw.fix_recording(np.arange(200) / 10.0, np.zeros((200, 3)), height=1.0)
-    return World(floor_tracker(Walls(FAR)), [recording] * TAGS, 1.0)
-
-
 WORLDS: Mapping[str, Callable[[int], World]] = {
     "direct": partial(simulated, "direct", worlds.station, narrower=30.0),
     "cascade": partial(simulated, "cascade", worlds.station, narrower=None),
@@ -70,11 +60,10 @@ WORLDS: Mapping[str, Callable[[int], World]] = {
     "uwb-imu": partial(simulated, "uwb-imu", worlds.tool),
     "tdoa": partial(simulated, "tdoa", worlds.tdoa),
     "tdoa-imu": partial(simulated, "tdoa-imu", partial(worlds.tdoa, imu=True)),
-    "floor-pf": floor,
     **{
         name: partial(simulated, name, worlds.agv, narrower=narrower, rows=500)
         for name, narrower in {
-            "fix-kf": 1.0, "fix-singer": 1.0, "imm": 1.0, "fix-mirror": 1.0, "mhk": None, "mhk-stamped": None,
+            "fix-kf": 1.0, "fix-singer": 1.0, "imm": None, "mhk": None,
         }.items()
     },
 }  # fmt: skip
@@ -83,7 +72,7 @@ WORLDS: Mapping[str, Callable[[int], World]] = {
 def cases() -> Iterator[Case]:
     """Five worlds of each tracker."""
     for name in WORLDS:
-        world = "simulated" if name in ("cascade", "mhk", "mhk-stamped") else "own model"
+        world = "simulated" if name in ("cascade", "imm", "mhk") else "own model"
         yield from (Case(world, name, "defaults", partial(figures, name, seed), seed) for seed in range(SEEDS))
 
 

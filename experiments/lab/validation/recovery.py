@@ -2,7 +2,7 @@
 
 For every parameter: the coverage of its 95 % intervals, 0.89 to 0.99 for 200 replicates, by the likelihood's curvature,
 by the scatter of rows, and by the wider of both, which `tune` gives; its bias in standard errors, at most 3; and how
-many fits end worse than they began, none. `motion`: fits of the level of motion to single recordings of a minute.
+many fits end worse than they began, none.
 """
 
 from __future__ import annotations
@@ -31,22 +31,17 @@ REPLICATES, SEED = 200, 7
 COVERED, UNBIASED = (0.89, 0.99), 3.0
 """Accepted coverage, whose standard error over 200 replicates is 1.5 %, and bias in standard errors."""
 
-MOTION, NEAR = (0.005, 0.02, 0.1, 0.5, 2.0), 1.5
-"""Levels of motion, m/s² per √Hz, from a creeping trolley to a hand, and the factor within which fits find them."""
-
 WAYS: tuple[By, ...] = ("curvature", "scatter", "either")
 
 
 def cases() -> Iterator[Case]:
-    """Each parameter of each system, and each level of motion of the system of ranges."""
+    """Each parameter of each system."""
     for name, make in SYSTEMS.items():
         system = make()
         parameters = select_parameters(system.tracker, system.tune)
         labels = component_names(parameters)
         for k in np.flatnonzero(~unused(parameters)).tolist():
             yield Case("own model", name, labels[k], partial(recovered, name, k), SEED)
-    for level in MOTION:
-        yield Case("own model", "ranges", f"motion {level:g}", partial(motion, level), 3)
 
 
 @dataclass(frozen=True)
@@ -163,17 +158,3 @@ def _inside(result: FitResult, parameters: Sequence[Any], way: By) -> np.ndarray
     intervals = result.uncertainty.intervals(by=way)
     parts = [(*intervals[p.label], np.asarray(p.example.value)) for p in parameters]
     return np.concatenate([np.ravel((low <= value) & (value <= high)) for low, high, value in parts])
-
-
-def motion(level: float) -> Figures:
-    """The level of motion fitted to recordings of a minute, over the true one, from a start that is none of these."""
-    system = ranges()
-    tracker = replace(system.tracker, motion=tw.ConstantVelocity(0.3, 3))
-    true = replace(system.tracker, motion=tw.ConstantVelocity(level, 3))
-    drawn = replace(system, tracker=true, trajectories=1, rows=600).replicates(REPLICATES, seed=3)
-    options = FitOptions(starts=4)
-    each = [fit(tracker, tw.stack(one), NegativeLogLikelihood(), ("motion.sigma_a",), options) for one in drawn]
-    ratio = np.array([float(one.values["motion.sigma_a"]) for one in each]) / level
-    near = float(np.mean(np.abs(np.log(ratio)) < np.log(NEAR)))
-    extremes = {"least": float(ratio.min()), "median": float(np.median(ratio)), "largest": float(ratio.max())}
-    return {"fits": len(each), **extremes, "near": near, "good": "yes" if near >= 0.95 else "no"}

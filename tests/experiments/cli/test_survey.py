@@ -5,10 +5,10 @@ import re
 
 import numpy as np
 import pytest
+from trackwright.experiments.lab.validation.bearing_surveys import simulated_stations
 
 from tests.in_process import assert_refused, trackwright
-from trackwright.experiments.lab.validation.bearing_surveys import simulated_stations
-from trackwright.experiments.lab.validation.surveys import simulated_site
+from tests.survey_sites import simulated_site
 from trackwright.experiments.text import terminal
 from trackwright.trackers.recordings.folder import write_recording
 from trackwright.trackers.recordings.rig_file import read_rig
