@@ -38,7 +38,7 @@ WORLDS: dict[str, tuple[str, ...]] = {
 """The trackers that read each world's tables."""
 
 PLACES = ("threads", "local:1", "local:2")
-RUNS = 50_000
+RUNS = 20_000
 
 
 def cases() -> Iterator[Case]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,12 +25,8 @@ from trackwright.tuning.diagnostics import nis_band, student_t_dof_of
 TAGS, SEEDS, SETTLED, WINDOW = 24, 5, 5.0, 50
 
 
-class World(NamedTuple):
-    """A tracker with recordings, for their times and geometry; `narrower`: as of `own_world`, None for no own world."""
-
-    tracker: tw.AbstractTracker
-    recordings: list[tw.Recording]
-    narrower: float | None
+World = tuple[tw.AbstractTracker, list[tw.Recording], float | None]
+"""A tracker with recordings, for their times and geometry, and `narrower` of `own_world`, None for no own world."""
 
 
 def simulated(
@@ -38,7 +34,7 @@ def simulated(
 ) -> World:
     """A tracker of the catalogue with the recordings of a simulated world."""
     batch = tw.TRACKERS[name].batches([make(n=TAGS, seed=seed, **options).folder()], name, False)[0]
-    return World(batch.tracker, [trajectory.recording for trajectory in batch.trajectories], narrower)
+    return batch.tracker, [trajectory.recording for trajectory in batch.trajectories], narrower
 
 
 def bearings(seed: int) -> World:
@@ -46,7 +42,7 @@ def bearings(seed: int) -> World:
     stations, times = work_station().stations, np.arange(240) / 10.0
     turn = [list(stations)[k % len(stations)] for k in range(len(times))]
     recording = tw.bearing_recording(times, np.zeros((len(times), 2)), turn, stations)
-    return World(tw.bearing_tracker(len(stations)), [recording] * TAGS, 1.0)
+    return tw.bearing_tracker(len(stations)), [recording] * TAGS, 1.0
 
 
 WORLDS: Mapping[str, Callable[[int], World]] = {
@@ -78,8 +74,14 @@ def cases() -> Iterator[Case]:
 
 def figures(name: str, seed: int) -> Figures:
     """NIS per degree of freedom of all settled rows, and the share of the means over `WINDOW` rows inside the band."""
-    tracker, run = estimates(name, seed)
-    assert run.times is not None
+    made: Any
+    made, recordings, narrower = WORLDS[name](seed)
+    tracker = made if narrower is None else dataclasses.replace(made, track_loss=NEVER_LOST)
+    if narrower is None:
+        run = tracker.run(recordings)
+    else:
+        drawn, priors, _ = own_world(tracker, recordings, seed, narrower)
+        run = tracker.run(drawn, initial=priors)
     used = np.isfinite(run.nis) & (run.nis_dof > 0) & (run.times >= run.times[:, :1] + SETTLED)
     inside: list[bool] = []
     for nis, dof, rows in zip(run.nis, run.nis_dof, used, strict=True):
@@ -90,14 +92,3 @@ def figures(name: str, seed: int) -> Figures:
         inside += ((low <= total / freedom) & (total / freedom <= high)).tolist()
     ratio = float(run.nis[used].sum(dtype=float) / run.nis_dof[used].sum(dtype=float))
     return {"nis_per_dof": ratio, "means_in_band": float(np.mean(inside))}
-
-
-def estimates(name: str, seed: int) -> tuple[tw.AbstractTracker, tw.Estimates]:
-    """The tracker and its estimates in a world of its own model, or in a simulated one."""
-    tracker, recordings, narrower = WORLDS[name](seed)
-    if narrower is None:
-        return tracker, tracker.run(recordings)
-    assert isinstance(tracker, tw.Tracker)
-    tracker = dataclasses.replace(tracker, track_loss=NEVER_LOST)
-    drawn, priors, _ = own_world(tracker, recordings, seed, narrower)
-    return tracker, tracker.run(drawn, initial=priors)

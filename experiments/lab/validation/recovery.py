@@ -19,8 +19,7 @@ from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, KnownStart, own_world
 from trackwright.sim import work_station
 from trackwright.trackers.aoa.beam import Beam
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
-from trackwright.trackers.line.motion import PathState
+from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.tuning.fitting import FitOptions, FitResult, fit
 from trackwright.tuning.objectives import NegativeLogLikelihood
@@ -78,15 +77,6 @@ def beams() -> System:
     return System(tracker, ("motion.sigma_a", "sensors.*.sigma_p"), 8, 16, 60, 0.05)
 
 
-def carts() -> System:
-    """A cart on a bent line, by the grid filter; a coarser grid would bias the noise of the fixes low."""
-    line = tw.Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]])
-    tracker = tw.line_grid_tracker(tw.line.LineMotion(line, 0.04), {FIXES: FloorFixes(0.3)}, 0.03, 0.6, 32)
-    start = KnownStart(lambda x: PathState(*x), (0.5, 0.15), (0.15, 0.03))
-    known = replace(tracker, start=start, track_loss=NEVER_LOST)
-    return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), 2, 16, 32, 0.5)
-
-
 def ranges() -> System:
     """A tag in space and its ranges to six anchors, with normal errors."""
     anchors = np.array([[0, 0, 2.5], [8, 0, 0.3], [8, 6, 2.5], [0, 6, 0.3], [4, 0, 0.5], [4, 6, 2.3]], float)
@@ -111,7 +101,7 @@ def _moving(x: Sequence[Any]) -> tw.Kinematic:
     return tw.Kinematic(tw.Vector(*x[:3]), tw.Vector(*x[3:]))
 
 
-SYSTEMS = {"beam": beams, "line-grid": carts, "ranges": ranges, "fixes": fixes}
+SYSTEMS = {"beam": beams, "ranges": ranges, "fixes": fixes}
 
 
 def wrong(system: System, replicate: int) -> tw.Tracker:
