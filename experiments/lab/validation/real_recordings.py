@@ -19,8 +19,7 @@ from trackwright.tuning.calibrating import by_halves
 
 SMOOTHED, OTHER_SITES, LATENCY = " smoothed", "other sites", "*latency*"
 NEVER_SMOOTHED = ("line-grid", "das", "trilateration-compensated")
-NEVER_CALIBRATED = ("beam", "das", "fix-kf", "fix-mirror")
-"""Trackers of readings that no calibration corrects."""
+CALIBRATED = ("bearings", "uwb", "line-grid", "tdoa")
 
 
 def cases() -> Iterator[Case]:
@@ -38,7 +37,7 @@ def settings(site: Site, name: str, tracker: str) -> Iterator[str]:
     of = {
         "defaults": True,
         OTHER_SITES: not site.still and tracker == site.trackers[0] and levels.set_by(tracker, name),
-        "calibrated": not site.still and tracker not in NEVER_CALIBRATED,
+        "calibrated": tracker in CALIBRATED,
         "tuned": tracker == "fix-mirror",
     }
     for setting in (name for name, applies in of.items() if applies):
@@ -77,7 +76,8 @@ def verdict(metrics: Mapping[str, Any]) -> str:
 def prepared(name: str, tracker: str, setting: str) -> tuple[list[tw.RecordingFolder], tw.NamedTracker, str]:
     """The recording as it is run, the tracker, and what this was set on."""
     folder = read(name)
-    others = [read(other) for other in recordings(site_of(name).pattern) if other != name]
+    site = site_of(name)
+    others = [read(other) for other in (*recordings(site.pattern), *recordings(site.others)) if other != name]
     if setting == "defaults":
         return [folder], tw.build(tracker, folder), ""
     if setting == OTHER_SITES:

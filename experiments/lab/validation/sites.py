@@ -16,13 +16,15 @@ from trackwright.trackers.recordings.calibration import has_moved, has_turned
 class Site(NamedTuple):
     """The recordings whose names match, their trackers, and the limits of horizontal RMSE, m, of the first of these.
 
-    `still`: the tags do not move, so that their errors are one sample: by default levels alone.
+    `still`: the tags do not move, so that their errors are one sample: by default levels alone. `others`: names of
+    recordings beside these on which they are calibrated.
     """
 
     pattern: str
     trackers: tuple[str, ...]
     limits: Mapping[str, float] = {}
     still: bool = False
+    others: str = ""
 
 
 # fmt: off
@@ -31,7 +33,7 @@ SITES = (
     Site("ble51-uca-*", ("beam", "das"), still=True),
     Site("starloc-fast-*", ("uwb", "uwb-imu"), {"defaults": 0.15, "calibrated": 0.13}),
     Site("starloc-2d-*", ("uwb",)),
-    Site("lias-planar-*", ("uwb",), {"defaults": 0.075, "calibrated": 0.05}),
+    Site("lias-planar-*", ("uwb",), {"defaults": 0.075, "calibrated": 0.05}, others="lias-still-*"),
     Site("rcv-drone-*", ("uwb",), {"defaults": 0.20, "calibrated": 0.17}),
     Site("iasl-drone-*", ("uwb", "uwb-imu", "fusion", "fix-kf"), {"defaults": 0.055, "calibrated": 0.045}),
     Site("isas-walk-*", ("uwb", "uwb-imu"), {"defaults": 0.14, "calibrated": 0.11}),
