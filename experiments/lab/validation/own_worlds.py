@@ -90,14 +90,11 @@ def _for_all(function: Callable[..., Any]) -> Callable[..., Any]:
 def _priors(tracker: Tracker, batch: Batch) -> Gaussian:
     """The belief of the start at the first row of each trajectory, trajectories last."""
 
-    def first(part: Any) -> Any:
-        return jax.tree_util.tree_map(lambda x: x[0], part)
-
     def belief(row: Row) -> Gaussian:
         return tracker.start.belief(tracker.start.candidate(tracker.sensors, row), row)
 
-    number = jnp.zeros(batch.size, jnp.uint32)
-    row = Row(batch.dt[0], batch.valid[0], first(batch.readings), first(dict(batch.inputs)), batch.key, number)
+    readings, inputs = jax.tree_util.tree_map(lambda x: x[0], (batch.readings, dict(batch.inputs)))
+    row = Row(batch.dt[0], batch.valid[0], readings, inputs, batch.key, jnp.zeros(batch.size, jnp.uint32))
     return jax.vmap(belief, in_axes=-1, out_axes=-1)(row)
 
 
