@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.validation.surveys import simulated_site
+from tests.survey_sites import simulated_site
+from trackwright.sim import worlds as simulate
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.tuning.survey import frames, surveying

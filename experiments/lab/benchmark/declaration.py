@@ -1,8 +1,8 @@
 """What is compared: the data sets, the estimators with how their noise levels were chosen, and the protocol.
 
 Development recordings are those on which our default levels were set. The levels of other estimators have the least
-geometric mean of the horizontal RMSE over these, on a grid (`python -m trackwright.experiments.lab.validation
-peer-levels`): the search by hand or on a grid that their documentation shows.
+geometric mean of the horizontal RMSE over these, on a grid: the search by hand or on a grid that their documentation
+shows.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from trackwright.experiments.lab.benchmark.motion import Levels
-from trackwright.experiments.lab.validation.sites import SEEN_BY_DEFAULTS
 
 MOST_READINGS = 6_000
 """Readings of a recording that every estimator is given, from its beginning."""
@@ -88,8 +87,13 @@ LEVELS: Mapping[str, Mapping[str, Levels]] = MappingProxyType({
 """Noise levels of a group of estimators by kind of readings."""
 
 DEVELOPMENT: Mapping[str, tuple[str, ...]] = MappingProxyType({
-    kind: SEEN_BY_DEFAULTS[tracker]
-    for kind, tracker in (("ranges", "uwb"), ("tdoa", "tdoa"), ("bearings", "bearings"), ("fixes", "fix-mirror"))
+    "ranges": (
+        "starloc-fast-s1", "starloc-2d-s5", "rcv-drone-3", "iasl-drone-1", "lias-planar-fast", "labyrinth",
+        "ngbui-line-1-1", "ngbui-line-2-1",
+    ),
+    "tdoa": ("util-c1-t1-tdoa2", "util-c1-t1-tdoa3", "util-c4-t5-tdoa2"),
+    "bearings": ("ble51-walk-u1-r1", "ble51-walk-u2-r1", "ble51-walk-u3-r1"),
+    "fixes": ("tiers-1tag-01",),
 })  # fmt: skip
 """The recordings on which levels were chosen, by kind of readings: those that set the defaults of a tracker of ours.
 

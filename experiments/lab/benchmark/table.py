@@ -15,11 +15,11 @@ from trackwright.experiments.lab.benchmark.data import folder_of, hint
 from trackwright.experiments.lab.benchmark.declaration import DEFAULT, DEVELOPMENT, ESTIMATORS, MOTION, OPTIMUM
 from trackwright.experiments.lab.benchmark.scoring import Cell, cell, difference, files
 from trackwright.experiments.lab.cases import Row, Table, as_page, as_text, machine, packages
-from trackwright.experiments.lab.validation.sites import DEFAULTS
 from trackwright.experiments.pages.charts.style import LINES, write_panels
 from trackwright.experiments.text.tables import replace_tables
 from trackwright.experiments.text.wording import fixed
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.statements import COVERAGE, RATIO
 
 MARK = "trackwright benchmark"
 CHART = "side-by-side.png"
@@ -181,7 +181,7 @@ def _tally_row(name: str, tally: Tally, ours: Pair) -> Row:
 
 def _summary(name: str, results: Cells) -> Row:
     mine = [of_set[name] for of_set in results.values() if name in of_set]
-    (least, most), (low, high) = DEFAULTS.honest
+    (least, most), (low, high) = COVERAGE, RATIO
     with_covariance = [one for one in mine if one.inside is not None and one.nees is not None]
     held = sum(least <= one.inside <= most and low <= one.nees <= high for one in with_covariance)  # type: ignore[operator]
     missing = [one.missing for one in mine if not one.failed]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.in_process import assert_refused, trackwright
-from trackwright.experiments.lab.validation.surveys import simulated_site
+from tests.survey_sites import simulated_site
 from trackwright.experiments.text import terminal
 from trackwright.trackers.recordings.folder import write_recording
 from trackwright.trackers.recordings.rig_file import read_rig

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import trackwright as tw
-from trackwright.experiments.lab.kidnapped import detection
+from tests.kidnapped import detection
 from trackwright.trackers.core.model.rig import MARGIN, room_rows
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.core.run.track_loss import ROOM, SIGMAS
