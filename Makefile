@@ -45,10 +45,6 @@ test: env
 test-slow: env
 	XLA_FLAGS=--xla_backend_optimization_level=0 $(BIN)/python -m pytest -m slow
 
-# Of changed lines alone: make MUTATE='--since origin/main'
-mutate: env
-	$(BIN)/python -m tests.mutation $(MUTATE)
-
 # Whether a change moves numbers: its commit against the one before, or make digests DIGESTS='REV --only "case, uwb*"'
 digests: env
 	$(BIN)/python -m tests.digests $(DIGESTS)
@@ -80,9 +76,9 @@ VALIDATION ?= real-recordings levels nis recovery
 validation: env
 	for name in $(VALIDATION); do $(BIN)/python -m trackwright.experiments.lab $$name || exit; done
 
-# Accuracy, coverage and time beside other libraries; the estimates are in out/benchmark
+# Accuracy, coverage and time beside other libraries: rows that docs/evidence lacks, and the page.
 benchmark: .venv-peers/installed
-	$(PEERS)/trackwright benchmark --page docs/side-by-side.md
+	$(PEERS)/python -m trackwright.experiments.lab.benchmark.run
 
 # On a host with CUDA GPUs
 bench-gpu: .venv-gpu/installed
