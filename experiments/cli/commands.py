@@ -31,7 +31,6 @@ COMMANDS = {
     "study": "cli.study:study",
     "truth": "cli.check:truth",
     "benchmark": "lab.benchmark.command:benchmark",
-    "verify": "lab.verify.command:verify",
     "demo": "lab.demo:demo",
 }
 """Where each command is. All these modules are light: what a command computes with is imported when it runs."""
