@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from trackwright.experiments.lab.verify.worlds import NEVER_LOST
 
 from trackwright.experiments.lab.bench import beam, particles
 from trackwright.experiments.lab.bench.beam import filtering, finished
@@ -21,7 +22,6 @@ from trackwright.experiments.lab.benchmark.adapters import with_filterpy
 from trackwright.experiments.lab.benchmark.adapters.plain import filtered
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.track_loss import kidnapped_walk
-from trackwright.experiments.lab.verify.worlds import NEVER_LOST
 from trackwright.sim import worlds
 from trackwright.trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_tracker
 from trackwright.trackers.baselines.fixes import fix_tracker

@@ -14,11 +14,11 @@ from typing import Any
 
 import jax
 import numpy as np
+from trackwright.experiments.lab.verify.worlds import NEVER_LOST
 
 import trackwright as tw
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
 from trackwright.experiments.lab.validation.own_worlds import own_world
-from trackwright.experiments.lab.verify.worlds import NEVER_LOST
 from trackwright.sim import SimulatedWorld, worlds
 from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.model.state import component_names

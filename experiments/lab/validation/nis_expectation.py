@@ -16,11 +16,11 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from trackwright.experiments.lab.verify.worlds import NEVER_LOST
 
 import trackwright as tw
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen, shown
 from trackwright.experiments.lab.validation.own_worlds import own_world
-from trackwright.experiments.lab.verify.worlds import NEVER_LOST
 from trackwright.sim import SimulatedWorld, work_station, worlds
 from trackwright.trackers.baselines.fixes import floor_tracker
 from trackwright.trackers.parts.walls import Walls

@@ -15,11 +15,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from trackwright.experiments.lab.verify.worlds import NEVER_LOST, KnownStart
 
 import trackwright as tw
 from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
 from trackwright.experiments.lab.validation.own_worlds import own_world
-from trackwright.experiments.lab.verify.worlds import NEVER_LOST, KnownStart
 from trackwright.experiments.text.terminal import progress
 from trackwright.sim import work_station
 from trackwright.trackers.aoa.beam import Beam

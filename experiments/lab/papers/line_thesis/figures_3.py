@@ -13,18 +13,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import polars as pl
-from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
+from trackwright.experiments.pages.charts.style import BLUE, GREY, VERMILION
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 PRINTED = {"situation 1": (31.1, 8.1), "situation 2": (30.3, 9.6), "situation 3": (38.7, 11.3)}
@@ -107,43 +104,6 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     )
 
 
-def draw(results: mc.Results, folder: Path) -> list[str]:
-    """The path and the errors over time, for each situation."""
-    names = []
-    for number, (situation, world) in enumerate(FIRST.items()):
-        runs = tracked_runs(results.study, f"{world}, run again", np.arange(results.study.chunk))
-        title = f"Figures 3.{2 * number + 1} and 3.{2 * number + 2}: {situation}"
-        panels = partial(_panels, runs, title)
-        names.append(write_svg(folder, f"{situation.replace(' ', '_')}.svg", panels, 5.0, 6.4))
-    return names
-
-
-def _panels(runs: dict[str, mc.TrackedRuns], title: str, figure: Figure) -> None:
-    path, measured, filtered = figure.subplots(3, 1, height_ratios=[2.2, 1, 1])
-    knots, raw = np.asarray(runs["raw"].folder.rig.path_knots), runs["raw"].estimates[0]
-    path.plot(knots[:, 0], knots[:, 1], color=BLACK, linewidth=4, alpha=0.15, label="path", zorder=1)
-    path.plot(raw[:, 0], raw[:, 1], ".", color=GREY, markersize=2, label="measurements", zorder=2)
-    for tracker in ("Kalman", "particle"):
-        place = runs[tracker].estimates[0]
-        path.plot(place[:, 0], place[:, 1], color=COLOURS[tracker], linewidth=1, label=f"{tracker} filter")
-    path.set(aspect="equal", xlabel="x, m", ylabel="y, m")
-    path.set_title(title, pad=20)
-    path.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=7.5, columnspacing=1.0)
-    plain(path, "both")
-    for axes, trackers in ((measured, ["raw"]), (filtered, ["Kalman", "particle"])):
-        for tracker in trackers:
-            size = 100 * line.distances(runs[tracker])[0]
-            name = "measurements" if tracker == "raw" else f"{tracker} filter"
-            label = f"{name}, {np.nanmean(size):.1f} cm"
-            axes.plot(runs[tracker].times[0], size, color=COLOURS[tracker], linewidth=0.9, label=label)
-            axes.axhline(np.nanmean(size), color=COLOURS[tracker], linestyle=(0, (4, 3)), linewidth=1)
-        axes.set(ylim=(0, None), ylabel="error, cm")
-        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=2, fontsize=7.5)
-        plain(axes)
-    filtered.set_xlabel("time, s")
-    measured.tick_params(labelbottom=False)
-
-
 _MANY = line.worlds(NUMBERS, tuple(FIRST.values()))
 STUDY = mc.Study(
     name="figures-3",
@@ -158,5 +118,4 @@ STUDY = mc.Study(
     measures={"error_m": line.error, "off_path_m": off_path},
     metrics=("mean_m", "rmse_m", "p95_m"),
     expected=expected,
-    draw=draw,
 )
