@@ -34,12 +34,7 @@ ONE_SIDE = (0, 1)
 SIGMA_ACCEL, SIGMA_RANGE = 0.001, 0.007
 """m/s²/√Hz and m."""
 
-SPREADS_MM = {
-    "raw": (34.6, 49.9),
-    "moving average": (18.4, 31.7),
-    "Kalman": (15.0, 26.2),
-    "proposed": (10.8, 18.4),
-}
+SPREADS_MM = {"raw": (34.6, 49.9), "moving average": (18.4, 31.7), "Kalman": (15.0, 26.2), "proposed": (10.8, 18.4)}
 """Table 4, largest less smallest: x and y, mm."""
 
 PRINTED = {
@@ -114,11 +109,7 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
 
 
 NUMBERS = fitted("papers/kwon_2021/table_4")
-KALMAN = {
-    "motion.sigma_a": NUMBERS["sigma_a"],
-    "sensors.fixes.sigma_horizontal": SIGMA_RANGE,
-    "sensors.fixes.dof": 1e3,
-}
+KALMAN = {"motion.sigma_a": NUMBERS["sigma_a"], "sensors.fixes.sigma_horizontal": SIGMA_RANGE, "sensors.fixes.dof": 1e3}
 PROPOSED = {
     "motion.noise.sigma_accel": SIGMA_ACCEL,
     "motion.noise.sigma_accel_walk": 1e-4,
