@@ -247,7 +247,7 @@ def test_at_a_halt_the_naive_gradient_is_wrong_and_the_reparameterised_one_is_no
 @pytest.mark.parametrize("world", [CORRIDOR_25, HALT], ids=lambda world: world.name)
 def test_bias_and_spread_of_the_score_decay_with_the_number_of_particles(world):
     """L̂·s is unbiased for any N, so that the bias of s is −cov(L̂/L, s), far more precise than the mean of s."""
-    sizes, value = np.array([125, 500, 2000]), world.value()
+    sizes, value = (125, 500, 2000), world.value()
     runs = [world.run(score_form, n, 400 * 2000 // n) for n in sizes]
     spreads = [r.gradient[0].std(ddof=1) for r in runs]
     assert np.polyfit(np.log(sizes), np.log(spreads), 1)[0] == pytest.approx(-0.5, abs=0.08)
@@ -257,7 +257,7 @@ def test_bias_and_spread_of_the_score_decay_with_the_number_of_particles(world):
     assert abs(power + 1.0) < 4 * error
     for k, exact in enumerate(world.slopes()[:2]):
         means, errors = np.array([(r.gradient[k].mean() - exact, _standard_error(r.gradient[k])) for r in runs]).T
-        (limit, _), (error, _) = _line(1.0 / sizes, means, errors)
+        (limit, _), (error, _) = _line(1.0 / np.array(sizes), means, errors)
         assert abs(limit) < 4 * error
 
 

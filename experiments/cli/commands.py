@@ -30,7 +30,6 @@ COMMANDS = {
     "simulate": "cli.simulate:simulate",
     "study": "cli.study:study",
     "truth": "cli.check:truth",
-    "benchmark": "lab.benchmark.command:benchmark",
     "demo": "lab.demo:demo",
 }
 """Where each command is. All these modules are light: what a command computes with is imported when it runs."""
