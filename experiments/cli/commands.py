@@ -25,8 +25,6 @@ COMMANDS = {
     "trackers": "cli.trackers:trackers",
     "simulate": "cli.simulate:simulate",
     "study": "cli.study:study",
-    "benchmark": "lab.benchmark.command:benchmark",
-    "verify": "lab.verify.command:verify",
     "demo": "lab.demo:demo",
 }
 """Where each command is. All these modules are light: what a command computes with is imported when it runs."""

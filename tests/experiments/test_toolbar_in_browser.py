@@ -52,7 +52,7 @@ def _tune(folder):
 
 def _study(folder):
     path = folder / "study.html"
-    path.write_text(study_page(run_study(SMALL, folder / "study"), [], [], ["study", "small.toml"]), "utf-8")
+    path.write_text(study_page(run_study(SMALL, folder / "study"), [], ["study", "small.toml"]), "utf-8")
     return path
 
 

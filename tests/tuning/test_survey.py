@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.survey_sites import simulated_site
-from trackwright.sim import worlds as simulate
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.tuning.survey import frames, surveying

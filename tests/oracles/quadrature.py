@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.lab.verify.worlds import (
+from tests.oracles.particle_worlds import (
     CORRIDOR,
     HALT_ARCLENGTH,
     HALT_DT,

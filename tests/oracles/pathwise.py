@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackwright.experiments.lab.verify.worlds import AbstractModified
+from tests.oracles.particle_worlds import AbstractModified
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles, draws
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, total, triangle
