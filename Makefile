@@ -1,4 +1,4 @@
-# Targets: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers benchmark bench-gpu clean. Each makes the environment it needs.
+# Targets: env demo test test-slow digests lint docs gallery papers bench validation benchmark bench-gpu clean. Each makes the environment it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -7,7 +7,7 @@ GPU := .venv-gpu/bin
 DOCS := .venv-docs/bin
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
-.PHONY: env demo test test-slow mutate digests lint docs gallery papers bench bench-peers benchmark bench-gpu clean
+.PHONY: env demo test test-slow digests lint docs gallery papers bench validation benchmark bench-gpu clean
 
 env: .venv/installed
 
@@ -45,10 +45,6 @@ test: env
 test-slow: env
 	XLA_FLAGS=--xla_backend_optimization_level=0 $(BIN)/python -m pytest -m slow
 
-# Of changed lines alone: make mutate MUTATE='--since origin/main'
-mutate: env
-	$(BIN)/python -m tests.mutation $(MUTATE)
-
 # Whether a change moves numbers: its commit against the one before, or make digests DIGESTS='REV --only "case, uwb*"'
 digests: env
 	$(BIN)/python -m tests.digests $(DIGESTS)
@@ -70,21 +66,23 @@ gallery: env
 papers: env
 	$(BIN)/python -m trackwright.experiments.lab.papers.reproduce
 
+# Rows that the tables of docs/evidence lack; of one table alone: make bench BENCH=programs
+BENCH ?= programs commands studies
 bench: env
-	for name in beam particles tuning waiting cluster; do $(BIN)/python -m trackwright.experiments.lab.bench $$name || exit; done
+	for name in $(BENCH); do $(BIN)/python -m trackwright.experiments.lab $$name || exit; done
 
-bench-peers: .venv-peers/installed
-	for name in beam particles tuning; do $(PEERS)/python -m trackwright.experiments.lab.bench $$name --peers || exit; done
-	$(PEERS)/python -m trackwright.experiments.lab.bench recordings --smooth --page docs/performance.md
-	$(PEERS)/python -m trackwright.experiments.lab.bench growth --page docs/performance.md
+# Real recordings, levels without the judged site, recovery of parameters and NIS; delete a table to measure it anew.
+VALIDATION ?= real-recordings levels nis recovery
+validation: env
+	for name in $(VALIDATION); do $(BIN)/python -m trackwright.experiments.lab $$name || exit; done
 
-# Accuracy, coverage and time beside other libraries; the estimates are in out/benchmark
+# Accuracy, coverage and time beside other libraries: rows that docs/evidence lacks, and the page.
 benchmark: .venv-peers/installed
-	$(PEERS)/trackwright benchmark --page docs/side-by-side.md
+	$(PEERS)/python -m trackwright.experiments.lab.benchmark.run
 
-# On a host with CUDA GPUs; the result file is out/bench-gpu.json.
+# On a host with CUDA GPUs
 bench-gpu: .venv-gpu/installed
-	$(GPU)/python -m trackwright.experiments.lab.bench gpu
+	$(GPU)/python -m trackwright.experiments.lab gpu
 
 clean:
 	rm -rf .venv .venv-peers .venv-gpu .venv-docs out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

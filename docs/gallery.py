@@ -37,14 +37,12 @@ track hall --out track
 simulate fusion --out monday --n 2 --rows 300 --seed 1
 simulate fusion --out tuesday --n 2 --rows 300 --seed 2
 calibrate monday tuesday --out calibrate/calibration.toml
-plan hall --out plan --place 1
 study noise.toml --out study
 """
 
 MADE = {
     "track": ("track/report.html", "track/consistency.png"),
     "calibrate": ("calibrate/calibration.html", "calibrate/calibration-stations-floor.png"),
-    "plan": ("plan/plan.html", "plan/plan.png"),
     "study": ("study/report.html", "study/rmse_m.png"),
 }
 """The page of each command, and the figure that stands for it where no page can be shown."""

@@ -43,8 +43,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Has the code of an example follow its link, and a page of the program stand where its picture does."""
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: Any) -> str:
+    """Keeps makers' pages out of the search; the code of an example follows its link, and a page of the program stands
+    where its picture does.
+    """
+    if any(page.file.src_uri in section.get("For makers", ()) for section in config.nav or ()):
+        page.meta["search"] = {"exclude": True}
     if page.file.src_uri != "gallery.md":
         return markdown
     frame = '<iframe title="\\1" src="pages/\\1.html" loading="lazy" style="width:100%;height:40rem;border:0"></iframe>'

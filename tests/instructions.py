@@ -39,7 +39,7 @@ def main() -> int:
     write = parser.parse_args().write
     found = {"versions": versions(), "instructions": counted()}
     if write:
-        from trackwright.experiments.lab.cases import write_json
+        from tests.json_lines import write_json
 
         write_json(KEPT, found)
     kept = json.loads(KEPT.read_text("utf-8"))

@@ -22,7 +22,7 @@ import numpy as np
 
 from tests.digests import KEPT as COMPUTED
 from tests.digests import subject
-from trackwright.experiments.lab.cases import write_json
+from tests.json_lines import write_json
 from trackwright.trackers.programs.program_cache import processor
 
 KEPT = Path(__file__).with_suffix(".json")

@@ -90,13 +90,26 @@ def test_the_fit_of_an_own_tracker_finds_the_noise_of_its_sensors(example):
     assert left["error"].std() < 0.4 * left["pressure"][:, 0].std()
 
 
+def test_the_planned_bound_is_that_of_cramer_and_rao_and_the_gradient_lowers_it_as_far_as_the_corners(example):
+    left = example("plan_installation")
+    anchors, place = left["before"], np.array([7.0, 5.0])
+    away = np.append(place, left["HEIGHT"]) - anchors
+    units = (away / np.linalg.norm(away, axis=1, keepdims=True))[:, :2]
+    expected = left["SIGMA"] * np.sqrt(np.trace(np.linalg.inv(units.T @ units)))
+    assert float(left["bound"](anchors, place)) == pytest.approx(expected, rel=1e-4)
+    corners = np.array([[0, 0, 2.6], [20, 0, 0.6], [20, 12, 2.6], [0, 12, 0.6]], float)
+    assert left["means"]["moved along the walls"] < 1.02 * left["over"](corners, left["places"]).mean()
+
+
 @pytest.mark.slow
-def test_the_watch_names_the_anchor_that_was_moved_and_when(example):
-    left = example("watch_site")
-    cause = left["watch"].cause
-    assert (cause.name, cause.sources[0].name) == ("moved", left["MOVED"])
-    assert left["watch"].onset_s == pytest.approx(left["AT_S"], abs=15.0)
-    np.testing.assert_allclose(cause.size, left["BY"][: len(cause.size)], atol=0.12)
+def test_fastening_points_are_told_apart_from_the_spacing_on_that_the_papers_name(example):
+    found = example("worksteps", 8)["found"]
+    for tracker in ("direct", "cascade"):
+        assert found[tracker, "named right"][0.005] < 0.5
+        assert found[tracker, "unlocked right"][0.005] < 0.05
+    for tracker in ("uwb", "uwb-imu"):
+        assert found[tracker, "named right"][0.2] > 0.85
+        assert found[tracker, "unlocked wrong"][0.2] < 0.05
 
 
 def test_days_with_more_obstructions_have_larger_errors_and_innovations(example, tmp_path):
@@ -132,4 +145,4 @@ def test_the_pictures_of_the_gallery_are_small_and_all_shown():
     shown = re.findall(r"\]\(gallery/([\w-]+\.png)\)", (ROOT / "docs" / "gallery.md").read_text("utf-8"))
     assert sorted(shown) == [path.name for path in pictures]
     assert max(path.stat().st_size for path in pictures) < LARGEST
-    assert len(EXAMPLES) == 8
+    assert len(EXAMPLES) == 9

@@ -32,7 +32,7 @@ def _part(module):
             return f"core.{beyond.partition('.')[0]}"
         known = ("core", "programs", "recordings", "parts", "evaluation", "exchange", "conformance", *SYSTEMS)
         return inside if inside in known else "trackers"
-    if module.startswith(("tuning.design", "tuning.survey", "tuning.watch")):
+    if module.startswith("tuning.survey"):
         return module.split(".")[1]
     if package == "experiments":
         return f"experiments.{rest.partition('.')[0]}"
@@ -60,14 +60,12 @@ MAY_IMPORT = {
     "trackers": LIBRARY,
     "sim": {*LIBRARY, "sim"},
     "tuning": {*BASE, "tuning"},
-    "design": {*BASE, *SYSTEMS, "tuning", "design"},
     "survey": {*LIBRARY, "tuning", "survey"},
-    "watch": {*LIBRARY, "tuning", "watch"},
 }
 LAYERS = ("text", "jobs", "monte_carlo", "pages", "cli", "lab")
 """The folders of experiments; each imports itself and those before it."""
 
-OUTSIDE = {*LIBRARY, "sim", "tuning", "design", "survey", "watch"}
+OUTSIDE = {*LIBRARY, "sim", "tuning", "survey"}
 for count, layer in enumerate(LAYERS, 1):
     MAY_IMPORT[f"experiments.{layer}"] = {
         *OUTSIDE,

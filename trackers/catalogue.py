@@ -152,8 +152,8 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
 )
 """The trackers by kind of readings, in the order in which these are tried where none is named.
 
-`python -m trackwright.experiments.lab.validation choice` finds the order within a kind by the errors on recordings on
-which the levels of neither tracker were fitted, which are named above; docs/which-tracker.md has its figures.
+The order within a kind is that of the errors on recordings on which the levels of neither tracker were fitted, named
+above; docs/which-tracker.md has the figures.
 """
 
 ENTRIES: Mapping[str, Entry] = MappingProxyType(

@@ -82,8 +82,6 @@ from trackwright.trackers.core.run.tracker import TrackerState as TrackerState
 from trackwright.trackers.core.run.tracker import filter_batch as filter_batch
 from trackwright.trackers.evaluation.evaluate import Evaluation as Evaluation
 from trackwright.trackers.evaluation.evaluate import evaluate as evaluate
-from trackwright.trackers.evaluation.protection import Protection as Protection
-from trackwright.trackers.evaluation.protection import protection as protection
 from trackwright.trackers.from_arrays import bearing_recording as bearing_recording
 from trackwright.trackers.from_arrays import fix_recording as fix_recording
 from trackwright.trackers.from_arrays import phase_recording as phase_recording
@@ -133,15 +131,12 @@ from trackwright.tuning.objectives import StateLogLikelihood as StateLogLikeliho
 from trackwright.tuning.objectives import Weighted as Weighted
 from trackwright.tuning.optimisers import LBFGS as LBFGS
 from trackwright.tuning.optimisers import Adam as Adam
-from trackwright.tuning.pit_uniformity import PITUniformity as PITUniformity
 from trackwright.tuning.priors import Prior as Prior
 from trackwright.tuning.survey.result import Survey as Survey
 from trackwright.tuning.survey.surveying import survey as survey
 from trackwright.tuning.sweeping import sweep as sweep
 from trackwright.tuning.tuned_file import read_tuned as read_tuned
 from trackwright.tuning.tuned_file import write_tuned as write_tuned
-from trackwright.tuning.watch.result import Watch as Watch
-from trackwright.tuning.watch.watching import watch as watch
 
 __version__: str
 
@@ -183,8 +178,6 @@ __all__ = [
     "Status",
     "evaluate",
     "Evaluation",
-    "protection",
-    "Protection",
     # trackers ready to run on arrays
     "fix_tracker",
     "singer_tracker",
@@ -282,14 +275,11 @@ __all__ = [
     "NegativeLogLikelihood",
     "RootMeanSquareError",
     "StateLogLikelihood",
-    "PITUniformity",
     "Weighted",
-    # systematic errors of stations and anchors, positions of anchors without truth, changes of a site, tuned files
+    # systematic errors of stations and anchors, positions of anchors without truth, tuned files
     "calibrate",
     "survey",
     "Survey",
-    "watch",
-    "Watch",
     "read_tuned",
     "write_tuned",
     # modules

@@ -147,7 +147,7 @@ def segments_data(
         with_truth = {t.folder.name for t, has in zip(trajectories, known, strict=True) if has}
         enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart))
         objective = _default_objective(batch, trajectories, quantity) if enough else "nll"
-    goal = named_objective(objective, batch.tracker, quantity, 2 if floor else 3)
+    goal = named_objective(objective, quantity, 2 if floor else 3)
     name = name_of(objective)
     if goal.needs_truth and batch.planar and trajectories[0].station:
         raise UnusableInput(
@@ -203,9 +203,7 @@ def is_judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
     return True
 
 
-def named_objective(
-    objective: str | AbstractObjective | Loss, tracker: AbstractTracker, quantity: str, dimensions: int
-) -> AbstractObjective:
+def named_objective(objective: str | AbstractObjective | Loss, quantity: str, dimensions: int) -> AbstractObjective:
     """The objective by name, as it is, or of a loss; raises UnusableInput for a name that is unknown or unfit."""
     if isinstance(objective, AbstractObjective):
         return objective
@@ -213,11 +211,9 @@ def named_objective(
         require(callable(objective), "fit", objective, "an objective: a name, an AbstractObjective or a function")
         return MeanLoss(objective)
     try:
-        goal = parse_objective(objective, quantity, dimensions)
-        goal.for_tracker(tracker)
+        return parse_objective(objective, quantity, dimensions)
     except ValueError as error:
         raise UnusableInput(f"objective {objective}: {error}") from error
-    return goal
 
 
 Arrays = Recording | Batch | Sequence[Recording] | Sequence[Batch]
@@ -342,7 +338,7 @@ def _array_objective(
         known = all(_has_truth(part) for part in (rows, apart) if part)
         judged = known and not is_stochastic(tracker) and is_judged(tracker, rows[0], quantity)
         objective = "state-nll" if judged else "nll"
-    goal = named_objective(objective, tracker, quantity, 2)
+    goal = named_objective(objective, quantity, 2)
     if goal.needs_truth:
         _check_truth(objective, rows, "the recordings")
         _check_truth(objective, apart, "the held-out recordings")
@@ -352,4 +348,4 @@ def _array_objective(
     mean = jax.eval_shape(lambda: tracker.scan(first)[0]).mean
     estimated = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
     true = rows[0].truth[quantity][0].shape[1] if "state-nll" in objective else 2
-    return named_objective(objective, tracker, quantity, min(dimensions or true, estimated))
+    return named_objective(objective, quantity, min(dimensions or true, estimated))

@@ -98,7 +98,7 @@ def nis_band(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """The central 95 % of the mean NIS per degree of freedom of independent rows with `freedom` (n,) in sum.
 
-    The mean is 1; the variance is 2/`freedom`, with Student's t noise ν/(ν + 3) of it: see `tuning.pit_uniformity`. By
+    The mean is 1; the variance is 2/`freedom`, with Student's t noise ν/(ν + 3) of it: see `student_t_nis_beta`. By
     χ² with as many degrees of freedom as have this variance, exact for normal noise.
     """
     effective = freedom if student_t_dof is None else freedom * (1 + 3 / student_t_dof)
@@ -111,7 +111,13 @@ def nis_band(
 
 
 def student_t_nis_beta(nis_dof: Any, nu: float) -> tuple[Any, Any, Any]:
-    """The parameters a, b and the scale m(ν + 1) of a row's NIS as a beta variable: see `tuning.pit_uniformity`."""
+    """The parameters a, b and the scale m(ν + 1) of a row's NIS as a beta variable.
+
+    With ν degrees of freedom the NIS of a channel is q = (ν + 1) s/(ν + s) of the squared residual s, so that
+    q/(ν + 1) is Beta(½, ν/2). The sum over m channels is approximated by m(ν + 1)·Beta(a, b) with the same mean and
+    variance: exact for one channel and for ν → ∞; for two and three the error of its distribution function is at most
+    0.036 at ν = 1, 0.020 at ν = 3, and 0.005 at ν = 30.
+    """
     a = 0.5 * (nis_dof * (nu + 3) - 2) / (nu + 1)
     return a, nu * a, nis_dof * (nu + 1)
 
@@ -171,7 +177,7 @@ def autocorrelation(innovations: Innovations, lags: int) -> tuple[Float[np.ndarr
 def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Float[np.ndarray, " n"]:
     """The density of a consistent filter's NIS at positive `x`, over the rows' degrees of freedom.
 
-    A mixture of χ², or for Student's t of the beta distributions of `tuning.pit_uniformity`.
+    A mixture of χ², or for Student's t of the beta distributions of `student_t_nis_beta`.
     """
     density = np.zeros(len(x))
     for dof, count in zip(*np.unique(innovations.dof, return_counts=True), strict=True):

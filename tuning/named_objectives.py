@@ -21,7 +21,6 @@ from trackwright.tuning.objectives import (
     StateLogLikelihood,
     Weighted,
 )
-from trackwright.tuning.pit_uniformity import PITUniformity
 from trackwright.tuning.problem import Problem
 
 HEIGHT_WEIGHT = 0.5
@@ -38,8 +37,6 @@ OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxy
         "state-nll": lambda quantity, dimensions: StateLogLikelihood(
             quantity, dimensions, HEIGHT_WEIGHT if dimensions == 3 else 1.0
         ),
-        "nis-shape": lambda quantity, dimensions: PITUniformity("nis"),
-        "nees-shape": lambda quantity, dimensions: PITUniformity("nees", quantity, dimensions),
     }
 )
 """Constructors by name, each of a quantity and its number of components."""
@@ -48,7 +45,7 @@ SUMMAND = re.compile(r"\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?([a-z][a-z-]
 
 
 def parse_objective(text: str, quantity: str = "position", dimensions: int = 2) -> AbstractObjective:
-    """The objective of a text such as `nll`, `0.1*rmse + nll` or `nll+5*nees-shape`.
+    """The objective of a text such as `nll`, or `0.1*rmse + nll`.
 
     Raises ValueError for an unknown or duplicate name, and for a weight that isn't positive.
     """
@@ -87,7 +84,7 @@ def all_metrics(
     the trajectories for which it is finite.
     """
     batches = [batches] if isinstance(batches, Batch) else list(batches)
-    objectives = _available(tracker, batches, quantity, dimensions)
+    objectives = _available(batches, quantity, dimensions)
     try:
         metrics = _evaluated(tracker, batches, objectives, weights)
     except MissingQuantityError:
@@ -102,7 +99,7 @@ def _evaluated(
     objectives: Mapping[str, AbstractObjective],
     weights: Sequence[Float[np.ndarray, " B"]] | None,
 ) -> dict[str, float]:
-    together = Weighted(tuple(objectives.values()), (1.0,) * len(objectives)).for_tracker(tracker)
+    together = Weighted(tuple(objectives.values()), (1.0,) * len(objectives))
     (sums,) = Problem(tracker, batches, together, [], weights=weights).terms(np.zeros((1, 0)))
     metrics = {}
     for name, objective, terms in zip(objectives, together.parts, together.split(sums), strict=True):
@@ -112,18 +109,12 @@ def _evaluated(
     return metrics
 
 
-def _available(
-    tracker: AbstractTracker, batches: Sequence[Batch], quantity: str, dimensions: int
-) -> dict[str, AbstractObjective]:
+def _available(batches: Sequence[Batch], quantity: str, dimensions: int) -> dict[str, AbstractObjective]:
     """The objectives by name; without truth of the quantity those that need none."""
     horizontal = min(dimensions, 2)
     objectives = {n: OBJECTIVES[n](quantity, horizontal if n == "rmse" else dimensions) for n in OBJECTIVES}
     if dimensions == 3:
         objectives["rmse-3d"] = RootMeanSquareError(quantity, 3)
-    try:
-        objectives["nis-shape"].for_tracker(tracker)
-    except ValueError:
-        del objectives["nis-shape"]
     in_truth = all(quantity in batch.truth for batch in batches)
     known = in_truth and any(np.any(batch.truth[quantity][1]) for batch in batches)
     return {name: objective for name, objective in objectives.items() if known or not objective.needs_truth}

@@ -20,7 +20,6 @@ from trackwright.trackers.core.model.algebra import Scalar, cholesky, total, tri
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.sensor import LOG_2PI
 from trackwright.trackers.core.run.scan import Output
-from trackwright.trackers.core.run.tracker import AbstractTracker
 
 Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""
@@ -83,10 +82,6 @@ class AbstractObjective(eqx.Module):
     def horizontal(self) -> bool:
         """Whether it judges the position over the floor alone, which hardly depends on vertical noise."""
         return False
-
-    def for_tracker(self, tracker: AbstractTracker) -> AbstractObjective:
-        """The objective with the properties of the tracker that it depends on; most depend on none."""
-        return self
 
 
 class NegativeLogLikelihood(AbstractObjective):
@@ -232,9 +227,6 @@ class Weighted(AbstractObjective):
         if len(self.parts) > 1:
             return float("nan")
         return self.parts[0].nats_per_unit(sums) / self.weights[0]
-
-    def for_tracker(self, tracker: AbstractTracker) -> Weighted:
-        return Weighted(tuple(part.for_tracker(tracker) for part in self.parts), self.weights)
 
     def split(self, sums: Any) -> list[Any]:
         """The sums of each objective."""

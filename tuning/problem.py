@@ -104,7 +104,7 @@ class Problem:
         keep: Keep = LocalParts,
     ):
         self.priors = tuple(priors)
-        self.objective, self.parameters = objective.for_tracker(tracker), list(parameters)
+        self.objective, self.parameters = objective, list(parameters)
         dtype = batches[0].columns(0, 1).dt.dtype
         self.tracker = as_dtype(tracker, dtype)
         start = jnp.asarray(flatten(self.parameters)[None], dtype)

@@ -1,22 +1,17 @@
-"""`trackwright check`, `calibrate` and `truth`: data quality, systematic errors, a truth along a known path."""
+"""`trackwright check` and `calibrate`: data quality, systematic errors."""
 
 from __future__ import annotations
 
 import sys
 import tomllib
 from dataclasses import asdict
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackwright.experiments.cli.options import File, Folder, ReadingOptions, Recording, Tracker, run_tracker_files
+from trackwright.experiments.cli.options import File, ReadingOptions, Recording, Tracker, run_tracker_files
 from trackwright.trackers.core.errors import UnusableInput, printable
 
 if TYPE_CHECKING:
-    import polars as pl
-
-    from trackwright.trackers.line.truth import KnotTimes
-    from trackwright.trackers.recordings.folder import RecordingFolder
+    pass
 
 
 def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = False) -> int:
@@ -90,65 +85,3 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
         print(f"wrote {out}, {page.name} and {', '.join(drawn)}")
         put(tomllib.loads(out.read_text("utf-8")))
     return 0
-
-
-def truth(recording: Path, /, *, out: Folder) -> int:
-    """Fit truth along a known path: the recording with a truth table.
-
-    Every tag travels once from the first to the last knot of [path] in rig.toml, at a constant speed on each segment,
-    with rests at the knots. The knot times are fitted to its fixes, or to positions
-    from its ranges, by least squares.
-
-    Args:
-        recording: a recording folder with [path] knots_m in rig.toml and a fixes or ranges table.
-        out: the folder to write; it must not exist or be empty.
-    """
-    started = datetime.now(UTC)
-    from trackwright.experiments.cli.console import read_with_notices
-    from trackwright.experiments.cli.runtime import keep_programs, write_manifest
-    from trackwright.trackers.recordings.folder import write_recording
-
-    (folder,) = read_with_notices((recording,))
-    keep_programs()
-    # jax takes a second to import, which the help and a refused recording need not wait for.
-    from trackwright.trackers.line.rows import fit_path_truth
-
-    fitted, knot_times = fit_path_truth(folder)
-    table = fitted.tables["truth"]
-    _notice_deviation(folder, table)
-    write_recording(fitted, out)
-    write_manifest(out, sys.argv, {"recording": str(recording)}, started)
-    print("\n".join(_knots_line(tag, times) for tag, times in knot_times.items()))
-    print(f"wrote {out}: the recording with a fitted truth of {len(table)} rows; use it: evaluate … --truth {out}")
-    return 0
-
-
-def _knots_line(tag: str, fitted: KnotTimes) -> str:
-    import numpy as np
-
-    lengths = np.sqrt((np.diff(fitted.knots, axis=0) ** 2).sum(axis=1))
-    segments = [
-        f"{a:.2f}-{b:.2f} s ({n / (b - a):.2f} m/s)"
-        for a, b, n in zip(fitted.departed, fitted.arrived, lengths, strict=True)
-        if b > a
-    ]
-    return f"tag {tag}: {fitted.rms:.3f} m RMS about the path; segments {', '.join(segments)}"
-
-
-def _notice_deviation(folder: RecordingFolder, table: pl.DataFrame) -> None:
-    """Notice of the deviation from the recording's own truth, if it has one."""
-    if "truth" not in folder.tables:
-        return
-    import numpy as np
-
-    from trackwright.experiments.text.terminal import notice
-    from trackwright.trackers.recordings.truth import TruePaths
-
-    fitted = TruePaths.of_table(table, folder.name)
-    for tag in sorted(folder.paths.number.keys() & fitted.number.keys()):
-        times, positions = fitted.of_tag(tag)
-        known, _ = folder.paths.at([tag], np.array([0, len(times)]), times)
-        deviation = np.sqrt(((positions - known)[:, :2] ** 2).sum(axis=1))
-        if np.isfinite(deviation).any():
-            rms = np.sqrt(np.nanmean(deviation**2))
-            notice(f"notice: tag {tag}: the recording's own truth is replaced; RMS deviation {rms:.3f} m")

@@ -13,25 +13,18 @@ from trackwright.trackers.core.errors import UnusableInput
 ABOUT = "Trackers for wireless indoor positioning: how accurate, with which noise levels?"
 
 COMMANDS = {
-    "plan": "cli.plan:plan",
     "import": "cli.import_source:import_source",
     "check": "cli.check:check",
     "survey": "cli.survey:survey",
-    "watch": "cli.watch:watch",
     "calibrate": "cli.check:calibrate_recordings",
     "track": "cli.track:track",
     "evaluate": "cli.track:evaluate_tracks",
     "export": "cli.export:export",
-    "report": "cli.report:report",
     "tune": "cli.tune:tune",
     "sweep": "cli.tune:sweep",
     "trackers": "cli.trackers:trackers",
-    "tunables": "cli.trackers:tunables",
     "simulate": "cli.simulate:simulate",
     "study": "cli.study:study",
-    "truth": "cli.check:truth",
-    "benchmark": "lab.benchmark.command:benchmark",
-    "verify": "lab.verify.command:verify",
     "demo": "lab.demo:demo",
 }
 """Where each command is. All these modules are light: what a command computes with is imported when it runs."""

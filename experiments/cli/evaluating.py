@@ -9,7 +9,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import polars as pl
 
@@ -33,9 +33,6 @@ from trackwright.trackers.recordings.tracks_table import (
     write_tracks,
 )
 
-if TYPE_CHECKING:
-    from trackwright.trackers.worksteps.tracks import WorkstepReport
-
 DEFAULT_STEPS = ("1m", "1s")
 DEFAULT_TOLERANCE = 0.01
 FILE_TAG = "1"
@@ -56,25 +53,15 @@ CONDITION = re.compile(
 
 def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     """Evaluates an output folder of `track`, prints the errors and writes evaluation.json; the exit code."""
-    part, worksteps = options.used.part, options.worksteps
+    part = options.used.part
     tracks = part.of_estimates(read_tracks(folder))
     folders = read_with_notices(options.truth or sources(folder))
-    known, work, shown = metric_names(tracks), None, ""
-    if worksteps is not None:
-        from trackwright.experiments.pages.reports.evaluate_text import worksteps_text
-        from trackwright.trackers.worksteps.tracks import METRICS, workstep_report
-
-        known += METRICS
     if options.fail_if is not None:
-        conditions(options.fail_if, known)
+        conditions(options.fail_if, metric_names(tracks))
     evaluation = evaluate(tracks, folders, part.every)
-    if worksteps is not None:
-        truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
-        work = workstep_report(tracks, truths, worksteps, options.tolerance, part.every)
-        evaluation, shown = with_work(evaluation, work), "\n" + worksteps_text(work)
-    text = to_json(evaluation, None if work is None else work.plain())
+    text = to_json(evaluation)
     atomic_write(folder / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
-    print(text if options.json else to_text(evaluation, terminal_width()) + shown, end="")
+    print(text if options.json else to_text(evaluation, terminal_width()), end="")
     return code_of(evaluation, options.fail_if)
 
 
@@ -84,15 +71,6 @@ def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int
     if why is not None:
         print(f"fails: {whose}{why}", file=sys.stderr)
     return int(why is not None)
-
-
-def with_work(evaluation: Evaluation, work: WorkstepReport) -> Evaluation:
-    """The evaluation with the fractions of right and wrong unlock decisions among its metrics."""
-    recordings = [
-        metrics | (work.metrics(metrics["recording"]) if metrics["recording"] in work.recordings else {})
-        for metrics in evaluation.recordings
-    ]
-    return dataclasses.replace(evaluation, overall=evaluation.overall | work.metrics(), recordings=recordings)
 
 
 def sources(folder: Path) -> tuple[Path, ...]:

@@ -50,6 +50,7 @@ def import_source(
     interval: Seconds | None = None,
     skip_bad_lines: bool = False,
     messages: tuple[File, ...] = (),
+    path: bool = False,
 ) -> int:
     """Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
 
@@ -80,7 +81,16 @@ def import_source(
         interval: s between the lines of a log without times.
         skip_bad_lines: leave lines of a log that are not understood out, and count them.
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
+        path: the source is a recording folder whose tags travel along [path] of its rig.toml; its copy gets a truth
+            fitted to its fixes, or to positions from its ranges. No other option goes with it.
     """
+    if path:
+        others = (table, columns, mapping, topic, tag, rig, format, separator, origin, transform, interval, messages)
+        if any(others) or decimal != "." or align_truth or skip_bad_lines:
+            raise UnusableInput("--path: takes a recording folder as it is; expected --out alone beside it")
+        from trackwright.experiments.cli.path_truth import import_with_path_truth
+
+        return import_with_path_truth(source, out)
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.core.data.seconds import moment
     from trackwright.trackers.core.wording import counted

@@ -125,7 +125,7 @@ class TrackerOptions:
         out: the folder to write to.
         tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; `track` compares
             several, with commas; default: that of the file `--noise` or `--start`, else the one that fits the tables.
-        set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; those of `trackwright tunables`.
+        set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; those of `trackwright trackers NAME`.
         free_height: estimate the height of tags whose height the rig gives.
         side: where tags are of anchors in one plane; default: below from 2 m on, above up to 0.5 m, else either.
     """
@@ -196,11 +196,6 @@ class TrackOptions(TrackerOptions):
         errors: auto scales the covariances to the errors of this recording (several levels of biases, weighted by how
             well they predict the readings); given takes the noise levels as they are. By default auto for uwb without
             --calibration, --noise, --set, --smooth and --motion auto.
-        protection: an output folder of `track`, tracked as this run is, of other recordings of the site with truth that
-            no calibration or fit has seen; several give protection levels, the radius that holds the true position.
-        probability: that of the protection levels.
-        watch: a recording folder of the site in normal operation; several are a baseline with which it is told whether
-            the site has changed since, with exit code 1, and from when on no protection level holds.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself, as --keep-going does, on a Dask cluster, tcp://HOST:8786, or in
             processes here, local:4.
@@ -218,9 +213,6 @@ class TrackOptions(TrackerOptions):
     lag: Seconds | None = None
     motion: Literal["given", "auto"] = "given"
     errors: Literal["given", "auto"] | None = None
-    protection: tuple[Folder, ...] = ()
-    probability: float = 0.999
-    watch: tuple[Folder, ...] = ()
     seed: int = 0
     cluster: Address | None = None
     no_figures: bool = False
@@ -238,8 +230,6 @@ class TrackOptions(TrackerOptions):
             )
         if not 0 <= self.seed < 2**64:
             raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
-        if not 0.5 <= self.probability < 1.0:
-            raise UnusableInput(f"--probability {self.probability:g}: expected a number from 0.5 to below 1, as 0.999")
 
     @property
     def file(self) -> Path | None:
@@ -257,9 +247,7 @@ class TrackOptions(TrackerOptions):
 
     def manifest(self, tracker: str) -> dict[str, Any]:
         """What the manifest of a run of this tracker holds of the options."""
-        unused = [] if self.protection else ["protection", "probability"]
-        unused += [] if self.watch else ["watch"]
-        return self.config("cluster", "force", "keep_going", *unused) | {"tracker": tracker, "set": self.values}
+        return self.config("cluster", "force", "keep_going") | {"tracker": tracker, "set": self.values}
 
 
 @OPTIONS
@@ -268,9 +256,9 @@ class TuneOptions(TrackerOptions):
     """What is fitted, how, and what is written.
 
     Args:
-        objective: state-nll, the negative log density of the truth under the reported position and covariance; rmse,
-            nees-shape (need truth as well); nll, the negative log-likelihood, nis-shape (need none); or a sum,
-            e.g. state-nll+0.1*rmse. Default: state-nll where there is truth, else nll.
+        objective: state-nll, the negative log density of the truth under the reported position and covariance, or rmse,
+            which need truth; nll, the negative log-likelihood, which needs none; or a sum, e.g. state-nll+0.1*rmse.
+            Default: state-nll where there is truth, else nll.
         tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
             levels of motion and sensors, and with truth the latency of fixes.
         freeze: patterns of tunables to keep.
@@ -408,7 +396,8 @@ class PoseOptions:
         time_tolerance: largest distance in time between a pose and its true pose; default: 0.01.
         rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
         all_pairs: relative pose errors from every pose, not from the end of the step before.
-        out: a folder for the page, evaluation.json, the tracks as compared, and figures.
+        out: a folder for the page, evaluation.json, the tracks as compared, and figures; of several runs for their
+            comparison.html and figures, by default out.
     """
 
     align: Alignment | None = None
@@ -447,20 +436,18 @@ class EvaluateOptions:
             default: the tracked recordings.
         json: print all metrics as JSON instead of a table.
         fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
-        worksteps: a table of fastening points, name, x_m, y_m and optionally z_m; adds how often the tool is
-            unlocked at the right one.
-        tolerance: distance to a fastening point, m, up to which the tool is at it; default: half the smallest distance
-            between two points.
         cluster: score each recording of an archive on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
+        metrics: of several studies: names of the metrics to show, as in results.json.
+        format: of the figures of a comparison.
     """
 
     truth: tuple[Annotated[Path, Parameter(metavar="FOLDER|FILE")], ...] = ()
     used: PartOptions = field(default_factory=PartOptions)
     json: bool = False
     fail_if: Annotated[str, Parameter(metavar="CONDITION")] | None = None
-    worksteps: File | None = None
-    tolerance: Annotated[float, Parameter(metavar="M")] | None = None
     cluster: Address | None = None
+    metrics: tuple[Annotated[str, Parameter(metavar="METRIC")], ...] = ()
+    format: FigureFormat = "png"
     poses: PoseOptions = field(default_factory=PoseOptions)
 
 

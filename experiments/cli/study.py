@@ -47,9 +47,9 @@ def study(
         shard: run only part i of n of the chunks, e.g. 2/8, for an array of jobs.
         cluster: run the chunks on a Dask cluster, tcp://HOST:8786, or in processes here, local:4 (docs/cluster.md).
         list: list the studies that come with the package.
-        no_figures: draw no figures, neither the charts of the report nor those of the study's own.
+        no_figures: write no charts as files.
         no_report: write no report.html.
-        format: of the charts of the report; figures of the study's own have theirs.
+        format: of the charts.
     """
     if out is not None:
         require_output(out)
@@ -107,12 +107,11 @@ def study(
     expected = [] if declared.expected is None else [*declared.expected(results)]
     print(to_text(results, expected), end="")
     atomic_write(folder / RESULTS, lambda path: path.write_text(to_json(results, expected), "utf-8"))
-    drawn = [] if declared.draw is None or no_figures else declared.draw(results, folder)
     charts = [] if no_figures else [chart for group in study_charts(results) for chart in group]
-    figures = [*drawn, *write_charts(folder, charts, format)]
+    figures = write_charts(folder, charts, format)
     written = [RESULTS, "manifest.json", *([figures_drawn(figures)] if figures else [])]
     if not no_report:
-        written.insert(0, write_study_report(folder, results, expected, drawn, sys.argv).name)
+        written.insert(0, write_study_report(folder, results, expected, sys.argv).name)
     write_manifest(folder, sys.argv, {"study": declared.name, "runs": declared.runs}, started, (declared.seed,),
                    declared.chunk)  # fmt: skip
     print(f"wrote {', '.join([str(folder / written[0]), *written[1:]])}")

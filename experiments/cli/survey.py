@@ -21,26 +21,22 @@ def survey(
     sigma: float = 0.0,
     frame: Names | None = None,
     height: float | None = None,
-    sigma_deg: float | None = None,
     force: bool = False,
     json: bool = False,
 ) -> int:
-    """Survey anchors or stations: their positions, with delays or rotations, from walks without truth.
+    """Survey anchors: their positions and delays, from walks with ranges, without truth.
 
-    Writes a rig.toml that `track` takes, and beside it a page. Anchors that rig.toml of the walks lacks are surveyed,
-    too; stations must be there, with any position and rotation where it is not known.
+    Writes a rig.toml that `track` takes, and beside it a page. Anchors that rig.toml of the walks lacks are found, too.
 
     Args:
-        recordings: recording folders with ranges to the same anchors, with range differences where all have rough
-            positions, which are given, or with bearings of stations; truth, if there is any, is not used.
+        recordings: recording folders with ranges to the same anchors; truth, if there is any, is not used.
         out: the file to write, as rig.toml; the page and its figure go beside it.
-        given: anchors or stations whose positions in rig.toml are known, or all.
+        given: anchors whose positions in rig.toml are known, or all.
         sigma: their standard deviation, m, as 0.05 by tape; default: exact.
         frame: without given anchors: origin, x axis, and one to the left of it; default: the first.
         height: of the tags, m; default: that of the tags in rig.toml, else estimated.
-        sigma_deg: standard deviation of the rotations of stations in rig.toml, °, 0: exact; default: not known.
         force: replace a file that exists, and take ranges in spite of the errors that `trackwright check` finds.
-        json: print positions, delays or rotations, intervals and verdicts as JSON instead of a table.
+        json: print positions, delays, intervals and verdicts as JSON instead of a table.
     """
     if out.suffix != ".toml" or out.is_dir():
         raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give rig.toml in a folder")
@@ -53,10 +49,9 @@ def survey(
 
     refuse_repeated(recordings)
     folders = [read_recording(path, placed=False) for path in recordings]
-    # No other table is used. Positions in rig.toml may be wrong where ranges find them; differences refine them.
-    used = [(x, next((k for k in ("ranges", "tdoa", "bearings") if k in x.tables), None)) for x in folders]
-    alone = [replace(x, tables={k: x.tables[k]}) for x, k in used if k is not None]
-    checked([replace(x, rig=replace(x.rig, anchors={})) if "ranges" in x.tables else x for x in alone], force, True)
+    # No other table is used, and positions in rig.toml may be wrong.
+    alone = [replace(x, tables={"ranges": x.tables["ranges"]}) for x in folders if "ranges" in x.tables]
+    checked([replace(x, rig=replace(x.rig, anchors={})) for x in alone], force, True)
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.reports.survey import survey_data, write_survey_report
     from trackwright.trackers.recordings.atomic import atomic_write
@@ -65,7 +60,7 @@ def survey(
 
     with stages("survey") as begin:
         begin("fitting positions and paths")
-        result = survey_walks(folders, given or (), sigma, frame or (), height, sigma_deg)
+        result = survey_walks(folders, given or (), sigma, frame or (), height)
     output_folder(out.parent)
     for line in result.notes:
         notice(f"notice: {line}")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from trackwright.experiments.cli.options import EvaluateOptions, Recording, TrackOptions
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions, Recording, TrackOptions
+from trackwright.trackers.core.errors import UnusableInput, listed
 
 
 def track(*recordings: Recording, options: TrackOptions) -> int:
@@ -30,11 +31,6 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
     with json_alone(options.json) as put, stages("track") as begin:
         begin("reading")
         archive = archive_of(recordings, options.keep_going or options.cluster is not None)
-        for name in ("protection", "watch"):
-            if archive is not None and getattr(options, name):
-                raise UnusableInput(
-                    f"--{name}: applies to single recordings, found an archive; track them by themselves"
-                )
         if archive is None:
             usable, refused = usable_recordings(recordings, options.force, options.used.calibration is not None)
             folders = prepared(usable, options.used)
@@ -45,33 +41,40 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
             from trackwright.experiments.cli.archive import track_archive
 
             return track_archive(archive, options, started, begin, put)
-        from trackwright.experiments.cli.tracking import track_folders, watch_of
+        from trackwright.experiments.cli.tracking import track_folders
 
-        watch = None
-        if options.watch:
-            begin("watching")
-            watch = watch_of(options, usable)
-        return track_folders(folders, refused, options, started, begin, put, watch)
+        return track_folders(folders, refused, options, started, begin, put)
 
 
 DEFAULTS = EvaluateOptions()
 
 
-def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> int:
-    """Error metrics of estimates against truth; exit 1 by --fail-if.
+def evaluate_tracks(*folders: Recording, options: EvaluateOptions = DEFAULTS) -> int:
+    """Error metrics of estimates against truth, or runs compared; exit 1 by --fail-if.
 
     By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, KITTI, EuRoC, or a table
-    with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
+    with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo. Of
+    several runs: metrics, differences from the first, a page and figures.
 
     Args:
-        folder: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
-            tag, which --tag names.
+        folders: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
+            tag, which --tag names; or two or more output folders of `track`, or of `study`, to compare.
     """
-    poses, truth, worksteps = options.poses, options.truth, options.worksteps
-    if options.tolerance is not None and worksteps is None:
-        raise UnusableInput(
-            f"--tolerance {options.tolerance:g}: applies to fastening points; expected --worksteps POINTS too"
-        )
+    poses, truth = options.poses, options.truth
+    if len(folders) > 1:
+        alone = EvaluateOptions(json=options.json, metrics=options.metrics, format=options.format)
+        if options != replace(alone, poses=PoseOptions(out=poses.out)):
+            raise UnusableInput(
+                f"{listed(map(str, folders))}: are compared; expected --out, --metrics, --format and --json alone"
+            )
+        from trackwright.experiments.cli.comparing import COMPARISON, print_comparison
+
+        out = (poses.out or Path("out")) / COMPARISON
+        print_comparison(folders, out, options.format, options.metrics, options.json)
+        return 0
+    if options.metrics or options.format != DEFAULTS.format:
+        raise UnusableInput(f"{folders[0]}: is one run; expected --metrics and --format with two or more to compare")
+    (folder,) = folders
     if not folder.exists():
         raise UnusableInput(
             f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"
@@ -81,9 +84,9 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
     from trackwright.trackers.recordings.tracks_table import TRACKS
 
     if is_archive(folder):
-        if poses.given or truth or worksteps is not None:
+        if poses.given or truth:
             raise UnusableInput(
-                f"{folder}: is an archive; expected no --truth, --worksteps and trajectory options; "
+                f"{folder}: is an archive; expected no --truth and trajectory options; "
                 f"evaluate one of {folder / RECORDINGS}/*/*"
             )
         # jax takes a second to import, which the help and a refused folder need not wait for.
@@ -95,8 +98,6 @@ def evaluate_tracks(folder: Path, /, *, options: EvaluateOptions = DEFAULTS) -> 
     if options.cluster is not None:
         raise UnusableInput(f"--cluster {options.cluster}: {folder} is no archive; leave --cluster out")
     if folder.is_file() or poses.given or not all(path.is_dir() for path in truth):
-        if worksteps is not None:
-            raise UnusableInput("--worksteps: applies to a folder of `track`, without trajectory options and files")
         known = truth if truth or folder.is_file() else sources(folder)
         return evaluate_poses(folder, known, options)
     return evaluate_folder(folder, options)

@@ -1,4 +1,4 @@
-"""`trackwright trackers` and `trackwright tunables`: what can be run, and which of its numbers can be set or fitted."""
+"""`trackwright trackers`: what can be run, and which of its numbers can be set or fitted."""
 
 from __future__ import annotations
 
@@ -20,15 +20,32 @@ if TYPE_CHECKING:
     from trackwright.trackers.recordings.named_tracker import NamedTracker
 
 
-def trackers(*, json: bool = False) -> int:
-    """List the trackers and the tables they read.
+def trackers(
+    tracker: Tracker | None = None,
+    folder: Path | None = None,
+    /,
+    *,
+    noise: File | None = None,
+    free_height: bool = False,
+    json: bool = False,
+) -> int:
+    """List the trackers and the tables they read, or the tunables of one.
 
     The first that fits the tables of a recording is chosen where none is named. A tracker of your own is a Python file:
-    --tracker FILE.py:NAME.
+    FILE.py:NAME. Of one, each tunable with value, unit, bounds and meaning: the names of --set, --tune, --bound and
+    --over; those with a star are fitted where --tune names none.
 
     Args:
+        tracker: one of them, or FILE.py:NAME of a TrackerSpec of your own.
+        folder: a recording folder, whose stations or anchors the tracker gets; default: a simulated one that it fits.
+        noise: a tuned.toml, whose values are shown.
+        free_height: the tracker that estimates the height of tags whose height the rig gives.
         json: print JSON instead of lines.
     """
+    if tracker is not None:
+        return _list_tunables(tracker, folder, noise, free_height, json)
+    if noise is not None or free_height:
+        raise UnusableInput("trackers: --noise and --free-height are of one tracker; expected its name before them")
     listed = {name: f"{entry.about} ({entry.table})" for name, entry in ENTRIES.items()}
     if json:
         # polars takes 0.1 s to import.
@@ -40,26 +57,8 @@ def trackers(*, json: bool = False) -> int:
     return 0
 
 
-def tunables(
-    tracker: Tracker,
-    folder: Path | None = None,
-    /,
-    *,
-    noise: File | None = None,
-    free_height: bool = False,
-    json: bool = False,
-) -> int:
-    """List the tunables of a tracker: value, unit, bounds, meaning.
-
-    The names are those of --set, --tune, --bound and --over; those with a star are fitted where --tune names none.
-
-    Args:
-        tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own.
-        folder: a recording folder, whose stations or anchors the tracker gets; default: a simulated one that it fits.
-        noise: a tuned.toml, whose values are shown.
-        free_height: the tracker that estimates the height of tags whose height the rig gives.
-        json: print JSON instead of a table.
-    """
+def _list_tunables(tracker: str, folder: Path | None, noise: File | None, free_height: bool, json: bool) -> int:
+    """Prints the tunables of a tracker."""
     from trackwright.experiments.cli.console import read_with_notices
     from trackwright.experiments.text.tables import terminal_width
     from trackwright.experiments.text.terminal import notice
@@ -89,7 +88,7 @@ def _simulated(tracker: str, missing: Any) -> RecordingFolder:
     for folder in _simulated_folders():
         if missing(folder) is None:
             return folder
-    raise UnusableInput(f"tunables {tracker}: no simulated recording has what it reads; give a recording FOLDER")
+    raise UnusableInput(f"trackers {tracker}: no simulated recording has what it reads; give a recording FOLDER")
 
 
 def _simulated_folders() -> Iterator[RecordingFolder]:

@@ -10,16 +10,15 @@ from contextlib import suppress
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
 from trackwright.experiments.cli.archive_folders import RESULTS
-from trackwright.experiments.cli.console import checked, notice_unused_calibration, output_folder
+from trackwright.experiments.cli.console import notice_unused_calibration, output_folder
 from trackwright.experiments.cli.options import TrackOptions
 from trackwright.experiments.cli.runtime import write_manifest
-from trackwright.experiments.cli.watch import untrue
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.text.evaluation_text import to_json, to_text
@@ -40,13 +39,10 @@ from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.checks.residuals import delay_against_truth
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackwright.trackers.recordings.trajectories import known_height
-
-if TYPE_CHECKING:
-    from trackwright.tuning.watch.result import Watch
 
 LATE_S = 0.1
 """Delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice."""
@@ -127,11 +123,10 @@ def track_folders(
     started: datetime,
     begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
-    watch: Watch | None,
 ) -> int:
     """Tracks the recordings, writes all files and prints the metrics.
 
-    Returns the exit code, 1 if some were `refused` or `watch` found a change. Several trackers get a folder each, by
+    Returns the exit code, 1 if some were `refused`. Several trackers get a folder each, by
     their names; those that the user named are compared. `begin`: of a stage. `put`: of the metrics, by tracker.
     """
     of_file = None if options.tuned is None else options.tuned.tracker
@@ -153,17 +148,17 @@ def track_folders(
         # That of an archive which was tracked to this folder before.
         (options.out / RESULTS).unlink(missing_ok=True)
     if len(runs) == 1:
-        put({runs[0].short: _track(runs[0], options, options.out, started, begin, 1, watch)[0]})
+        put({runs[0].short: _track(runs[0], options, options.out, started, begin, 1)[0]})
     else:
         output_folder(options.out)
         of, pages = len(runs) if options.tracker is not None else 1, list[dict[str, Any]]()
         for run in runs:
-            metrics, page = _track(run, options, options.out / run.short, started, begin, of, watch)
+            metrics, page = _track(run, options, options.out / run.short, started, begin, of)
             put({run.short: metrics})
             pages += [] if page is None else [page]
         if of > 1:
             begin("comparison")
-            from trackwright.experiments.cli.report import COMPARISON, print_comparison
+            from trackwright.experiments.cli.comparing import COMPARISON, print_comparison
 
             if pages:
                 _write_page(options.out, pages)
@@ -175,36 +170,13 @@ def track_folders(
                 page=not options.no_report,
                 playback=PAGE if pages else None,
             )
-    if watch is not None:
-        _show(watch, options, put)
     for line in (*refused, *unfit):
         notice(f"not tracked: {line}")
-    return int(bool(refused or unfit) or (watch is not None and watch.changed))
-
-
-def watch_of(options: TrackOptions, recordings: Sequence[RecordingFolder]) -> Watch:
-    """What a watch of recordings, as they were read, finds against the baseline `--watch`.
-
-    Raises UnusableInput as `watch`, and for a baseline that cannot be read.
-    """
-    from trackwright.tuning.watch.watching import watch
-
-    baseline = checked(untrue(read_recordings(options.watch)), options.force, calibrated=True)
-    return watch(untrue(map(options.used.part.of, recordings)), baseline)
-
-
-def _show(watch: Watch, options: TrackOptions, put: Callable[[Mapping[str, Any]], None]) -> None:
-    """Prints the verdict of a watch, and writes its figure."""
-    from trackwright.experiments.pages.reports.watch import watch_data, write_watch_figure
-
-    print(watch)
-    if not options.no_figures:
-        print(f"wrote {write_watch_figure(options.out / f'watch.{options.format}', watch)}")
-    put({"watch": watch_data(watch)})
+    return int(bool(refused or unfit))
 
 
 def _track(
-    run: TrackedBy, options: TrackOptions, out: Path, started: datetime, begin: Begin, of: int, watch: Watch | None
+    run: TrackedBy, options: TrackOptions, out: Path, started: datetime, begin: Begin, of: int
 ) -> tuple[Any, dict[str, Any] | None]:
     """Tracks recordings with one tracker into the folder `out`; returns its evaluation.json and its page.
 
@@ -224,11 +196,6 @@ def _track(
     heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
     if heights and not named.spec.bearing_only:
         notice(f"height: known from rig.toml for {counted(heights, 'tag')} and used; estimate it with --free-height")
-    protection = None
-    if options.protection:
-        from trackwright.experiments.cli.protecting import protection_of
-
-        protection = protection_of(options, name)
     output_folder(out)
     give_back()
     advance = begin("tracking", sum(len(batch.trajectories) for batch in batches))
@@ -236,8 +203,6 @@ def _track(
     give_back()
     begin("errors and events")
     table, summaries = tracks.table, tracks.summaries
-    if protection is not None:
-        table = protection.applied(table, {} if watch is None else watch.since())
     atomic_write(out / TRACKS, partial(write_tracks, table))
     happened = events_of(table, named.spec, batches)
     atomic_write(out / EVENTS, happened.write_parquet)
@@ -255,11 +220,6 @@ def _track(
             print(f"Without truth: {uncapitalised(sentence)}")
     elif of == 1:
         print(to_text(evaluation, terminal_width()), end="")
-    if protection is not None:
-        none = (
-            "" if watch is None or not watch.changed else f"; infinite from {watch.when(watch.onset_s)} on: see below"
-        )
-        print(f"{protection}{none}.")
     metrics = to_json(evaluation)
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)
@@ -267,11 +227,7 @@ def _track(
     if not options.no_report:
         begin("report")
         known, about = evaluation if association.scored.any() else None, f"{name}: {named.spec.about}"
-        verdict = [] if watch is None else watch.lines()
-        since = {} if watch is None else watch.since()
-        changes = [{"recording": k, "t_s": t, "event": "site changed", "detail": ""} for k, t in since.items()]
-        events = pl.concat([pl.DataFrame(changes, schema=happened.schema), happened])
-        page = run_data(scored, events, known, about, run.short, of, not options.no_figures and of == 1, verdict)
+        page = run_data(scored, happened, known, about, run.short, of, not options.no_figures and of == 1)
     if of == 1:
         drawn = write_shown(scored, page, options, out, begin)
     write_manifest(

@@ -1,1 +1,1 @@
-"""What proves the product: papers, questions, validation, verification, benchmarks."""
+"""What proves the product: papers, validation, verification, benchmarks."""

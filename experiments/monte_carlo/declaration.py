@@ -93,9 +93,8 @@ class Study:
     The first tracker is the reference of comparisons. `grid`: names -> values; all combinations are run. A name is
     `world.` and a parameter of the worlds, a tunable's name or pattern, or several of these separated by commas.
     `measures`: the study's own metrics, functions that return one number per trajectory (n,), NaN for none. `metrics`:
-    those in the report's tables. `expected(results)`: printed numbers beside ours, and conclusions. `draw(results,
-    folder)`: writes plots of its own and returns their file names. `source`: text of the file that declares the study.
-    `declared_in`: the name or file by which it was loaded.
+    those in the report's tables. `expected(results)`: printed numbers beside ours, and conclusions. `source`: text of
+    the file that declares the study. `declared_in`: the name or file by which it was loaded.
     """
 
     name: str
@@ -109,7 +108,6 @@ class Study:
     metrics: Sequence[str] = DEFAULT_METRICS
     # Functions of `Results`, which holds the study: its type stays out of this module.
     expected: Callable[..., Iterable[Claim]] | None = None
-    draw: Callable[..., list[str]] | None = None
     source: str = ""
     declared_in: str = ""
 

@@ -1,4 +1,4 @@
-"""Load a study: by name from the papers and questions of `experiments.lab`, from a file, or from what travelled."""
+"""Load a study: by name from the papers of `experiments.lab`, from a file, or from what travelled."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.user_file import fault_of, run_file, split_name
 from trackwright.trackers.recordings.input_file import read_toml
 
-PAPERS, QUESTIONS = "trackwright.experiments.lab.papers", "trackwright.experiments.lab.questions"
-"""Where studies are looked for by name: in the folders of the one, and in the other itself."""
+PAPERS = "trackwright.experiments.lab.papers"
+"""In whose folders studies are looked for by name."""
 
 KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}
 STUDY_KEYS = {
@@ -36,10 +36,10 @@ def available_studies() -> list[str]:
 
 
 def _modules() -> dict[str, str]:
-    """Module names by study: each module of a paper's folder and of `questions`, except fits and private ones."""
+    """Module names by study: each module of a paper's folder, except fits and private ones."""
     folders = [m.name for m in _modules_in(PAPERS) if m.ispkg]
     modules = {}
-    for folder in [*folders, QUESTIONS]:
+    for folder in folders:
         for module in _modules_in(folder):
             name = module.name.rpartition(".")[2]
             if not name.startswith(("fit_", "_")):

@@ -6,7 +6,7 @@ import heapq
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -38,9 +38,9 @@ COLUMNS = tuple(metric for metric in METRICS.values() if metric.short)
 RANKS = (3, 2, 1, 0)
 
 
-def to_json(evaluation: Evaluation, work: Mapping[str, Any] | None = None) -> str:
-    """All metrics and statements as JSON, missing metrics as null; `work`: those of fastening points, if any."""
-    return json_text(content(evaluation) | ({} if work is None else {"worksteps": work}))
+def to_json(evaluation: Evaluation) -> str:
+    """All metrics and statements as JSON, missing metrics as null."""
+    return json_text(content(evaluation))
 
 
 def content(evaluation: Evaluation) -> dict[str, Any]:

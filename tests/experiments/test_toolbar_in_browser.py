@@ -8,7 +8,6 @@ from tests.browser import chromium, watched
 from tests.experiments.monte_carlo.small_study import SMALL
 from tests.experiments.pages.charts.small_runs import small_run
 from tests.experiments.pages.reports.small_tracks import small_tracks
-from tests.experiments.pages.reports.test_plan import HEIGHT, ROOM, SIGMAS
 from tests.experiments.pages.reports.test_track_page import NO_EVENTS
 from tests.experiments.pages.reports.tuning_report_data import report_data
 from tests.tuning.calibration_worlds import world
@@ -16,8 +15,6 @@ from trackwright.experiments.monte_carlo.runner import run_study
 from trackwright.experiments.pages.charts.comparison import comparison_charts
 from trackwright.experiments.pages.reports.calibration import report_on, write_calibration_report
 from trackwright.experiments.pages.reports.comparison import write_comparison
-from trackwright.experiments.pages.reports.plan import write_plan
-from trackwright.experiments.pages.reports.plan_accuracy import floor_map
 from trackwright.experiments.pages.reports.study import study_page
 from trackwright.experiments.pages.reports.track import run_data, write_track_page
 from trackwright.experiments.pages.reports.tuning import write_tuning_report
@@ -55,7 +52,7 @@ def _tune(folder):
 
 def _study(folder):
     path = folder / "study.html"
-    path.write_text(study_page(run_study(SMALL, folder / "study"), [], [], ["study", "small.toml"]), "utf-8")
+    path.write_text(study_page(run_study(SMALL, folder / "study"), [], ["study", "small.toml"]), "utf-8")
     return path
 
 
@@ -69,10 +66,6 @@ def _calibration(folder):
     calibration = calibrate(folders)
     out = folder / "calibration.toml"
     return write_calibration_report(out, calibration, report_on(calibration, folders), ["calibrate"])
-
-
-def _plan(folder):
-    return write_plan(folder / "plan.html", ROOM, floor_map(ROOM, SIGMAS, HEIGHT), {}, ["plan"])
 
 
 @pytest.mark.parametrize(
@@ -97,14 +90,3 @@ def test_no_chart_of_any_page_can_be_uploaded_and_a_phone_has_no_toolbar(page_of
             assert not [one for one in found["words"] if UPLOADS.search(one)]
             assert (found["visible"] > 0) == (width > 600)
             assert not errors
-
-
-def test_the_map_of_a_plan_has_no_chart_and_no_button_that_uploads(tmp_path):
-    with chromium() as browser:
-        page = browser.new_page()
-        errors = watched(page)
-        page.goto(_plan(tmp_path).as_uri())
-        found = page.evaluate(FOUND)
-        assert found["charts"] == 0
-        assert not [one for one in found["words"] if UPLOADS.search(one)]
-        assert not errors

@@ -15,7 +15,6 @@ from trackwright.experiments.text.tables import width_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.tracks_table import source_paths
-from trackwright.trackers.worksteps.tracks import read_points
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.optimisers import Adam
 
@@ -81,7 +80,7 @@ def test_results_that_no_study_wrote_are_refused(tmp_path, content):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "results.json").write_text(json.dumps(content))
-    said = trackwright("report", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
+    said = trackwright("evaluate", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
     assert_refused(said, "a/results.json: cannot be read", "run the study")
 
 
@@ -93,21 +92,8 @@ def test_metrics_that_no_command_wrote_are_refused(tmp_path, change):
         (tmp_path / name).mkdir()
         content = {"kind": "position", "overall": {"rmse_m": 1.0}, "recordings": [], **change}
         (tmp_path / name / "evaluation.json").write_text(json.dumps(content))
-    said = trackwright("report", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
+    said = trackwright("evaluate", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
     assert_refused(said, "a/evaluation.json: cannot be read")
-
-
-def test_a_kind_of_world_that_is_a_list_is_refused(tmp_path):
-    (tmp_path / "study.toml").write_text("[worlds.line]\nkind = [1]\n[trackers.fix-kf]\n")
-    said = trackwright("study", tmp_path / "study.toml", "--out", tmp_path / "out")
-    assert_refused(said, "worlds.line: kind '[1]' is unknown")
-
-
-@pytest.mark.parametrize("number", ["inf", "nan", "1" + "0" * 400])
-def test_a_number_of_a_study_beyond_all_floats_is_refused(tmp_path, number):
-    (tmp_path / "study.toml").write_text(f"[worlds.line]\nrate_hz = {number}\n[trackers.fix-kf]\n")
-    said = trackwright("study", tmp_path / "study.toml", "--out", tmp_path / "out")
-    assert_refused(said, "worlds: rate_hz = ", "expected a finite number")
 
 
 def test_a_line_of_another_system_within_a_table_with_semicolons_is_refused(tmp_path):
@@ -123,12 +109,6 @@ def test_a_line_of_another_system_within_a_table_with_semicolons_is_refused(tmp_
 def test_a_checkpoint_of_another_number_of_arrays_is_no_state_of_a_fit(count):
     with pytest.raises(UnusableInput, match=rf"checkpoint.npz: holds {count} arrays, .*begin anew"):
         from_arrays(Adam(3), [np.zeros((2, 3))] * count)
-
-
-def test_points_beyond_all_coordinates_are_refused(tmp_path):
-    (tmp_path / "points.csv").write_text("name,x_m,y_m\nP1,1e200,0\nP2,1,1\n")
-    with pytest.raises(UnusableInput, match="row 1 .*column x_m: '1e200', expected a finite number, m, at most"):
-        read_points(tmp_path / "points.csv")
 
 
 def test_hundreds_of_unknown_columns_are_one_notice(tmp_path):

@@ -137,8 +137,6 @@ def test_objectives_do_not_depend_on_the_order_of_the_fields(folder, specs):
         ((_, rows),) = stacked(spec.batches([folder], name)[0].trajectories)
         metrics.append(all_metrics(_tracker(name == "exchanged"), rows, "position", 3))
     assert metrics[1] == pytest.approx(metrics[0], rel=1e-7)
-    # The model is true: four squares of a mean over 480 correlated rows.
-    assert metrics[0]["nees-shape"] < 0.1
 
 
 @pytest.mark.slow

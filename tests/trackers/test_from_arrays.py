@@ -139,7 +139,6 @@ def unchecked():
         (lambda: tw.tracker_for(["a"]), "found str; expected one or more recording folders"),
         (lambda: tw.survey("walk"), "found str; expected one or more recording folders, as `read`"),
         (lambda: tw.survey([]), "found nothing; expected one or more recording folders"),
-        (lambda: tw.watch("run", "baseline"), "found str; expected one or more recording folders, as `read`"),
         (lambda: tw.calibrate("walk"), "found str; expected one or more recording folders, as `read`"),
         (lambda: tw.Scale(-1.0), "a Scale is positive"),
     ],

@@ -94,7 +94,7 @@ DIFFERENTIABLE = [
 @pytest.mark.slow
 @pytest.mark.parametrize("case", DIFFERENTIABLE)
 def test_the_derivative_by_every_tunable_is_the_central_difference(case):
-    """Of the likelihood and of the error, both at once; particles have a derivative of their own, see `verify`.
+    """Of the likelihood and of the error, both at once; particles have a derivative of their own, see `tests/test_gradients.py`.
 
     Differences are taken with more than `FEW` trajectories: with few, an update of a diffuse prior loses digits to
     cancellation, and a difference divides the loss by the step. Derivatives are compared in both forms.

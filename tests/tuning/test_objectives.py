@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import polars as pl
 import pytest
-from scipy import stats
 
 import trackwright as tw
 from tests.oracles import kalman
@@ -204,26 +203,21 @@ def _folder(name):
 
 def _density(errors, P):
     """The negative log density of errors under normal distributions, nats."""
-    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(P), errors)
     return 0.5 * (nees + np.linalg.slogdet(2 * np.pi * P)[1])
 
 
 def _shown(tracker, folder):
-    """RMSE, negative log density and NEES shape, in NumPy from the table of estimates and the table of truth."""
+    """RMSE and negative log density, in NumPy from the table of estimates and the table of truth."""
     association = associate(tracker.run(folder), folder)
     scored = score(association, {folder.name: folder.rig.stations})
     if scored.nees_3d is None:
         return {"rmse": np.sqrt(np.mean(np.sum(scored.errors**2, axis=1)))}
     errors, P = scored.errors, covariances(association.rows[scored.index])
-    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(P), errors)
     plane, space = (_density(errors[:, :d], P[:, :d, :d]) for d in (2, 3))
-    u = stats.chi2.cdf(nees, 3)
-    means = [np.mean(np.sqrt(2 * k + 1) * np.polynomial.legendre.Legendre.basis(k)(2 * u - 1)) for k in range(1, 5)]
     return {
         "rmse": np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))),
         "rmse-3d": np.sqrt(np.mean(np.sum(errors**2, axis=1))),
         "state-nll": np.mean(plane + HEIGHT_WEIGHT * (space - plane)),
-        "nees-shape": np.sum(np.square(means)),
     }
 
 

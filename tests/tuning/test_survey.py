@@ -5,16 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.validation.surveys import simulated_site
-from trackwright.sim import worlds as simulate
+from tests.survey_sites import simulated_site
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.tuning.survey import anchors as of_anchors
-from trackwright.tuning.survey import frames
-from trackwright.tuning.survey.anchors import Ranges
+from trackwright.tuning.survey import frames, surveying
 from trackwright.tuning.survey.frames import frame_of
 from trackwright.tuning.survey.solving import FISHER, Solution, cost_of, information, solved
-from trackwright.tuning.survey.surveying import survey
+from trackwright.tuning.survey.surveying import delays_before, survey
 from trackwright.tuning.survey.walks import walks_of
 
 
@@ -40,33 +37,22 @@ def _ranges(walk, unknown, path):
     if walk.height is not None:
         x = np.column_stack([x, np.full(len(x), walk.height)])
     one = unknown[walk.anchor]
-    ranges = np.linalg.norm(x - one[:, :3], axis=1) + one[:, 3]
-    if walk.second is None:
-        return ranges
-    other = unknown[walk.second]
-    return ranges - np.linalg.norm(x - other[:, :3], axis=1) - other[:, 3]
+    return np.linalg.norm(x - one[:, :3], axis=1) + one[:, 3]
 
 
-@pytest.mark.parametrize(("height", "differences"), [(None, False), (1.2, False), (None, True)])
-def test_the_information_is_the_schur_complement_of_the_dense_one(height, differences):
+@pytest.mark.parametrize("height", [None, 1.2])
+def test_the_information_is_the_schur_complement_of_the_dense_one(height):
     walk, solution = _small(height)
-    if differences:
-        walk = replace(walk, second=(walk.anchor + 1) % len(solution.sensors))
-        np.testing.assert_allclose(
-            walk.values - walk.residuals(solution.sensors, solution.paths[0]),
-            _ranges(walk, solution.sensors, solution.paths[0]),
-            atol=1e-9,
-        )
     (path,) = solution.paths
-    point = np.concatenate([solution.sensors.ravel(), path.ravel()])
-    size = solution.sensors.size
+    point = np.concatenate([solution.anchors.ravel(), path.ravel()])
+    size = solution.anchors.size
 
     def predicted(x):
         return _ranges(walk, x[:size].reshape(-1, 4), x[size:].reshape(path.shape))
 
     step = 1e-5
     jacobian = np.stack([(predicted(point + e) - predicted(point - e)) / (2 * step) for e in step * np.eye(len(point))])
-    dense = FISHER / (0.1**2 * (1 + differences)) * jacobian @ jacobian.T
+    dense = FISHER / 0.1**2 * jacobian @ jacobian.T
     second = np.diff(np.eye(len(path)), 2, axis=0) / 0.25**2
     dense[size:, size:] += np.kron(second.T @ second * 0.25, np.eye(path.shape[1])) / 0.5
     dense[size:, size:] += 1e-6 * np.eye(path.size)
@@ -76,13 +62,13 @@ def test_the_information_is_the_schur_complement_of_the_dense_one(height, differ
 
 def test_the_solution_is_a_minimum_of_the_cost():
     walk, start = _small()
-    prior, random, h = Ranges().prior(len(start.sensors)), np.random.default_rng(1), 1e-3
+    prior, random, h = delays_before(len(start.anchors)), np.random.default_rng(1), 1e-3
     found = solved([walk], start, prior, levels=False)
     for _ in range(20):
-        anchors, path = (random.standard_normal(x.shape) for x in (found.sensors, found.paths[0]))
+        anchors, path = (random.standard_normal(x.shape) for x in (found.anchors, found.paths[0]))
         below, at, above = (
             cost_of(
-                [walk], replace(found, sensors=found.sensors + k * anchors, paths=[found.paths[0] + k * path]), prior
+                [walk], replace(found, anchors=found.anchors + k * anchors, paths=[found.paths[0] + k * path]), prior
             )
             for k in (-h, 0.0, h)
         )
@@ -93,9 +79,9 @@ def test_the_solution_is_a_minimum_of_the_cost():
 def test_a_turned_room_has_the_same_cost():
     walk, start = _small()
     turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
-    turned = np.column_stack([start.sensors[:, :3] @ turn.T + [1.0, 2.0, 3.0], start.sensors[:, 3]])
-    moved = replace(start, sensors=turned, paths=[start.paths[0] @ turn.T + [1.0, 2.0, 3.0]])
-    prior = Ranges().prior(len(start.sensors))
+    turned = np.column_stack([start.anchors[:, :3] @ turn.T + [1.0, 2.0, 3.0], start.anchors[:, 3]])
+    moved = replace(start, anchors=turned, paths=[start.paths[0] @ turn.T + [1.0, 2.0, 3.0]])
+    prior = delays_before(len(start.anchors))
     assert cost_of([walk], moved, prior) == pytest.approx(cost_of([walk], start, prior), rel=1e-9)
 
 
@@ -154,7 +140,7 @@ def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
     np.testing.assert_array_equal(found.positions[:3], anchors[:3])
     assert np.median(np.abs(found.positions - anchors)) < 0.15
     # Other minima a metre away widen what is searched for alone.
-    monkeypatch.setattr(of_anchors, "_between", lambda minima, *_: np.ones(minima[0].sensors.size))
+    monkeypatch.setattr(surveying, "between", lambda minima, *_: np.ones(minima[0].anchors.size))
     taped = survey(placed, given=names[:3], sigma=0.05)
     assert (taped.half_widths[:3, :3] <= 1.96 * 0.05 + 1e-9).all()
     assert (taped.half_widths[3:, :3] >= 1.96).all()
@@ -168,25 +154,3 @@ def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
         survey(placed, given=names[:2])
     with pytest.raises(UnusableInput, match="has no readings"):
         survey(placed, frame=("A00", "A01", "B"))
-
-
-def test_range_differences_refine_rough_positions_and_nothing_else():
-    folder = simulate.tdoa(n=1, rows=600, seed=3, sigma_d=0.02, bias=0.0, drift=0.0, hidden=0.0).folder()
-    true = folder.rig.anchors
-    random = np.random.default_rng(3)
-    rough = {name: at + 0.15 * random.standard_normal(3) for name, at in true.items()}
-    moved = replace(folder, rig=replace(folder.rig, anchors=rough))
-    found = survey([moved], given="all", sigma=0.15)
-    places = np.stack([true[name] for name in found.names])
-    before = np.sqrt(np.mean((np.stack([rough[name] for name in found.names]) - places) ** 2))
-    errors = found.positions - places
-    assert np.sqrt(np.mean(errors**2)) < 0.7 * before
-    # Twenty-four numbers, of which 95 % are expected inside.
-    assert np.mean(np.abs(errors) < found.half_widths[:, :3]) >= 0.75
-    assert abs(found.delays.mean()) < 1e-3
-    assert not found.mirrored.any()
-    with pytest.raises(UnusableInput, match="refine positions of anchors that are roughly known"):
-        survey([folder])
-    lacking = replace(folder.rig, anchors={name: at for name, at in true.items() if name != "A2"})
-    with pytest.raises(UnusableInput, match="A2"):
-        survey([replace(folder, rig=lacking)], given="all", sigma=0.1)

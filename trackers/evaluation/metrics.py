@@ -191,16 +191,6 @@ METRICS = {
         *_of_kind("elevation_rad"),
         _bias("elevation_rad", "elevation_rad"),
         *_of_kind("direction_rad"),
-        Metric("pl_m", "largest protection level", "m", lambda s: s.largest["pl"], "PL\nmax", 1, True),
-        Metric(
-            "pl_exceeded",
-            "errors above the protection level",
-            "%",
-            _ratio("exceeded pl", "n pl"),
-            "% above\nPL",
-            1,
-            True,
-        ),
         *_consistency("nees", 2),
         *_consistency("nees_3d", 3),
         Metric(

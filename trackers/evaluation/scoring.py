@@ -15,7 +15,7 @@ from trackwright.trackers.evaluation.metrics import bearing_sizes, position_size
 from trackwright.trackers.evaluation.rank_correlation import rank_sums
 from trackwright.trackers.evaluation.scores import Groups, Scores, Values, error_sums, nees_sums
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.tracks_table import HEADING, PROTECTION, is_bearing
+from trackwright.trackers.recordings.tracks_table import HEADING, is_bearing
 from trackwright.trackers.recordings.truth import TruthStatus
 
 
@@ -92,12 +92,6 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
             zero = rows.sum(np.isinf(each))
             total = rows.count if dof == 2 else np.where(groups.count + zero > 0, sums["n 3d_m"], 0)
             sums |= {f"zero {name}": zero, f"no {name}": total - groups.count}
-    if PROTECTION in association.rows.columns:
-        levels = float_column(association.rows, PROTECTION)
-        of_scored = levels[scored.index]
-        groups, exceeded = rows.where(np.isfinite(of_scored), scored.size > of_scored)
-        sums |= {"n pl": groups.count, "exceeded pl": groups.sum(exceeded)}
-        largest["pl"] = all_rows.max(levels)
     sums |= _innovations(association, all_rows) | _lost(association, all_rows)
     return Scores(sums, largest, {}, values)
 

@@ -16,7 +16,7 @@ RATIO = (0.67, 1.4)
 
 Standard deviations are then at most a fifth too small or too large, where the 95 % ellipse holds 88 to 99 % of normal
 errors. Worlds of a tracker's own model have a NIS within
-(`python -m trackwright.experiments.lab.validation nis-expectation`).
+(`python -m trackwright.experiments.lab nis`).
 """
 
 LIMITS = f"limits {100 * COVERAGE[0]:.0f} to {100 * COVERAGE[1]:.0f} %", f"limits {RATIO[0]:g} to {RATIO[1]:g}"

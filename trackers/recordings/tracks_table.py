@@ -16,9 +16,6 @@ TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.t
 HEADING = "heading_rad"
 """The column with the heading of a body, from x towards y."""
 
-PROTECTION = "pl_m"
-"""The column with the protection level, the horizontal radius that holds the truth with a stated probability."""
-
 NO_ESTIMATE = ("waiting", "non-finite")
 """Values of `status` of rows without an estimate."""
 

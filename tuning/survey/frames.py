@@ -28,10 +28,10 @@ def require_frame(places: np.ndarray, given: Sequence[str]) -> None:
 
 def _moved(walks: Sequence[Walk], solution: Solution, turn: np.ndarray, shift: np.ndarray) -> Solution:
     """The solution turned, or mirrored, by a matrix (3, 3) and shifted (3,)."""
-    anchors = np.column_stack([solution.sensors[:, :3] @ turn.T + shift, solution.sensors[:, 3]])
+    anchors = np.column_stack([solution.anchors[:, :3] @ turn.T + shift, solution.anchors[:, 3]])
     paths = [path @ turn[: w.dimensions, : w.dimensions].T + shift[: w.dimensions]
              for w, path in zip(walks, solution.paths, strict=True)]  # fmt: skip
-    return replace(solution, sensors=anchors, paths=paths)
+    return replace(solution, anchors=anchors, paths=paths)
 
 
 def aligned(points: np.ndarray, onto: np.ndarray, d: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -61,10 +61,10 @@ def onto(
 ) -> tuple[Solution, Prior]:
     """The solution among the given anchors, and their prior density beside that of delays, exact ones fixed."""
     mean, precision, free = prior.mean.copy(), prior.precision.copy(), prior.free.copy()
-    moves = aligned(solution.sensors[fixed, :3], known[fixed], 2 if flat else 3)
+    moves = aligned(solution.anchors[fixed, :3], known[fixed], 2 if flat else 3)
     # Of mirror images, that with the tags below the given anchors.
     placed = min((_moved(walks, solution, *move) for move in moves), key=lambda s: tags(walks, s)[:, 2].mean())
-    anchors = placed.sensors.copy()
+    anchors = placed.anchors.copy()
     for k in fixed:
         at = slice(4 * k, 4 * k + 3)
         mean[at] = known[k]
@@ -72,7 +72,7 @@ def onto(
             free[at], anchors[k, :3] = False, known[k]
         else:
             precision[at, at] = np.eye(3) / sigma**2
-    return replace(placed, sensors=anchors), Prior(mean, precision, free)
+    return replace(placed, anchors=anchors), Prior(mean, precision, free)
 
 
 def tags(walks: Sequence[Walk], solution: Solution) -> Float[np.ndarray, "n 3"]:
@@ -120,8 +120,8 @@ def framed(
     walks: Sequence[Walk], solution: Solution, names: Sequence[str], frame: Sequence[str], flat: bool, prior: Prior
 ) -> tuple[Solution, Prior, list[str]]:
     """The solution in the frame of three anchors, the prior with the coordinates that it fixes, and assumptions."""
-    chosen = axes(names, frame, solution.sensors[:, :3], 2 if flat else 3)
-    turn, shift = frame_of(solution.sensors[chosen, :3], tags(walks, solution), flat)
+    chosen = axes(names, frame, solution.anchors[:, :3], 2 if flat else 3)
+    turn, shift = frame_of(solution.anchors[chosen, :3], tags(walks, solution), flat)
     free = prior.free.copy().reshape(-1, 4)
     for k, first, last in zip(chosen, (0, 1, 2), (2, 2, 2) if flat else (3, 3, 3), strict=True):
         free[k, first:last] = False
@@ -132,4 +132,4 @@ def framed(
     if not frame:
         words = ", ".join(names[k] for k in chosen)
         notes.append(f"frame: {words}: origin, x axis, and to the left of it; --given or --frame choose another")
-    return replace(moved, sensors=np.where(free, moved.sensors, 0.0)), replace(prior, free=free.ravel()), notes
+    return replace(moved, anchors=np.where(free, moved.anchors, 0.0)), replace(prior, free=free.ravel()), notes

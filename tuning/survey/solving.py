@@ -1,8 +1,8 @@
-"""The most probable anchors or stations and paths for readings with errors of Student's t.
+"""The most probable anchors and paths for ranges with errors of Student's t.
 
 Levenberg–Marquardt on all of them at once: the banded block of each path is eliminated by its Cholesky factor, which
-leaves a system of a few unknowns per sensor, an anchor or a station. The scales of errors and the acceleration density
-of each path are those of the greatest marginal likelihood, linearised (MacKay 1992): the directions that the readings
+leaves a system of four unknowns an anchor. The scales of errors and the acceleration density
+of each path are those of the greatest marginal likelihood, linearised (MacKay 1992): the directions that the ranges
 determine are counted with random probes.
 """
 
@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Bool, Float
 from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
 
-from trackwright.tuning.survey.walks import Walk
+from trackwright.tuning.survey.walks import LEAST_SCALE, Walk
 
 DOF = 4.0
 """Degrees of freedom of Student's t of the errors."""
@@ -30,38 +31,33 @@ _STEPS, _CONVERGED = 60, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The unknowns of each sensor (S, w), the coefficients of each walk's path (knots, d), m, and noise levels.
+    """Positions and delays of anchors (A, 4), m, the coefficients of each walk's path (knots, d), m, and noise levels.
 
-    `scales` (levels,): of errors, m or rad. `densities` (walks,) or, by axis, (walks, 3): of the accelerations, m²/s³.
-    `cost`: the negative log-likelihood, marginal over the paths, linearised; smaller is better.
+    `scales` (A,): of errors, m. `densities` (walks,): of the accelerations, m²/s³. `cost`: the negative
+    log-likelihood, marginal over the paths, linearised; smaller is better.
     """
 
-    sensors: Float[np.ndarray, "S w"]
+    anchors: Float[np.ndarray, "A 4"]
     paths: Sequence[np.ndarray]
-    scales: Float[np.ndarray, " levels"]
-    densities: Float[np.ndarray, "walks *axes"]
+    scales: Float[np.ndarray, " A"]
+    densities: Float[np.ndarray, " walks"]
     cost: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """The normal density of the unknowns (U,) before any reading, by mean and precision; those not `free` are known.
-
-    `tilt` (U,): the slope of what else the cost has.
-    """
+    """The normal density of the unknowns (U,) before any range, by mean and precision; those not `free` are known."""
 
     mean: Float[np.ndarray, " U"]
     precision: Float[np.ndarray, "U U"]
     free: Bool[np.ndarray, " U"]
-    tilt: Float[np.ndarray, " U"] | float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Linearised:
-    """A walk at a solution: residuals (n,), m or rad, the factors of the path, and the parts of the reduced system.
+class Linearised(NamedTuple):
+    """A walk at a solution: residuals (n,), m, their weights, and the parts of the reduced system.
 
-    `factor`: of the path's banded information. `cross` (m, U): its coupling to the sensors. `weights` (n,): of the
-    residuals. `partial` (n, U) and `along` (n, m): the derivatives of the readings by sensors and by the path.
+    `partial` (n, U) and `along` (n, m): the derivatives of the ranges by anchors and by the path. `factor`: of the
+    path's banded information. `cross` (m, U): its coupling to the anchors. `slope` (m,): of the path.
     """
 
     residuals: np.ndarray
@@ -73,12 +69,6 @@ class Linearised:
     slope: np.ndarray
 
 
-def scales_of(walk: Walk, solution: Solution) -> np.ndarray:
-    """The scale (n,), m or rad, of the error of each reading."""
-    by_level = solution.scales[walk.levels]
-    return by_level[:, 0] if by_level.shape[1] == 1 else np.sqrt((by_level**2).sum(axis=1))
-
-
 def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
     """The weights with which residuals of these scales count as normal ones."""
     return (DOF + 1.0) / (DOF * scales**2 + residuals**2)
@@ -86,10 +76,10 @@ def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
 
 def linearised(walk: Walk, solution: Solution, k: int, damping: float) -> Linearised:
     """Walk number `k` at a solution; `damping`: the share by which the diagonal of its path's information grows."""
-    residuals, units, partial = walk.linearised(solution.sensors, solution.paths[k])
-    weights = robust_weights(residuals, scales_of(walk, solution))
+    residuals, units, partial = walk.linearised(solution.anchors, solution.paths[k])
+    weights = robust_weights(residuals, solution.scales[walk.anchor])
     along = walk.along(units)
-    rough = walk.rough(solution.densities[k])
+    rough = walk.roughness / solution.densities[k]
     weighted = along.T.multiply(weights).tocsr()
     information = weighted @ along + rough
     factor = cholesky_banded(_banded(information, 4 * walk.dimensions - 1, damping))
@@ -107,16 +97,15 @@ def _banded(matrix: sparse.csr_array, width: int, damping: float) -> np.ndarray:
 
 
 def cost_of(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
-    """The negative log density of readings, paths and sensors, with the noise levels of the solution."""
-    away = solution.sensors.ravel() - prior.mean
-    cost = 0.5 * away @ prior.precision @ away + float(np.sum(prior.tilt * away))
+    """The negative log density of ranges, paths and anchors, with the noise levels of the solution."""
+    away = solution.anchors.ravel() - prior.mean
+    cost = 0.5 * away @ prior.precision @ away
     for walk, path, density in zip(walks, solution.paths, solution.densities, strict=True):
-        residuals = walk.residuals(solution.sensors, path)
-        scales = scales_of(walk, solution)
+        residuals, scales = walk.linearised(solution.anchors, path)[0], solution.scales[walk.anchor]
         cost += 0.5 * (DOF + 1.0) * np.log1p((residuals / scales) ** 2 / DOF).sum() + np.log(scales).sum()
         flat = path.ravel()
-        logs = np.broadcast_to(np.log(density), 3)[: path.shape[1]]
-        cost += 0.5 * (flat @ (walk.rough(density) @ flat) + (path.shape[0] - 2) * logs.sum())
+        logs = path.shape[1] * np.log(density)
+        cost += 0.5 * (flat @ (walk.roughness / density @ flat) + (path.shape[0] - 2) * logs)
     return float(cost)
 
 
@@ -133,7 +122,7 @@ def solved(walks: Sequence[Walk], start: Solution, prior: Prior, steps: int = _S
             damping *= 10.0
         else:
             break
-        change = np.abs(moved.sensors - solution.sensors).max()
+        change = np.abs(moved.anchors - solution.anchors).max()
         solution, damping = moved, max(damping / 5.0, 1e-9)
         if levels:
             solution = _levelled(walks, moved)
@@ -157,15 +146,15 @@ def _stepped(walks: Sequence[Walk], solution: Solution, prior: Prior, damping: f
         path + cho_solve_banded((part.factor, False), part.slope - part.cross @ move).reshape(path.shape)
         for path, part in zip(solution.paths, parts, strict=True)
     ]
-    return replace(solution, sensors=solution.sensors + move.reshape(solution.sensors.shape), paths=paths)
+    return replace(solution, anchors=solution.anchors + move.reshape(-1, 4), paths=paths)
 
 
 def _reduced(
     walks: Sequence[Walk], solution: Solution, prior: Prior, damping: float
 ) -> tuple[np.ndarray, np.ndarray, list[Linearised]]:
-    """The information (U, U) of sensors with the paths eliminated, its gradient (U,), and the walks linearised."""
+    """The information (U, U) of anchors with the paths eliminated, its gradient (U,), and the walks linearised."""
     system = prior.precision.copy()
-    gradient = prior.precision @ (prior.mean - solution.sensors.ravel()) - prior.tilt
+    gradient = prior.precision @ (prior.mean - solution.anchors.ravel())
     parts = []
     for k, walk in enumerate(walks):
         part = linearised(walk, solution, k, damping)
@@ -188,28 +177,23 @@ def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
         probes = random.standard_normal((part.factor.shape[1], PROBES))
         drawn = solve_banded((0, width), part.factor, probes)
         leverage = part.weights * ((part.along @ drawn) ** 2).mean(axis=1)
-        # A difference counts for both of its anchors.
-        for end in walk.levels.T:
-            squares += np.bincount(end, part.weights * part.residuals**2, count)
-            numbers += np.bincount(end, 1.0 - np.minimum(leverage, 1.0), count)
+        squares += np.bincount(walk.anchor, part.weights * part.residuals**2, count)
+        numbers += np.bincount(walk.anchor, 1.0 - np.minimum(leverage, 1.0), count)
         densities.append(_density(walk, solution.paths[k], drawn, solution.densities[k]))
     # Four unknowns of each anchor are fitted to its ranges, too.
     scales = solution.scales * np.sqrt(squares / np.maximum(numbers - 4.0, 1.0))
     return replace(
-        solution, scales=np.where(squares > 0, np.maximum(scales, walks[0].least_scale), solution.scales),
+        solution, scales=np.where(squares > 0, np.maximum(scales, LEAST_SCALE), solution.scales),
         densities=np.clip(densities, 1e-4, 1e3),
     )  # fmt: skip
 
 
-def _density(walk: Walk, path: np.ndarray, drawn: np.ndarray, density: np.ndarray) -> np.ndarray:
+def _density(walk: Walk, path: np.ndarray, drawn: np.ndarray, density: float) -> float:
     """The density of accelerations of greatest marginal likelihood, by errors of the path that are `drawn`."""
-    knots, d = path.shape
     bends = (path * (walk.roughness @ path.ravel()).reshape(path.shape)).sum(axis=0)
-    unseen = (drawn * (walk.rough(density) @ drawn)).mean(axis=1).reshape(path.shape).sum(axis=0)
-    if np.ndim(density) == 0:
-        bent = (knots - 2) * d
-        return bends.sum() / max(bent - unseen.sum(), 0.05 * bent)
-    return np.append(bends / np.maximum(knots - 2 - unseen, 0.05 * (knots - 2)), density[d:])
+    unseen = (drawn * (walk.roughness / density @ drawn)).mean(axis=1).reshape(path.shape).sum(axis=0)
+    bent = (len(path) - 2) * path.shape[1]
+    return float(bends.sum() / max(bent - unseen.sum(), 0.05 * bent))
 
 
 def _log_volume(walks: Sequence[Walk], solution: Solution) -> float:
@@ -228,7 +212,7 @@ def design_effect(walks: Sequence[Walk], solution: Solution, prior: Prior) -> fl
     values, vectors = np.linalg.eigh((system - prior.precision)[np.ix_(free, free)])
     kept = values > 1e-6 * values[-1]
     whiten = vectors[:, kept] / np.sqrt(values[kept])
-    scores, pieces, spots, level = [], [], [], []
+    scores, pieces, spots = [], [], []
     began = 0.0
     for k, (walk, part) in enumerate(zip(walks, parts, strict=True)):
         partial = part.partial - part.along @ cho_solve_banded((part.factor, False), part.cross)
@@ -236,10 +220,10 @@ def design_effect(walks: Sequence[Walk], solution: Solution, prior: Prior) -> fl
         pieces.append(walk.times - walk.times[0] + began)
         began += np.ptp(walk.times) + max(LENGTHS)
         spots.append(walk.positions(solution.paths[k]))
-        level.append(walk.levels[:, 0])
-    score, time, spot, number = map(np.concatenate, (scores, pieces, spots, level))
+    score, time, spot = map(np.concatenate, (scores, pieces, spots))
+    number = np.concatenate([walk.anchor for walk in walks])
     taken = np.mean([walk.dimensions for walk in walks])
-    seen = np.mean([len(np.unique(walk.levels)) for walk in walks])
+    seen = np.mean([len(np.unique(walk.anchor)) for walk in walks])
     clusters = [(time / length).astype(int)[:, None] for length in LENGTHS]
     clusters += [np.floor(spot / size).astype(int) for size in SIZES]
     effects = []
@@ -259,14 +243,14 @@ LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
 
 
 def information(walks: Sequence[Walk], solution: Solution) -> np.ndarray:
-    """The Fisher information (U, U) of the readings about sensors, with the paths eliminated."""
-    system = np.zeros((solution.sensors.size, solution.sensors.size))
+    """The Fisher information (U, U) of the ranges about anchors, with the paths eliminated."""
+    system = np.zeros((solution.anchors.size, solution.anchors.size))
     for k, walk in enumerate(walks):
-        _, units, partial = walk.linearised(solution.sensors, solution.paths[k])
-        weights = FISHER / scales_of(walk, solution) ** 2
+        _, units, partial = walk.linearised(solution.anchors, solution.paths[k])
+        weights = FISHER / solution.scales[walk.anchor] ** 2
         along = walk.along(units)
         weighted = along.T.multiply(weights).tocsr()
-        rough = walk.rough(solution.densities[k])
+        rough = walk.roughness / solution.densities[k]
         factor = cholesky_banded(_banded(weighted @ along + rough, 4 * walk.dimensions - 1, 0.0))
         cross = weighted @ partial
         system += partial.T @ (partial * weights[:, None]) - cross.T @ cho_solve_banded((factor, False), cross)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trackwright.tuning.survey.solving import DOF, Prior, Solution, robust_weights, solved
-from trackwright.tuning.survey.walks import RangeWalk
+from trackwright.tuning.survey.walks import LEAST_SCALE, Walk
 
 DRAWS, KEPT = 150, 4
 """Draws of times, of each walk and rank, and how many of the best are refined."""
@@ -39,7 +39,7 @@ _RESECTIONS, _RESECTED, _DESCENT = 12, 100, 20
 _ROUNDS, _FEW, _REFINED = 3, 10, 3
 
 
-def epochs(walk: RangeWalk, count: int) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k A"]]:
+def epochs(walk: Walk, count: int) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k A"]]:
     """Times, s, of a walk, and the ranges, m, to `count` anchors at each, interpolated; NaN where none is near."""
     times = np.linspace(walk.times[0], walk.times[-1], EPOCHS + 2)[1:-1]
     ranges = np.full((len(times), count), np.nan)
@@ -87,7 +87,7 @@ def factorised(
     return tags, anchors, heights + constant - centre @ centre
 
 
-def distance_geometry(walk: RangeWalk, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
+def distance_geometry(walk: Walk, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
     """Anchors (count, 3), m, NaN where not found, from the ranges of a walk alone; the best draws first."""
     _, ranges = epochs(walk, count)
     seen = np.isfinite(ranges)
@@ -125,7 +125,7 @@ def distance_geometry(walk: RangeWalk, count: int, random: np.random.Generator) 
         yield from (places for _, places in sorted(found, key=lambda pair: pair[0])[:KEPT])
 
 
-def located(walk: RangeWalk, anchors: Float[np.ndarray, "A 4"], scale: float) -> np.ndarray:
+def located(walk: Walk, anchors: Float[np.ndarray, "A 4"], scale: float) -> np.ndarray:
     """The coefficients of the path of a walk among known anchors."""
     count = len(anchors)
     times, ranges = epochs(walk, count)
@@ -173,7 +173,7 @@ def descended(
         offset = places[:, None] - positions
         distance = np.maximum(np.sqrt((offset**2).sum(axis=2)), 1e-6)
         residuals = ranges - delay - distance
-        scale = np.maximum(1.5 * np.median(np.abs(residuals), axis=1, keepdims=True), RangeWalk.least_scale)
+        scale = np.maximum(1.5 * np.median(np.abs(residuals), axis=1, keepdims=True), LEAST_SCALE)
         weighted = offset / distance[:, :, None] * robust_weights(residuals, scale)[:, :, None]
         system = np.einsum("sni,snj->sij", weighted, offset / distance[:, :, None])
         system += 1e-4 * np.trace(system, axis1=1, axis2=2)[:, None, None] * np.eye(3)
@@ -200,7 +200,7 @@ def misfit(place: np.ndarray, positions: np.ndarray, distances: np.ndarray, scal
     return 0.5 * (DOF + 1.0) * float(np.log1p((errors / scale) ** 2 / DOF).sum())
 
 
-def ranges_to(walks: Sequence[RangeWalk], solution: Solution, k: int) -> tuple[np.ndarray, np.ndarray]:
+def ranges_to(walks: Sequence[Walk], solution: Solution, k: int) -> tuple[np.ndarray, np.ndarray]:
     """The positions (n, 3) of the tags, m, when they measured the ranges (n,), m, to anchor `k`."""
     own = [walk.anchor == k for walk in walks]
     positions = [w.positions(path)[rows] for w, path, rows in zip(walks, solution.paths, own, strict=True)]
@@ -208,7 +208,7 @@ def ranges_to(walks: Sequence[RangeWalk], solution: Solution, k: int) -> tuple[n
 
 
 def completed(
-    walks: Sequence[RangeWalk], places: Float[np.ndarray, "A 3"], first: int, random: np.random.Generator
+    walks: Sequence[Walk], places: Float[np.ndarray, "A 3"], first: int, random: np.random.Generator
 ) -> Solution | None:
     """A start with all anchors and paths, from the anchors that the walk number `first` gave; None where some lack."""
     anchors = np.column_stack([places, np.zeros(len(places))])
@@ -239,16 +239,16 @@ def completed(
     return Solution(anchors, [path for path in paths if path is not None], *levels)
 
 
-def _at(part: RangeWalk, path: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _at(part: Walk, path: np.ndarray, times: np.ndarray) -> np.ndarray:
     """The positions of a path at other times, m."""
     positions = part.positions(path)
     return np.column_stack([np.interp(times, part.times, column) for column in positions.T])
 
 
-def polished(walks: Sequence[RangeWalk], solution: Solution, prior: Prior, random: np.random.Generator) -> Solution:
+def polished(walks: Sequence[Walk], solution: Solution, prior: Prior, random: np.random.Generator) -> Solution:
     """The solution, with anchors that stand in a local minimum of their own moved to a better one."""
     for _ in range(_ROUNDS):
-        anchors = solution.sensors.copy()
+        anchors = solution.anchors.copy()
         for k in np.flatnonzero(prior.free.reshape(-1, 4)[:, :3].all(axis=1)).tolist():
             positions, ranges = ranges_to(walks, solution, k)
             place, scale = resected(positions, ranges, anchors[k, 3], random), solution.scales[k]
@@ -256,9 +256,9 @@ def polished(walks: Sequence[RangeWalk], solution: Solution, prior: Prior, rando
             gain -= misfit(place, positions, ranges - anchors[k, 3], scale)
             if gain > 2.0 and np.linalg.norm(place - anchors[k, :3]) > 0.2:
                 anchors[k, :3] = place
-        if (anchors == solution.sensors).all():
+        if (anchors == solution.anchors).all():
             break
-        better = solved(walks, replace(solution, sensors=anchors), prior)
+        better = solved(walks, replace(solution, anchors=anchors), prior)
         if better.cost >= solution.cost:
             break
         solution = better
@@ -266,7 +266,7 @@ def polished(walks: Sequence[RangeWalk], solution: Solution, prior: Prior, rando
 
 
 def multistart(
-    walks: Sequence[RangeWalk], known: Float[np.ndarray, "A 3"], prior: Prior, random: np.random.Generator
+    walks: Sequence[Walk], known: Float[np.ndarray, "A 3"], prior: Prior, random: np.random.Generator
 ) -> list[Solution]:
     """The best solutions from many starts, in any frame, that of least cost first; none where there is no start.
 

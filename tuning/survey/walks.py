@@ -1,24 +1,20 @@
-"""Walks: the readings of a tag on its way, and its path as a spline with white acceleration.
+"""Walks: the ranges of a tag on its way, and its path as a spline with white acceleration.
 
 The spline is cubic, with knots every `STEP` s. Its prior density, exp(−½∫|x''|²dt / q), is that of white acceleration
-of spectral density q, m²/s³. Each reading depends on four neighbouring coefficients: matrices of a path are banded.
+of spectral density q, m²/s³. Each range depends on four neighbouring coefficients: matrices of a path are banded.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sparse
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS
 
 STEP = 0.25
 """Interval of the knots of a path, s: a person or a drone turns more slowly."""
@@ -35,13 +31,15 @@ LEVEL = 0.1
 LEAST_RANGES = 20
 """Ranges below which a piece of a walk between gaps is left out."""
 
+LEAST_SCALE = 0.01
+"""Smallest scale of errors, m, about the resolution of ranges."""
+
 
 @dataclass(frozen=True, eq=False)
-class Walk(ABC):
-    """n readings of a tag between gaps: `times` s and `values`, m or rad (n,).
+class Walk:
+    """n ranges of a tag between gaps: `times` s, `values` m, and the numbers of the `anchor` of each (n,).
 
     `height`: of the tag, m, where it is known and constant; its path then has two coordinates instead of three.
-    `least_scale`: smallest scale of errors, about the resolution of the readings.
     """
 
     recording: str
@@ -49,23 +47,7 @@ class Walk(ABC):
     times: Float[np.ndarray, " n"]
     values: Float[np.ndarray, " n"]
     height: float | None
-
-    least_scale: ClassVar[float]
-
-    @property
-    @abstractmethod
-    def levels(self) -> Int[np.ndarray, "n e"]:
-        """The numbers of the scales of errors that add up, by their squares, to that of each reading."""
-
-    @abstractmethod
-    def residuals(self, sensors: Float[np.ndarray, "S w"], path: Float[np.ndarray, "knots d"]) -> np.ndarray:
-        """The readings (n,) less those without errors, by the unknowns of anchors or stations and the path."""
-
-    @abstractmethod
-    def linearised(
-        self, sensors: Float[np.ndarray, "S w"], path: Float[np.ndarray, "knots d"]
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n U"]]:
-        """The residuals, and the derivatives of the readings by the tag's position and by all unknowns `sensors`."""
+    anchor: Int[np.ndarray, " n"]
 
     @property
     def dimensions(self) -> int:
@@ -89,20 +71,13 @@ class Walk(ABC):
         second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(knots - 2, knots))
         return sparse.csr_array(sparse.kron(second.T @ second / STEP**3, sparse.eye_array(self.dimensions)))
 
-    def rough(self, density: float | Float[np.ndarray, " 3"]) -> sparse.csr_array:
-        """The information, m⁻², of a path of these accelerations, m²/s³: the same along all axes, or one of each."""
-        if np.ndim(density) == 0:
-            return self.roughness / density
-        by_axis = np.tile(1.0 / np.asarray(density)[: self.dimensions], self.basis.shape[1])
-        return sparse.csr_array(self.roughness.multiply(by_axis[:, None]))
-
     def positions(self, coefficients: Float[np.ndarray, "knots d"]) -> Float[np.ndarray, "n 3"]:
         """The positions of the tag, m, at the times of the ranges."""
         path = self.basis @ coefficients
         return path if self.height is None else np.column_stack([path, np.full(len(path), self.height)])
 
     def along(self, units: Float[np.ndarray, "n 3"]) -> sparse.csr_array:
-        """The derivatives (n, knots · dimensions) of the readings by the coefficients; `units`: by the position."""
+        """The derivatives (n, knots · dimensions) of the ranges by the coefficients; `units`: by the position."""
         d = self.dimensions
         weights, knot = self.basis.data.reshape(-1, 4), self.basis.indices.reshape(-1, 4)
         values = weights[:, :, None] * units[:, None, :d]
@@ -117,47 +92,16 @@ class Walk(ABC):
         system = system + 1e-9 * sparse.eye_array(system.shape[0])
         return sparse.linalg.spsolve(sparse.csc_array(system), self.basis.T @ positions[:, : self.dimensions])
 
+    def linearised(self, anchors: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The residuals (n,), m, and the derivatives of ranges by the position (n, 3) and by the unknowns (n, 4A).
 
-@dataclass(frozen=True, eq=False)
-class RangeWalk(Walk):
-    """Ranges, or range differences: the numbers of the `anchor` of each, and of the `second`, which is subtracted.
-
-    The unknowns of an anchor are its position and its delay, m.
-    """
-
-    anchor: Int[np.ndarray, " n"]
-    second: Int[np.ndarray, " n"] | None = None
-
-    least_scale = 0.01
-
-    @property
-    def levels(self) -> Int[np.ndarray, "n e"]:
-        """The numbers of the anchors of each reading, whose distances are added, and subtracted, by `signs`."""
-        return self.anchor[:, None] if self.second is None else np.stack([self.anchor, self.second], axis=1)
-
-    @property
-    def signs(self) -> Float[np.ndarray, " e"]:
-        """1, and of range differences −1."""
-        return np.array([1.0]) if self.second is None else np.array([1.0, -1.0])
-
-    def residuals(self, sensors: Float[np.ndarray, "S 4"], path: Float[np.ndarray, "knots d"]) -> np.ndarray:
-        return self._offsets(sensors, path)[0]
-
-    def linearised(
-        self, sensors: Float[np.ndarray, "S 4"], path: Float[np.ndarray, "knots d"]
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n U"]]:
-        residuals, offset, distance = self._offsets(sensors, path)
-        units = offset / distance[..., None] * self.signs[:, None]
-        partial = np.zeros((len(units), len(sensors), 4))
-        rows = np.arange(len(units))[:, None]
-        partial[rows, self.levels, :3], partial[rows, self.levels, 3] = -units, self.signs
-        return residuals, units.sum(axis=1), partial.reshape(len(units), -1)
-
-    def _offsets(self, sensors: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The residuals (n,), and the offsets (n, e, 3) and distances (n, e), m, of the tag from each anchor."""
-        offset = self.positions(path)[:, None] - sensors[self.levels, :3]
-        distance = np.maximum(np.sqrt((offset**2).sum(axis=-1)), 1e-9)
-        return self.values - (distance + sensors[self.levels, 3]) @ self.signs, offset, distance
+        `anchors` (A, 4): positions and delays, m; `path`: its coefficients.
+        """
+        offset = self.positions(path) - anchors[self.anchor, :3]
+        distance = np.maximum(np.sqrt((offset**2).sum(axis=1)), 1e-9)
+        units, partial = offset / distance[:, None], np.zeros((len(offset), len(anchors), 4))
+        partial[np.arange(len(units)), self.anchor] = np.column_stack([-units, np.ones(len(units))])
+        return self.values - (distance + anchors[self.anchor, 3]), units, partial.reshape(len(units), -1)
 
 
 def common_height(walks: Sequence[Walk]) -> float | None:
@@ -166,32 +110,19 @@ def common_height(walks: Sequence[Walk]) -> float | None:
     return heights.pop() if len(heights) == 1 else None
 
 
-def walks_of(
-    folders: Sequence[RecordingFolder], anchors: Sequence[str], height: float | None, table: str = "ranges"
-) -> list[RangeWalk]:
-    """The walks of all tags to anchors of these ids, by ranges or `tdoa`; `height`: of all, m, else those in rigs."""
-    walks, (column, *_) = [], KINDS[table].layout(()).values
+def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height: float | None) -> list[Walk]:
+    """The walks of all tags to anchors of these ids; `height`: of all tags, m, else those in rigs."""
+    walks = []
     for folder in folders:
-        rows = folder.rows(table, AVERAGE)
-        values, number = rows.floats([column])[:, 0], rows.codes("anchor", anchors)
-        second = rows.codes("anchor_2", anchors) if KINDS[table].difference else None
-        usable = np.isfinite(values) if second is not None else values > 0.0
-        walks += [
-            RangeWalk(folder.name, tag, rows.times[piece], values[piece], known, number[piece],
-                      None if second is None else second[piece])
-            for tag, known, piece in pieces(folder, rows, usable, height)
-        ]  # fmt: skip
+        rows = folder.rows("ranges", AVERAGE)
+        values, number = rows.floats(["range_m"])[:, 0], rows.codes("anchor", anchors)
+        for k, tag in enumerate(rows.tags):
+            known = folder.rig.tags[tag].height if height is None and tag in folder.rig.tags else height
+            of_tag = np.arange(rows.starts[k], rows.starts[k + 1])
+            of_tag = of_tag[values[of_tag] > 0.0]
+            walks += [
+                Walk(folder.name, tag, rows.times[piece], values[piece], known, number[piece])
+                for piece in np.split(of_tag, np.flatnonzero(np.diff(rows.times[of_tag]) > GAP) + 1)
+                if len(piece) >= LEAST_RANGES
+            ]
     return walks
-
-
-def pieces(
-    folder: RecordingFolder, rows: TagRows, usable: Bool[np.ndarray, " N"], height: float | None
-) -> Iterator[tuple[str, float | None, Int[np.ndarray, " n"]]]:
-    """The tag of each piece between gaps, its height, m, if known, and the rows; `height`: of all, else the rig's."""
-    for k, tag in enumerate(rows.tags):
-        known = folder.rig.tags[tag].height if height is None and tag in folder.rig.tags else height
-        of_tag = np.arange(rows.starts[k], rows.starts[k + 1])
-        of_tag = of_tag[usable[of_tag]]
-        for piece in np.split(of_tag, np.flatnonzero(np.diff(rows.times[of_tag]) > GAP) + 1):
-            if len(piece) >= LEAST_RANGES:
-                yield tag, known, piece

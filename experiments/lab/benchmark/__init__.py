@@ -1,1 +1,1 @@
-"""`trackwright benchmark`: data sets × estimators × protocol, among these other people's programs, with one scorer."""
+"""Ours beside other libraries: the same readings and start, each estimator at its own best levels and options."""

@@ -1,19 +1,15 @@
-"""What declarations of studies share: printed numbers as data, plots, and trackers of several studies."""
+"""What declarations of studies share: printed numbers as data, and trackers of several studies."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
-from functools import partial
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.pages.charts.style import HEIGHT, WIDTH, write_svg
 from trackwright.trackers.baselines.windows import MovingWindow
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.run.tracker import AbstractTracker
@@ -52,13 +48,6 @@ class Printed:
         return mc.ExpectedResult(
             self.quantity, self.number, ours, self.unit, self.origin, note=note or self.note, share=share
         )
-
-
-def plot(
-    name: str, panels: Callable[[mc.Results, Figure], None], width: float = WIDTH, height: float = HEIGHT
-) -> Callable[[mc.Results, Path], list[str]]:
-    """The `draw` of a study with one figure, drawn by `panels(results, figure)`; sizes in inches."""
-    return lambda results, folder: [write_svg(folder, name, partial(panels, results), width, height)]
 
 
 CONSTANT = MappingProxyType({"motion.time_constant": 1000.0, "motion.length": 1e4, "start.sigma_shared": 1e-3})

@@ -1,7 +1,7 @@
 """All reproductions of the four papers: `python -m trackwright.experiments.lab.papers.reproduce` (`make papers`).
 
 Every study is run as `trackwright study NAME --out out/papers/NAME` and resumes if interrupted. The results are the
-tables of docs/results.md; every number there is read from a results.json.
+tables of docs/results.md, and docs/evidence/papers.csv with the evidence; every number is read from a results.json.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from trackwright.experiments.cli.main import run_alone
 from trackwright.experiments.lab.subprocesses import new_interpreter
 from trackwright.experiments.monte_carlo import Value
@@ -25,7 +27,7 @@ from trackwright.experiments.text.wording import Unit
 
 LIMIT_S = 1800.0
 MODULE = "trackwright.experiments.lab.papers.reproduce"
-RESULTS = Path("docs/results.md")
+RESULTS, EVIDENCE = Path("docs/results.md"), Path("docs/evidence/papers.csv")
 HEAD = ("result", "printed", "ours", "ratio", "origin", "within tolerance")
 
 
@@ -58,7 +60,9 @@ def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
         notice(f"{results} is unchanged: {', '.join(failed)} failed")
         return 1
     replace_tables(results, MODULE, tables(contents, seconds))
-    print(f"wrote {results}")
+    EVIDENCE.parent.mkdir(exist_ok=True)
+    evidence(contents).write_csv(EVIDENCE, float_precision=6)
+    print(f"wrote {results} and {EVIDENCE}")
     return 0
 
 
@@ -74,18 +78,28 @@ def part(content: dict[str, Any]) -> str:
     """The section of a study, from its results.json."""
     printed = [claim for claim in content["claims"] if "printed" in claim]
     stated = [claim for claim in content["claims"] if "says" in claim]
-    paragraphs = [f"## {content['study']}", content["about"], f"**{_headline(content['claims'])}**"]
+    paragraphs = [f"## {content['study']}", f"{content['about']} **{_headline(content['claims'])}**"]
     if printed:
         paragraphs.append(markdown([HEAD, *map(_row, printed)]).rstrip())
-    notes = [f"- {claim['figure']}: {claim['note']}" for claim in printed if claim["note"]]
     conclusions = [
-        f"- {'Holds' if c['holds'] else '**Does not hold**'} (*{c['origin']}*): {c['says']}. {c['evidence']}"
-        for c in stated
+        f"- {'Holds' if c['holds'] else '**Does not hold**'} (*{c['origin']}*): {c['says']}." for c in stated
     ]
-    paragraphs += ["\n".join(lines) for lines in (notes, conclusions) if lines]
-    return "\n\n".join(
-        [*paragraphs, f"`trackwright study {content['study']}`, {content['computing_s']:.0f} s of computing.\n"]
-    )
+    return "\n\n".join([*paragraphs, *(["\n".join(conclusions)] if conclusions else [])]) + "\n"
+
+
+def evidence(contents: Sequence[dict[str, Any]]) -> pl.DataFrame:
+    """A row for each printed number and each conclusion, with what speaks for it."""
+    rows = []
+    for content in contents:
+        for c in content["claims"]:
+            number = "printed" in c
+            rows.append({
+                "study": content["study"], "claim": c["figure"] if number else c["says"], "origin": c["origin"],
+                "printed": c.get("printed"), **(c["ours"] if number else dict.fromkeys(Value._fields)),
+                "unit": c.get("unit"), "holds": c["reached"] if number else c["holds"],
+                "evidence": c["note"] if number else c["evidence"],
+            })  # fmt: skip
+    return pl.DataFrame(rows, infer_schema_length=None)
 
 
 def _headline(claims: Sequence[dict[str, Any]]) -> str:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,17 +14,38 @@ import numpy as np
 from trackwright.trackers.aoa.fusion import BearingSensor
 from trackwright.trackers.aoa.phases import AbstractPhaseSensor
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
-from trackwright.trackers.core.filters.imm import AbstractInteractingModels, AbstractSwitching
-from trackwright.trackers.core.model.algebra import Vector, triangle
+from trackwright.trackers.core.model.algebra import Vector, diagonal, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
+from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import retract
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.fixes import FloorFixes
 from trackwright.trackers.parts.fixes import AbstractFixSensor
 from trackwright.trackers.parts.ranges import RangeSensor
 from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter, with_yaw_added
+
+NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
+
+
+class KnownStart(AbstractStart):
+    """Start at the first row, with a state made of independent normal numbers of these means and deviations."""
+
+    state: Callable[[Sequence[Any]], Any] = eqx.field(static=True)
+    means: tuple[float, ...] = eqx.field(static=True)
+    deviations: tuple[float, ...] = eqx.field(static=True)
+
+    def can_start(self, row: Row) -> Any:
+        return row.valid
+
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+        return row.dt
+
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
+        zero = jnp.zeros_like(row.dt)
+        return Gaussian(self.state([zero + m for m in self.means]), diagonal([d * d for d in self.deviations], zero))
 
 
 def own_world(
@@ -32,26 +54,25 @@ def own_world(
     """The recordings with readings drawn from the tracker's model, the beliefs from which states are drawn, and these.
 
     Times, inputs and masks stay; states have the leaves (T, …, n). The beliefs are those of the tracker's start, with
-    standard deviations `narrower` times as small.
+    standard deviations `narrower` times as small. Trackers whose motion switches have no such world.
     """
-    rng, batch = np.random.default_rng(seed), stack(recordings)
+    rng, batch, motion = np.random.default_rng(seed), stack(recordings), tracker.motion
     prior = _priors(tracker, batch)
     prior = prior._replace(cov=tuple(x / narrower**2 for x in prior.cov))
-    modes = _Modes(tracker, batch.size, rng)
-    state, values = modes.turned(_drawn(prior, rng)), {name: list[np.ndarray]() for name in tracker.sensors}
-    steps = modes.each(tracker.motion, _step)
-    views = {name: modes.each(sensor, _measurement(tracker)) for name, sensor in tracker.sensors.items()}
-    states = []
+    state, states = _turned(tracker, _drawn(prior, rng), rng), []
+    values = {name: list[np.ndarray]() for name in tracker.sensors}
+    step = _for_all(lambda state, inputs, dt, w: motion.step(state, inputs, dt, Vector.of(w)))
+    views = {
+        name: _for_all(lambda state, inputs, sensor=sensor: jnp.stack(sensor.measure(motion.view(state), inputs)))
+        for name, sensor in tracker.sensors.items()
+    }
     for k, dt in enumerate(batch.dt):
         inputs = {name: x[k] for name, x in batch.inputs.items()}
         if k:
-            modes.switch(dt)
-            w = jnp.asarray(rng.normal(size=(tracker.motion.noise_dimension, batch.size)))
-            state = modes.chosen([step(state, inputs, dt, w) for step in steps])
+            state = step(state, inputs, dt, jnp.asarray(rng.normal(size=(motion.noise_dimension, batch.size))))
         states.append(state)
         for name, sensor in tracker.sensors.items():
-            predicted = np.asarray(modes.chosen([view(state, inputs) for view in views[name]]))
-            values[name].append(_read(sensor, predicted, rng))
+            values[name].append(_read(sensor, np.asarray(views[name](state, inputs)), rng))
     drawn = {name: np.stack(rows) for name, rows in values.items()}
     redrawn = [
         _with_readings(recording, {n: x[: len(recording), :, k] for n, x in drawn.items()})
@@ -61,65 +82,19 @@ def own_world(
     return redrawn, priors, jax.tree_util.tree_map(lambda *rows: np.stack(rows), *states)
 
 
-class _Modes:
-    """The modes of n tags: of an IMM filter's motion, which switch, or of its sensor, and the yaws of a start."""
-
-    def __init__(self, tracker: Tracker, n: int, rng: np.random.Generator) -> None:
-        self.filter, self.rng, self.n, self.rate, self.shares = tracker.filter, rng, n, 0.0, np.ones(1)
-        if isinstance(self.filter, AbstractInteractingModels):
-            shares = np.array(self.filter.prior(), float)
-            self.shares = shares / shares.sum()
-            # Modes of a sensor switch near a plane that these tags are far from.
-            switches = isinstance(tracker.motion, AbstractSwitching)
-            self.rate = float(self.filter.switching_rate.value) if switches else 0.0
-        self.mode = self._draws()
-
-    def _draws(self) -> np.ndarray:
-        return self.rng.choice(len(self.shares), self.n, p=self.shares)
-
-    def switch(self, dt: np.ndarray) -> None:
-        """At the switching rate a mode is drawn again, as `trackers.core.filters.imm` has it."""
-        self.mode = np.where(self.rng.random(self.n) < -np.expm1(-self.rate * dt), self._draws(), self.mode)
-
-    def turned(self, state: Any) -> Any:
-        """The states at one of the yaws of a `YawMixtureFilter`; as they are for other filters."""
-        if not isinstance(self.filter, YawMixtureFilter):
-            return state
-        yaws = 2 * np.pi / self.filter.count * self.rng.integers(self.filter.count, size=self.n)
-        return jax.vmap(with_yaw_added, in_axes=-1, out_axes=-1)(state, jnp.asarray(yaws))
-
-    def each(self, part: Any, function: Callable[[Any], Callable[..., Any]]) -> list[Callable[..., Any]]:
-        """The function of the part, or of the part in each mode, over all tags."""
-        parts = [part.in_mode(k) for k in range(len(self.shares))] if isinstance(part, AbstractSwitching) else [part]
-        return [jax.jit(jax.vmap(function(one), in_axes=-1, out_axes=-1)) for one in parts]
-
-    def chosen(self, of_modes: Sequence[Any]) -> Any:
-        """Of the results in each mode those of the tags' modes."""
-        if len(of_modes) == 1:
-            return of_modes[0]
-        is_mode = [self.mode == k for k in range(len(of_modes))]
-        return jax.tree_util.tree_map(lambda *x: jnp.select(is_mode, x), *of_modes)
-
-
-def _step(motion: Any) -> Callable[..., Any]:
-    return lambda state, inputs, dt, w: motion.step(state, inputs, dt, Vector.of(w))
-
-
-def _measurement(tracker: Tracker) -> Callable[[Any], Callable[..., Any]]:
-    return lambda sensor: lambda state, inputs: jnp.stack(sensor.measure(tracker.motion.view(state), inputs))
+def _for_all(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function over all tags."""
+    return jax.jit(jax.vmap(function, in_axes=-1, out_axes=-1))
 
 
 def _priors(tracker: Tracker, batch: Batch) -> Gaussian:
     """The belief of the start at the first row of each trajectory, trajectories last."""
 
-    def first(part: Any) -> Any:
-        return jax.tree_util.tree_map(lambda x: x[0], part)
-
     def belief(row: Row) -> Gaussian:
         return tracker.start.belief(tracker.start.candidate(tracker.sensors, row), row)
 
-    number = jnp.zeros(batch.size, jnp.uint32)
-    row = Row(batch.dt[0], batch.valid[0], first(batch.readings), first(dict(batch.inputs)), batch.key, number)
+    readings, inputs = jax.tree_util.tree_map(lambda x: x[0], (batch.readings, dict(batch.inputs)))
+    row = Row(batch.dt[0], batch.valid[0], readings, inputs, batch.key, jnp.zeros(batch.size, jnp.uint32))
     return jax.vmap(belief, in_axes=-1, out_axes=-1)(row)
 
 
@@ -135,6 +110,15 @@ def _drawn(prior: Gaussian, rng: np.random.Generator) -> Any:
     unit = np.sqrt(np.maximum(values, 0.0)) * rng.normal(size=values.shape)
     steps = jnp.asarray(np.einsum("nij,nj->in", vectors, unit))
     return jax.vmap(lambda mean, step: retract(mean, list(step)), in_axes=-1, out_axes=-1)(prior.mean, steps)
+
+
+def _turned(tracker: Tracker, state: Any, rng: np.random.Generator) -> Any:
+    """The states at one of the yaws of a `YawMixtureFilter`; as they are for other filters."""
+    if not isinstance(tracker.filter, YawMixtureFilter):
+        return state
+    count, tags = tracker.filter.count, jax.tree_util.tree_leaves(state)[0].shape[-1]
+    yaws = 2 * np.pi / count * rng.integers(count, size=tags)
+    return jax.vmap(with_yaw_added, in_axes=-1, out_axes=-1)(state, jnp.asarray(yaws))
 
 
 def _read(sensor: AbstractSensor, predicted: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -1,89 +1,46 @@
-"""Parameter recovery: 200 fits to data of each tracker's own model.
+"""Parameter recovery: 200 fits to data of each tracker's own model, from starts a factor of ten off.
 
-Every replicate has new data and starts a factor of ten too high or too low in motion and sensor noise. Checked for
-every parameter: the coverage of its 95 % intervals, 89 to 99 % for 200 replicates, by the likelihood's curvature, by
-the scatter of rows, and by the wider of both, which `tune` gives; the bias of the unconstrained parameter, at most 3
-standard errors; and that no fit ends worse than it began. Systems: A, the beam tracker; B, the grid on a line; C,
-ranges; D, MH-K's fusion of fixes with a full covariance. `motion-levels`: whether a fit to a single recording of a
-minute finds how much the tag moves.
+For every parameter: the coverage of its 95 % intervals, 0.89 to 0.99 for 200 replicates, by the likelihood's curvature,
+by the scatter of rows, and by the wider of both, which `tune` gives; its bias in standard errors, at most 3; and how
+many fits end worse than they began, none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
 import trackwright as tw
-from trackwright.experiments.lab.cases import DEFAULTS, Output, Row, Table, chosen
-from trackwright.experiments.lab.validation.own_worlds import own_world
-from trackwright.experiments.lab.verify.worlds import NEVER_LOST, KnownStart
-from trackwright.experiments.text.terminal import progress
+from trackwright.experiments.lab.runner import Case, Figures
+from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, KnownStart, own_world
 from trackwright.sim import work_station
 from trackwright.trackers.aoa.beam import Beam
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
-from trackwright.trackers.line.motion import PathState
+from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
-from trackwright.tuning.fitting import FitOptions, fit
+from trackwright.tuning.fitting import FitOptions, FitResult, fit
 from trackwright.tuning.objectives import NegativeLogLikelihood
-from trackwright.tuning.parameters import Parameter, component_names, flatten, select_parameters, with_parameters
+from trackwright.tuning.parameters import component_names, flatten, select_parameters, with_parameters
 from trackwright.tuning.uncertainty import By, unused
 
-REPLICATES = 200
-COVERED = (0.89, 0.99)
-"""Accepted coverage of 95 % intervals; its standard error over 200 replicates is 1.5 %."""
+REPLICATES, SEED = 200, 7
+COVERED, UNBIASED = (0.89, 0.99), 3.0
+"""Accepted coverage, whose standard error over 200 replicates is 1.5 %, and bias in standard errors."""
 
-LEVELS, NEAR = (0.005, 0.02, 0.1, 0.5, 2.0), 1.5
-"""Levels of motion, m/s² per √Hz, from a creeping trolley to a hand, and the factor within which fits find them."""
-
-UNBIASED = 3.0
-WRONG = np.log(10.0)
+WAYS: tuple[By, ...] = ("curvature", "scatter", "either")
 
 
-def recovery(*systems: str, output: Output = DEFAULTS) -> int:
-    """Coverage of intervals and bias of 200 fits to data of each system's own model; 1 if a criterion fails.
-
-    Args:
-        systems: of A, B, C and D; all where none is named.
-    """
-    count = 4 if output.small else REPLICATES
-    rows = [row for name in chosen(systems, SYSTEMS) for row in recovered(name, count, seed=7)]
-    note = f"Coverage of 95 % intervals by what they are from, and bias in standard errors; {count} fits each."
-    output.publish("validation recovery", Table(rows, note=note))
-    return int(not all(row["good"] == "yes" for row in rows))
-
-
-def motion_levels(*, output: Output = DEFAULTS) -> int:
-    """Fits of the level of motion to recordings of a minute of system C, from a start that is none of the levels.
-
-    1 if one of twenty is off by more than a factor of `NEAR`.
-    """
-    system, rows = ranges(), list[Row]()
-    tracker = replace(system.tracker, motion=tw.ConstantVelocity(0.3, 3))
-    for level in LEVELS:
-        world = replace(
-            system, tracker=replace(system.tracker, motion=tw.ConstantVelocity(level, 3)), trajectories=1, rows=600
-        )
-        fits = [
-            fit(tracker, tw.stack(recordings), NegativeLogLikelihood(), ("motion.sigma_a",), FitOptions(starts=4))
-            for recordings in world.replicates(4 if output.small else REPLICATES, seed=3)
-        ]
-        ratios = np.array([float(one.values["motion.sigma_a"]) for one in fits]) / level
-        near = np.mean(np.abs(np.log(ratios)) < np.log(NEAR))
-        rows.append(
-            {
-                "level": level,
-                "median": float(np.median(ratios)),
-                "least": float(ratios.min()),
-                "largest": float(ratios.max()),
-                "near %": 100 * float(near),
-            }
-        )
-    note = f"Fitted by true level of motion; share of recordings within a factor of {NEAR}."
-    output.publish("validation motion-levels", Table(rows, note=note))
-    return int(any(row["near %"] < 95 for row in rows))
+def cases() -> Iterator[Case]:
+    """Each parameter of each system."""
+    for name, make in SYSTEMS.items():
+        system = make()
+        parameters = select_parameters(system.tracker, system.tune)
+        labels = component_names(parameters)
+        for k in np.flatnonzero(~unused(parameters)).tolist():
+            yield Case("own model", name, labels[k], partial(recovered, name, k), SEED)
 
 
 @dataclass(frozen=True)
@@ -113,24 +70,15 @@ class System:
 
 
 def beams() -> System:
-    """A: azimuth and elevation from the phases of eight antennas with an unknown common phase."""
+    """Azimuth and elevation from the phases of eight antennas with an unknown common phase."""
     # Within one lobe of the array: a start in another lobe would violate the model.
     start = KnownStart(lambda x: Beam(*x), (0.0,) * 4, (0.01, 0.01, 0.05, 0.05))
     tracker = replace(tw.beam_tracker(work_station().stations["1"], "1", 0.15, 0.2), start=start, track_loss=NEVER_LOST)
     return System(tracker, ("motion.sigma_a", "sensors.*.sigma_p"), 8, 16, 60, 0.05)
 
 
-def carts() -> System:
-    """B: a cart on a bent line, by the grid filter; a coarser grid would bias the noise of the fixes low."""
-    line = tw.Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]])
-    tracker = tw.line_grid_tracker(tw.line.LineMotion(line, 0.04), {FIXES: FloorFixes(0.3, None)}, 0.03, 0.6, 32)
-    start = KnownStart(lambda x: PathState(*x), (0.5, 0.15), (0.15, 0.03))
-    known = replace(tracker, start=start, track_loss=NEVER_LOST)
-    return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), 2, 16, 32, 0.5)
-
-
 def ranges() -> System:
-    """C: a tag in space and its ranges to six anchors, with normal errors."""
+    """A tag in space and its ranges to six anchors, with normal errors."""
     anchors = np.array([[0, 0, 2.5], [8, 0, 0.3], [8, 6, 2.5], [0, 6, 0.3], [4, 0, 0.5], [4, 6, 2.3]], float)
     count = len(anchors)
     # This many degrees of freedom make Student's t normal, and a skew of 1 makes it symmetric.
@@ -143,7 +91,7 @@ def ranges() -> System:
 
 
 def fixes() -> System:
-    """D: fixes with correlated errors, as MH-K fuses them."""
+    """Fixes with correlated errors, as MH-K fuses them."""
     fusion, start = tw.mhk_tracker(sigma_a=0.8).fusion, KnownStart(_moving, (0.0,) * 6, (0.5,) * 6)
     tracker = tw.Tracker(fusion.motion, {FIXES: fusion.sensors[FIXES]}, start, track_loss=NEVER_LOST)
     return System(tracker, ("motion.sigma_a", "sensors.fixes.covariance"), 3, 8, 60, 0.1)
@@ -153,64 +101,50 @@ def _moving(x: Sequence[Any]) -> tw.Kinematic:
     return tw.Kinematic(tw.Vector(*x[:3]), tw.Vector(*x[3:]))
 
 
-SYSTEMS = {"A": beams, "B": carts, "C": ranges, "D": fixes}
+SYSTEMS = {"beam": beams, "ranges": ranges, "fixes": fixes}
 
 
 def wrong(system: System, replicate: int) -> tw.Tracker:
     """The tracker with process and measurement noise each ten times too small or too large, by replicate."""
     parameters = select_parameters(system.tracker, system.tune)
-    corners = [(a, b) for a in (WRONG, -WRONG) for b in (WRONG, -WRONG)]
-    motion, sensors = corners[replicate % len(corners)]
-    vector, at = flatten(parameters), 0
+    corners = [(a, b) for a in (1, -1) for b in (1, -1)]
+    motion, sensors = np.log(10.0) * np.array(corners[replicate % len(corners)])
+    parts = []
     for parameter in parameters:
-        shape = np.shape(parameter.example.raw)
-        size = int(np.prod(shape, dtype=int))
-        step = motion if parameter.names[0].startswith("motion.") else sensors
+        step, raw = motion if parameter.names[0].startswith("motion.") else sensors, np.asarray(parameter.example.raw)
         # For a covariance: the logarithms of its Cholesky factor's diagonal.
-        vector[at : at + size] += np.ravel(step * (np.eye(len(parameter.example.raw)) if shape else np.ones(shape)))
-        at += size
-    made: tw.Tracker = with_parameters(system.tracker, parameters, vector)
+        parts.append(np.ravel(step * (np.eye(len(raw)) if raw.ndim else np.ones(()))))
+    made: tw.Tracker = with_parameters(system.tracker, parameters, flatten(parameters) + np.concatenate(parts))
     return made
 
 
-def recovered(name: str, replicates: int, seed: int) -> list[Row]:
-    """Fit every replicate; the recovery of each parameter, and whether all criteria hold for it."""
+@lru_cache(maxsize=1)
+def fits(name: str) -> tuple[FitResult, ...]:
+    """The fits to every replicate of a system."""
     system = SYSTEMS[name]()
+    return tuple(
+        fit(wrong(system, k), tw.stack(drawn), NegativeLogLikelihood(), system.tune, FitOptions(starts=4))
+        for k, drawn in enumerate(system.replicates(REPLICATES, SEED))
+    )
+
+
+def recovered(name: str, component: int) -> Figures:
+    """The recovery of one number over all fits to a system, and whether all criteria hold."""
+    system, results = SYSTEMS[name](), fits(name)
     parameters = select_parameters(system.tracker, system.tune)
-    truth = flatten(parameters)
-    errors, worse = [], 0
-    covered: dict[By, list[np.ndarray]] = {"curvature": [], "scatter": [], "either": []}
-    with progress(f"system {name}", replicates) as advance:
-        for k, recordings in enumerate(system.replicates(replicates, seed)):
-            result = fit(
-                wrong(system, k), tw.stack(recordings), NegativeLogLikelihood(), system.tune, FitOptions(starts=4)
-            )
-            worse += int(result.value > result.start_value)
-            assert result.uncertainty is not None
-            errors.append(result.vector - truth)
-            for way, within in covered.items():
-                within.append(_inside(result.uncertainty.intervals(by=way), parameters))
-            advance(1)
-    error, labels = np.array(errors), component_names(parameters)
-    shares = {way: np.mean(within, axis=0) for way, within in covered.items()}
-    bias = error.mean(axis=0) / (error.std(axis=0, ddof=1) / np.sqrt(replicates))
-    good = [(share >= COVERED[0]) & (share <= COVERED[1]) for share in shares.values()] + [np.abs(bias) < UNBIASED]
-    held = np.all(good, axis=0) & (worse == 0)
-    return [
-        {
-            "system": name, "parameter": labels[k], **{f"{way} %": 100 * float(x[k]) for way, x in shares.items()},
-            "bias": float(bias[k]), "spread": float(error[:, k].std()), "fits worse": worse,
-            "good": "yes" if held[k] else "no",
-        }
-        for k in np.flatnonzero(~unused(parameters)).tolist()
-    ]  # fmt: skip
+    error = np.array([result.vector for result in results])[:, component] - flatten(parameters)[component]
+    covered: dict[str, float] = {
+        way: float(np.mean([_inside(one, parameters, way)[component] for one in results])) for way in WAYS
+    }
+    bias = float(error.mean() / (error.std(ddof=1) / np.sqrt(len(error))))
+    worse = sum(result.value > result.start_value for result in results)
+    good = all(COVERED[0] <= share <= COVERED[1] for share in covered.values()) and abs(bias) < UNBIASED and not worse
+    return {"fits": len(results), **covered, "bias": bias, "worse": worse, "good": "yes" if good else "no"}
 
 
-def _inside(intervals: Mapping[str, tuple[np.ndarray, np.ndarray]], parameters: Sequence[Parameter]) -> np.ndarray:
-    """Whether the intervals cover the parameters' values; entry by entry for a matrix."""
-    inside = []
-    for parameter in parameters:
-        low, high = intervals[parameter.label]
-        value = np.asarray(parameter.example.value)
-        inside.append(np.ravel((low <= value) & (value <= high)))
-    return np.concatenate(inside)
+def _inside(result: FitResult, parameters: Sequence[Any], way: By) -> np.ndarray:
+    """Whether the intervals cover the true values; entry by entry for a matrix."""
+    assert result.uncertainty is not None
+    intervals = result.uncertainty.intervals(by=way)
+    parts = [(*intervals[p.label], np.asarray(p.example.value)) for p in parameters]
+    return np.concatenate([np.ravel((low <= value) & (value <= high)) for low, high, value in parts])

@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from trackwright.experiments.pages.charts import recording as charts
 from trackwright.experiments.pages.charts.style import plotly_chart, write_panels
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, drawn_of
-from trackwright.trackers.recordings.tracks_table import PROTECTION
 
 MANY = 11
 """Tracks of a recording from which on they have a chart of their RMSE over time."""
@@ -45,11 +44,6 @@ def _covered(scored: ScoredRecording) -> Sequence[Panel]:
     return [charts.coverage] if any(np.isfinite(nees).any() for nees, _ in scored.nees_by_shape().values()) else []
 
 
-def _protected(scored: ScoredRecording) -> Sequence[Panel]:
-    there = PROTECTION in scored.association.rows.columns and scored.association.scored.any()
-    return [charts.stanford] if there else []
-
-
 def _of_each_axis(panel: Panel, least: int = 1) -> Callable[[ScoredRecording], Sequence[Panel]]:
     """A panel for each axis with errors, of recordings with so many tracks at least."""
 
@@ -70,7 +64,6 @@ FIGURES = {
     "error-over-time": Figure("Error over time", _of_each_axis(charts.error_over_time)),
     "consistency": Figure("Consistency of the reported covariances", _with_truth(*CONSISTENCY)),
     "rmse-over-time": Figure("Root mean square error over time", _of_each_axis(charts.rmse_over_time, MANY)),
-    "stanford": Figure("Protection level against error", _protected, (6.4, 3.4), page=True),
     "coverage": Figure("Truth inside the reported ellipses", _covered, page=True, file=False),
 }
 """The figures of a recording by the names of their files; the coverage of all recordings is one file."""

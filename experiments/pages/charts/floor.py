@@ -191,28 +191,3 @@ def ellipses(centres: Float[np.ndarray, "k 2"], covs: Float[np.ndarray, "k 2 2"]
     lines = np.full((len(centres), CORNERS + 1, 2), np.nan)
     lines[:, :CORNERS] = np.swapaxes(half_axes @ circle, 1, 2) + centres[:, None]
     return lines.reshape(-1, 2)
-
-
-def bound_map(
-    axes: Axes, x: np.ndarray, y: np.ndarray, bound: np.ndarray, name: str, rig: Rig, proposed: Collection[str]
-) -> None:
-    """A bound (nx, ny), m, over the cells around `x` (nx,) and `y` (ny,), m, with the installation."""
-    half = (x[1] - x[0]) / 2
-    edges = [np.append(values - half, values[-1] + half) for values in (x, y)]
-    # A few cells beside an anchor or in line with two would take all colours, and so would a small spread.
-    least, high, largest = np.nanquantile(100 * bound, (0.0, 0.97, 1.0))
-    most = max(high, 2 * least)
-    mesh = axes.pcolormesh(*edges, 100 * bound.T, cmap="viridis_r", vmin=least, vmax=most)
-    extend = "max" if largest > most else "neither"
-    axes.figure.colorbar(mesh, ax=axes, shrink=0.8, extend=extend, label="bound (cm)", location="bottom")
-    size = max(float(np.ptp(edge)) for edge in edges)
-    draw_rig(axes, rig, size, proposed)
-    for text in axes.texts:
-        text.set_path_effects(HALO)
-    # Room for the names of anchors on the walls.
-    (left, *_, right), (bottom, *_, top) = edges
-    axes.set(xlim=(left - 0.08 * size, right + 0.08 * size), ylim=(bottom - 0.08 * size, top + 0.08 * size))
-    axes.set_aspect("equal")
-    axes.grid(visible=False)
-    rms = 100 * float(np.sqrt(np.nanmean(bound**2)))
-    axes.set(title=f"{name}: {rms:.3g} cm RMS", xlabel="x (m)", ylabel="y (m)")

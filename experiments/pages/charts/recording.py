@@ -34,7 +34,6 @@ from trackwright.experiments.pages.charts.style import (
     BLUE,
     GREY,
     LINES,
-    VERMILION,
     broken_at_gaps,
     legend_above,
     literal,
@@ -51,14 +50,10 @@ from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.tracks_table import PROTECTION
 from trackwright.tuning.diagnostics import Innovations
 
 Shown = ScoredRecording | AnyEstimates
 """Estimates scored against the truth of their recording, or alone: the recording is then the next argument."""
-
-POINTS = 4_000
-"""The most rows of a Stanford diagram on which the protection level holds."""
 
 MARKED = (50.0, 90.0, 95.0)
 """Percentiles marked on the distribution of errors."""
@@ -210,39 +205,6 @@ def coverage(
     axes.set_title(shape if spatial or shape == "horizontal" else "")
     words = "ellipsoid" if spatial else "ellipse"
     axes.set(xlabel=f"level of the reported {words} (%)", ylabel=f"truth inside the {words} (% of rows)")
-    return axes
-
-
-def stanford(estimates: Shown, recording: AnyRecording | None = None, ax: Axes | None = None) -> Axes:
-    """The protection level of rows against their horizontal error; below the diagonal the level does not hold.
-
-    A Stanford diagram. At most `POINTS` rows are drawn, evenly spaced, and all on which the level does not hold. Raises
-    UnusableInput without truth, and for estimates without protection levels.
-    """
-    scored = _scored(estimates, recording, "stanford", truth=True)
-    rows = scored.association.rows
-    if PROTECTION not in rows.columns:
-        raise UnusableInput("stanford: the estimates have no protection levels; add them with `Protection.applied`")
-    levels = float_column(rows, PROTECTION)
-    known = np.flatnonzero(np.isfinite(levels) & np.isfinite(scored.miss))
-    errors, levels = scored.miss[known], levels[known]
-    beyond, axes = errors > levels, _axes(ax)
-    some = np.zeros(len(errors), bool)
-    some[:: -(-len(errors) // POINTS) or 1] = True
-    across, up = (1.05 * float(np.max(values, initial=1e-3)) for values in (errors, levels))
-    axes.plot(
-        [0, max(across, up)],
-        [0, max(across, up)],
-        color=GREY,
-        linewidth=1.0,
-        linestyle=(0, (4, 3)),
-        label="error = protection level",
-    )
-    for mask, colour, words in ((some & ~beyond, BLUE, "held"), (beyond, VERMILION, "not held")):
-        share = 100 * np.mean(beyond if words == "not held" else ~beyond) if len(errors) else 0.0
-        axes.scatter(errors[mask], levels[mask], s=8, color=colour, alpha=0.5, label=f"{words}: {share:.4g} % of rows")
-    axes.set(xlim=(0, across), ylim=(0, up), xlabel="horizontal error (m)", ylabel="protection level (m)")
-    axes.legend(loc="upper right")
     return axes
 
 

@@ -257,15 +257,6 @@ def plotly_chart(draw: Draw) -> dict[str, Any]:
     return chart
 
 
-def write_svg(
-    folder: Path, name: str, draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT
-) -> str:
-    """Writes `svg` to the file `name` of the folder; returns the name."""
-    text = svg(draw, width, height)
-    atomic_write(folder / name, lambda temporary: temporary.write_text(text, "utf-8"))
-    return name
-
-
 def plain(axes: Axes, grid: str = "y") -> None:
     """Removes the left spine and its ticks, and keeps a grid along one axis only."""
     axes.grid(visible=False)

@@ -1,4 +1,4 @@
-"""The runs that `report` compares: studies, and tracks with their errors against truth."""
+"""The runs that `evaluate` compares: studies, and tracks with their errors against truth."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class TrackRun:
 def read_runs(folders: Sequence[Path]) -> tuple[list[StudyRun] | list[TrackRun], list[str]]:
     """The runs in these folders, and notices; raises UnusableInput for fewer than two, and for runs of two kinds."""
     if len(folders) < 2:
-        raise UnusableInput(f"report: found {counted(len(folders), 'folder')}; expected two or more to compare")
+        raise UnusableInput(f"evaluate: found {counted(len(folders), 'folder')}; expected two or more to compare")
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise UnusableInput("report: a folder is given more than once; expected different runs; remove one")
     kinds = [_kind(folder) for folder in folders]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +19,6 @@ from trackwright.experiments.text.expectations import Conclusion, ExpectedResult
 from trackwright.experiments.text.wording import Unit, heading, yes_no
 
 REPORT = "report.html"
-KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
 MOST_CHARTS = 4
 
 BOUNDS = {"rmse_m": "bound_m", "rmse_3d_m": "bound_3d_m"}
@@ -38,22 +36,12 @@ class Table(NamedTuple):
     classes: Sequence[str]
 
 
-class Picture(NamedTuple):
-    """A figure of the study's own: file name, words for the blind, data address."""
-
-    name: str
-    words: str
-    address: str
+def write_study_report(folder: Path, results: Results, expected: Expected, command: Sequence[str]) -> Path:
+    """Writes the page into the folder, whole or not at all; returns its path."""
+    return write_page(folder / REPORT, study_page(results, expected, command))
 
 
-def write_study_report(
-    folder: Path, results: Results, expected: Expected, pictures: Sequence[str], command: Sequence[str]
-) -> Path:
-    """Writes the page into the folder, whole or not at all; returns its path. `pictures`: files there to include."""
-    return write_page(folder / REPORT, study_page(results, expected, [folder / name for name in pictures], command))
-
-
-def study_page(results: Results, expected: Expected, pictures: Sequence[Path], command: Sequence[str]) -> str:
+def study_page(results: Results, expected: Expected, command: Sequence[str]) -> str:
     """The report as HTML."""
     study, units = results.study, main_units(results)
     charts, distributions = study_charts(results)
@@ -67,7 +55,6 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
         expected=_expected([c for c in expected if isinstance(c, ExpectedResult)]),
         conclusions=conclusion_rows(expected),
         counts=headline_of(expected),
-        pictures=[_picture(path) for path in pictures],
         charts=charts,
         distributions=distributions,
         charts_lead="Bands and bars are 95 % intervals."
@@ -108,12 +95,6 @@ def _expected(results: Sequence[ExpectedResult]) -> Table:
     head = ["result", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance", "remark"]
     shown = len(head) if any(r.note for r in results) else len(head) - 1
     return Table(lead, head[:shown], [row[:shown] for row in rows], ["", "", "after", "", "", "answer", "long"][:shown])
-
-
-def _picture(path: Path) -> Picture:
-    data = base64.b64encode(path.read_bytes()).decode()
-    words = path.stem.replace("-", " ").replace("_", " ")
-    return Picture(path.name, words, f"data:{KINDS[path.suffix]};base64,{data}")
 
 
 def _metrics(results: Results, units: dict[str, Unit]) -> Table:

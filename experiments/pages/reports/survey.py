@@ -1,4 +1,4 @@
-"""The report of a survey: its numbers for JSON, and a page with the sensors over the walks, before and after."""
+"""The report of a survey: its numbers for JSON, and a page with the anchors over the walks."""
 
 from __future__ import annotations
 
@@ -11,53 +11,39 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, ellipses, plan_corners
-from trackwright.experiments.pages.charts.style import BLUE, GREEN, GREY, Chart, write_panels
+from trackwright.experiments.pages.charts.style import BLUE, GREY, Chart, write_panels
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.tuning.survey.result import Survey
 
 
 def survey_data(survey: Survey) -> dict[str, Any]:
-    """The sensors by id with their numbers, half-widths of 95 % intervals and verdicts; the effect, and the notes."""
-    sensors = {name: survey.numbers(k) | {"verdict": survey.verdict(name)} for k, name in enumerate(survey.names)}
-    return {f"{survey.noun}s": sensors, "effect": survey.effect, "notes": survey.notes}
+    """The anchors by id with their numbers, half-widths of 95 % intervals and verdicts; the effect, and the notes."""
+    anchors = {
+        name: {
+            "position_m": survey.positions[k], "half_width_m": survey.half_widths[k, :3], "delay_m": survey.delays[k],
+            "delay_half_width_m": survey.half_widths[k, 3], "delay_determined": survey.delay_determined[k],
+            "rms_m": survey.rms[k], "ranges": survey.readings[k], "verdict": survey.verdict(name),
+        }
+        for k, name in enumerate(survey.names)
+    }  # fmt: skip
+    return {"anchors": anchors, "effect": survey.effect, "notes": survey.notes}
 
 
 def write_survey_report(out: Path, survey: Survey, command: Sequence[str]) -> tuple[Path, Path]:
     """Writes the figure and the page beside the file `out`, with its name; returns their paths."""
-    figure = write_panels(
-        out.with_suffix(".png"), [partial(_plan, survey=survey)], None, f"Survey of {survey.rig.name}"
-    )
-    nouns = f"{survey.noun.capitalize()}s"
-    text = page(
-        "survey.html",
-        command,
-        title=f"Survey of {survey.rig.name}",
-        survey=survey,
-        chart_of=Chart(
-            "survey", f"{nouns} with 95 % ellipses over the walks", partial(_plan, survey=survey), 7.0, None
-        ),
-        nouns=nouns,
-        head=survey.head,
-        rows=survey.rows(),
-        reading=survey.reading,
-        out=str(out),
-    )
-    return figure, write_page(out.with_suffix(".html"), text)
+    title, draw = f"Survey of {survey.rig.name}", partial(_plan, survey=survey)
+    chart = Chart("survey", "Anchors with 95 % ellipses over the walks", draw, 7.0, None)
+    text = page("survey.html", command, title=title, survey=survey, chart_of=chart, out=str(out))
+    return write_panels(out.with_suffix(".png"), [draw], None, title), write_page(out.with_suffix(".html"), text)
 
 
 def _plan(axes: Axes, survey: Survey) -> None:
-    """Walks, sensors with the ellipses of their intervals, and where the rig had them."""
-    whole = np.concatenate(survey.paths)[:, :2]
-    rows = np.arange(len(survey.names))
-    covs = np.stack([survey.block(k)[:2, :2] for k in rows.tolist()])
-    drawn = np.array([survey.half_widths[k, :2].max() < 2.0 for k in rows])
+    """Walks, and anchors with the ellipses of their intervals."""
+    covs = np.stack([survey.block(k)[:2, :2] for k in range(len(survey.names))])
+    drawn = survey.half_widths[:, :2].max(axis=1) < 2.0
+    places, covs = survey.positions[drawn, :2], covs[drawn]
     paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
-    paths.append(
-        PlanPath("", BLUE, np.full((1, 2), np.nan), survey.positions[drawn, :2], covs[drawn], "95 % ellipse")
-    )  # fmt: skip
-    shown = [whole, ellipses(survey.positions[drawn, :2], covs[drawn])]
+    paths.append(PlanPath("", BLUE, np.full((1, 2), np.nan), places, covs, "95 % ellipse"))
+    shown = [np.concatenate(survey.paths)[:, :2], ellipses(places, covs)]
     draw_plan(axes, paths, [], survey.rig, plan_corners(shown, [], survey.rig))
-    before = survey.before_onto()
-    if len(before):
-        axes.plot(*before[:, :2].T, "X", color=GREEN, label="before", zorder=6)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)

@@ -73,13 +73,11 @@ def run_data(
     name: str = "",
     of: int = 1,
     figures: bool = False,
-    verdict: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Everything that the page shows of one tracker, within limits on rows, tracks and residuals of all together.
 
     `evaluation`: None without truth. `tracker`: what it is; `name`: its name where the page has `of` trackers, more
-    than one. `figures`: whether there are figures in files, whose choice of recordings the page names. `verdict`: of a
-    watch.
+    than one. `figures`: whether there are figures in files, whose choice of recordings the page names.
     """
     shown = tracks.recordings[:MOST_RECORDINGS]
     total = of * max(sum(len(recording.times) for recording in shown), 1)
@@ -96,7 +94,7 @@ def run_data(
         "recordings": recordings,
         "recordingCount": len(tracks.recordings),
         "metrics": [] if evaluation is None else _metrics(evaluation),
-        "statements": [*verdict, *([] if evaluation is None else evaluation.statements)],
+        "statements": [] if evaluation is None else evaluation.statements,
         "figures": tracks.drawn_words if figures else "",
     }
 
@@ -294,12 +292,12 @@ def _nis_band(rows: pl.DataFrame, student_t_dof: float | None) -> list[float] | 
 def _events(
     events: pl.DataFrame, chosen: list[int], tags: list[str], stations: list[str | None], start: float
 ) -> list[dict[str, Any]]:
-    """The first events of the tracks that are drawn; `track` is the number among these, None of an event of no tag."""
+    """The first events of the tracks that are drawn; `track` is the number among these."""
     number = {(tags[k], stations[k]): place for place, k in enumerate(chosen)}
     shown: list[dict[str, Any]] = []
     for event in events.iter_rows(named=True):
         place = number.get((event["tag"], event.get("station")))
-        if (place is not None or event["tag"] is None) and len(shown) < MOST_EVENTS:
+        if place is not None and len(shown) < MOST_EVENTS:
             shown.append(
                 {"t": max(event["t_s"] - start, 0.0), "track": place, "what": event["event"], "detail": event["detail"]}
             )

@@ -134,7 +134,7 @@ WORSE = 0.02
 """Relative increase above which a metric counts as worse."""
 
 WORSE_BY = 0.01
-"""The same, absolute: in nats, which have no natural zero, and for distances between distributions."""
+"""The same, absolute: in nats, which have no natural zero."""
 
 ADVICE = "Do not use such values as measurements: freeze or tie these parameters, or record more motion."
 
@@ -174,7 +174,7 @@ def is_worse(metric: MetricChange, pair: tuple[float, float]) -> bool:
     before, after = pair
     if not (math.isfinite(before) and math.isfinite(after)):
         return math.isfinite(before)
-    return after > before + (WORSE * before if metric.unit not in ("nats", "1") else WORSE_BY)
+    return after > before + (WORSE * before if metric.unit != "nats" else WORSE_BY)
 
 
 def is_better(metric: MetricChange, pair: tuple[float, float]) -> bool:
@@ -183,8 +183,8 @@ def is_better(metric: MetricChange, pair: tuple[float, float]) -> bool:
 
 
 def _change(metric: MetricChange, pair: tuple[float, float]) -> str:
-    unit = "" if metric.unit == "1" else f" {metric.unit}"
-    relative = percent_change(*pair) if metric.unit not in ("nats", "1") else ""
+    unit = f" {metric.unit}"
+    relative = percent_change(*pair) if metric.unit != "nats" else ""
     change = f" ({relative})" if relative else ""
     return f"{uncapitalised(metric.title)} changed from {number(pair[0])} to {number(pair[1])}{unit}{change}"
 

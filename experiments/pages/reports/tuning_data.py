@@ -48,7 +48,7 @@ class TunedParameter:
 class MetricChange:
     """A metric before and after, on the recordings tuned on and on those held out; NaN where missing.
 
-    `key`: its name, as `rmse` or `nis-shape`; lower is better.
+    `key`: its name, as `rmse`; lower is better.
     """
 
     key: str
@@ -127,8 +127,6 @@ TITLES = {
     "rmse": ("RMSE", ""),
     "rmse-3d": ("3-D RMSE", ""),
     "state-nll": ("Negative log-likelihood of the truth per row", "nats"),
-    "nis-shape": ("NIS: distance from its distribution", "1"),
-    "nees-shape": ("NEES: distance from its distribution", "1"),
 }
 """Title and unit of each metric of `tuning.named_objectives`; without a unit it has that of the truth."""
 

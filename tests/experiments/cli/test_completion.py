@@ -38,7 +38,7 @@ def test_a_script_names_every_command_and_options_of_each_kind(shell):
         ("trackwright simulate line --situ", {"--situation"}),
         ("trackwright track x --format p", {"pdf", "png"}),
         ("trackwright track x --tracker multi", {"multilateration"}),
-        ("trackwright tunables uwb-", {"uwb-imu"}),
+        ("trackwright trackers uwb-", {"uwb-imu"}),
     ],
 )
 def test_bash_completes(script, line, expected, tmp_path):

@@ -127,7 +127,6 @@ def test_estimates_in_millimetres_and_a_height_that_is_known_exactly_are_scored(
         ),
         (("--truth", "nowhere.tum"), ("--truth nowhere.tum: does not exist", "or a trajectory file")),
         (("--truth", "good", "--tag", "T1", "--rpe", "5km"), ("such as 1m",)),
-        (("--truth", "good", "--tag", "T1", "--worksteps", "p.csv"), ("--worksteps",)),
     ],
 )
 def test_what_cannot_be_scored_is_refused(beginnings, there, monkeypatch, arguments, words):

@@ -309,3 +309,19 @@ def test_fixes_without_a_height_place_a_truth_over_the_floor():
 def test_a_truth_that_cannot_be_brought_over_is_refused(foreign, arguments, words):
     assert_refused_last(trackwright(*TRUTH, *arguments), *words)
     assert not Path("hall/truth.parquet").exists()
+
+
+def test_a_truth_along_the_path_of_the_rig_is_fitted_to_the_fixes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert trackwright("simulate", "line", "--n", 1, "--out", "line").code == 0
+    known = pl.read_parquet("line/truth.parquet")
+    Path("line/truth.parquet").unlink()
+    said = trackwright("import", "line", "--path", "--out", "fitted")
+    assert said.code == 0, said.err
+    assert "m RMS about the path; segments" in said.out
+    found = known.join(pl.read_parquet("fitted/truth.parquet"), on=["tag", "t_s"])
+    assert len(found) > 0.9 * len(known)
+    assert ((found["x_m"] - found["x_m_right"]) ** 2).mean() ** 0.5 < 0.5
+    assert_refused_last(
+        trackwright("import", "line", "--path", "--tag", "T1", "--out", "other"), "--path", "--out alone"
+    )

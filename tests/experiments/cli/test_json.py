@@ -60,6 +60,6 @@ def test_a_plan_and_the_list_of_trackers(room, tmp_path):
 
 @pytest.mark.parametrize("tracker", ["bearings", "trilateration", "floor-pf"])
 def test_tunables_of_trackers_that_need_bearings_heights_or_a_floor(tracker):
-    found, _ = _result("tunables", tracker)
+    found, _ = _result("trackers", tracker)
     assert found["tracker"] == tracker
     assert found["tunables"] or tracker == "trilateration"

@@ -1,4 +1,4 @@
-"""`trackwright tunables`: every number of every tracker that can be set, with its meaning from the docstrings."""
+"""`trackwright trackers NAME`: every number of every tracker that can be set, with its meaning from the docstrings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_a_docstring_says_what_each_tunable_is(name):
 
 
 def test_tunables_are_listed_with_values_units_and_bounds():
-    done = trackwright("tunables", "fix-kf", "--json")
+    done = trackwright("trackers", "fix-kf", "--json")
     assert done.code == 0
     listed = {one.pop("name"): one for one in json.loads(done.out)["tunables"]}
     assert listed["motion.sigma_a"] == {
@@ -36,14 +36,14 @@ def test_tunables_are_listed_with_values_units_and_bounds():
         "meaning": listed["motion.sigma_a"]["meaning"],
     }
     assert not any(one["fitted_by_default"] for name, one in listed.items() if name.startswith("start."))
-    text = trackwright("tunables", "fix-kf")
+    text = trackwright("trackers", "fix-kf")
     assert "give a recording FOLDER" in text.err
     assert all(name in text.out for name in listed)
 
 
 def test_values_are_those_of_a_noise_file_and_of_the_recording(simulated, tmp_path):
     (tmp_path / "tuned.toml").write_text('tracker = "beam"\n[tunables."motion.sigma_a"]\nvalue = 7.5\n')
-    done = trackwright("tunables", "beam", simulated, "--noise", tmp_path / "tuned.toml", "--json")
+    done = trackwright("trackers", "beam", simulated, "--noise", tmp_path / "tuned.toml", "--json")
     assert done.err == ""
     found = {one["name"]: one["value"] for one in json.loads(done.out)["tunables"]}
     assert found["motion.sigma_a"] == pytest.approx(7.5)
@@ -54,8 +54,8 @@ def test_values_are_those_of_a_noise_file_and_of_the_recording(simulated, tmp_pa
     ("words", "expected"),
     [
         (("uvb",), "tracker uvb: unknown"),
-        ((), "no TRACKER given"),
+        (("--free-height",), "are of one tracker"),
     ],
 )
 def test_what_cannot_be_listed_is_refused(words, expected):
-    assert_refused(trackwright("tunables", *words), expected)
+    assert_refused(trackwright("trackers", *words), expected)

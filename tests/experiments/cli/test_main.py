@@ -76,10 +76,6 @@ def test_a_family_of_commands_lists_its_members():
         (("tune", "x", "--out", "o", "--optimiser", "adamm"), "expected one of auto, lbfgs, adam (did you mean adam?)"),
         (("track", "x", "--out", "o", "--lag", "0"), "--lag 0: expected seconds above zero"),
         (("track", "x", "--out", "o", "--seed", "-1"), "--seed -1: expected a whole number from 0 to 2^64 - 1"),
-        (
-            ("track", "x", "--out", "o", "--probability", "1.5"),
-            "--probability 1.5: expected a number from 0.5 to below 1",
-        ),
         (("track", "x", "--out", "o", "--set", "sigma"), "--set sigma: expected NAME=VALUE"),
         (("track", "x", "--out", "o", "--from", "9", "--to", "3"), "--from 9 --to 3: expected the first below"),
         (("track", "x", "--out", "o", "--every", "0"), "--every 0: expected seconds above zero"),

@@ -70,11 +70,11 @@ def test_the_table_has_the_errors_of_each_run(compared):
 def test_any_number_of_runs_is_reported_straight_after_track(compared, tmp_path):
     folder, _ = compared
     runs = (folder / "two" / "moving-average", folder / "two" / "median", folder / "kf")
-    said = trackwright("report", *runs, "--out", tmp_path / "all.html")
+    said = trackwright("evaluate", *runs, "--out", tmp_path / "all")
     assert said.code == 0, said
     lines = [line.split() for line in said.out.splitlines() if line.strip().startswith("good ")]
     assert [line[1] for line in lines] == ["moving-average", "median", "kf"]
-    assert (tmp_path / "all-errors.png").is_file()
+    assert (tmp_path / "all" / "comparison-errors.png").is_file()
     contrasts = [line.split()[0] for line in said.out.splitlines() if " RMSE, " in line]
     assert contrasts == ["median", "kf"]
 

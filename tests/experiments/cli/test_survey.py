@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tests.in_process import assert_refused, trackwright
-from trackwright.experiments.lab.validation.bearing_surveys import simulated_stations
-from trackwright.experiments.lab.validation.surveys import simulated_site
+from tests.survey_sites import simulated_site
 from trackwright.experiments.text import terminal
 from trackwright.trackers.recordings.folder import write_recording
 from trackwright.trackers.recordings.rig_file import read_rig
@@ -63,33 +62,3 @@ def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks
 def test_options_without_sense_are_refused_in_one_line(walks, tmp_path, options, word):
     assert_refused(trackwright("survey", *walks[:2], *options, "--out", tmp_path / "rig.toml"), word)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-def test_range_differences_refine_the_positions_of_the_rig(tmp_path):
-    room = tmp_path / "room"
-    made = trackwright("simulate", "tdoa", "--n", 1, "--rows", 300, "--sigma-d", 0.03, "--hidden", 0, "--out", room)
-    assert made.code == 0, made.err
-    said = trackwright("survey", room, "--given", "all", "--sigma", 0.1, "--out", tmp_path / "rig.toml", "-q")
-    assert said.code == 0, said.err
-    before, after = (read_rig(path)[0].anchors for path in (room / "rig.toml", tmp_path / "rig.toml"))
-    assert 0.0 < max(np.linalg.norm(after[name] - before[name]) for name in before) < 0.3
-    refused = trackwright("survey", room, "--out", tmp_path / "none.toml", "-q")
-    assert_refused(refused, "refine positions of anchors that are roughly known", "give all")
-
-
-def test_bearings_find_the_rotations_of_stations(tmp_path):
-    folder, *_ = simulated_stations(0, 1.2, 0.0)
-    write_recording(folder, tmp_path / "walk")
-    out = tmp_path / "site" / "rig.toml"
-    said = trackwright("survey", tmp_path / "walk", "--given", "all", "--sigma-deg", 5, "--out", out, "--json")
-    assert said.code == 0, said.err
-    found = json.loads(said.out)["stations"]["S0"]
-    assert found["half_width_m"] == [0.0, 0.0, 0.0]
-    assert found["heading_half_width_deg"] < 5.0
-    assert not re.search(r"\.\d{7}", out.read_text("utf-8"))
-    turned, true = (rig.stations["S0"].rotation for rig in (read_rig(out)[0], folder.rig))
-    assert 0.99 < abs(np.dot(turned, true)) < 1.0
-    assert "heading" in out.with_suffix(".html").read_text("utf-8")
-    refused = trackwright("survey", tmp_path / "walk", "--given", "S0", "--out", tmp_path / "none.toml")
-    assert_refused(refused, "neither the origin nor the scale", "name them as given")

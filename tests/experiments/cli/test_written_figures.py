@@ -1,4 +1,4 @@
-"""Which figures and pages `tune`, `study` and `report` write."""
+"""Which figures and pages `tune`, `study` and `evaluate` of several runs write."""
 
 from __future__ import annotations
 
@@ -76,16 +76,16 @@ def test_report_writes_figures_of_the_kind_that_is_asked_for(rooms, tmp_path):
     names = {f"comparison-{name}.pdf" for name in ("errors", "floor_plans")}
     assert {path.name for path in (tmp_path / "pair").glob("*.p*")} == names
     runs = (tmp_path / "pair" / "fix-kf", tmp_path / "pair" / "moving-average")
-    done = trackwright("report", *runs, "--format", "pdf", "--out", tmp_path / "page" / "mine.html")
+    done = trackwright("evaluate", *runs, "--format", "pdf", "--out", tmp_path / "page")
     assert done.code == 0, done
-    names = {f"mine-{name}.pdf" for name in ("errors", "floor_plans")}
+    names = {f"comparison-{name}.pdf" for name in ("errors", "floor_plans")}
     assert {path.name for path in (tmp_path / "page").glob("*.p*")} == names
     assert all(name in done.out for name in names)
     _assert_kinds(tmp_path / "pair")
     _assert_kinds(tmp_path / "page")
 
 
-@pytest.mark.parametrize("command", ["track", "tune", "study", "report"])
+@pytest.mark.parametrize("command", ["track", "tune", "study", "evaluate"])
 def test_every_other_kind_is_refused(command, tmp_path):
     assert_refused(trackwright(command, "x", "--out", tmp_path / "x.html", "--format", "svg"), "expected png or pdf")
 

@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from tests.experiments.monte_carlo.small_study import TOML
-from tests.faults.workers import workers
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor
@@ -84,7 +83,9 @@ def test_a_local_worker_that_ends_twice_within_seconds_is_replaced():
         began = time.monotonic()
         for at_s in (0.0, given_up_s - 0.2):
             time.sleep(max(0.0, began + at_s - time.monotonic()))
-            (worker,) = workers()
+            psutil = pytest.importorskip("psutil")
+            children = psutil.Process().children(recursive=True)
+            (worker,) = [child.pid for child in children if "spawn_main" in " ".join(child.cmdline())]
             os.kill(worker, signal.SIGKILL)
         time.sleep(1.0)
         assert executor.submit(math.factorial, 5).result(60) == 120

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST
+from tests.oracles.gradients import gradients
 from tests.trackers.line.test_line_filters import GRID, REPORT, STARTS, _trajectories
-from trackwright.experiments.lab.verify.checks import gradients
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.tunable import Scale

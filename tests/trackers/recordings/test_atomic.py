@@ -12,7 +12,14 @@ import pytest
 
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import atomic_write, config_hash, json_text
+from trackwright.trackers.recordings.atomic import (
+    PREFIX,
+    atomic_write,
+    beside,
+    config_hash,
+    json_text,
+    remove_abandoned,
+)
 
 
 def _half_then(error):
@@ -95,3 +102,30 @@ def test_the_hash_of_a_configuration_depends_on_its_values_and_not_on_their_orde
     first, second = config_hash({"a": 1, "b": {"c": 2.0, "d": 3}}), config_hash({"b": {"d": 3, "c": 2.0}, "a": 1})
     assert first == second
     assert first != config_hash({"a": 1, "b": {"c": 2.0, "d": 4}})
+
+
+def test_a_file_that_is_taken_for_abandoned_before_it_is_locked_is_made_again(tmp_path):
+    pytest.importorskip("fcntl")
+    taken = []
+
+    def make(path):
+        path.touch()
+        if not taken:
+            taken.append(path)
+            remove_abandoned(tmp_path)
+            assert not path.exists()
+
+    with beside(tmp_path / "a", make) as path:
+        assert path.exists()
+        remove_abandoned(tmp_path)
+        assert path.exists()
+    assert taken
+    assert not [*tmp_path.iterdir()]
+
+
+def test_files_of_others_are_not_taken_for_abandoned(tmp_path):
+    (tmp_path / ".hidden").touch()
+    (tmp_path / "target").touch()
+    (tmp_path / f"{PREFIX}link").symlink_to(tmp_path / "target")
+    remove_abandoned(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".hidden", f"{PREFIX}link", "target"]

@@ -34,7 +34,7 @@ from trackwright.trackers.core.model.algebra import (
 from trackwright.trackers.core.model.state import State
 
 FEW = 8
-"""Most trajectories whose covariances are matrices; `experiments.lab.bench growth form-4` times both forms."""
+"""Most trajectories whose covariances are matrices; docs/performance.md has the times of both forms."""
 
 AnyCovariance = tuple[Scalar, ...] | jax.Array
 """A covariance: its upper triangle, entry by entry, or its matrix (n, n)."""

@@ -98,10 +98,7 @@ STUDY = mc.Study(
         "in sight": mc.World(hall, {"places": 16, **ECHO}),
         "hidden": mc.World(hall, {"places": 4, "detour": NUMBERS["detour"], **ECHO}),
     },
-    trackers={
-        TRACKER: mc.TrackerConfig("trilateration"),
-        "with (14)": mc.TrackerConfig("trilateration-compensated"),
-    },
+    trackers={TRACKER: mc.TrackerConfig("trilateration"), "with (14)": mc.TrackerConfig("trilateration-compensated")},
     runs=200,
     seed=1,
     measures={"span_x_m": _span(0), "span_y_m": _span(1), "largest_m": _largest},
@@ -111,10 +108,7 @@ STUDY = mc.Study(
 
 fit = Fit(
     STUDY,
-    {
-        "sigma_echo": Fitted(0.07, "m", "in sight, geometric mean of x and y"),
-        "detour": Fitted(0.3, "m", "hidden, x"),
-    },
+    {"sigma_echo": Fitted(0.07, "m", "in sight, geometric mean of x and y"), "detour": Fitted(0.3, "m", "hidden, x")},
     [PRINTED[:2], PRINTED[2:3]],
     "2 of 4 printed figures",
     runs=60,

@@ -13,16 +13,13 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL, Printed, plot
-from trackwright.experiments.lab.papers.kwon_2021.chamber import NUMBERS, PROTOCOL, anchors, deviations, under
-from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain
+from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL, Printed
+from trackwright.experiments.lab.papers.kwon_2021.chamber import NUMBERS, PROTOCOL, anchors, deviations
 from trackwright.experiments.text.expectations import fixed_interval, listed
 from trackwright.sim.imu import level, simulate_uwb_imu
-from trackwright.sim.keys import Keys, trajectory_keys
+from trackwright.sim.keys import Keys
 from trackwright.sim.ranging import antenna_biases, chamber
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -116,25 +113,6 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     )
 
 
-def figure_9(results: mc.Results, figure: Figure) -> None:
-    """The coordinates of the first tag."""
-    runs = tracked_runs(results.study, "robot", np.arange(1))
-    panels = figure.subplots(3, 1, sharex=True)
-    for colour, name in zip((GREY, VERMILION, BLUE), (MEASURED, "without IMU", "with IMU"), strict=True):
-        run = runs[name]
-        last = np.append(np.diff(run.times[0]) > 0, True)
-        x, y, z = run.estimates[0, last].T
-        for axes, values in zip(panels, (x, y, under(z, run.folder)), strict=True):
-            axes.plot(run.times[0, last], values, color=colour, label=name)
-    times = np.arange(0, 3 * AXIS_S, 0.05)
-    for axes, true, letter in zip(panels, strokes(trajectory_keys(0, [0]), times)[0].T, "xyz", strict=True):
-        axes.plot(times, true, color=BLACK, linewidth=0.8, linestyle="--", label="robot")
-        axes.set_title(f"{letter}, m")
-        plain(axes)
-    panels[2].set_xlabel("time, s")
-    figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center")
-
-
 STUDY = mc.Study(
     name="robot",
     about="Table 3 and Figure 9 of Kwon et al. 2021: a tag that a robot moves along each axis, with and without IMU",
@@ -153,5 +131,4 @@ STUDY = mc.Study(
     },
     metrics=("flat_m", "height_m", "rmse_m", "p95_m"),
     expected=expected,
-    draw=plot("figure_9.svg", figure_9, height=2 * HEIGHT),
 )

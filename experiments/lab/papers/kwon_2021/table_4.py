@@ -16,13 +16,10 @@ from itertools import pairwise
 
 import numpy as np
 import polars as pl
-from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import RAW, Printed, plot, window
+from trackwright.experiments.lab.papers.declared import RAW, Printed, window
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
-from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain
 from trackwright.sim.corruptions import gauss_markov
 from trackwright.sim.imu import constant_bias, level, simulate_uwb_imu, white_density
 from trackwright.sim.ranging import Protocol, chamber, on_anchors
@@ -37,12 +34,7 @@ ONE_SIDE = (0, 1)
 SIGMA_ACCEL, SIGMA_RANGE = 0.001, 0.007
 """m/s²/√Hz and m."""
 
-SPREADS_MM = {
-    "raw": (34.6, 49.9),
-    "moving average": (18.4, 31.7),
-    "Kalman": (15.0, 26.2),
-    "proposed": (10.8, 18.4),
-}
+SPREADS_MM = {"raw": (34.6, 49.9), "moving average": (18.4, 31.7), "Kalman": (15.0, 26.2), "proposed": (10.8, 18.4)}
 """Table 4, largest less smallest: x and y, mm."""
 
 PRINTED = {
@@ -116,29 +108,8 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     yield mc.Conclusion(says, all(less), f"in x {listed}", mc.DERIVED)
 
 
-def figure_10(results: mc.Results, figure: Figure) -> None:
-    """The estimates of the first tag."""
-    runs = tracked_runs(results.study, "still", np.arange(1))
-    panels = figure.subplots(2, 1, sharex=True)
-    for colour, name in zip((GREY, GREEN, BLUE, VERMILION), SPREADS_MM, strict=True):
-        run = runs[name]
-        last = np.append(np.diff(run.times[0]) > 0, True) & (run.times[0] >= SETTLING / RATE_HZ)
-        for axes, values, letter in zip(panels, run.estimates[0, last].T, "xy", strict=False):
-            axes.plot(run.times[0, last], 1e3 * values, color=colour, label=name)
-            axes.axhline(1e3 * TAG[0], color=BLACK, linewidth=0.6)
-            axes.set_title(f"{letter}, mm")
-    panels[1].set_xlabel("time, s")
-    figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center")
-    for axes in panels:
-        plain(axes)
-
-
 NUMBERS = fitted("papers/kwon_2021/table_4")
-KALMAN = {
-    "motion.sigma_a": NUMBERS["sigma_a"],
-    "sensors.fixes.sigma_horizontal": SIGMA_RANGE,
-    "sensors.fixes.dof": 1e3,
-}
+KALMAN = {"motion.sigma_a": NUMBERS["sigma_a"], "sensors.fixes.sigma_horizontal": SIGMA_RANGE, "sensors.fixes.dof": 1e3}
 PROPOSED = {
     "motion.noise.sigma_accel": SIGMA_ACCEL,
     "motion.noise.sigma_accel_walk": 1e-4,
@@ -163,7 +134,6 @@ STUDY = mc.Study(
     measures={f"spread_{axis}_m": _spread(k) for k, axis in enumerate("xy")},
     metrics=("spread_x_m", "spread_y_m", "rmse_m", "nis_ratio"),
     expected=expected,
-    draw=plot("figure_10.svg", figure_10, height=2 * HEIGHT),
 )
 
 fit = Fit(

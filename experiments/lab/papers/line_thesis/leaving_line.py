@@ -14,14 +14,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
-from trackwright.experiments.pages.charts.style import LINES, plain
 from trackwright.experiments.text.expectations import fixed_interval, listed
 from trackwright.sim.corruptions import gauss_markov, white_noise
 from trackwright.sim.line import simulate_line
@@ -158,29 +154,6 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     )
 
 
-def roc(results: mc.Results, figure: Figure) -> None:
-    """The ROC, and detection delay against false alarms."""
-    stay = results.numbers(f"at any time, slack {SHOWN_SLACK}", STAYS, "particle")
-    left, right = figure.subplots(1, 2)
-    for colour, world in zip(LINES, SIZES, strict=False):
-        label = f"{world} off, area {area(results, world, 'particle', SHOWN_SLACK).value:.2f}"
-        left.plot(*curve(results, world, "particle", SHOWN_SLACK), color=colour, label=label)
-        delays = [results.numbers(f"delay at {x}", world, "particle") for x in LIMITS]
-        half = [k for k, d in enumerate(delays) if np.isfinite(d).mean() >= 0.5]
-        shares = [(stay >= LIMITS[k]).mean() for k in half]
-        right.plot(shares, [np.nanmedian(delays[k]) for k in half], "o-", color=colour, markersize=3)
-    left.plot([0, 1], [0, 1], color="#9aa5b1", linewidth=0.7, linestyle=(0, (4, 3)))
-    left.set(xlim=(0, 1), ylim=(0, 1), xlabel="recordings with a false alarm", ylabel="departures noticed")
-    left.set_title("ROC over limits")
-    right.set(xlim=(0, None), ylim=(0, None), xlabel="recordings with a false alarm", ylabel="median delay, s")
-    right.set_title("Delay, where half are noticed")
-    for axis in (left.xaxis, left.yaxis, right.xaxis):
-        axis.set_major_formatter(PercentFormatter(1.0))
-    left.legend(loc="lower right")
-    for axes in (left, right):
-        plain(axes, "both")
-
-
 STUDY = mc.Study(
     name="leaving-line",
     about="How surely and how soon is it noticed that a tag has left its line, for how many false alarms?",
@@ -201,5 +174,4 @@ STUDY = mc.Study(
     },
     metrics=("mean_m", "p95_m"),
     expected=expected,
-    draw=plot("leaving_line.svg", roc, 7.2, 3.4),
 )

@@ -13,15 +13,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
 from trackwright.experiments.lab.papers.line_thesis._assembly_line import SIGMA, least
-from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.charts.style import BLACK, BLUE, VERMILION, plain
 from trackwright.experiments.text.expectations import fixed_interval
 from trackwright.trackers.core.model.polyline import Polyline
 
@@ -102,27 +98,6 @@ def _text(cm: mc.Value) -> str:
     return fixed_interval(cm, "+.1f", " cm")
 
 
-def past_the_place(results: mc.Results, figure: Figure) -> None:
-    """How far past the place of a tag the estimates of its arclength are, over one recording with rests."""
-    at, ids = {tracker: least(results, tracker) for tracker in results.study.trackers}, np.arange(results.study.chunk)
-    runs = {t: tracked_runs(results.study, RESTS, ids, **{SIGMA: x})[t] for t, x in at.items()}
-    panels = figure.subplots(2, 1, sharex=True)
-    for axes, (without, known) in zip(panels, PAIRS.items(), strict=True):
-        for tracker, colour in ((without, VERMILION), (known, BLUE)):
-            estimated, true, rests = arclengths(runs[tracker])
-            mean = 100 * np.nanmean(np.where(runs[tracker].known, estimated - true, np.nan), axis=0)
-            axes.plot(runs[tracker].times[0], mean, color=colour, linewidth=1, label=tracker)
-        axes.fill_between(
-            runs[without].times[0], 0, 1, where=rests[0], transform=axes.get_xaxis_transform(), color=BLACK,
-            alpha=0.08, linewidth=0, label="rest at a join",
-        )  # fmt: skip
-        axes.axhline(0, color=BLACK, linewidth=0.6)
-        axes.set(ylabel="ahead of truth, cm")
-        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.98), ncols=3, fontsize=7.5)
-        plain(axes)
-    panels[-1].set_xlabel(f"time, s; mean over {len(estimated)} recordings")
-
-
 _LINES = line.worlds(fitted("papers/line_thesis/table_3_1"), ("situation 2, set 2", "situation 1, set 2"))
 STUDY = mc.Study(
     name="rests-at-joins",
@@ -142,5 +117,4 @@ STUDY = mc.Study(
     measures={"error_m": line.error, "rest_error_m": rest_error, "overshoot_m": overshoot},
     metrics=("mean_m", "rmse_m", "nees_mean"),
     expected=expected,
-    draw=plot("rests.svg", past_the_place, 5.0, 4.4),
 )

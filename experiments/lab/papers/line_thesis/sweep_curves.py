@@ -13,10 +13,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     KALMAN,
@@ -27,7 +25,7 @@ from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     least,
     worlds,
 )
-from trackwright.experiments.pages.charts.style import BLUE, GREEN, VERMILION, plain
+from trackwright.experiments.pages.charts.style import BLUE, GREEN, VERMILION
 
 SWEPT = (0.01, 0.03, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.6, 1.0)
 WORLDS = ("situation 1, set 2", "situation 2, set 2", "situation 3, set 2")
@@ -84,25 +82,6 @@ def _curve(results: mc.Results, tracker: str) -> np.ndarray:
     return np.array([results.average("error_m", pairs, **{SIGMA: x}) for x in SWEPT])
 
 
-def curves(results: mc.Results, figure: Figure) -> None:
-    """The curves with their intervals and least values."""
-    axes = figure.subplots()
-    for tracker, colour in COLOURS.items():
-        curve = 100 * _curve(results, tracker)
-        k = int(np.argmin(curve[:, 0]))
-        label = f"{tracker}: least {curve[k, 0]:.1f} cm at {SWEPT[k]:g}"
-        axes.plot(SWEPT, curve[:, 0], "o-", color=colour, markersize=3, label=label)
-        axes.fill_between(SWEPT, curve[:, 1], curve[:, 2], color=colour, alpha=0.18, linewidth=0)
-        axes.plot(SWEPT[k], curve[k, 0], "o", color=colour, markersize=8, fillstyle="none")
-    top = 2.2 * 100 * _curve(results, "Kalman")[:, 0].min()
-    axes.set_xscale("log")
-    axes.set_xticks(SWEPT, [f"{x:g}" for x in SWEPT])
-    axes.set(ylim=(0, top), xlabel="dynamic noise, m/s per √s", ylabel="average error, cm")
-    axes.set_title("Average error over the three situations")
-    axes.legend(loc="lower left")
-    plain(axes)
-
-
 STUDY = mc.Study(
     name="sweep-curves",
     about="How do the errors of both filters depend on their dynamic noise?",
@@ -113,5 +92,4 @@ STUDY = mc.Study(
     measures={"error_m": error},
     metrics=("mean_m", "rmse_m", "p95_m"),
     expected=expected,
-    draw=plot("sweep_curves.svg", curves),
 )

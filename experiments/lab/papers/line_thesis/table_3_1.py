@@ -29,11 +29,8 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.fitting import Fitted, fitted, unsaved
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
 from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
@@ -45,7 +42,6 @@ from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     least,
     noise_of,
 )
-from trackwright.experiments.pages.charts.style import BLUE, SKY, VERMILION, plain
 
 LEFT_OPEN = (
     "the path was left open after seeing that an end gives less than 14 cm (`sweep-curves`), and the speed was chosen "
@@ -121,26 +117,6 @@ def _middle(errors: np.ndarray) -> np.ndarray:
     return np.quantile(100 * errors, [0.025, 0.975], axis=1)
 
 
-def table(results: mc.Results, figure: Figure) -> None:
-    """The table as a plot: errors of single simulated recordings beside the printed ones."""
-    panels = figure.subplots(1, 3, sharey=True)
-    for k, (axes, tracker) in enumerate(zip(panels, COLUMNS, strict=True)):
-        low, high = _middle(draws(results, tracker))
-        for row, name in enumerate(RECORDINGS):
-            mean = results.value("error_m", name, tracker, **{SIGMA: least(results, tracker)}).value
-            axes.plot([low[row], high[row]], [row, row], color=SKY, linewidth=5, solid_capstyle="butt")
-            axes.plot(100 * mean, row, "|", color=BLUE, markersize=9, markeredgewidth=1.6)
-            axes.plot(PRINTED[name][k], row, "o", color=VERMILION, markersize=4)
-        axes.set_title(tracker)
-        axes.set_xlabel("average error, cm")
-        plain(axes, "x")
-    panels[0].set_yticks(range(len(RECORDINGS)), RECORDINGS)
-    panels[0].invert_yaxis()
-    marks = [("o", VERMILION, "printed"), ("|", BLUE, "ours, mean"), ("s", SKY, "ours, 95 % of single recordings")]
-    handles = [Line2D([], [], marker=m, color=c, linestyle="", label=text) for m, c, text in marks]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
-
-
 STUDY = mc.Study(
     name="table-3-1",
     about="How accurate are a Kalman filter and particles that know the path, on nine recordings of an assembly line?",
@@ -151,7 +127,6 @@ STUDY = mc.Study(
     measures={"error_m": line.error, "rms_m": line.root_mean_square},
     metrics=("mean_m",),
     expected=expected,
-    draw=plot("table_3_1.svg", table, 7.2, 3.6),
 )
 
 TAU, RATE_HZ = 1.5, 5.0

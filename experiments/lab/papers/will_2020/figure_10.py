@@ -10,13 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.will_2020._work_stand import CASCADE, DIRECT, RADIUS, recorded
-from trackwright.experiments.pages.charts.style import BLACK, LINES, plain
 from trackwright.experiments.text.expectations import listed
 
 NONE = "all stations"
@@ -66,19 +62,6 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     )
 
 
-def shares(results: mc.Results, figure: Figure) -> None:
-    """Cumulative distribution of the errors, for every lost station."""
-    axes = figure.subplots()
-    for world, colour in zip((NONE, *LOST.values()), (BLACK, *LINES), strict=False):
-        edges, share = results.cdf(world, "cascade", "3d_m")
-        axes.plot(100 * edges, share, color=colour, label=world)
-    axes.set(xlim=(0, 15), ylim=(0, 1), xlabel="error in space, cm", ylabel="share of estimates")
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.set_title("Cascade")
-    axes.legend(loc="lower right")
-    plain(axes, "both")
-
-
 STUDY = mc.Study(
     name="figure-10",
     about="How much worse are positions with one of three stations lost for the whole run?",
@@ -92,5 +75,4 @@ STUDY = mc.Study(
     },
     metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "beginning_m", "rest_m", "height_m", "diverged"),
     expected=expected,
-    draw=plot("figure_10.svg", shares),
 )

@@ -11,18 +11,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted
 from trackwright.experiments.lab.papers.will_2020._work_stand import CASCADE, DIRECT, RADIUS, recorded
-from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.charts.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
+from trackwright.experiments.pages.charts.style import BLUE, VERMILION
 from trackwright.experiments.text.expectations import fixed_interval
 
 STAND, APART, PLANE = "stand", "stations 0.4 m off the middle", "stand, plane waves"
@@ -73,40 +69,6 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     )
 
 
-def path(run: mc.TrackedRuns, figure: Figure) -> None:
-    """The first trajectory in space."""
-    axes = figure.add_subplot(projection="3d")
-    axes.plot(*run.truth[0].T, color=GREY, linewidth=1.0, label="ideal")
-    axes.plot(*run.estimates[0].T, color=BLUE, linewidth=1.0, label="cascade")
-    axes.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
-    axes.set_box_aspect((1, 1, 0.5), zoom=0.85)
-    axes.legend(loc="upper left", ncols=2)
-
-
-def shares(results: mc.Results, figure: Figure) -> None:
-    """The cumulative distribution of the errors."""
-    axes = figure.subplots()
-    for tracker in results.study.trackers:
-        for world, style in ((STAND, "-"), (PLANE, ":")):
-            edges, share = results.cdf(world, tracker, "3d_m")
-            name = tracker if world == STAND else f"{tracker}, plane waves"
-            axes.plot(100 * edges, share, style, color=COLOURS[tracker], label=name)
-    axes.axvline(PRINTED[0].number, color=BLACK, linewidth=0.8, linestyle="--", label="RMSE of the paper")
-    axes.set(xlim=(0, 10), ylim=(0, 1), xlabel="error in space, cm", ylabel="share of estimates")
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.legend(loc="lower right")
-    plain(axes, "both")
-
-
-def draw(results: mc.Results, folder: Path) -> list[str]:
-    """Both plots."""
-    run = tracked_runs(results.study, STAND, np.arange(results.study.chunk))["cascade"]
-    return [
-        write_svg(folder, "figure_8_path.svg", partial(path, run), 4.2, 3.4),
-        write_svg(folder, "figure_8_cdf.svg", partial(shares, results)),
-    ]
-
-
 STUDY = mc.Study(
     name="figure-8",
     about="How far off are positions by three stations, by the paper's cascade and straight from phases?",
@@ -120,7 +82,6 @@ STUDY = mc.Study(
     measures={"offset_m": offset},
     metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "bound_3d_m", "nees_3d_mean", "diverged"),
     expected=expected,
-    draw=draw,
 )
 SEARCH = Fit(
     STUDY,

@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import Printed, plot
+from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, BEAM, PRINTED_DEG, RADIUS, recorded
-from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.pages.charts.style import BLUE, GREY, ORANGE, plain
 from trackwright.experiments.text.expectations import fixed_interval
 
 AXES = ("azimuth", "elevation")
@@ -65,28 +62,6 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     )
 
 
-def angles(results: mc.Results, figure: Figure) -> None:
-    """Angles and deviations of the first trajectory at station 1, with outlying phases."""
-    runs = tracked_runs(results.study, OUTLYING, np.arange(results.study.chunk))
-    panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.5, 1])
-    points = np.arange(1, runs["EKF"].times.shape[1] + 1)
-    for k, axis in enumerate(AXES):
-        truth = np.rad2deg(runs["EKF"].truth[0, :, 0, k])
-        above, below = panels[:, k]
-        for name, colour, style in (("DAS", ORANGE, "--"), ("EKF", BLUE, "-")):
-            estimated = np.rad2deg(runs[name].estimates[0, :, 0, k])
-            above.plot(points, estimated, style, color=colour, label=name)
-            below.plot(points, estimated - truth, style, color=colour)
-        above.plot(points, truth, color=GREY, linewidth=0.9, label="ideal")
-        above.set(title=axis.capitalize(), ylim=(-32, 32))
-        below.set(ylim=(-10, 10), xlabel="measurement point")
-        plain(above)
-        plain(below)
-    panels[0, 0].set_ylabel("angle, deg")
-    panels[1, 0].set_ylabel("deviation, deg")
-    panels[0, 0].legend(loc="lower left", ncols=3)
-
-
 STUDY = mc.Study(
     name="figures-6-7",
     about="How well do a Kalman filter and a delay-and-sum beamformer follow a beacon on a helix?",
@@ -99,5 +74,4 @@ STUDY = mc.Study(
     measures={"wild": outliers, "azimuth_rad": _rms(0), "elevation_rad": _rms(1)},
     metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "median_direction_rad", "p95_direction_rad", "wild"),
     expected=expected,
-    draw=plot("figures_6_7.svg", angles, 7.5, 4.6),
 )

@@ -1,6 +1,6 @@
 """Fit of the default array: positions of eight antennas whose Cramér–Rao bounds have the ratios of Table 1's errors.
 
-`python -m trackwright.experiments.lab.papers.will_2020.fit_array_layout` prints `DEFAULT_ANTENNAS` of
+`python -m trackwright.experiments.lab.papers.will_2020.fit_array_layout` prints the layout of
 trackers/aoa/layout.py. Ten printed errors leave many layouts of sixteen coordinates. Gauss-Newton iterations, batched
 over seeded random starts, find some hundred exact ones; each is scaled to fill the box, and the one whose array
 factor has the lowest side lobes is chosen, so that a beamformer rarely starts a track on a wrong lobe. The printed
@@ -76,28 +76,10 @@ def _jacobian(layouts: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Print the fitted layout, its bounds beside Table 1, and whether it is the stored one."""
+    """Print the fitted layout, and whether it is the stored one."""
     layout = fitted_layout()
-    print("DEFAULT_ANTENNAS = np.array(")
-    print("    [")
-    for x, y in layout:
-        print(f"        [{x:.5f}, {y:.5f}],")
-    print("    ]")
-    print(")")
-    scale = np.exp(np.mean([np.log(printed) for printed in TABLE_1_DEG.values()]))
-    bounds = {chosen: boresight_bounds(layout[np.array(chosen) - 1]) for chosen in TABLE_1_DEG}
-    ours = np.exp(np.mean([np.log(bound) for bound in bounds.values()]))
-    print(
-        f"\nbounds with sigma_p = {scale / np.degrees(ours):.3f} rad, at which their mean is that of the printed errors"
-    )
-    print("antennas          azimuth, deg: printed  bound   elevation, deg: printed  bound")
-    for chosen, printed in TABLE_1_DEG.items():
-        azimuth, elevation = bounds[chosen] / ours * scale
-        name = "-".join(map(str, chosen))
-        print(f"{name:17s} {printed[0]:22.3f} {azimuth:6.3f} {printed[1]:24.3f} {elevation:6.3f}")
-    print(f"\nhighest side lobe {side_lobe(layout):.2f}")
-    same = "is" if np.array_equal(layout, DEFAULT_ANTENNAS) else "is NOT"
-    print(f"this {same} the layout stored in trackers/aoa/layout.py")
+    print(f"{layout.tolist()}\nhighest side lobe {side_lobe(layout):.2f}")
+    print("as stored" if np.array_equal(layout, DEFAULT_ANTENNAS) else "NOT as stored in trackers/aoa/layout.py")
 
 
 if __name__ == "__main__":

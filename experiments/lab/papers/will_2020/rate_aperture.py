@@ -14,12 +14,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import plot
 from trackwright.experiments.lab.papers.will_2020._work_stand import ALL, BEAM, RADIUS, recorded
-from trackwright.experiments.pages.charts.style import LINES, plain
 
 RATES, APERTURES = (2.5, 5.0, 10.0, 20.0), (0.5, 1.0, 2.0, 4.0)
 THREE = "2-3-6"
@@ -85,26 +82,6 @@ def _astray(results: mc.Results, world: str, rate: float, aperture: float) -> fl
     return results.value("astray", world, "EKF", **{"world.rate_hz": rate, "world.aperture": aperture}).value
 
 
-def panels(results: mc.Results, figure: Figure) -> None:
-    """Error and fraction astray against the rate, one line per aperture."""
-    grid = figure.subplots(2, 2, sharex=True, sharey="row")
-    for column, world in zip(grid.T, (ALL, THREE), strict=True):
-        for aperture, colour in zip(APERTURES, LINES, strict=False):
-            label = f"{aperture:g} x aperture"
-            points = [(_degrees(results, world, r, aperture), _astray(results, world, r, aperture)) for r in RATES]
-            for axes, values in zip(column, np.transpose(points) * [[1], [100]], strict=True):
-                axes.plot(RATES, values, "o-", color=colour, markersize=3, label=label)
-                plain(axes)
-        column[0].set(title=world if world == ALL else f"antennas {world}", xscale="log", yscale="log")
-        column[1].set(xlabel="rate, Hz", ylim=(0, 100))
-        column[1].set_xticks(RATES, [f"{r:g}" for r in RATES])
-        column[1].minorticks_off()
-    grid[0, 0].set_ylabel("RMSE, deg")
-    grid[0, 0].set_yticks([0.5, 1, 2, 5, 10, 20, 50], ["0.5", "1", "2", "5", "10", "20", "50"])
-    grid[1, 0].set_ylabel("astray, % of rows")
-    grid[1, 0].legend(loc="upper right")
-
-
 STUDY = mc.Study(
     name="rate-aperture",
     about="How large may an array be at which measurement rate before a moving beacon's track is lost?",
@@ -115,5 +92,4 @@ STUDY = mc.Study(
     measures={"astray": astray},
     metrics=("rmse_direction_rad", "median_direction_rad", "astray", "diverged"),
     expected=expected,
-    draw=plot("rate_aperture.svg", panels, 7.0, 4.8),
 )

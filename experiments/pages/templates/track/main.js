@@ -208,11 +208,11 @@ function listNow() {
   const { recording } = state, box = byId("now"), number = shownTrack();
   const heading = document.createElement("h3"), list = document.createElement("ul");
   heading.textContent = number === undefined ? "" : `tag ${nameOf(recording.tracks[number])}`;
-  const events = recording.events.filter(({ track }) => state.selected < 0 || [null, state.selected].includes(track)).slice(0, 12);
+  const events = recording.events.filter(({ track }) => state.selected < 0 || state.selected === track).slice(0, 12);
   list.replaceChildren(...events.map((event) => {
     const item = document.createElement("li");
     item.textContent = `${fixed(recording.start + event.t, 1)} s: ${event.what}` + (event.detail ? `, ${event.detail}` : "") +
-      (state.selected < 0 && event.track !== null && recording.tracks.length > 1 ? ` (${nameOf(recording.tracks[event.track])})` : "");
+      (state.selected < 0 && recording.tracks.length > 1 ? ` (${nameOf(recording.tracks[event.track])})` : "");
     item.addEventListener("click", () => goTo(event.t));
     return item;
   }));

@@ -75,8 +75,6 @@ function seriesFigure(recording, number, window) {
     }
     layout[`yaxis${id}`] = axis;
   });
-  const changes = recording.events.filter(({ track }) => track === null);
-  layout.shapes = [...layout.shapes ?? [], ...changes.map(({ t, what }) => changeShape(recording.start + t, what))];
   layout.xaxis = { title: { text: recording.timeLabel }, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
   return { traces, layout: layoutOf({ ...layout, hovermode: "x", uirevision: `${recording.name} ${number}`,
                                       height: 90 + PANEL * panels.length,
@@ -91,12 +89,6 @@ function seriesFigure(recording, number, window) {
 const bandShape = (axis, [low, high]) => ({
   type: "rect", xref: "paper", x0: 0, x1: 1, yref: axis, y0: low, y1: high, fillcolor: "rgba(0,158,115,.14)", line: { width: 0 },
   layer: "below",
-});
-
-/** A line across all panels at a time, with a word. */
-const changeShape = (time, text) => ({
-  type: "line", xref: "x", x0: time, x1: time, yref: "paper", y0: 0, y1: 1, line: { color: "#d55e00", width: 1.5 },
-  label: { text, textposition: "end", textangle: 0, xanchor: "left", yanchor: "top", font: { color: "#d55e00" } },
 });
 
 /** The estimated and true angles with a margin of the usual 3 σ, degrees. */

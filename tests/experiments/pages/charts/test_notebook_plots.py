@@ -6,7 +6,6 @@ import base64
 import builtins
 import dataclasses
 import json
-from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
@@ -101,11 +100,6 @@ def test_every_chart_draws_on_given_axes_and_refuses_what_it_cannot_show(run, in
             with pytest.raises(UnusableInput, match="bearing_over_time: found positions"):
                 chart(estimates, recording, ax=axes)
             assert chart(tw.build("beam", bearings).run(bearings), bearings, ax=axes) is axes
-        elif name == "stanford":
-            with pytest.raises(UnusableInput, match="stanford: the estimates have no protection levels"):
-                chart(estimates, recording, ax=axes)
-            levels = tw.Protection(0.9, 3.0, {}, 0, 0)
-            assert chart(replace(estimates, table=levels.applied(estimates.table)), recording, ax=axes) is axes
         else:
             assert chart(estimates, recording, ax=axes) is axes
         assert axes.has_data()

@@ -4,7 +4,7 @@ import re
 import numpy as np
 import pytest
 
-from trackwright.experiments.cli.report import report
+from trackwright.experiments.cli.comparing import print_comparison
 from trackwright.experiments.lab.papers.reproduce import part, tables
 from trackwright.experiments.pages.reports.comparison import comparison, study_contrasts
 from trackwright.experiments.pages.reports.runs import StudyRun, read_runs
@@ -86,7 +86,7 @@ def test_evaluations_alone_are_compared_without_intervals_and_without_empty_colu
 
 def test_the_command_prints_both_and_writes_one_page(tmp_path, capsys):
     first, second = _study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12)
-    assert report(first, second, out=tmp_path / "page" / "comparison.html") == 0
+    print_comparison([first, second], tmp_path / "page" / "comparison.html", "png")
     printed = capsys.readouterr().out
     assert "10.0 (9.0 … 11.0)" in printed
     assert "12.0 (11.0 … 13.0)" in printed
@@ -120,9 +120,9 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
         ((study,), "found 1 folder;"),
     ):
         with pytest.raises(UnusableInput, match=says):
-            report(*runs, out=tmp_path / "comparison.html")
+            print_comparison(runs, tmp_path / "comparison.html", "png")
     with pytest.raises(UnusableInput, match="--metrics speed"):
-        report(study, _study(tmp_path / "f", 0.1), out=tmp_path / "comparison.html", metrics=("speed",))
+        print_comparison([study, _study(tmp_path / "f", 0.1)], tmp_path / "comparison.html", "png", ("speed",))
 
 
 def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import trackwright as tw
-from trackwright.experiments.lab.validation.track_loss import detection
+from tests.kidnapped import detection
 from trackwright.trackers.core.model.rig import MARGIN, room_rows
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.core.run.track_loss import PRICE, ROOM, SIGMAS

@@ -1,1 +1,0 @@
-"""One estimator a file: each imports its library when it is used."""

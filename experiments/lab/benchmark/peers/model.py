@@ -1,0 +1,128 @@
+"""What every estimator is given, and the model that it takes: constant velocity, white acceleration and readings.
+
+Nothing here imports trackwright: peers run in processes of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+Path = tuple[np.ndarray, np.ndarray | None]
+"""Positions (N, d), m, and covariances (N, d, d), m², at the times of the readings."""
+
+CHANNELS = {"ranges": 1, "tdoa": 1, "bearings": 2, "fixes": 3}
+EPOCH_S, LEAST = 5e-3, 6
+"""Readings no farther apart are of one state of a batch; the fewest readings of a start."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The N readings of one tag in the order of time.
+
+    `kind`: a key of `CHANNELS`. `times` (N,) s; `values`, `seen` (N, m); `geometry` (N, g): the anchor, both anchors,
+    or origin and axes of the station; `height`: m, NaN where it is estimated; `prior`: standard deviations of the
+    start, m and m/s.
+    """
+
+    kind: str
+    times: np.ndarray
+    values: np.ndarray
+    seen: np.ndarray
+    geometry: np.ndarray
+    height: float
+    prior: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def d(self) -> int:
+        """Coordinates that are estimated: 2 at a known height."""
+        return 3 if np.isnan(self.height) else 2
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """Seconds (N,) from the reading before each; 0 before the first."""
+        return np.diff(self.times, prepend=self.times[0])
+
+    @cached_property
+    def epochs(self) -> tuple[np.ndarray, np.ndarray]:
+        """The times (T,) of states, s, and the state (N,) of each reading."""
+        new, last = np.zeros(len(self.times), bool), -np.inf
+        for row, time in enumerate(self.times):
+            if time > last + EPOCH_S:
+                new[row], last = True, time
+        return self.times[new], np.cumsum(new) - 1
+
+    @cached_property
+    def beginning(self) -> tuple[np.ndarray, np.ndarray]:
+        """State (2d,) and covariance before the first reading: robust least squares over the first second, at rest."""
+        spans = (np.flatnonzero(self.times <= self.times[0] + s) for s in (1.0, 3.0, 10.0, np.inf))
+        rows = next(r for r in spans if len(r) >= LEAST or len(r) == len(self.times))
+        z, seen, geometry = self.values[rows], self.seen[rows], self.geometry[rows]
+        if self.kind == "fixes":
+            place = np.array([np.median(z[seen[:, k], k]) for k in range(self.d)])
+        else:
+            middle = np.mean(geometry[:, :3], axis=0) - [0.0, 0.0, 1.0]
+            place = least_squares(
+                lambda p: (z - self.predicted(p, geometry, z))[seen], middle[: self.d], loss="soft_l1", f_scale=0.3
+            ).x
+        return np.append(place, np.zeros(self.d)), np.diag(np.repeat(np.square(self.prior), self.d))
+
+    def place(self, x: Any, xp: Any = np) -> Any:
+        """The place (…, 3), m, of positions or states (…, ≥ d)."""
+        x = x[..., : self.d]
+        return x if self.d == 3 else xp.concatenate([x, xp.full((*x.shape[:-1], 1), self.height)], axis=-1)
+
+    def predicted(self, x: Any, geometry: Any, near: Any, xp: Any = np) -> Any:
+        """The readings (…, m) expected of positions or states; angles at most π from `near`. `xp`: numpy, jax.numpy."""
+        place = self.place(x, xp)
+        if self.kind == "fixes":
+            return place
+        ray = place - geometry[..., :3]
+        if self.kind == "bearings":
+            u = _turned(geometry, ray, xp)
+            flat = xp.hypot(u[..., 0], u[..., 2])
+            turn = xp.stack([xp.arctan2(u[..., 0], u[..., 2]), xp.arctan2(u[..., 1], flat)], -1) - near
+            return near + turn - 2 * np.pi * xp.round(turn / (2 * np.pi))
+        length = xp.sqrt(xp.sum(ray * ray, axis=-1, keepdims=True))
+        if self.kind == "tdoa":
+            other = place - geometry[..., 3:6]
+            length = length - xp.sqrt(xp.sum(other * other, axis=-1, keepdims=True))
+        return length
+
+    def slopes(self, x: np.ndarray, geometry: np.ndarray) -> np.ndarray:
+        """The gradients (m, 2d) of `predicted` with respect to a state."""
+        place, H = self.place(x), np.zeros((CHANNELS[self.kind], 2 * self.d))
+        if self.kind == "fixes":
+            full = np.eye(3)
+        else:
+            ray = place - geometry[:3]
+            full = ray[None] / np.linalg.norm(ray)
+            if self.kind == "tdoa":
+                other = place - geometry[3:6]
+                full = full - other / np.linalg.norm(other)
+            if self.kind == "bearings":
+                x_, y, z = _turned(geometry, ray, np)
+                flat, square = np.hypot(x_, z), ray @ ray
+                of_u = [[z / flat**2, 0.0, -x_ / flat**2]]
+                of_u += [[-x_ * y / (flat * square), flat / square, -z * y / (flat * square)]]
+                full = np.array(of_u) @ geometry[3:12].reshape(3, 3)
+        H[:, : self.d] = full[:, : self.d]
+        return H
+
+
+def _turned(geometry: Any, ray: Any, xp: Any) -> Any:
+    return xp.sum(geometry[..., 3:12].reshape((*geometry.shape[:-1], 3, 3)) * ray[..., None, :], axis=-1)
+
+
+def transition(d: int, dt: float) -> np.ndarray:
+    """The transition (2d, 2d) of positions and velocities over dt seconds."""
+    return np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(d))
+
+
+def diffusion(d: int, dt: float, acceleration: float) -> np.ndarray:
+    """The covariance (2d, 2d) that white acceleration, m/s² per √Hz, adds over dt seconds."""
+    return acceleration**2 * np.kron(np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), np.eye(d))

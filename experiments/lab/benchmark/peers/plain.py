@@ -1,0 +1,31 @@
+"""The textbook's extended Kalman filter: NumPy, one row after another, scalar updates in Joseph form."""
+
+from __future__ import annotations
+
+import numpy as np
+from model import Path, Problem, diffusion, transition
+
+
+def states(p: Problem, acceleration: float, reading: float) -> tuple[np.ndarray, np.ndarray]:
+    """The filtered states (N, 2d) and their covariances."""
+    x, P = p.beginning
+    means, covariances, eye = np.empty((len(p.times), len(x))), np.empty((len(p.times), *P.shape)), np.eye(len(x))
+    for row, dt in enumerate(p.steps):
+        F = transition(p.d, dt)
+        x, P = F @ x, F @ P @ F.T + diffusion(p.d, dt, acceleration)
+        z, H = p.values[row], p.slopes(x, p.geometry[row])
+        off, step = z - p.predicted(x, p.geometry[row], z), np.zeros(len(x))
+        for k in np.flatnonzero(p.seen[row] & H.any(axis=1)):
+            gain = P @ H[k] / (H[k] @ P @ H[k] + reading**2)
+            step = step + gain * (off[k] - H[k] @ step)
+            rest = eye - np.outer(gain, H[k])
+            P = rest @ P @ rest.T + reading**2 * np.outer(gain, gain)
+        x = x + step
+        means[row], covariances[row] = x, P
+    return means, covariances
+
+
+def estimate(p: Problem, acceleration: float, reading: float) -> Path:
+    """The filtered path."""
+    means, covariances = states(p, acceleration, reading)
+    return means[:, : p.d], covariances[:, : p.d, : p.d]

@@ -1,0 +1,34 @@
+"""filterpy's extended Kalman filter with the usual gate of three standard deviations of each channel."""
+
+from __future__ import annotations
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+from model import Path, Problem, diffusion, transition
+
+GATE, OPENED_S = 3.0, 1.0
+"""Standard deviations; seconds without a reading inside, after which 1 m² is added to the position's covariance."""
+
+
+def estimate(p: Problem, acceleration: float, reading: float) -> Path:
+    """The filtered path."""
+    kalman, waited = ExtendedKalmanFilter(2 * p.d, 1), 0.0
+    (kalman.x, kalman.P), N = p.beginning, len(p.times)
+    means, covariances = np.empty((N, p.d)), np.empty((N, p.d, p.d))
+    for row, dt in enumerate(p.steps):
+        kalman.F, kalman.Q = transition(p.d, dt), diffusion(p.d, dt, acceleration)
+        kalman.predict()
+        waited += dt
+        z, H = p.values[row], p.slopes(kalman.x, p.geometry[row])
+        off, seen = z - p.predicted(kalman.x, p.geometry[row], z), p.seen[row] & H.any(axis=1)
+        variances = np.einsum("ki,ij,kj->k", H, kalman.P, H) + reading**2
+        inside = seen & (off**2 <= GATE**2 * variances)
+        if seen.any() and not inside.any() and waited > OPENED_S:
+            kalman.P[: p.d, : p.d] += np.eye(p.d)
+            inside = seen
+        if inside.any():
+            waited, rows = 0.0, H[inside]
+            R = reading**2 * np.eye(len(rows))
+            kalman.update(off[inside], lambda x, rows=rows: rows, lambda x: 0.0, R=R)
+        means[row], covariances[row] = kalman.x[: p.d], kalman.P[: p.d, : p.d]
+    return means, covariances

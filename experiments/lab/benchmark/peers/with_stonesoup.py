@@ -1,0 +1,80 @@
+"""Stone Soup's extended Kalman filter; by Mahalanobis distance a reading is of the tag, or missed."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from typing import Any
+
+import numpy as np
+from model import Path, Problem
+from stonesoup.base import Property
+from stonesoup.hypothesiser.distance import DistanceHypothesiser
+from stonesoup.measures import Mahalanobis
+from stonesoup.models.base import GaussianModel
+from stonesoup.models.measurement.base import MeasurementModel
+from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
+from stonesoup.predictor.kalman import KalmanPredictor
+from stonesoup.types.array import CovarianceMatrix, StateVector, StateVectors
+from stonesoup.types.detection import Detection
+from stonesoup.types.state import GaussianState
+from stonesoup.types.track import Track
+from stonesoup.updater.kalman import ExtendedKalmanUpdater
+
+MISSED = {1: 3.0, 2: 3.44, 3: 3.76}
+"""Mahalanobis distance within which 99.7 % of the readings of so many channels are."""
+
+
+class Reading(MeasurementModel, GaussianModel):  # type: ignore[misc]
+    """The channels seen of one reading; states are x, its velocity, y, …"""
+
+    p: Any = Property()
+    row: int = Property()
+    seen: Any = Property()
+    sigma: float = Property()
+    ndim_state: int = Property(default=0)
+    mapping: Any = Property(default=())
+
+    @property
+    def ndim_meas(self) -> int:
+        """Channels."""
+        return len(self.seen)
+
+    def jacobian(self, state: Any, **kwargs: Any) -> Any:
+        """The slopes (m, 2d)."""
+        x, d = np.asarray(state.state_vector, float).ravel()[::2], self.p.d
+        H = np.zeros((self.ndim_meas, 2 * d))
+        H[:, ::2] = self.p.slopes(np.append(x, np.zeros(d)), self.p.geometry[self.row])[self.seen, :d]
+        return H
+
+    def covar(self, **kwargs: Any) -> Any:
+        """The covariance."""
+        return CovarianceMatrix(self.sigma**2 * np.eye(self.ndim_meas))
+
+    def function(self, state: Any, noise: Any = False, **kwargs: Any) -> Any:
+        """The expected reading of one state or of several."""
+        points = np.asarray(state.state_vector, float)[::2].T
+        z = self.p.predicted(points, self.p.geometry[self.row], self.p.values[self.row]).T[self.seen]
+        return StateVectors(z) if z.shape[1] > 1 else StateVector(z)
+
+    rvs = pdf = None  # Nothing is drawn.
+
+
+def estimate(p: Problem, acceleration: float, reading: float) -> Path:
+    """The filtered path."""
+    motion = CombinedLinearGaussianTransitionModel([ConstantVelocity(acceleration**2)] * p.d)
+    predictor, updater = KalmanPredictor(motion), ExtendedKalmanUpdater(None)
+    order, (mean, P) = np.arange(2 * p.d).reshape(2, p.d).T.ravel(), p.beginning
+    at = [datetime(2020, 1, 1) + timedelta(seconds=float(t - p.times[0])) for t in p.times]
+    state = GaussianState(mean[order, None], P[np.ix_(order, order)], at[0])
+    positions, covariances = np.empty((len(at), p.d)), np.empty((len(at), p.d, p.d))
+    for row, time in enumerate(at):
+        seen = np.flatnonzero(p.seen[row])[: p.d]
+        detection = Detection(
+            p.values[row, seen][:, None], time, measurement_model=Reading(p=p, row=row, seen=seen, sigma=reading)
+        )
+        hypotheses = DistanceHypothesiser(predictor, updater, Mahalanobis(), MISSED[len(seen)])
+        best = hypotheses.hypothesise(Track([state]), {detection}, time)[0]
+        state = updater.update(best) if best else best.prediction
+        positions[row] = np.asarray(state.mean, float).ravel()[::2]
+        covariances[row] = np.asarray(state.covar, float)[::2, ::2]
+    return positions, covariances

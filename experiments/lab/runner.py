@@ -1,0 +1,130 @@
+"""Measurements as cases: each is one row of a CSV, and a run goes on where the last one stopped."""
+
+from __future__ import annotations
+
+import csv
+import os
+import platform
+import subprocess
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fnmatch import fnmatch
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trackwright.experiments.lab.subprocesses import REPOSITORY
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.atomic import atomic_write
+
+EVIDENCE = REPOSITORY / "docs" / "evidence"
+"""Where the tables are that pages quote."""
+
+KEY = ("recording", "tracker", "setting", "seed")
+"""The first columns of every table, which name a case; the last is `error`."""
+
+Figures = Mapping[str, Any]
+"""What a case measures, by column: numbers, texts, and None for a figure that it does not have."""
+
+
+class Case(NamedTuple):
+    """One row: a recording or a world, a tracker, how it is run, the seed, and the function that measures."""
+
+    recording: str
+    tracker: str
+    setting: str
+    measure: Callable[[], Figures]
+    seed: int = 0
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """The texts of the columns that name the case."""
+        return (self.recording, self.tracker, self.setting, str(self.seed))
+
+    @property
+    def name(self) -> str:
+        """The key as one text, which `--only` matches."""
+        return " / ".join(self.key if self.seed else self.key[:3])
+
+
+def measure(
+    cases: Iterable[Case], file: Path, only: str = "", report: Callable[[str], None] = lambda text: None
+) -> int:
+    """Measure the cases that have no row in the file yet, or one with an error; returns how many of the chosen failed.
+
+    The file is replaced after each case, its rows in the order of the cases; rows that no case names any more go.
+    `only`: a part of names, or a pattern; rows of other cases stay as they are. `report` gets a line for each case.
+    Raises UnusableInput for two cases of one name, and where none is chosen.
+    """
+    cases = list(cases)
+    names = [case.name for case in cases]
+    for name in names:
+        if names.count(name) > 1:
+            raise UnusableInput(f"{file.name}: {names.count(name)} cases are called {name}; expected one")
+    chosen = [case for case in cases if fnmatch(case.name, f"*{only}*")]
+    if not chosen:
+        raise UnusableInput(f"--only {only}: no case matches; the first are {'; '.join(names[:5])}")
+    rows = {tuple(row[column] for column in KEY): row for row in read(file)} if file.exists() else {}
+    for number, case in enumerate(chosen, 1):
+        if case.key in rows and not rows[case.key]["error"]:
+            continue
+        rows[case.key] = _row(case)
+        shown = "  ".join(f"{k} {v}" for k, v in rows[case.key].items() if v and k not in KEY)
+        report(f"{number} of {len(chosen)}: {case.name}: {shown}")
+        write(file, [rows[one.key] for one in cases if one.key in rows])
+    if gone := rows.keys() - {case.key for case in cases}:
+        report(f"{file.name}: {len(gone)} rows are of no case any more and were left out")
+        write(file, [rows[one.key] for one in cases if one.key in rows])
+    return sum(bool(rows[case.key]["error"]) for case in chosen)
+
+
+def _row(case: Case) -> dict[str, str]:
+    """The texts of a row by column; of a case that fails, the error alone."""
+    try:
+        figures, error = case.measure(), ""
+    except Exception as problem:  # One failing case must not stop the others.
+        figures, error = {}, " ".join(f"{type(problem).__name__}: {problem}".split())
+    return {**dict(zip(KEY, case.key, strict=True)), **{k: text(v) for k, v in figures.items()}, "error": error}
+
+
+def text(value: Any) -> str:
+    """The cell of a value: floats with six significant digits, nothing for None and NaN."""
+    if value is None or (isinstance(value, float | np.floating) and np.isnan(value)):
+        return ""
+    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+
+
+def write(file: Path, rows: Sequence[Mapping[str, str]]) -> Path:
+    """Write a table; a row may lack columns."""
+    columns = list(dict.fromkeys([*KEY, *(name for row in rows for name in row if name != "error"), "error"]))
+
+    def to(path: Path) -> None:
+        with path.open("w", encoding="utf-8", newline="") as opened:
+            table = csv.DictWriter(opened, columns, restval="", lineterminator="\n")
+            table.writeheader()
+            table.writerows(rows)
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    return atomic_write(file, to)
+
+
+def read(file: Path) -> list[dict[str, str]]:
+    """The rows of a table."""
+    with file.open(encoding="utf-8", newline="") as opened:
+        return list(csv.DictReader(opened))
+
+
+@cache
+def machine() -> dict[str, str]:
+    """The columns of a table of times: processor, cores and commit."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text("utf-8").splitlines() if info.exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    git = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    return {
+        "machine": f"{models[0] if models else platform.processor()}, {os.cpu_count()} cores",
+        "commit": git.stdout.strip() or "unknown",
+    }

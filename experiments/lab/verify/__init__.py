@@ -1,1 +1,0 @@
-"""Checks of likelihoods and gradients against oracles: `trackwright verify`."""

@@ -1,0 +1,71 @@
+"""What a real recording is calibrated on, at which levels it runs, and when its covariances hold."""
+
+from dataclasses import replace
+
+import pytest
+
+import trackwright as tw
+from trackwright.experiments.lab.validation import levels, sites
+from trackwright.experiments.lab.validation import real_recordings as real
+
+
+@pytest.fixture
+def drones(tmp_path, monkeypatch):
+    """Two recordings of one installation, by names of a site."""
+    for k in (8, 9):
+        folder = tw.simulate.ranges(n=1, rows=120, seed=k).folder()
+        name = f"iasl-drone-{k}"
+        tw.write(replace(folder, name=name, rig=replace(folder.rig, name=name)), tmp_path / name)
+    monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(tmp_path))
+    for cached in (sites.paths, sites.read, real.prepared):
+        cached.cache_clear()
+    yield
+    for cached in (sites.paths, sites.read, real.prepared):
+        cached.cache_clear()
+
+
+def test_a_recording_is_calibrated_on_the_others_of_its_site_and_never_on_itself(drones, monkeypatch):
+    seen, calibrate = [], tw.calibrate
+
+    def noted(folders):
+        seen.append([folder.name for folder in folders])
+        return calibrate(folders)
+
+    monkeypatch.setattr(tw, "calibrate", noted)
+    (part,), _, on = real.prepared("iasl-drone-8", "uwb", "calibrated")
+    assert (seen, part.name, on) == ([["iasl-drone-9"]], "iasl-drone-8", "1 others")
+
+
+def test_a_recording_alone_of_its_installation_is_calibrated_half_by_half(drones, monkeypatch):
+    monkeypatch.setattr(real, "same_installation", lambda a, b: False)
+    parts, _, on = real.prepared("iasl-drone-8", "uwb", "calibrated")
+    assert len(parts) == 2
+    assert on == "the other half"
+
+
+def test_levels_without_a_site_are_set_for_every_anchor(drones):
+    _, named, on = real.prepared("iasl-drone-8", "uwb", "other sites")
+    found = levels.left_out("uwb", "iasl-drone-8")
+    assert on == "levels.csv"
+    assert float(named.tunables["sensors.ranges.sigma_r"].value) == pytest.approx(found["sigma_r"][0])
+
+
+def test_every_setting_of_a_recording_is_a_case(drones):
+    names = [case.name for case in real.cases()]
+    settings = ("defaults", "other sites", "calibrated")
+    of_uwb = [f"iasl-drone-8 / uwb / {base}{smoothed}" for base in settings for smoothed in ("", " smoothed")]
+    assert [name for name in names if name.startswith("iasl-drone-8 / uwb /")] == of_uwb
+
+
+@pytest.mark.parametrize(
+    ("inside", "nees", "verdict"),
+    [
+        (0.95, 1.0, "hold"),
+        (0.80, 1.0, "too small"),
+        (0.95, 1.5, "too small"),
+        (0.995, 0.9, "too large"),
+        (0.95, 0.6, "too large"),
+    ],
+)
+def test_covariances_hold_within_the_limits_of_track(inside, nees, verdict):
+    assert real.verdict({"coverage_95": inside, "nees_ratio": nees}) == verdict

@@ -1,1 +1,0 @@
-"""Whether a site has changed: a sequential test on readings without truth, and what has changed."""
