@@ -64,8 +64,8 @@ GRIDS = {"fixes": ((0.3, 2.4, 24.0), (0.013, 0.05, 0.2))}
 USUAL = ((0.033, 0.1, 0.3, 0.9), (0.1, 0.2, 0.4, 0.8))
 """m/s² per √Hz, and m or rad, of which all pairs are tried."""
 
-SEARCHED, LIMIT_S = 1_500, 900.0
-"""Readings of a development recording that the search uses; the longest run of a peer for a pair of levels."""
+SEARCHED, LIMIT_S = 600, 900.0
+"""Readings of a tag of a development recording that the search uses; the longest run of a peer for a pair of levels."""
 
 Levels = tuple[float, float]
 
@@ -73,7 +73,7 @@ Levels = tuple[float, float]
 def peer(name: str, recording: str, levels: Sequence[Levels], most: int) -> Iterator[tuple[Figures, Any]]:
     """For each of the levels, figures and errors by track of an estimator, run in a fresh process."""
     folder = data.folder_of(recording, most)
-    given = list(data.problems(folder))
+    given = [(tag, problem.first(most)) for tag, problem in data.problems(folder)]
     with tempfile.TemporaryDirectory() as place:
         source, target = Path(place, "problems.npz"), Path(place, "estimates.npz")
         fields = ("times", "values", "seen", "geometry", "height")

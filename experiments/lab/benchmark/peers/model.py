@@ -5,7 +5,7 @@ Nothing here imports trackwright: peers run in processes of their own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -36,6 +36,10 @@ class Problem:
     geometry: np.ndarray
     height: float
     prior: tuple[float, float] = (1.0, 1.0)
+
+    def first(self, most: int) -> Problem:
+        """The first readings."""
+        return replace(self, **{f: getattr(self, f)[:most] for f in ("times", "values", "seen", "geometry")})
 
     @property
     def d(self) -> int:
