@@ -15,7 +15,7 @@ import numpy as np
 from trackwright.experiments.jobs.executors import cluster_executor
 from trackwright.experiments.lab.bench.timing import ROUNDS, clocked
 from trackwright.experiments.lab.runner import Case, Figures, machine
-from trackwright.experiments.monte_carlo import Study, run_study
+from trackwright.experiments.monte_carlo import Study, load_study, run_study
 from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.declaration import TrackerConfig, World
 from trackwright.experiments.pages.reports.study_text import to_json
@@ -39,6 +39,8 @@ WORLDS: dict[str, tuple[str, ...]] = {
 
 PLACES = ("threads", "local:1", "local:2")
 RUNS = 20_000
+STUDY = f'runs = {RUNS}\nname = "speed"\nabout = "What do workers cost?"\n[worlds.line]\n[trackers.fix-kf]\n'
+"""A study on worker processes, which load it from a file."""
 
 
 def cases() -> Iterator[Case]:
@@ -51,7 +53,8 @@ def cases() -> Iterator[Case]:
 def split(world: str, tracker: str) -> Figures:
     """Processor time per row of the parts of a chunk: simulated, prepared, run and scored; medians of warm rounds."""
     count = FEWER.get(tracker, TRAJECTORIES)
-    study = declared(world, tracker, count * (2 if count <= 128 else 512))
+    runs = count * (2 if count <= 128 else 512)
+    study = Study("speed", "", {world: World(MAKE[world])}, {tracker: TrackerConfig(tracker)}, runs=runs)
     (condition,), config, ids = study.conditions, study.trackers[tracker], np.arange(count)
     assert study.chunk == count
     rows = 0
@@ -77,19 +80,14 @@ def split(world: str, tracker: str) -> Figures:
     return {"trajectories": count, "rows": rows, **dict(zip(names, 1e6 * warm / rows, strict=True)), **machine()}
 
 
-def declared(world: str, tracker: str, runs: int) -> Study:
-    """A study of one world and one tracker."""
-    return Study("speed", "", {world: World(MAKE[world])}, {tracker: TrackerConfig(tracker)}, runs=runs)
-
-
 def on_workers(place: str) -> Figures:
     """Wall and processor time of a whole study, workers included, and the digest of its results."""
     before = os.times()
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        cluster_executor(place) if place != "threads" else nullcontext() as on,
-    ):
-        seconds, results = clocked(lambda: run_study(declared("line", "fix-kf", RUNS), Path(folder), executor=on))
+    with tempfile.TemporaryDirectory() as name, cluster_executor(place) if place != "threads" else nullcontext() as on:
+        file = Path(name) / "study.toml"
+        file.write_text(STUDY, "utf-8")
+        study = load_study(str(file))
+        seconds, results = clocked(lambda: run_study(study, Path(name) / "out", executor=on))
     assert results is not None
     cpu = float(np.subtract(os.times()[:4], before[:4]).sum())
     digest = json.loads(to_json(results, []))["sha256"][:12]
