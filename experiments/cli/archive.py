@@ -26,9 +26,8 @@ from trackwright.experiments.cli.archive_part import (
     refusal,
 )
 from trackwright.experiments.cli.archive_tables import Refusals, Run, compared, gathered, read_results, write_results
-from trackwright.experiments.cli.comparing import COMPARISON
 from trackwright.experiments.cli.console import json_alone, output_folder, ready
-from trackwright.experiments.cli.evaluating import code_of, conditions
+from trackwright.experiments.cli.evaluating import COMPARISON, code_of, conditions
 from trackwright.experiments.cli.options import EvaluateOptions, TrackOptions
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tracking import endings, tracker_names, write_shown

@@ -5,13 +5,9 @@ from __future__ import annotations
 import sys
 import tomllib
 from dataclasses import asdict
-from typing import TYPE_CHECKING
 
 from trackwright.experiments.cli.options import File, ReadingOptions, Recording, Tracker, run_tracker_files
 from trackwright.trackers.core.errors import UnusableInput, printable
-
-if TYPE_CHECKING:
-    pass
 
 
 def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = False) -> int:

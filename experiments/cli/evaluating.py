@@ -1,4 +1,4 @@
-"""What `trackwright evaluate` does with a folder or a file of estimates: metrics, pose errors, conditions."""
+"""What `trackwright evaluate` does with folders and files of estimates: metrics, pose errors, conditions, comparing."""
 
 from __future__ import annotations
 
@@ -33,6 +33,9 @@ from trackwright.trackers.recordings.tracks_table import (
     write_tracks,
 )
 
+COMPARISON = "comparison.html"
+"""The page that compares runs."""
+
 DEFAULT_STEPS = ("1m", "1s")
 DEFAULT_TOLERANCE = 0.01
 FILE_TAG = "1"
@@ -63,6 +66,49 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     atomic_write(folder / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
     print(text if options.json else to_text(evaluation, terminal_width()), end="")
     return code_of(evaluation, options.fail_if)
+
+
+def print_comparison(
+    folders: Sequence[Path],
+    out: Path | None,
+    kind: str | None = "png",
+    json: bool = False,
+    page: bool = True,
+    playback: str | None = None,
+) -> None:
+    """Prints the comparison of the runs in these folders, and writes its page and figures into the folder `out`.
+
+    `kind`: the ending of the figures, png or pdf; None for none. `page`: whether it is written. `playback`: another
+    page beside it, which it names.
+    """
+    # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
+    from trackwright.experiments.pages.charts.comparison import comparison_charts, plot_comparison
+    from trackwright.experiments.pages.reports.comparison import (
+        comparison,
+        comparison_text,
+        lone_subjects,
+        write_comparison,
+    )
+    from trackwright.experiments.pages.reports.runs import read_runs
+
+    runs, notices = read_runs(folders)
+    tables, contrasts = comparison(runs)
+    for text in (*notices, *lone_subjects(runs)):
+        notice(f"notice: {text}")
+    if json:
+        differences = [contrast._asdict() | {"difference": contrast.difference._asdict()} for contrast in contrasts]
+        print(json_text({"tables": [table._asdict() for table in tables], "contrasts": differences}), end="")
+    else:
+        print(comparison_text(tables), end="")
+    if out is None:
+        return
+    path = output_folder(out) / COMPARISON
+    written = [] if kind is None else plot_comparison(path, runs, contrasts, kind)
+    if page:
+        charts = comparison_charts(runs, contrasts)
+        written.insert(0, write_comparison(path, [run.name for run in runs], tables, charts, sys.argv, playback))
+    if written and not json:
+        print(f"wrote {', '.join([str(written[0]), *(path.name for path in written[1:])])}")
 
 
 def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int:

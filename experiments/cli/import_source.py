@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
@@ -14,7 +16,10 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.exchange.formats import FORMATS
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from trackwright.trackers.exchange.mapping import TableMapping
+    from trackwright.trackers.line.truth import KnotTimes
     from trackwright.trackers.recordings.folder import RecordingFolder
 
 Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
@@ -47,10 +52,10 @@ def import_source(
     origin: Annotated[str, Parameter(metavar="start|S|DATE")] | None = None,
     transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
     align_truth: bool = False,
+    path: bool = False,
     interval: Seconds | None = None,
     skip_bad_lines: bool = False,
     messages: tuple[File, ...] = (),
-    path: bool = False,
 ) -> int:
     """Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
 
@@ -58,7 +63,7 @@ def import_source(
     docs/import.md has an example of each.
 
     Args:
-        source: a file, or the folder of a ROS 2 bag.
+        source: a file, or the folder of a ROS 2 bag; with --path a recording folder.
         out: the recording folder to write, whose name is that of the recording; tables are added to an existing one.
         table: what the rows or messages are.
         columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
@@ -78,19 +83,18 @@ def import_source(
         transform: brings a truth over to the frame of the rig and the clock of the readings: a turn about z by YAW, °,
             then a shift, m; S, seconds added to its times, may be left out.
         align_truth: find these numbers by the readings of the recording in --out.
+        path: fit a truth along [path] of the rig.toml of a recording, by least squares to its fixes, or to positions
+            from its ranges: every tag travels once from the first to the last knot, at a constant speed on each
+            segment, with rests at the knots; --out gets the recording with this truth.
         interval: s between the lines of a log without times.
         skip_bad_lines: leave lines of a log that are not understood out, and count them.
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
-        path: the source is a recording folder whose tags travel along [path] of its rig.toml; its copy gets a truth
-            fitted to its fixes, or to positions from its ranges. No other option goes with it.
     """
     if path:
-        others = (table, columns, mapping, topic, tag, rig, format, separator, origin, transform, interval, messages)
-        if any(others) or decimal != "." or align_truth or skip_bad_lines:
-            raise UnusableInput("--path: takes a recording folder as it is; expected --out alone beside it")
-        from trackwright.experiments.cli.path_truth import import_with_path_truth
-
-        return import_with_path_truth(source, out)
+        reading = (table, columns, mapping, topic, tag, rig, format, separator, origin, interval, messages)
+        if any((*reading, transform, align_truth, skip_bad_lines)) or decimal != ".":
+            raise UnusableInput("--path: fits a truth to a recording folder; expected no other option but --out")
+        return _fit_truth(source, out)
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.core.data.seconds import moment
     from trackwright.trackers.core.wording import counted
@@ -202,3 +206,56 @@ def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, trans
     placement, words = found_placement(replace(recording, tables=tables))
     notice(f"notice: truth moved by --transform {placement}: {words}")
     return replace(folder, tables=dict(folder.tables) | {"truth": placement.of_table(truth)})
+
+
+def _fit_truth(recording: Path, out: Path) -> int:
+    """Writes the recording with a truth along its known path into the new folder `out`."""
+    started = datetime.now(UTC)
+    from trackwright.experiments.cli.console import read_with_notices
+    from trackwright.experiments.cli.runtime import keep_programs, write_manifest
+    from trackwright.trackers.recordings.folder import write_recording
+
+    (folder,) = read_with_notices((recording,))
+    keep_programs()
+    # jax takes a second to import, which the help and a refused recording need not wait for.
+    from trackwright.trackers.line.rows import fit_path_truth
+
+    fitted, knot_times = fit_path_truth(folder)
+    table = fitted.tables["truth"]
+    _notice_deviation(folder, table)
+    write_recording(fitted, out)
+    write_manifest(out, sys.argv, {"recording": str(recording)}, started)
+    print("\n".join(_knots_line(tag, times) for tag, times in knot_times.items()))
+    print(f"wrote {out}: the recording with a fitted truth of {len(table)} rows; use it: evaluate … --truth {out}")
+    return 0
+
+
+def _knots_line(tag: str, fitted: KnotTimes) -> str:
+    import numpy as np
+
+    lengths = np.sqrt((np.diff(fitted.knots, axis=0) ** 2).sum(axis=1))
+    segments = [
+        f"{a:.2f}-{b:.2f} s ({n / (b - a):.2f} m/s)"
+        for a, b, n in zip(fitted.departed, fitted.arrived, lengths, strict=True)
+        if b > a
+    ]
+    return f"tag {tag}: {fitted.rms:.3f} m RMS about the path; segments {', '.join(segments)}"
+
+
+def _notice_deviation(folder: RecordingFolder, table: pl.DataFrame) -> None:
+    """Notice of the deviation from the recording's own truth, if it has one."""
+    if "truth" not in folder.tables:
+        return
+    import numpy as np
+
+    from trackwright.experiments.text.terminal import notice
+    from trackwright.trackers.recordings.truth import TruePaths
+
+    fitted = TruePaths.of_table(table, folder.name)
+    for tag in sorted(folder.paths.number.keys() & fitted.number.keys()):
+        times, positions = fitted.of_tag(tag)
+        known, _ = folder.paths.at([tag], np.array([0, len(times)]), times)
+        deviation = np.sqrt(((positions - known)[:, :2] ** 2).sum(axis=1))
+        if np.isfinite(deviation).any():
+            rms = np.sqrt(np.nanmean(deviation**2))
+            notice(f"notice: tag {tag}: the recording's own truth is replaced; RMS deviation {rms:.3f} m")

@@ -396,8 +396,7 @@ class PoseOptions:
         time_tolerance: largest distance in time between a pose and its true pose; default: 0.01.
         rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
         all_pairs: relative pose errors from every pose, not from the end of the step before.
-        out: a folder for the page, evaluation.json, the tracks as compared, and figures; of several runs for their
-            comparison.html and figures, by default out.
+        out: a folder for the page, evaluation.json, the tracks as compared, and figures.
     """
 
     align: Alignment | None = None
@@ -437,8 +436,6 @@ class EvaluateOptions:
         json: print all metrics as JSON instead of a table.
         fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
         cluster: score each recording of an archive on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
-        metrics: of several studies: names of the metrics to show, as in results.json.
-        format: of the figures of a comparison.
     """
 
     truth: tuple[Annotated[Path, Parameter(metavar="FOLDER|FILE")], ...] = ()
@@ -446,8 +443,6 @@ class EvaluateOptions:
     json: bool = False
     fail_if: Annotated[str, Parameter(metavar="CONDITION")] | None = None
     cluster: Address | None = None
-    metrics: tuple[Annotated[str, Parameter(metavar="METRIC")], ...] = ()
-    format: FigureFormat = "png"
     poses: PoseOptions = field(default_factory=PoseOptions)
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
 
 from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions, Recording, TrackOptions
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.errors import UnusableInput
 
 
 def track(*recordings: Recording, options: TrackOptions) -> int:
@@ -49,32 +47,28 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
 DEFAULTS = EvaluateOptions()
 
 
-def evaluate_tracks(*folders: Recording, options: EvaluateOptions = DEFAULTS) -> int:
-    """Error metrics of estimates against truth, or runs compared; exit 1 by --fail-if.
+def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> int:
+    """Error metrics of estimates against truth; a comparison of runs.
 
     By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, KITTI, EuRoC, or a table
-    with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo. Of
-    several runs: metrics, differences from the first, a page and figures.
+    with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
+
+    Of several runs: their metrics side by side, and each one's differences from the first, with --json and --out alone.
 
     Args:
-        folders: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
-            tag, which --tag names; or two or more output folders of `track`, or of `study`, to compare.
+        runs: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
+            tag, which --tag names; to compare, two or more folders of `track`, or two or more of `study`.
     """
-    poses, truth = options.poses, options.truth
-    if len(folders) > 1:
-        alone = EvaluateOptions(json=options.json, metrics=options.metrics, format=options.format)
-        if options != replace(alone, poses=PoseOptions(out=poses.out)):
-            raise UnusableInput(
-                f"{listed(map(str, folders))}: are compared; expected --out, --metrics, --format and --json alone"
-            )
-        from trackwright.experiments.cli.comparing import COMPARISON, print_comparison
+    if len(runs) > 1:
+        out = options.poses.out
+        if options != EvaluateOptions(json=options.json, poses=PoseOptions(out=out)):
+            raise UnusableInput(f"evaluate: {len(runs)} runs to compare; expected no option but --json and --out")
+        from trackwright.experiments.cli.evaluating import print_comparison
 
-        out = (poses.out or Path("out")) / COMPARISON
-        print_comparison(folders, out, options.format, options.metrics, options.json)
+        print_comparison(runs, out, json=options.json)
         return 0
-    if options.metrics or options.format != DEFAULTS.format:
-        raise UnusableInput(f"{folders[0]}: is one run; expected --metrics and --format with two or more to compare")
-    (folder,) = folders
+    (folder,) = runs
+    poses, truth = options.poses, options.truth
     if not folder.exists():
         raise UnusableInput(
             f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"

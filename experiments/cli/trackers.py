@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trackwright.experiments.cli.arguments import rows
-from trackwright.experiments.cli.options import File, Tracker, run_tracker_files
+from trackwright.experiments.cli.options import Tracker, run_tracker_files
 from trackwright.trackers.catalogue import ENTRIES
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -20,32 +20,22 @@ if TYPE_CHECKING:
     from trackwright.trackers.recordings.named_tracker import NamedTracker
 
 
-def trackers(
-    tracker: Tracker | None = None,
-    folder: Path | None = None,
-    /,
-    *,
-    noise: File | None = None,
-    free_height: bool = False,
-    json: bool = False,
-) -> int:
-    """List the trackers and the tables they read, or the tunables of one.
+def trackers(tracker: Tracker | None = None, folder: Path | None = None, /, *, json: bool = False) -> int:
+    """List the trackers and the tables they read; the tunables of one.
 
     The first that fits the tables of a recording is chosen where none is named. A tracker of your own is a Python file:
-    FILE.py:NAME. Of one, each tunable with value, unit, bounds and meaning: the names of --set, --tune, --bound and
-    --over; those with a star are fitted where --tune names none.
+    --tracker FILE.py:NAME.
+
+    Tunables, with value, unit, bounds and meaning, have the names of --set, --tune, --bound and --over; those with a
+    star are fitted where --tune names none.
 
     Args:
-        tracker: one of them, or FILE.py:NAME of a TrackerSpec of your own.
-        folder: a recording folder, whose stations or anchors the tracker gets; default: a simulated one that it fits.
-        noise: a tuned.toml, whose values are shown.
-        free_height: the tracker that estimates the height of tags whose height the rig gives.
+        tracker: one of the list, or FILE.py:NAME of a TrackerSpec of your own, whose tunables are listed.
+        folder: a recording folder, whose stations or anchors it gets; default: a simulated one that it fits.
         json: print JSON instead of lines.
     """
     if tracker is not None:
-        return _list_tunables(tracker, folder, noise, free_height, json)
-    if noise is not None or free_height:
-        raise UnusableInput("trackers: --noise and --free-height are of one tracker; expected its name before them")
+        return _list_tunables(tracker, folder, json)
     listed = {name: f"{entry.about} ({entry.table})" for name, entry in ENTRIES.items()}
     if json:
         # polars takes 0.1 s to import.
@@ -57,23 +47,19 @@ def trackers(
     return 0
 
 
-def _list_tunables(tracker: str, folder: Path | None, noise: File | None, free_height: bool, json: bool) -> int:
-    """Prints the tunables of a tracker."""
+def _list_tunables(tracker: str, folder: Path | None, json: bool) -> int:
     from trackwright.experiments.cli.console import read_with_notices
     from trackwright.experiments.text.tables import terminal_width
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.recordings.atomic import json_text
-    from trackwright.tuning.tuned_file import read_tuned
 
-    tuned = None if noise is None else read_tuned(noise)
     run_tracker_files(tracker)
     folders = [] if folder is None else read_with_notices((folder,))
     # jax takes a second to import, which the help and a refused recording need not wait for.
     from trackwright.trackers.catalogue import build, spec_of
 
     recording = folders[0] if folders else _simulated(tracker, spec_of(tracker).missing)
-    named = build(tracker, recording, free_height)
-    listed = _rows(named if tuned is None else tuned.of(named, noise))
+    listed = _rows(build(tracker, recording))
     if json:
         print(json_text({"tracker": tracker, "recording": recording.name, "tunables": listed}))
         return 0

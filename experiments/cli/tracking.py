@@ -158,14 +158,14 @@ def track_folders(
             pages += [] if page is None else [page]
         if of > 1:
             begin("comparison")
-            from trackwright.experiments.cli.comparing import COMPARISON, print_comparison
+            from trackwright.experiments.cli.evaluating import print_comparison
 
             if pages:
                 _write_page(options.out, pages)
                 print(f"wrote {options.out / PAGE}")
             print_comparison(
                 [options.out / run.short for run in runs],
-                options.out / COMPARISON,
+                options.out,
                 None if options.no_figures else options.format,
                 page=not options.no_report,
                 playback=PAGE if pages else None,

@@ -44,9 +44,9 @@ def read_estimates(path: Path, kind: Kind | None = None) -> tuple[pl.DataFrame, 
     return trajectory.to_polars().drop("tag"), trajectory.notices
 
 
-def read_truth(path: Path, tag: str, kind: Kind | None = None) -> RecordingFolder:
+def read_truth(path: Path, tag: str) -> RecordingFolder:
     """The true path of one tag in a file, as a recording of that name; raises UnusableInput as `read_estimates`."""
-    table, notices = read_estimates(path, kind)
+    table, notices = read_estimates(path)
     given = "tag" in table.columns
     table = table if given else table.with_columns(tag=pl.lit(tag))
     columns = [name for name in ("t_s", "tag", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz") if name in table.columns]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator
 
-from trackwright.experiments.pages.charts.style import GREY, VERMILION, literal
+from trackwright.experiments.pages.charts.style import GREY, literal
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.model.rig import Rig
 
@@ -121,10 +121,10 @@ def _mark_times(axes: Axes, times: np.ndarray, positions: np.ndarray, colour: st
                           textcoords="offset points", path_effects=HALO)  # fmt: skip
 
 
-def draw_rig(axes: Axes, rig: Rig, size: float, proposed: Collection[str] = ()) -> None:
+def draw_rig(axes: Axes, rig: Rig, size: float) -> None:
     """Walls; stations as squares, with the boresight unless it points up or down; anchors as triangles.
 
-    Those that stand above each other share a label. `size`: of the plan, m. `proposed`: anchors drawn as stars.
+    Those that stand above each other share a label. `size`: of the plan, m.
     """
     for x1, y1, x2, y2 in rig.all_walls():
         axes.plot([x1, x2], [y1, y2], color=GREY, linewidth=2.0, solid_capstyle="round", zorder=2, label="_wall")
@@ -141,12 +141,10 @@ def draw_rig(axes: Axes, rig: Rig, size: float, proposed: Collection[str] = ()) 
     labels = _shared_labels(marks, size / 40)
     named = set[str]()
     for name, x, y, marker, above in marks:
-        kind = "proposed" if name in proposed else {"s": "station", "^": "anchor"}[marker]
-        look: dict[str, Any] = {"marker": marker, "color": GREY, "markersize": 7}
-        if name in proposed:
-            look = {"marker": "*", "color": VERMILION, "markersize": 11}
+        kind = {"s": "station", "^": "anchor"}[marker]
         label = "_" if kind in named else kind
-        axes.plot(x, y, linestyle="", markeredgecolor="white", zorder=5, clip_on=False, label=label, **look)
+        look: dict[str, Any] = {"marker": marker, "color": GREY, "markersize": 7, "markeredgecolor": "white"}
+        axes.plot(x, y, linestyle="", zorder=5, clip_on=False, label=label, **look)
         named.add(kind)
         offset, side = ((0, 6), "bottom") if above else ((0, -7), "top")
         words: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": side, "fontsize": 7}

@@ -210,21 +210,20 @@ def tuning_trace(
     values: Mapping[str, np.ndarray],
     units: Mapping[str, str] | None = None,
     objective_name: str = "objective",
-    title: str = "Fit",
 ) -> Path:
     """Writes the objective and every tuned parameter over the steps; returns the path.
 
     `objective` (i,); `values`: by name (i,), in the units of `units`. Raises UnusableInput where the file can't be
     written.
     """
-    trace = OptimiserTrace(title, objective, np.stack([*values.values(), objective], axis=1))
+    trace = OptimiserTrace("Fit", objective, np.stack([*values.values(), objective], axis=1))
     panels = [objective_chart([trace], f"{objective_name}: {objective[-1]:.6g}").draw]
     for k, (name, series) in enumerate(values.items()):
         unit = (units or {}).get(name, "1")
         words = literal(f"{name}: {series[-1]:.4g} {unit if unit != '1' else ''}")
         panels.append(parameter_chart([trace], k, name, words).draw)
     rows = -(-len(panels) // 2)
-    return write_panels(path, panels, (8.0, 1.0 + 1.9 * rows), title, min(len(panels), 2))
+    return write_panels(path, panels, (8.0, 1.0 + 1.9 * rows), "Fit", min(len(panels), 2))
 
 
 def _draw_steps(axes: Axes, traces: Sequence[OptimiserTrace], take: Callable[[OptimiserTrace], np.ndarray]) -> None:

@@ -6,7 +6,7 @@ Differences are significant at 5 % for the whole table: p-values are adjusted fo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -38,7 +38,7 @@ SHOWN = (
     "coverage_50", "coverage_90", "coverage_95", "coverage_99", "nis_ratio", "nis_correlation_100ms",
     "nis_correlation_1s", "nis_correlation_5s", "lost_fraction", "diverged",
 )  # fmt: skip
-"""The metrics of studies that are shown."""
+"""The metrics of studies that are shown where any is common; else all."""
 
 BEARING_NAMES = {"rmse_m": "rmse_direction_rad", "median_m": "median_direction_rad", "p95_m": "p95_direction_rad"}
 LEVEL = 0.05
@@ -93,7 +93,7 @@ def track_contrasts(runs: Sequence[TrackRun]) -> list[Contrast]:
     return adjusted(contrasts)
 
 
-def study_contrasts(runs: Sequence[StudyRun], metrics: Sequence[str]) -> list[Contrast]:
+def study_contrasts(runs: Sequence[StudyRun], metrics: Collection[str]) -> list[Contrast]:
     """The differences of every study from the first, as independent ones, by the widths of their intervals.
 
     Conservative for studies with the same random numbers.
@@ -213,23 +213,18 @@ def _which(contrasts: Sequence[Contrast], runs: int) -> str:
     return ", ".join(contrast.run for contrast in contrasts if contrast.differs) or yes_no(False)
 
 
-def comparison(
-    runs: Sequence[StudyRun] | Sequence[TrackRun], metrics: Sequence[str] = SHOWN
-) -> tuple[list[Table], list[Contrast]]:
+def comparison(runs: Sequence[StudyRun] | Sequence[TrackRun]) -> tuple[list[Table], list[Contrast]]:
     """The tables of a comparison and the contrasts behind them; raises UnusableInput without a common metric."""
     if isinstance(runs[0], TrackRun):
         tracks = [run for run in runs if isinstance(run, TrackRun)]
         contrasts = track_contrasts(tracks)
         return tables_of_tracks(tracks, contrasts), contrasts
     studies = [run for run in runs if isinstance(run, StudyRun)]
-    common = [key for key in studies[0].metrics if any(key in run.metrics for run in studies[1:])]
+    common = {key[1] for key in studies[0].metrics if any(key in run.metrics for run in studies[1:])}
     if not common:
         names = " and ".join(str(run.folder) for run in studies)
         raise UnusableInput(f"{names} have no metric of the same world and tracker in common")
-    if not any(metric in metrics for _, metric in common):
-        known = sorted({metric for _, metric in common})
-        raise UnusableInput(f"--metrics {' '.join(metrics)}: not in both runs; expected names among {', '.join(known)}")
-    contrasts = study_contrasts(studies, metrics)
+    contrasts = study_contrasts(studies, common & {*SHOWN} or common)
     return tables_of_studies(studies, contrasts), contrasts
 
 

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 from trackwright.experiments.monte_carlo.declaration import short
 from trackwright.experiments.text.expectations import Value
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import Association, associate_truth
 from trackwright.trackers.evaluation.comparison import Key, TrackErrors, errors_by_track
 from trackwright.trackers.evaluation.scoring import score
@@ -53,11 +52,9 @@ class TrackRun:
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[StudyRun] | list[TrackRun], list[str]]:
-    """The runs in these folders, and notices; raises UnusableInput for fewer than two, and for runs of two kinds."""
-    if len(folders) < 2:
-        raise UnusableInput(f"evaluate: found {counted(len(folders), 'folder')}; expected two or more to compare")
+    """The runs in these folders, and notices; raises UnusableInput for one folder twice, and for runs of two kinds."""
     if len({folder.resolve() for folder in folders}) < len(folders):
-        raise UnusableInput("report: a folder is given more than once; expected different runs; remove one")
+        raise UnusableInput("evaluate: a folder is given more than once; expected different runs; remove one")
     kinds = [_kind(folder) for folder in folders]
     other = next((k for k, kind in enumerate(kinds) if kind != kinds[0]), None)
     if other is not None:

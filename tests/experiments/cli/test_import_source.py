@@ -323,5 +323,5 @@ def test_a_truth_along_the_path_of_the_rig_is_fitted_to_the_fixes(tmp_path, monk
     assert len(found) > 0.9 * len(known)
     assert ((found["x_m"] - found["x_m_right"]) ** 2).mean() ** 0.5 < 0.5
     assert_refused_last(
-        trackwright("import", "line", "--path", "--tag", "T1", "--out", "other"), "--path", "--out alone"
+        trackwright("import", "line", "--path", "--tag", "T1", "--out", "other"), "--path", "no other option but --out"
     )

@@ -67,7 +67,7 @@ def test_the_table_has_the_errors_of_each_run(compared):
         assert float(row[3]) == pytest.approx(100 * rmse, abs=0.06)
 
 
-def test_any_number_of_runs_is_reported_straight_after_track(compared, tmp_path):
+def test_any_number_of_runs_is_compared_straight_after_track(compared, tmp_path):
     folder, _ = compared
     runs = (folder / "two" / "moving-average", folder / "two" / "median", folder / "kf")
     said = trackwright("evaluate", *runs, "--out", tmp_path / "all")

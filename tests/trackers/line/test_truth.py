@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackwright.experiments.cli.path_truth import import_with_path_truth
+from trackwright.experiments.cli.import_source import import_source
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.line import THESIS_KNOTS, simulate_line
 from trackwright.trackers.core.errors import UnusableInput
@@ -58,7 +58,7 @@ def test_too_few_rows_for_the_path_are_refused():
 def test_the_command_writes_the_recording_with_a_fitted_truth(tmp_path, capsys):
     world = simulate_line("halts", 2, seed=8).folder("line")
     write_recording(world, tmp_path / "line")
-    assert import_with_path_truth(tmp_path / "line", tmp_path / "fitted") == 0
+    assert import_source(tmp_path / "line", path=True, out=tmp_path / "fitted") == 0
     printed = capsys.readouterr()
     assert "tag 0: 0.4" in printed.out
     fitted = read_recording(tmp_path / "fitted")
@@ -79,7 +79,7 @@ def test_a_recording_without_a_path_is_refused_in_one_line(tmp_path):
     text = (tmp_path / "line" / "rig.toml").read_text()
     (tmp_path / "line" / "rig.toml").write_text(text[: text.index("[path]")])
     with pytest.raises(UnusableInput, match=r"no \[path\] in rig.toml"):
-        import_with_path_truth(tmp_path / "line", tmp_path / "fitted")
+        import_source(tmp_path / "line", path=True, out=tmp_path / "fitted")
     assert not (tmp_path / "fitted").exists()
 
 
@@ -88,4 +88,10 @@ def test_a_recording_too_short_for_its_path_is_refused_in_one_line(tmp_path):
     short = {name: table.filter(pl.col("t_s") < 1.0) for name, table in world.tables.items()}
     write_recording(type(world)(world.name, None, world.rig, short), tmp_path / "line")
     with pytest.raises(UnusableInput, match="too few for a path of 5 segments"):
-        import_with_path_truth(tmp_path / "line", tmp_path / "fitted")
+        import_source(tmp_path / "line", path=True, out=tmp_path / "fitted")
+
+
+@pytest.mark.parametrize("option", [{"table": "fixes"}, {"decimal": ","}, {"interval": 1.0}, {"align_truth": True}])
+def test_a_path_with_an_option_of_other_files_is_refused(tmp_path, option):
+    with pytest.raises(UnusableInput, match="expected no other option but --out"):
+        import_source(tmp_path / "line", path=True, out=tmp_path / "fitted", **option)

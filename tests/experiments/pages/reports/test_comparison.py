@@ -4,7 +4,8 @@ import re
 import numpy as np
 import pytest
 
-from trackwright.experiments.cli.comparing import print_comparison
+from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions
+from trackwright.experiments.cli.track import evaluate_tracks
 from trackwright.experiments.lab.papers.reproduce import part, tables
 from trackwright.experiments.pages.reports.comparison import comparison, study_contrasts
 from trackwright.experiments.pages.reports.runs import StudyRun, read_runs
@@ -16,10 +17,11 @@ def _value(value, width):
     return {"value": value, "low": value - width / 2, "high": value + width / 2}
 
 
-def _study(folder, rmse, width=0.02, tracker="direct"):
+def _study(folder, rmse, width=0.02, tracker="direct", metric="rmse_m"):
     folder.mkdir()
     cell = {"world": "hand", "point": {"world.sigma_p": 0.1}, "tracker": tracker}
-    content = {"cells": [cell | {"figures": {"rmse_m": _value(rmse, width), "nees_mean": _value(2.0, 0.1)}}]}
+    other = {"nees_mean": _value(2.0, 0.1)} if metric == "rmse_m" else {}
+    content = {"cells": [cell | {"figures": {metric: _value(rmse, width)} | other}]}
     (folder / "results.json").write_text(json.dumps(content))
     return folder
 
@@ -86,7 +88,7 @@ def test_evaluations_alone_are_compared_without_intervals_and_without_empty_colu
 
 def test_the_command_prints_both_and_writes_one_page(tmp_path, capsys):
     first, second = _study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12)
-    print_comparison([first, second], tmp_path / "page" / "comparison.html", "png")
+    assert evaluate_tracks(first, second, options=EvaluateOptions(poses=PoseOptions(out=tmp_path / "page"))) == 0
     printed = capsys.readouterr().out
     assert "10.0 (9.0 … 11.0)" in printed
     assert "12.0 (11.0 … 13.0)" in printed
@@ -117,12 +119,24 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
         ((study, tmp_path), "no results.json"),
         ((evaluation, unevaluated), f"`trackwright evaluate {unevaluated}`"),
         ((study, study), "more than once"),
-        ((study,), "found 1 folder;"),
     ):
         with pytest.raises(UnusableInput, match=says):
-            print_comparison(runs, tmp_path / "comparison.html", "png")
-    with pytest.raises(UnusableInput, match="--metrics speed"):
-        print_comparison([study, _study(tmp_path / "f", 0.1)], tmp_path / "comparison.html", "png", ("speed",))
+            evaluate_tracks(*runs)
+    with pytest.raises(UnusableInput, match="2 runs to compare; expected no option but --json and --out"):
+        evaluate_tracks(study, other, options=EvaluateOptions(fail_if="rmse_m>1"))
+
+
+def test_without_an_output_folder_a_comparison_writes_nothing(tmp_path, capsys):
+    folders = [_study(tmp_path / name, 0.1) for name in "ab"]
+    before = sorted(tmp_path.rglob("*"))
+    assert evaluate_tracks(*folders) == 0
+    assert "RMSE" in capsys.readouterr().out
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_studies_with_metrics_of_their_own_alone_are_compared_by_these(tmp_path):
+    folders = [_study(tmp_path / name, speed, metric="speed") for name, speed in (("a", 0.1), ("b", 0.2))]
+    assert list(_contrasts(*folders)) == [("b", "speed")]
 
 
 def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():
