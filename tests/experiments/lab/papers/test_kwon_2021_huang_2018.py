@@ -9,7 +9,7 @@ from tests.oracles import distances_to_path
 from trackwright.experiments.lab.papers import fitting
 from trackwright.experiments.lab.papers.fitting import Fitted, fitted, solved, unsaved, write_fitted
 from trackwright.experiments.lab.papers.huang_2018 import mhk_against, workshop
-from trackwright.experiments.lab.papers.kwon_2021 import chamber, line_of_sight, robot, table_4, trilateration
+from trackwright.experiments.lab.papers.kwon_2021 import chamber, line_of_sight, robot, table_4
 from trackwright.experiments.monte_carlo.errors import TrackedRuns
 from trackwright.experiments.text.expectations import PREDICTED, ExpectedResult
 from trackwright.trackers.core.errors import UnusableInput
@@ -82,18 +82,6 @@ def test_successive_medians_of_a_tag_at_rest_differ_by_the_smaller_noise_of_a_di
     medians = np.median(np.lib.stride_tricks.sliding_window_view(noise, 9), axis=1)
     # 20,000 correlated differences know a standard deviation to 1 %.
     assert np.diff(medians).std() == pytest.approx(mhk_against.CLOSER_M, rel=0.06)
-
-
-@pytest.mark.slow
-def test_lengthening_every_range_makes_trilateration_worse_and_a_fourth_range_makes_it_better():
-    study = trilateration.STUDY
-    three = {k: study.trackers[k] for k in ("trilateration", "with (14)", "least squares")}
-    worlds = {"line of sight": replace(study.worlds["line of sight"], numbers={"rows": 100})}
-    found = unsaved(replace(study, trackers=three, worlds=worlds, runs=10))
-    rmse = {tracker: found.value("settled_rmse_m", "line of sight", tracker).value for tracker in three}
-    # 1.96 · 0.1 m / √3 = 11 cm on each of three ranges, where the noise is 3 cm.
-    assert rmse["with (14)"] > 1.5 * rmse["trilateration"]
-    assert rmse["least squares"] < rmse["trilateration"]
 
 
 def test_the_chambers_anchors_are_five_metres_apart_and_none_hangs_over_a_tag():
