@@ -51,8 +51,8 @@ class AbstractTrackLoss(eqx.Module):
         """The test statistic of a new track."""
 
     @abstractmethod
-    def after(self, statistic: Any, innovation: Innovation, row: Row, tracker: Any) -> Any:
-        """The test statistic after a row of a tracker."""
+    def after(self, statistic: Any, innovation: Innovation, row: Row, tracker: Any, before: Any) -> Any:
+        """The test statistic after a row of a tracker, whose belief was `before` the row."""
 
     @abstractmethod
     def exceeded(self, statistic: Any) -> Scalar:
@@ -84,7 +84,7 @@ class TrackLossPolicy(AbstractTrackLoss):
     def initial(self, prior: Gaussian) -> Scalar:
         return jnp.ones_like(prior.cov[0])
 
-    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
+    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any, before: Any) -> Scalar:
         correction = (innovation.nis / jnp.maximum(innovation.nis_dof, 1.0) - statistic) / self.nis_window.value
         return statistic + jnp.where(innovation.nis_dof > 0, correction, 0.0)
 
@@ -97,6 +97,9 @@ PRICE = 0.2
 
 BLUR = 3.0
 """Factor on the errors of readings at another place, which lags behind a tag that moves."""
+
+AWAY = 0.5
+"""Least distance of another place from the track, m, from which readings speak for it."""
 
 WILD, READINGS = (0.02, 0.5), 50.0
 """Least and largest share of wild readings, and the number of readings over which it is estimated."""
@@ -137,11 +140,14 @@ class TrackScorePolicy(AbstractTrackLoss):
         zero = jnp.zeros_like(prior.cov[0])
         return Elsewhere(zero, zero + WILD[1], jnp.stack([*prior.mean.position, zero][:3]))
 
-    def after(self, statistic: Elsewhere, innovation: Innovation, row: Row, tracker: Any) -> Elsewhere:
+    def after(self, statistic: Elsewhere, innovation: Innovation, row: Row, tracker: Any, before: Any) -> Elsewhere:
         densities = innovation.log_likelihood, log_density_at(statistic.place, row, tracker)
         here, there = (x + innovation.nis_dof * jnp.log(self.width.value) for x in densities)
+        track = tracker.filter.moments(before)[0].position
+        away = total((x - y) ** 2 for x, y in zip(track, statistic.place, strict=False)) > AWAY**2
         odds = jnp.log(statistic.wild) - jnp.log1p(-statistic.wild)
-        gain = jnp.logaddexp(odds, there) - jnp.logaddexp(odds, here) - PRICE
+        gain = jnp.logaddexp(odds, there) - jnp.logaddexp(odds, here)
+        gain = jnp.where(away, gain, jnp.minimum(gain, 0.0)) - PRICE
         wild = jax.nn.sigmoid(odds - jnp.maximum(here, there))
         wild = jnp.clip(statistic.wild + (wild - statistic.wild) / READINGS, *WILD)
         evidence = jnp.maximum(statistic.evidence + gain, 0.0)
