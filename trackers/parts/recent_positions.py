@@ -88,9 +88,7 @@ def _medians(
     count = recent.sum(axis=1)
     row = np.arange(len(order))
     medians = np.zeros(len(times))
-    middle = (ordered[row, (count - 1) // 2] + ordered[row, count // 2]) / 2.0
-    # The mean of two tolerates no outlier, and is of no place where a tag was carried away between them.
-    medians[order] = np.where(count > 2, middle, ranges[order])
+    medians[order] = (ordered[row, (count - 1) // 2] + ordered[row, count // 2]) / 2.0
     return medians
 
 

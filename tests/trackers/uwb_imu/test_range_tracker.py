@@ -49,14 +49,6 @@ def test_an_outlier_of_kilometres_does_not_change_recent_positions():
     assert np.abs(recent[195:230, :2] - positions[195:230, :2]).max() < 0.08
 
 
-def test_of_two_ranges_of_an_anchor_in_a_second_the_latest_places_a_tag_that_was_carried_away():
-    times, numbers = np.arange(15) / 9, np.arange(15) % 5
-    places = np.where(np.arange(15)[:, None] < 10, [1.0, 1.0, HEIGHT], [4.0, 3.0, HEIGHT])
-    ranges = np.linalg.norm(places - ANCHORS[numbers], axis=1)
-    recent = _recent(times, ANCHORS, numbers, ranges, np.ones(15, bool), HEIGHT)
-    np.testing.assert_allclose(recent[14, :2], places[14, :2], atol=1e-3)
-
-
 def test_collinear_anchors_determine_no_position():
     line = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [2.0, 0.0, 2.0], [4.0, 0.0, 2.0]])
     times, numbers = np.arange(40) * 0.02, np.arange(40) % 4
