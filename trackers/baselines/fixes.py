@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from trackwright.trackers.core.model.motion import ConstantVelocity, GroundMotion
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart
+from trackwright.trackers.parts.fixes import ELSEWHERE, FIXES, PATIENT, FixSensor, FixStart
 
 if TYPE_CHECKING:
     from trackwright.trackers.parts.walls import Walls
@@ -62,11 +62,12 @@ def floor_tracker(
 
     The model of a planar `fix_tracker` with a floor plan (reference [25] of the thesis). `sigma_a` m/s² per √Hz,
     `sigma_horizontal` m; `dof`: degrees of freedom of Student's t, None for normal noise. Once no particle is left the
-    track restarts at the next fix. Gradients are score-function estimates: `trackers/core/filters/particle/score.py`.
+    track restarts at the next fix, and where later fixes agree on another place. Gradients are score-function
+    estimates: `trackers/core/filters/particle/score.py`.
     """
     sensor = FixSensor(sigma_horizontal, sigma_horizontal, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), True, 2)
     from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 
     particles = ParticleFilter(n_particles, potential=walls)
-    return Tracker(ConstantVelocity(sigma_a, 2), {FIXES: sensor}, start, particles, PATIENT, FIXES)
+    return Tracker(ConstantVelocity(sigma_a, 2), {FIXES: sensor}, start, particles, ELSEWHERE, FIXES)

@@ -31,7 +31,7 @@ from trackwright.trackers.core.model.sensor import (
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.tunable import Considered, Covariance, Real, Scale
 from trackwright.trackers.core.run.latency import AbstractDelayedSensor
-from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy, TrackScorePolicy
 from trackwright.trackers.recordings.checks.geometry import without_height
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
@@ -40,6 +40,9 @@ FIXES = "fixes"
 
 PATIENT = TrackLossPolicy(nis_limit=1e3, max_gap=10.0)
 """Errors of real fixes are correlated over seconds, so a large mean NIS is no evidence of track loss."""
+
+ELSEWHERE = TrackScorePolicy(25.0, "m")
+"""Particles that start at a wild fix are too far from later ones to reach them."""
 
 
 class AbstractFixSensor(AbstractDelayedSensor):
@@ -187,16 +190,19 @@ class FixStart(AbstractStart):
         return seen[0] & seen[1]
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        # x, y, z and whether z was seen, in one array; 0 for a z that was not.
         reading = row.readings[FIXES]
-        (x, y, z), z_seen = (reading.values[k] for k in range(3)), reading.seen[2]
-        return jnp.stack([x, y, jnp.where(z_seen, z, 0.0), jnp.where(z_seen, jnp.ones_like(z), 0.0)])
+        x, y, z = (reading.values[k] for k in range(3))
+        return jnp.stack([x, y, jnp.where(reading.seen[2], z, 0.0)])
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
         zero = jnp.zeros_like(candidate[0])
         position_variance, velocity_variance = self.sigma_position.value**2, self.sigma_velocity.value**2
-        variances = [position_variance, position_variance, jnp.where(candidate[3] > 0.5, position_variance, 1e8)][:n]
+        variances = [
+            position_variance,
+            position_variance,
+            jnp.where(row.readings[FIXES].seen[2], position_variance, 1e8),
+        ][:n]
         position, velocity = Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * self.velocities)
         cov = diagonal([*variances, *[velocity_variance] * (self.velocities + self.accelerations)], zero)
         if self.accelerations:

@@ -10,13 +10,14 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman, van_loan
-from trackwright.trackers.baselines.fixes import fix_tracker, singer_tracker
+from trackwright.trackers.baselines.fixes import fix_tracker, floor_tracker, singer_tracker
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import GroundMotion, Kinematic
 from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor
+from trackwright.trackers.parts.walls import Walls
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 
 LATENCY, SIGMA_A, SIGMA_Z = 0.35, 0.8, 0.2
@@ -169,3 +170,16 @@ def test_a_tag_at_a_known_height_is_tracked_over_the_floor(circling):
         assert len(estimates.mean.position) == 2
         errors = np.stack(list(estimates.mean.position), axis=1)[50:] - position(recording.times - 0.4)[50:, :2]
         assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.05
+
+
+@pytest.mark.parametrize("outline", [(), [(-1, -1), (11, -1), (11, 9), (-1, 9)]])
+def test_a_first_fix_500_m_away_is_left_among_walls_within_half_a_second(outline):
+    times = np.arange(100) * 0.1
+    truth = np.column_stack([5 + 3 * np.cos(0.3 * times), 4 + 2 * np.sin(0.3 * times)])
+    fixes = np.column_stack([truth + 0.1 * np.random.default_rng(0).normal(size=truth.shape), np.zeros(100)])
+    fixes[0] = 500.0
+    readings = {FIXES: Readings(fixes, np.tile([True, True, False], (100, 1)), np.zeros((100, 3)))}
+    recording = Recording(times, readings, {"height": np.zeros(100)})
+    estimates = floor_tracker(Walls([(5, 3.5, 5, 4.5)], outline)).run(recording)
+    x, y = (np.asarray(p) for p in estimates.mean.position)
+    assert np.hypot(x - truth[:, 0], y - truth[:, 1])[5:].max() < 0.4

@@ -293,7 +293,7 @@ def reinitialise(
     """
     sufficient = jax.vmap(tracker.start.can_start, in_axes=-1)(row)
     need = row.valid & ~carry.running & sufficient & (info.status != Status.NON_FINITE)
-    candidates = tracker.track_loss.candidates(search(tracker, row, need, few), carry.loss_statistic)
+    candidates = search(tracker, row, need, few)
     axes = carry_axes(tracker)
 
     def with_new_tracks() -> Carry:

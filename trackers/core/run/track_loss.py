@@ -51,16 +51,12 @@ class AbstractTrackLoss(eqx.Module):
         """The test statistic of a new track."""
 
     @abstractmethod
-    def after(self, statistic: Any, innovation: Innovation, row: Row, tracker: Any) -> Any:
-        """The test statistic after a row of a tracker."""
+    def after(self, statistic: Any, innovation: Innovation, row: Row, tracker: Any, before: Any) -> Any:
+        """The test statistic after a row of a tracker, whose belief was `before` the row."""
 
     @abstractmethod
     def exceeded(self, statistic: Any) -> Scalar:
         """Whether the statistic is beyond its limit."""
-
-    def candidates(self, found: Any, statistic: Any) -> Any:
-        """The candidates from which tracks start, given those `found` in this row; by default these."""
-        return found
 
     def relaxed(self, factor: float) -> AbstractTrackLoss:
         """The test with its limit multiplied, for noise levels so wrong that most rows would exceed it."""
@@ -88,7 +84,7 @@ class TrackLossPolicy(AbstractTrackLoss):
     def initial(self, prior: Gaussian) -> Scalar:
         return jnp.ones_like(prior.cov[0])
 
-    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
+    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any, before: Any) -> Scalar:
         correction = (innovation.nis / jnp.maximum(innovation.nis_dof, 1.0) - statistic) / self.nis_window.value
         return statistic + jnp.where(innovation.nis_dof > 0, correction, 0.0)
 
@@ -99,23 +95,32 @@ class TrackLossPolicy(AbstractTrackLoss):
 PRICE = 0.2
 """Evidence, nats, that each reading costs another place, so that one which explains no readings is given up."""
 
+BLUR = 3.0
+"""Factor on the errors of readings at another place, which lags behind a tag that moves."""
+
+AWAY = 0.5
+"""Least distance of another place from the track, m, from which readings speak for it."""
+
+WILD, READINGS = (0.02, 0.5), 50.0
+"""Least and largest share of wild readings, and the number of readings over which it is estimated."""
+
 
 class Elsewhere(NamedTuple):
-    """The evidence that a tag is at another place, nats, and that place (3,), m."""
+    """The evidence that a tag is at another place, nats, the share of wild readings, and that place (3,), m."""
 
     evidence: Scalar
+    wild: Scalar
     place: Any
 
 
 class TrackScorePolicy(AbstractTrackLoss):
     """Track loss by the evidence for another place, for heavy tails, which bound the NIS, and by the room.
 
-    The other place is where a start in an earlier row would have been. Its evidence is the log-likelihood ratio of the
-    later readings, with the density 1/`width` for the half of them that may be wild on both sides, so that readings
-    which agree with neither decide nothing. Without evidence the place is that of the latest row which suffices for a
-    start (Page's CUSUM test). Beyond `score_limit` nats the track is lost and starts again there. It is also lost where
-    its mean is more than `SIGMAS` standard deviations outside the input `room`. `width`: in the unit of the
-    measurements. `max_gap`: as in `AbstractTrackLoss`.
+    The other place is where a start in the latest row before would have been. Its evidence is the log-likelihood ratio
+    of the readings, with the density 1/`width` on both sides for the share of them that is wild, so that readings which
+    agree with neither decide nothing; it sums up from zero (Page's CUSUM test). The share is estimated from the latest
+    readings. Beyond `score_limit` nats the track is lost; it is also lost where its mean is more than `SIGMAS` standard
+    deviations outside the input `room`. `width`: in the unit of the measurements. `max_gap`: as in `AbstractTrackLoss`.
     """
 
     limit: ClassVar[str] = "score_limit"
@@ -123,7 +128,7 @@ class TrackScorePolicy(AbstractTrackLoss):
     width: Threshold
     max_gap: Threshold
 
-    def __init__(self, width: float, unit: str, score_limit: float = 20.0, max_gap: float = 10.0):
+    def __init__(self, width: float, unit: str, score_limit: float = 8.0, max_gap: float = 10.0):
         self.score_limit, self.width = Threshold(score_limit), Threshold(width, unit)
         self.max_gap = Threshold(max_gap, "s")
 
@@ -133,33 +138,39 @@ class TrackScorePolicy(AbstractTrackLoss):
 
     def initial(self, prior: Gaussian) -> Elsewhere:
         zero = jnp.zeros_like(prior.cov[0])
-        return Elsewhere(zero, jnp.stack([*prior.mean.position, zero][:3]))
+        return Elsewhere(zero, zero + WILD[1], jnp.stack([*prior.mean.position, zero][:3]))
 
-    def after(self, statistic: Elsewhere, innovation: Innovation, row: Row, tracker: Any) -> Elsewhere:
+    def after(self, statistic: Elsewhere, innovation: Innovation, row: Row, tracker: Any, before: Any) -> Elsewhere:
         densities = innovation.log_likelihood, log_density_at(statistic.place, row, tracker)
         here, there = (x + innovation.nis_dof * jnp.log(self.width.value) for x in densities)
-        gain = jax.nn.softplus(there) - jax.nn.softplus(here)
-        # A reading that agrees with the track never speaks against it, however well another place explains it.
-        gain = jnp.where(here > 0.0, jnp.minimum(gain, 0.0), gain) - PRICE
-        evidence = jnp.maximum(statistic.evidence + jnp.where(innovation.nis_dof > 0, gain, 0.0), 0.0)
+        track = tracker.filter.moments(before)[0].position
+        away = total((x - y) ** 2 for x, y in zip(track, statistic.place, strict=False)) > AWAY**2
+        odds = jnp.log(statistic.wild) - jnp.log1p(-statistic.wild)
+        gain = jnp.logaddexp(odds, there) - jnp.logaddexp(odds, here)
+        gain = jnp.where(away, gain, jnp.minimum(gain, 0.0)) - PRICE
+        wild = jax.nn.sigmoid(odds - jnp.maximum(here, there))
+        wild = jnp.clip(statistic.wild + (wild - statistic.wild) / READINGS, *WILD)
+        evidence = jnp.maximum(statistic.evidence + gain, 0.0)
+        seen = innovation.nis_dof > 0
         place = tracker.start.candidate(tracker.sensors, row)
-        unfounded = (evidence <= 0.0) & tracker.start.can_start(row)
-        return jax.lax.stop_gradient(Elsewhere(evidence, jnp.where(unfounded, place, statistic.place)))
+        after = Elsewhere(
+            jnp.where(seen, evidence, statistic.evidence),
+            jnp.where(seen, wild, statistic.wild),
+            jnp.where(tracker.start.can_start(row), place, statistic.place),
+        )
+        return jax.lax.stop_gradient(after)
 
     def exceeded(self, statistic: Elsewhere) -> Scalar:
         return statistic.evidence > self.score_limit.value
 
-    def candidates(self, found: Any, statistic: Elsewhere) -> Any:
-        return jnp.where(self.exceeded(statistic), statistic.place, found)
-
 
 def log_density_at(place: Any, row: Row, tracker: Any) -> Scalar:
-    """The log density of a row's readings of a tag that starts at this place (3,), m."""
+    """The log density of a row's readings, with errors larger by `BLUR`, of a tag that starts at this place (3,), m."""
     view = tracker.motion.view(tracker.start.belief(place, row).mean)
-    return total(
-        sensor.residual(row.readings[name], list(sensor.measure(view, row.inputs))).log_density
-        for name, sensor in tracker.sensors.items()
-    )
+    sensors = tracker.sensors.items()
+    residuals = [s.residual(row.readings[name], list(s.measure(view, row.inputs))) for name, s in sensors]
+    blurred = (r._replace(whitened=[x / BLUR for x in r.whitened]).log_density for r in residuals)
+    return total(x - r.nis_dof * np.log(BLUR) for x, r in zip(blurred, residuals, strict=True))
 
 
 def outside(mean: Any, cov: AnyCovariance, room: Any) -> Scalar:

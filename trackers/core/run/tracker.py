@@ -305,7 +305,7 @@ class Tracker(AbstractTracker):
             finite = jnp.isfinite(compute_once(total(x if x.ndim == 0 else jnp.sum(x) for x in numbers)))
         has_measurement = nis_dof > 0
         innovation = Innovation(log_likelihood, nis, nis_dof, wrapped)
-        statistic = self.track_loss.after(carry.loss_statistic, innovation, row, self)
+        statistic = self.track_loss.after(carry.loss_statistic, innovation, row, self, carry.belief)
         time_since_measurement = carry.time_since_measurement + row.dt
         lost = self.track_loss.exceeded(statistic) | (time_since_measurement > self.track_loss.max_gap.value)
         if ROOM in self.track_loss.inputs and ROOM.name in row.inputs and not self.filter.has_particle_axis:

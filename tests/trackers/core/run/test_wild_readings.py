@@ -1,7 +1,7 @@
 """Wild readings lose no good track, and a lost one is found among them, against a gated EKF in NumPy.
 
 A hall of 10 by 8 m, six anchors ten times a second, a tag on an ellipse. Errors count from `SETTLED_S` on: the first
-ranges are as wild as the others, so that a track may start far away.
+ranges are as wild as the others, so that a track may start far away. Halfway, at `JUMP_S`, the tag may be carried away.
 """
 
 import numpy as np
@@ -10,9 +10,9 @@ import pytest
 import trackwright as tw
 
 ANCHORS = np.array([[0, 0, 2.5], [10, 0, 0.4], [10, 8, 2.5], [0, 8, 0.4], [5, 0, 2.8], [5, 8, 0.3]])
-HEIGHT, SIGMA, DT, EPOCHS = 1.2, 0.06, 0.1, 400
+HEIGHT, SIGMA, DT, EPOCHS = 1.2, 0.06, 0.1, 230
 TIMES = DT * np.arange(EPOCHS)
-SETTLED_S, JUMP_S, JUMP_M, FOUND_S, FOUND_M = 2.0, 20.0, 4.0, 2.0, 0.5
+SETTLED_S, JUMP_S, JUMP_M, FOUND_S, FOUND_M = 2.0, 18.0, 4.0, 2.0, 0.5
 KINDS = ("both signs", "too long", "bursts of an anchor", "one anchor")
 
 
@@ -46,9 +46,9 @@ def _wild(rng, kind, share, shape):
     return wild
 
 
-def _worlds_of(kind, share, worlds, jump=False):
+def _worlds_of(kind, share, worlds, jump=False, batch=0):
     """True positions (worlds, EPOCHS, 2), m, and ranges (worlds, EPOCHS, anchors), m, of which a share is wild."""
-    rng = np.random.default_rng([KINDS.index(kind), int(100 * share), jump])
+    rng = np.random.default_rng([KINDS.index(kind), int(100 * share), jump, batch])
     path = _paths(rng, worlds, jump)
     exact = np.hypot(np.linalg.norm(path[:, :, None] - ANCHORS[:, :2], axis=3), HEIGHT - ANCHORS[:, 2])
     ranges = exact + SIGMA * rng.normal(size=exact.shape)
@@ -90,15 +90,15 @@ def _tracked(path, ranges):
     return np.linalg.norm(position - path, axis=2), restarted
 
 
-def _rates(kind, share, worlds):
+def _rates(kind, share, worlds, batch):
     """Median over worlds of RMSE over the gated EKF's, the share of good tracks lost, and of lost ones not found."""
-    path, ranges = _worlds_of(kind, share, worlds)
-    errors, restarted = (x[:, TIMES >= SETTLED_S] for x in _tracked(path, ranges))
-    gated = _gated_errors(path, ranges)[:, TIMES >= SETTLED_S]
-    ratio = np.median(np.sqrt(np.mean(errors**2, axis=1))) / np.median(np.sqrt(np.mean(gated**2, axis=1)))
-    after, _ = _tracked(*_worlds_of(kind, share, worlds, jump=True))
-    found = after[:, round((JUMP_S + FOUND_S) / DT)] < FOUND_M
-    return float(ratio), float(restarted.any(axis=1).mean()), float(1 - found.mean())
+    path, ranges = _worlds_of(kind, share, worlds, jump=True, batch=batch)
+    errors, restarted = _tracked(path, ranges)
+    good = slice(round(SETTLED_S / DT), round(JUMP_S / DT))
+    gated = _gated_errors(path, ranges)[:, good]
+    ratio = np.median(np.sqrt(np.mean(errors[:, good] ** 2, axis=1))) / np.median(np.sqrt(np.mean(gated**2, axis=1)))
+    found = errors[:, round((JUMP_S + FOUND_S) / DT)] < FOUND_M
+    return float(ratio), float(restarted[:, good].any(axis=1).mean()), float(1 - found.mean())
 
 
 @pytest.mark.parametrize(("kind", "share"), [("both signs", 0.4), ("too long", 0.3)])
@@ -117,12 +117,13 @@ def test_a_track_that_jumps_by_4_m_among_wild_ranges_is_found_within_2_s():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.4, 0.5])
 @pytest.mark.parametrize("kind", KINDS)
-def test_few_of_200_good_tracks_are_lost_and_few_lost_ones_not_found(kind, share):
-    ratio, lost, unfound = _rates(kind, share, 200)
-    print(f"{kind:20s} {share:.1f} RMSE over the gated EKF's {ratio:.2f}, lost {lost:.1%}, not found {unfound:.1%}")
-    limit = 0.03 if share < 0.45 else 0.15
-    assert ratio <= (1.3 if share < 0.45 else 2.0)
-    assert lost <= limit
-    assert unfound <= limit
+def test_few_of_200_good_tracks_are_lost_and_few_lost_ones_not_found(kind):
+    for share in (0.1, 0.3, 0.5):
+        rates = np.mean([_rates(kind, share, 50, batch) for batch in range(4)], axis=0)
+        ratio, lost, unfound = rates
+        print(f"{kind:20s} {share:.1f} RMSE over the gated EKF's {ratio:.2f}, lost {lost:.1%}, not found {unfound:.1%}")
+        # Half the anchors wild for a second each leave too few readings to a tracker of any kind.
+        assert ratio <= (2.0 if kind == "bursts of an anchor" and share == 0.5 else 1.3)
+        assert lost <= 0.03
+        assert unfound <= (0.03 if share < 0.5 else 0.15)
