@@ -128,7 +128,7 @@ class ElsewherePolicy(AbstractTrackLoss):
     def initial(self, prior: Gaussian) -> Scalar:
         return jnp.full_like(prior.cov[0], 0.75)
 
-    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any) -> Scalar:
+    def after(self, statistic: Scalar, innovation: Innovation, row: Row, tracker: Any, before: Any) -> Scalar:
         _, densities, peak = log_densities(tracker.motion.line, self.points, tracker.sensors, row)
         anywhere = jnp.maximum(logsumexp(densities) - np.log(self.points), peak - FLOOR)
         ratio = jax.lax.stop_gradient(anywhere - jnp.maximum(innovation.log_likelihood, peak - FLOOR))
