@@ -27,7 +27,7 @@ from trackwright.experiments.cli.archive_part import (
 )
 from trackwright.experiments.cli.archive_tables import Refusals, Run, compared, gathered, read_results, write_results
 from trackwright.experiments.cli.console import json_alone, output_folder, ready
-from trackwright.experiments.cli.evaluating import COMPARISON, code_of, conditions
+from trackwright.experiments.cli.evaluating import COMPARISON, code_of, condition_of
 from trackwright.experiments.cli.options import EvaluateOptions, TrackOptions
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tracking import endings, tracker_names, write_shown
@@ -250,7 +250,7 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
     if fail_if is not None:
         first = tracked.folder(paths[0])
         for outcome in tracked.read(first)["outcomes"]:
-            conditions(fail_if, metric_names(read_tracks(first / outcome["short"])))
+            condition_of(fail_if, metric_names(read_tracks(first / outcome["short"])))
     scoring = Scoring(options.used.part, tracked)
     with held(out), json_alone(options.json) as put, stages("evaluate") as begin:
         done, refused = _run("evaluated", store, paths, scoring, options.cluster, begin("scoring", len(paths)))

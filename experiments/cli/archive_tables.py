@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ import polars as pl
 from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.archive_part import RecordingStore
 from trackwright.experiments.pages.reports.comparison import BEARING_NAMES, Contrast, Table, adjusted, difference_table
-from trackwright.experiments.text.evaluation_text import json_pieces
+from trackwright.experiments.text.evaluation_text import to_json
 from trackwright.experiments.text.wording import Unit, fixed, length_unit
 from trackwright.trackers.core.errors import UnusableInput, has_control, one_line
 from trackwright.trackers.core.wording import counted
@@ -36,45 +36,6 @@ Refusals = dict[Path, list[str]]
 SHOWN = tuple(name for name in METRICS if "3d" not in name)
 """The metrics that are compared, those of the error first."""
 
-BLOCK = 256
-"""Rows that are held as dictionaries before they become columns."""
-
-
-class Rows(Sequence[dict[str, Any]]):
-    """Rows that are appended one by one; a value that a row lacks is None."""
-
-    def __init__(self, frame: pl.DataFrame | None = None) -> None:
-        self._blocks = [] if frame is None else [frame]
-        self._latest: list[Mapping[str, Any]] = []
-
-    def append(self, row: Mapping[str, Any]) -> None:
-        """Adds a row."""
-        self._latest.append(row)
-        if len(self._latest) == BLOCK:
-            self._pack()
-
-    def _pack(self) -> None:
-        self._blocks.append(pl.DataFrame(self._latest, infer_schema_length=None))
-        self._latest = []
-
-    @property
-    def frame(self) -> pl.DataFrame:
-        """All rows as a table."""
-        if self._latest or not self._blocks:
-            self._pack()
-        if len(self._blocks) > 1:
-            self._blocks = [pl.concat(self._blocks, how="diagonal_relaxed", rechunk=True)]
-        return self._blocks[0]
-
-    def __len__(self) -> int:
-        return len(self.frame)
-
-    def __getitem__(self, index: Any) -> Any:
-        return self.frame[index].to_dicts() if isinstance(index, slice) else self.frame.row(index, named=True)
-
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        return self.frame.iter_rows(named=True)
-
 
 @dataclass
 class Run:
@@ -87,8 +48,8 @@ class Run:
     short: str
     bearing: bool
     scores: Scores | None = None
-    recordings: Rows = field(default_factory=Rows)
-    tracks: Rows = field(default_factory=Rows)
+    recordings: list[dict[str, Any]] = field(default_factory=list)
+    tracks: list[dict[str, Any]] = field(default_factory=list)
     paths: dict[str, Path] = field(default_factory=dict)
     folders: dict[str, Path] = field(default_factory=dict)
     endings: Counter[str] = field(default_factory=Counter)
@@ -99,27 +60,20 @@ class Run:
         self.scores = scores if self.scores is None else self.scores + scores
         self.paths[name], self.folders[name] = path, folder
         self.recordings.append(summary["metrics"])
-        for track in summary["tracks"]:
-            self.tracks.append(track)
+        self.tracks += summary["tracks"]
         self.endings.update(summary["endings"])
 
     @property
     def evaluation(self) -> Evaluation:
         """The metrics over all rows, of each recording and of each track, both by name."""
         assert self.scores is not None
-        recordings, tracks = self.recordings.frame.sort("recording"), self.tracks.frame
-        keys = [name for name in ("recording", "tag", "station") if name in tracks.columns]
-        return Evaluation(self.bearing, MetricRows(self.scores)[0], Rows(recordings), Rows(tracks.sort(keys)))
+        overall = MetricRows(self.scores)[0]
+        return Evaluation(self.bearing, overall, by_name(self.recordings), by_name(self.tracks))
 
     def write(self, out: Path) -> Evaluation:
         """Writes the metrics into the folder `out` and returns them."""
         evaluation = self.evaluation
-
-        def write(path: Path) -> None:
-            with path.open("w", encoding="utf-8") as file:
-                file.writelines(json_pieces(evaluation))
-
-        atomic_write(out / EVALUATION, write)
+        atomic_write(out / EVALUATION, lambda path: path.write_text(to_json(evaluation), encoding="utf-8"))
         return evaluation
 
     def write_sources(self, out: Path) -> None:
@@ -138,15 +92,22 @@ class Run:
         return int(pl.scan_parquet(path).select(pl.len()).collect().item())
 
 
+def by_name(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The rows sorted by their names; a value that a row lacks is None."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    keys = [name for name in ("recording", "tag", "station") if name in names]
+    return sorted(({name: row.get(name) for name in names} for row in rows), key=lambda row: [row[k] for k in keys])
+
+
 def gathered(
     store: RecordingStore, paths: Sequence[Path], done: Container[Path], refused: Refusals
-) -> tuple[list[Run], Rows, int]:
+) -> tuple[list[Run], list[dict[str, Any]], int]:
     """The runs by tracker, the rows of the table of results, and how many recordings have notices.
 
     Of what is stored of the recordings at `paths`, in this order.
     """
     runs: dict[str, Run] = {}
-    rows = Rows()
+    rows: list[dict[str, Any]] = []
     noticed = 0
     for path in paths:
         whole = str(path.resolve())
@@ -164,14 +125,13 @@ def gathered(
                 | {"endings": endings, **metrics, "notices": "; ".join(kept["notices"]), "refused": None}
             )
         noticed += bool(kept["notices"])
-        for line in refused.get(path, ()):
-            rows.append({"path": whole, "refused": line})
+        rows += [{"path": whole, "refused": line} for line in refused.get(path, ())]
     return list(runs.values()), rows, noticed
 
 
-def write_results(out: Path, rows: Rows) -> None:
+def write_results(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Writes the table of results, names first and texts last."""
-    table = rows.frame
+    table = pl.DataFrame(rows, infer_schema_length=None)
     metrics = [name for name in table.columns if name not in (*NAMES, *TEXTS)]
     atomic_write(out / RESULTS, table.select(*NAMES, *metrics, *TEXTS).write_csv)
 
@@ -231,7 +191,9 @@ def compared(runs: Sequence[Run]) -> list[Table]:
 def _common(runs: Sequence[Run], metric: str) -> np.ndarray:
     """The metric (k, n) of the k trackers in the n recordings in which all have it."""
     frames = [
-        run.recordings.frame.select("recording", pl.col(metric).cast(pl.Float64).alias(str(k)))
+        pl.DataFrame(run.recordings, infer_schema_length=None).select(
+            "recording", pl.col(metric).cast(pl.Float64).alias(str(k))
+        )
         for k, run in enumerate(runs)
     ]
     joined = frames[0]

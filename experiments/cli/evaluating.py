@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import operator
-import re
 import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import polars as pl
 
@@ -20,7 +17,7 @@ from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import notice
 from trackwright.experiments.text.wording import figures_drawn
 from trackwright.trackers.core.errors import UnusableInput, near
-from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics, associate, evaluate, metric_names
+from trackwright.trackers.evaluation.evaluate import Evaluation, associate, evaluate, metric_names
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.checks.units import check_units
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -41,18 +38,6 @@ DEFAULT_TOLERANCE = 0.01
 FILE_TAG = "1"
 """Tag of a truth in a file that names none."""
 
-COMPARISONS = {
-    "<=": operator.le,
-    ">=": operator.ge,
-    "==": operator.eq,
-    "!=": operator.ne,
-    "<": operator.lt,
-    ">": operator.gt,
-}
-CONDITION = re.compile(
-    r"\s*([A-Za-z]\w*)\s*(<=|>=|==|!=|<|>)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*", re.ASCII
-)
-
 
 def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     """Evaluates an output folder of `track`, prints the errors and writes evaluation.json; the exit code."""
@@ -60,7 +45,7 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     tracks = part.of_estimates(read_tracks(folder))
     folders = read_with_notices(options.truth or sources(folder))
     if options.fail_if is not None:
-        conditions(options.fail_if, metric_names(tracks))
+        condition_of(options.fail_if, metric_names(tracks))
     evaluation = evaluate(tracks, folders, part.every)
     text = to_json(evaluation)
     atomic_write(folder / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
@@ -167,7 +152,7 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
 
     steps = poses.rpe or DEFAULT_STEPS
     if options.fail_if is not None:
-        conditions(options.fail_if, [*metric_names(tracks), *pooled_names(steps)])
+        condition_of(options.fail_if, [*metric_names(tracks), *pooled_names(steps)])
     align = poses.align or "none"
     tolerance = DEFAULT_TOLERANCE if poses.time_tolerance is None else poses.time_tolerance
     moved, compared = compare_tracks(tracks, truths, align, offset, tolerance, steps, poses.all_pairs)
@@ -235,59 +220,37 @@ def _write(
     return f"wrote {out}: {PAGE}, {EVALUATION}, {TRACKS} as compared, and {figures_drawn(plot_tracks(out, scored))}"
 
 
-class Condition(NamedTuple):
-    """A metric, one of `COMPARISONS` and a number, all as text."""
+def condition_of(expression: str, names: Sequence[str]) -> pl.Expr:
+    """The condition of an expression of SQL, as `p95_m>0.5 or lost_s>0`; raises UnusableInput for no such one.
 
-    name: str
-    sign: str
-    number: str
-
-
-def conditions(expression: str, names: Sequence[str]) -> list[list[Condition]]:
-    """The conditions of an expression, NAME OPERATOR NUMBER joined by `and` and `or`: alternatives of all that hold.
-
-    Raises UnusableInput for any other expression, and for a name that is none of the `names` of metrics.
+    `names`: of the metrics that there are.
     """
-    return [
-        [_condition(part, expression, names) for part in re.split(r"\band\b", alternative)]
-        for alternative in re.split(r"\bor\b", expression)
-    ]
-
-
-def violation(evaluation: Evaluation, expression: str) -> str | None:
-    """The conditions that hold, such as `p95_m is 0.62 > 0.5`; None if the expression is false of the overall metrics.
-
-    Raises UnusableInput as `conditions`, and for a metric without a value, which must not pass.
-    """
-    true = []
-    for alternative in conditions(expression, list(evaluation.overall)):
-        parts = [_check(evaluation.overall, part, expression) for part in alternative]
-        if all(holds for holds, _ in parts):
-            true.append(" and ".join(text for _, text in parts))
-    return "; ".join(true) or None
-
-
-def _condition(text: str, expression: str, names: Sequence[str]) -> Condition:
-    match = CONDITION.fullmatch(text)
-    if match is None:
-        raise UnusableInput(
-            f"--fail-if '{expression}': cannot read '{text.strip()}'; expected NAME OPERATOR NUMBER joined by "
-            f"and, or, e.g. p95_m>0.5; names: {', '.join(names)}"
-        )
-    condition = Condition(*match.groups())
-    if condition.name not in names:
-        raise UnusableInput(
-            f"--fail-if '{expression}': no metric '{condition.name}'{near(condition.name, names)}; "
-            f"names: {', '.join(names)}"
-        )
+    where, used, problem = f"--fail-if '{expression}'", list[str](), "is no condition on metrics"
+    try:
+        condition = pl.sql_expr(expression)
+        used = condition.meta.root_names()
+        fits = pl.DataFrame({name: [0.0] for name in used}).select(condition).dtypes == [pl.Boolean] and used
+    except pl.exceptions.PolarsError as error:
+        fits, problem = False, f"cannot be read ({str(error).splitlines()[0]})"
+    if unknown := [name for name in used if name not in names]:
+        raise UnusableInput(f"{where}: no metric '{unknown[0]}'{near(unknown[0], names)}; names: {', '.join(names)}")
+    if not fits:
+        fix = f"expected NAME OPERATOR NUMBER joined by and, or, e.g. p95_m>0.5; names: {', '.join(names)}"
+        raise UnusableInput(f"{where}: {problem}; {fix}")
     return condition
 
 
-def _check(overall: Metrics, condition: Condition, expression: str) -> tuple[bool, str]:
-    name, sign, number = condition
-    if overall[name] is None:
+def violation(evaluation: Evaluation, expression: str) -> str | None:
+    """The condition and the metrics in it, None if it is false of the overall metrics.
+
+    Raises UnusableInput as `condition_of`, and for a metric without a value, which must not pass.
+    """
+    condition, overall = condition_of(expression, list(evaluation.overall)), evaluation.overall
+    values = {name: overall[name] for name in condition.meta.root_names()}
+    if lacking := [name for name, value in values.items() if value is None]:
         present = ", ".join(key for key, value in overall.items() if value is not None)
-        raise UnusableInput(
-            f"--fail-if '{expression}': '{name}' has no value for these tracks; metrics with a value: {present}"
-        )
-    return COMPARISONS[sign](overall[name], float(number)), f"{name} is {overall[name]:.6g} {sign} {number}"
+        words = f"'{lacking[0]}' has no value for these tracks; metrics with a value: {present}"
+        raise UnusableInput(f"--fail-if '{expression}': {words}")
+    if not pl.DataFrame([values]).select(condition).item():
+        return None
+    return f"{expression} ({', '.join(f'{name} is {value:.6g}' for name, value in values.items())})"

@@ -330,7 +330,6 @@ class SweepOptions(TrackerOptions):
         weigh: recordings or rows: which of them have the same weight.
         repeats: runs of a particle filter per value, with different random numbers.
         noise: a tuned.toml for the other parameters.
-        path: an output folder of `tune`, or its trace.csv, to draw as optimiser trace.
         piece_rows: rows of the segments into which long recordings are cut, as in `tune`.
         format: of the figure, sweep.png or sweep.pdf.
         json: print the best point as JSON instead of a line.
@@ -342,7 +341,6 @@ class SweepOptions(TrackerOptions):
     weigh: Literal["recordings", "rows"] = "recordings"
     repeats: int = 10
     noise: File | None = None
-    path: Folder | None = None
     piece_rows: int = 8000
     format: FigureFormat = "png"
     json: bool = False

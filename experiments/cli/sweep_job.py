@@ -48,7 +48,6 @@ def sweep_folders(
         points = grid_vectors(parameters, list(grids.values()))
     except ValueError as error:
         raise UnusableInput(f"--over {' --over '.join(options.over)}: {_with_hint(str(error))}") from error
-    traces = [] if options.path is None else [_trace(options.path, [p.label for p in parameters])]
     output_folder(out)
     runs = options.repeats if is_stochastic(model) else 1
     advance = begin("grid point", len(points) * runs)
@@ -60,7 +59,7 @@ def sweep_folders(
     _write(out / "sweep.csv", swept, objective)
     unit = "rad" if group.trajectories[0].station else "m"
     drawn = out / f"sweep.{options.format}"
-    sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective, traces)
+    sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective)
     result = {
         "best": swept.best,
         "least": float(swept.mean[swept.best_index]),
@@ -87,24 +86,6 @@ def _write(path: Path, swept: Sweep, objective: str) -> None:
         columns["spread"] = swept.spread.ravel()
         columns |= {f"repeat_{k + 1}": values.ravel() for k, values in enumerate(swept.values)}
     atomic_write(path, pl.DataFrame(columns).fill_nan(None).write_csv)
-
-
-def _trace(path: Path, labels: list[str]) -> np.ndarray:
-    """The optimiser trace of a fit in the swept parameters; raises UnusableInput."""
-    file = path / "trace.csv" if path.is_dir() else path
-    try:
-        table = pl.read_csv(file)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        raise UnusableInput(
-            f"--path {path}: cannot be read; expected an output folder of `tune`, or its trace.csv"
-        ) from error
-    lacking = [label for label in labels if label not in table.columns]
-    if lacking:
-        raise UnusableInput(
-            f"--path {file}: has no column {', '.join(lacking)}; its columns: {', '.join(table.columns)}; sweep "
-            "the tuned parameters by the same names"
-        )
-    return table.select(pl.col(labels).cast(pl.Float64)).to_numpy()
 
 
 def _summary(swept: Sweep, objective: str, unit: str, seconds: float) -> str:

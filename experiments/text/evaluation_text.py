@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -52,19 +51,6 @@ def content(evaluation: Evaluation) -> dict[str, Any]:
         "recordings": evaluation.recordings,
         "tracks": evaluation.tracks,
     }
-
-
-def json_pieces(evaluation: Evaluation) -> Iterator[str]:
-    """As `to_json`, of any number of recordings: in pieces, a line for each recording and track."""
-    parts = content(evaluation)
-    rows = {name: parts.pop(name) for name in ("recordings", "tracks")}
-    yield json_text(parts).removesuffix("\n}\n")
-    for name, entries in rows.items():
-        yield f',\n  "{name}": ['
-        for k, row in enumerate(entries):
-            yield f"{',' if k else ''}\n    {json.dumps(row, ensure_ascii=False, allow_nan=False)}"
-        yield "\n  ]"
-    yield "\n}\n"
 
 
 def to_text(evaluation: Evaluation, width: int = 120) -> str:

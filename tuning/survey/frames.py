@@ -1,4 +1,4 @@
-"""Frames of surveyed anchors: that of given ones, and one that three of them define."""
+"""The frame of surveyed anchors, on which side of the walks they stand, and how well they are determined."""
 
 from __future__ import annotations
 
@@ -6,32 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.tuning.survey.solving import Prior, Solution
-from trackwright.tuning.survey.walks import Walk
+from trackwright.tuning.survey.solving import Prior, Solution, equations, tags
+from trackwright.tuning.survey.starts import descended, likelier, seen_from
+from trackwright.tuning.survey.walks import LEVEL, Walk
 
-EXACT = 1e-3
-"""Standard deviation, m, below which a given position counts as exact."""
-
-ASIDE = 0.1
-"""Least distance of a frame's third anchor from the line through the others, as a share of their distance."""
-
-
-def require_frame(places: np.ndarray, given: Sequence[str]) -> None:
-    """Raises UnusableInput where given positions leave a rotation or a mirror image over the floor."""
-    if len(places) < 3 or np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[1] < 0.1:
-        words = "leave a rotation about their line; expected three that are not in one; give more"
-        raise UnusableInput(f"given {','.join(given)}: {words}")
-
-
-def _moved(walks: Sequence[Walk], solution: Solution, turn: np.ndarray, shift: np.ndarray) -> Solution:
-    """The solution turned, or mirrored, by a matrix (3, 3) and shifted (3,)."""
-    anchors = np.column_stack([solution.anchors[:, :3] @ turn.T + shift, solution.anchors[:, 3]])
-    paths = [path @ turn[: w.dimensions, : w.dimensions].T + shift[: w.dimensions]
-             for w, path in zip(walks, solution.paths, strict=True)]  # fmt: skip
-    return replace(solution, anchors=anchors, paths=paths)
+EXACT, ASIDE, UNLIKELY = 1e-3, 0.1, 4.0
+"""Deviation of exact positions, m; a frame's least height over base; ratio of log-likelihoods that excludes a place."""
 
 
 def aligned(points: np.ndarray, onto: np.ndarray, d: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -50,86 +33,113 @@ def aligned(points: np.ndarray, onto: np.ndarray, d: int) -> list[tuple[np.ndarr
     return moves
 
 
-def onto(
-    walks: Sequence[Walk],
-    solution: Solution,
-    known: np.ndarray,
-    fixed: Sequence[int],
-    sigma: float,
-    flat: bool,
-    prior: Prior,
-) -> tuple[Solution, Prior]:
-    """The solution among the given anchors, and their prior density beside that of delays, exact ones fixed."""
-    mean, precision, free = prior.mean.copy(), prior.precision.copy(), prior.free.copy()
-    moves = aligned(solution.anchors[fixed, :3], known[fixed], 2 if flat else 3)
-    # Of mirror images, that with the tags below the given anchors.
-    placed = min((_moved(walks, solution, *move) for move in moves), key=lambda s: tags(walks, s)[:, 2].mean())
-    anchors = placed.anchors.copy()
-    for k in fixed:
-        at = slice(4 * k, 4 * k + 3)
-        mean[at] = known[k]
-        if sigma < EXACT:
-            free[at], anchors[k, :3] = False, known[k]
-        else:
-            precision[at, at] = np.eye(3) / sigma**2
-    return replace(placed, anchors=anchors), Prior(mean, precision, free)
-
-
-def tags(walks: Sequence[Walk], solution: Solution) -> Float[np.ndarray, "n 3"]:
-    """The positions of the tags, m, in all walks."""
-    return np.concatenate([walk.positions(path) for walk, path in zip(walks, solution.paths, strict=True)])
-
-
-def axes(names: Sequence[str], frame: Sequence[str], anchors: np.ndarray, d: int) -> list[int]:
-    """The anchors of the frame: those named, or the first two and the next one aside; refused in a line."""
-    thirds = [names.index(frame[2])] if frame else range(2, len(names))
+def triangle(names: Sequence[str], frame: Sequence[str], anchors: np.ndarray, d: int) -> tuple[list[int], np.ndarray]:
+    """The anchors of the frame, those named, or the first two and the next aside, and their places (3, 3) in it, m."""
     a, b = (names.index(name) for name in (frame or names)[:2])
-    ahead = (anchors[b] - anchors[a])[:d]
-    for c in thirds:
-        aside = (anchors[c] - anchors[a])[:d]
-        off = np.linalg.norm(aside - ahead * (aside @ ahead) / (ahead @ ahead))
-        if off > ASIDE * np.linalg.norm(ahead):
-            return [a, b, c]
+    length = np.linalg.norm((anchors[b] - anchors[a])[:d])
+    for c in [names.index(frame[2])] if frame else range(2, len(names)):
+        ahead = (anchors[c] - anchors[a])[:d] @ (anchors[b] - anchors[a])[:d] / length
+        aside = np.sqrt(max(((anchors[c] - anchors[a])[:d] ** 2).sum() - ahead**2, 0.0))
+        if aside > ASIDE * length:
+            return [a, b, c], np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0], [ahead, aside, 0.0]])
     words = ", ".join(frame or names)
     raise UnusableInput(f"{words}: stand in a line; expected three anchors that do not; give others as --frame")
 
 
-def frame_of(
-    anchors: Float[np.ndarray, "3 3"], tags: Float[np.ndarray, "n 3"], flat: bool
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
-    """The rotation or reflection and the shift into the frame of three anchors, m, with tags below them.
-
-    The first is the origin, the second on the x axis, the third to its left. `flat`: heights stay; otherwise the three
-    have height 0.
-    """
-    d = 2 if flat else 3
-    origin = anchors[0]
-    ahead, aside = ((point - origin)[:d] for point in anchors[1:])
-    x = ahead / np.linalg.norm(ahead)
-    y = aside - x * (aside @ x)
-    y /= np.linalg.norm(y)
-    turn, shift = np.eye(3), np.zeros(3)
-    turn[:d, :d] = np.stack([x, y] if flat else [x, y, np.cross(x, y)])
-    if not flat and ((tags - origin) @ turn[2]).mean() > 0:
-        turn[2] *= -1.0
-    shift[:d] = -turn[:d, :d] @ origin[:d]
-    return turn, shift
-
-
 def framed(
-    walks: Sequence[Walk], solution: Solution, names: Sequence[str], frame: Sequence[str], flat: bool, prior: Prior
-) -> tuple[Solution, Prior, list[str]]:
-    """The solution in the frame of three anchors, the prior with the coordinates that it fixes, and assumptions."""
-    chosen = axes(names, frame, solution.anchors[:, :3], 2 if flat else 3)
-    turn, shift = frame_of(solution.anchors[chosen, :3], tags(walks, solution), flat)
-    free = prior.free.copy().reshape(-1, 4)
-    for k, first, last in zip(chosen, (0, 1, 2), (2, 2, 2) if flat else (3, 3, 3), strict=True):
-        free[k, first:last] = False
-    moved = _moved(walks, solution, turn, shift)
-    notes = []
-    if not flat:
-        notes.append("the mirror image of all, z as -z, fits as well; tags are assumed below the frame's anchors")
-    if not frame:
-        words = ", ".join(names[k] for k in chosen)
-        notes.append(f"frame: {words}: origin, x axis, and to the left of it; --given or --frame choose another")
-    return replace(moved, anchors=np.where(free, moved.anchors, 0.0)), replace(prior, free=free.ravel()), notes
+    walks: Sequence[Walk], solution: Solution, prior: Prior, names: Sequence[str], known: np.ndarray,
+    given: Sequence[str], sigma: float, frame: Sequence[str],
+) -> tuple[Solution, Prior, list[str]]:  # fmt: skip
+    """The solution among the given anchors or in the frame of three, the prior with what that fixes, and assumptions.
+
+    `known` (A, 3): positions, m, of the given ones, of standard deviation `sigma`, m.
+    """
+    flat, anchors = any(walk.height is not None for walk in walks), solution.anchors[:, :3]
+    d, free, mean, precision = 2 if flat else 3, prior.free.reshape(-1, 4).copy(), prior.mean.copy(), prior.precision
+    target, notes = known.copy(), []
+    if given:
+        chosen = [names.index(name) for name in given]
+        places = known[chosen]
+        if len(places) < 3 or np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[1] < 0.1:
+            words = "leave a rotation about their line; expected three that are not in one; give more"
+            raise UnusableInput(f"given {','.join(given)}: {words}")
+        free[chosen, :3] = sigma >= EXACT
+        stated = np.isin(np.arange(len(mean)) // 4, chosen) & (np.arange(len(mean)) % 4 < 3)
+        mean[stated], precision = places.ravel(), precision + np.diag(stated / max(sigma, EXACT) ** 2)
+    else:
+        chosen, places = triangle(names, frame, anchors, d)
+        target[chosen] = places
+        for k, first in zip(chosen, range(3), strict=True):
+            free[k, first:d] = False
+        if not flat:
+            notes.append("the mirror image of all, z as -z, fits as well; tags are assumed below the frame's anchors")
+        if not frame:
+            words = ", ".join(names[k] for k in chosen)
+            notes.append(f"frame: {words}: origin, x axis, and to the left of it; --given or --frame choose another")
+    placed = []
+    for turn, shift in aligned(anchors[chosen], target[chosen], d):
+        moved = solution.anchors.copy()
+        moved[:, :3] = np.where(free[:, :3], anchors @ turn.T + shift, target)
+        turns = zip(walks, solution.paths, strict=True)
+        paths = [path @ turn[: w.dimensions, : w.dimensions].T + shift[: w.dimensions] for w, path in turns]
+        placed.append(replace(solution, anchors=moved, paths=paths))
+    # Of mirror images, that with the tags below the anchors.
+    best = min(placed, key=lambda s: tags(walks, s)[:, 2].mean())
+    return best, Prior(mean, precision, free.ravel()), notes
+
+
+def sided(
+    walks: Sequence[Walk], solution: Solution, known: np.ndarray, free: Bool[np.ndarray, "A 4"], effect: float
+) -> tuple[Solution, Bool[np.ndarray, " A"]]:
+    """The solution with anchors on the likely side of the walk's plane, and of which the other side fits as well.
+
+    That side is where the rig has an anchor, `known` (A, 3), NaN where it does not, and otherwise above. Anchors whose
+    heights are not `free` have no other side.
+    """
+    at = tags(walks, solution)
+    centre = at.mean(axis=0)
+    normal = np.linalg.svd(at[:: max(1, len(at) // 2000)] - centre, full_matrices=False)[2][-1]
+    anchors, mirrored = solution.anchors.copy(), np.zeros(len(solution.anchors), bool)
+    for k in np.flatnonzero(free[:, 2]).tolist():
+        anchor = solution.anchors[k, :3]
+        offset = (anchor - centre) @ normal
+        image = descended(anchor[None] - 2.0 * offset * normal, *seen_from(walks, solution, k))[0]
+        if ((image - centre) @ normal) * offset >= 0.0 or likelier(walks, solution, k, image) <= -UNLIKELY * effect:
+            continue
+        other, mirrored[k] = image[2] > anchor[2], True
+        if np.isfinite(known[k, 2]):
+            side = np.abs(known[k, 2] - [anchor[2], image[2]])
+            other, mirrored[k] = side[1] < side[0], abs(known[k, 2] - centre[2]) < side.min()
+        if other:
+            anchors[k, :3] = np.where(free[k, :3], image, anchor)
+    return replace(solution, anchors=anchors), mirrored
+
+
+def covariance_of(walks: Sequence[Walk], solution: Solution, prior: Prior, effect: float) -> Float[np.ndarray, "U U"]:
+    """The covariance of what is free."""
+    free, heights, anchors = np.flatnonzero(prior.free), [walk.height for walk in walks], solution.anchors.copy()
+    if heights[0] is not None and len({*heights}) == 1:
+        # Ranges see the square of a height over the walk, whose derivative by that height vanishes at zero.
+        over = anchors[:, 2] - heights[0]
+        anchors[:, 2] = heights[0] + np.copysign(np.maximum(np.abs(over), LEVEL), over)
+    system = equations(walks, replace(solution, anchors=anchors), expected=True).system
+    covariance = np.zeros_like(system)
+    # A standard deviation of a kilometre for what nothing determines.
+    precision = (system / effect + prior.precision)[np.ix_(free, free)] + 1e-6 * np.eye(len(free))
+    covariance[np.ix_(free, free)] = np.linalg.inv(precision)
+    return covariance
+
+
+def between(minima: Sequence[Solution], effect: float, d: int) -> Float[np.ndarray, " U"]:
+    """The variances, m², of the unknowns by the distances between minima of the cost that are about equally likely.
+
+    `d`: the coordinates of the frame; images above and below a known height of tags `mirrored` states.
+    """
+    best, variances = minima[0].anchors, np.zeros_like(minima[0].anchors)
+    for other in (x.anchors for x in minima if (x.cost - minima[0].cost) / effect < UNLIKELY):
+        moves = aligned(other[:, :3], best[:, :3], d)
+        aways = [(other[:, :3] @ turn.T + shift - best[:, :3])[:, :d] for turn, shift in moves]
+        squares = min(((away**2).sum(axis=1) for away in aways), key=lambda x: float(x.sum()))
+        variances[:, :d] = np.maximum(variances[:, :d], squares[:, None])
+        variances[:, 3] = np.maximum(variances[:, 3], (other[:, 3] - best[:, 3]) ** 2)
+    return variances.ravel()

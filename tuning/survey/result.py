@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import ClassVar
 
 import numpy as np
@@ -22,6 +23,9 @@ COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1
 DETERMINED, WEAK, UNSEEN = 0.25, 1.0, 100.0
 """Half-widths of 95 % intervals, m: the largest of determined and of weak coordinates, the least of unseen ones."""
 
+DELAY_DETERMINED = 0.7 * NORMAL * np.hypot(COMMON_DELAY, OWN_DELAY)
+"""Half-width of the 95 % interval, m, with which ranges determine a delay better than what was known before."""
+
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Survey:
@@ -29,10 +33,9 @@ class Survey:
 
     `names` (A,); `positions` (A, 3) m; `delays` (A,) m; `covariance` (4A, 4A), m²: of x, y, z and delay of each anchor
     in turn, zero where the frame or exact values fix them. `mirrored` (A,): whether the mirror image of the anchor on
-    the other side of the walk's plane fits as well. `scales`, `rms`, m, and `readings` (A,): of errors. `densities`
-    (walks,): of the tags' accelerations, m²/s³. `effect`: by how much errors that last widen variances. `paths`:
-    positions (n, 3), m, of the tag in each walk. `rig`: that of the first recording with these anchors, rounded to
-    0.1 mm. `notes`: what was assumed, a line each.
+    the other side of the walk's plane fits as well. `rms`, m, and `readings` (A,): of errors. `effect`: by how much
+    errors that last widen variances. `paths`: positions (n, 3), m, of the tag in each walk. `rig`: that of the first
+    recording with these anchors, rounded to 0.1 mm. `notes`: what was assumed, a line each.
     """
 
     names: tuple[str, ...]
@@ -40,8 +43,6 @@ class Survey:
     delays: Float[np.ndarray, " A"]
     covariance: Float[np.ndarray, "U U"]
     mirrored: Bool[np.ndarray, " A"]
-    scales: Float[np.ndarray, " A"]
-    densities: Float[np.ndarray, " walks"]
     rms: Float[np.ndarray, " A"]
     readings: Int[np.ndarray, " A"]
     effect: float
@@ -60,56 +61,39 @@ class Survey:
         """The covariance of position and delay of anchor number `k`, m²."""
         return self.covariance[4 * k : 4 * k + 4, 4 * k : 4 * k + 4]
 
-    @property
-    def delay_determined(self) -> Bool[np.ndarray, " A"]:
-        """Whether the ranges determine a delay better than what was known before."""
-        return self.half_widths[:, 3] < 0.7 * NORMAL * np.hypot(COMMON_DELAY, OWN_DELAY)
-
-    def determined(self, name: str) -> tuple[bool, bool]:
-        """Whether x and y, and whether the height of an anchor are determined; raises UnusableInput for others."""
-        flat, height = self._extents(self._number(name))
-        return flat <= DETERMINED, height <= DETERMINED
-
     def verdict(self, name: str) -> str:
-        """Whether an anchor is determined, and otherwise what walk would determine it; raises as `determined`."""
-        k = self._number(name)
-        third = "above or below the walk" if self.mirrored[k] else "height"
-        doubts = list(zip(self._extents(k), ("x, y", third), strict=True))
-        unknown = [what for extent, what in doubts if not extent <= WEAK]
-        weak = [what for extent, what in doubts if DETERMINED < extent <= WEAK]
-        words = [f"{how}: {', '.join(of)}" for how, of in (("not determined", unknown), ("weak", weak)) if of]
-        return f"{'; '.join(words)} ({self._advice(k)})" if words else "determined"
-
-    def _number(self, name: str) -> int:
+        """Whether an anchor is determined, and otherwise what walk would determine it; raises UnusableInput."""
         if name not in self.names:
-            expected = f"expected one of {listed(self.names, 12)}; correct its id"
-            raise UnusableInput(f"{name!r}: no anchor of the survey; {expected}")
-        return self.names.index(name)
+            words = f"expected one of {listed(self.names, 12)}; correct its id"
+            raise UnusableInput(f"{name!r}: no anchor of the survey; {words}")
+        k = self.names.index(name)
+        what = ("x, y", "above or below the walk" if self.mirrored[k] else "height")
+        unknown, weak = ([x for x, at in zip(what, self._extents(k), strict=True) if low < at <= high]
+                         for low, high in ((WEAK, np.inf), (DETERMINED, WEAK)))  # fmt: skip
+        words = "; ".join(f"{how}: {', '.join(of)}" for how, of in (("not determined", unknown), ("weak", weak)) if of)
+        return f"{words} ({self._advice(k)})" if words else "determined"
 
     def _extents(self, k: int) -> tuple[float, float]:
         """Half the largest horizontal axis of the 95 % interval of anchor `k`, and of its height, m."""
-        block = self.block(k)
-        height = np.inf if self.mirrored[k] else NORMAL * float(np.sqrt(block[2, 2]))
-        return NORMAL * float(np.sqrt(np.linalg.eigvalsh(block[:2, :2])[-1])), height
+        flat = NORMAL * float(np.sqrt(np.linalg.eigvalsh(self.block(k)[:2, :2])[-1]))
+        return flat, np.inf if self.mirrored[k] else float(self.half_widths[k, 2])
 
     def _advice(self, k: int) -> str:
         """The walk that determines the weakest direction of anchor `k`."""
+        name, places = self.names[k], np.concatenate(self.paths)
         weakest = np.linalg.eigh(self.block(k)[:3, :3])[1][:, -1]
-        places = np.concatenate(self.paths)
         if self.mirrored[k] or abs(weakest[2]) > 0.7:
-            return "walk at two heights" if np.ptp(places[:, 2]) < 1.0 else f"walk at two heights near {self.names[k]}"
-        offset = places - self.positions[k]
-        radial = offset.mean(axis=0) / np.linalg.norm(offset.mean(axis=0))
-        near = abs(weakest @ radial) > 0.7
-        return f"walk close to {self.names[k]} and away from it" if near else f"walk around {self.names[k]}"
+            return "walk at two heights" + (f" near {name}" if np.ptp(places[:, 2]) >= 1.0 else "")
+        away = places.mean(axis=0) - self.positions[k]
+        near = abs(weakest @ away) > 0.7 * np.linalg.norm(away)
+        return f"walk close to {name} and away from it" if near else f"walk around {name}"
 
     def rows(self) -> list[list[str]]:
         """A row of `head` for each anchor; numbers that the walks do not determine in brackets."""
-        rows = []
+        rows, delays = [], self.half_widths[:, 3] < DELAY_DETERMINED
         for k, name in enumerate(self.names):
-            over, height = self.determined(name)
-            known = (over, over, height, bool(self.delay_determined[k]))
-            values = np.append(self.positions[k], self.delays[k])
+            over, height = (extent <= DETERMINED for extent in self._extents(k))
+            known, values = (over, over, height, delays[k]), [*self.positions[k], self.delays[k]]
             cells = [_with_interval(*of) for of in zip(values, self.half_widths[k], known, strict=True)]
             rows.append([name, *cells, f"{100 * self.rms[k]:.1f}", str(self.readings[k]), self.verdict(name)])
         return rows
@@ -126,13 +110,10 @@ class Survey:
         rows = [list(self.head), *self.rows()]
         numbers = text_lines([row[:-1] for row in rows], "<" + ">" * (len(self.head) - 2))
         indent, lines = max(map(len, numbers)) + 2, [f"Anchors of {self.rig.name}", ""]
-        if indent > WIDTH - 25:
-            lines += [*numbers, "", *(f"{row[0]}: {row[-1]}" for row in rows[1:])]
-        else:
+        for line, row in zip(numbers, rows, strict=True):
             # Verdicts continue below themselves.
-            for line, row in zip(numbers, rows, strict=True):
-                first, *others = textwrap.wrap(row[-1], WIDTH - indent)
-                lines += [f"{line:{indent}}{first}", *(" " * indent + other for other in others)]
+            verdict = textwrap.wrap(row[-1], max(WIDTH - indent, 25))
+            lines += [f"{first:{indent}}{words}" for first, words in zip_longest([line], verdict, fillvalue="")]
         return "\n".join([*lines, "", *textwrap.wrap(self.reading, WIDTH)])
 
     def __repr__(self) -> str:

@@ -1,9 +1,8 @@
 """The most probable anchors and paths for ranges with errors of Student's t.
 
-Levenberg–Marquardt on all of them at once: the banded block of each path is eliminated by its Cholesky factor, which
-leaves a system of four unknowns an anchor. The scales of errors and the acceleration density
-of each path are those of the greatest marginal likelihood, linearised (MacKay 1992): the directions that the ranges
-determine are counted with random probes.
+Levenberg–Marquardt on all of them at once: the banded information of the paths is factorised and eliminated, which
+leaves four unknowns an anchor. Scales of errors and densities of accelerations are those of the greatest marginal
+likelihood, linearised (MacKay 1992): random probes count the directions that the ranges determine.
 """
 
 from __future__ import annotations
@@ -15,26 +14,30 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Bool, Float
-from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
+from scipy.sparse.linalg import SuperLU, splu
 
 from trackwright.tuning.survey.walks import LEAST_SCALE, Walk
 
 DOF = 4.0
 """Degrees of freedom of Student's t of the errors."""
 
-PROBES = 12
-_RIDGE = 1e-6
-"""Information, m⁻², of each coefficient of a path: for directions that no range determines."""
+FISHER = (DOF + 1.0) / (DOF + 3.0)
+"""The information of a range with errors of Student's t, in that of a normal one of the same scale."""
 
-_STEPS, _CONVERGED = 60, 1e-4
+LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
+"""Pieces of time, s, and edges of cubes, m, over which errors may be the same."""
+
+PROBES, STEPS, CONVERGED = 12, 60, 1e-4
+RIDGE = 1e-6
+"""Information, m⁻², of each coefficient of a path: for directions that no range determines."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Positions and delays of anchors (A, 4), m, the coefficients of each walk's path (knots, d), m, and noise levels.
+    """Positions and delays of anchors, m, the coefficients (knots, d) of each walk's path, m, and noise levels.
 
-    `scales` (A,): of errors, m. `densities` (walks,): of the accelerations, m²/s³. `cost`: the negative
-    log-likelihood, marginal over the paths, linearised; smaller is better.
+    `scales`: of errors, m. `densities`: of accelerations, m²/s³. `cost`: the negative log-likelihood, marginal over the
+    paths, linearised.
     """
 
     anchors: Float[np.ndarray, "A 4"]
@@ -53,20 +56,22 @@ class Prior:
     free: Bool[np.ndarray, " U"]
 
 
-class Linearised(NamedTuple):
-    """A walk at a solution: residuals (n,), m, their weights, and the parts of the reduced system.
+class Equations(NamedTuple):
+    """All n ranges at a solution: residuals (n,), m, their weights, and derivatives by anchors and by paths.
 
-    `partial` (n, U) and `along` (n, m): the derivatives of the ranges by anchors and by the path. `factor`: of the
-    path's banded information. `cross` (m, U): its coupling to the anchors. `slope` (m,): of the path.
+    `factor`: of the paths' information. `slopes` (M, U) and `step` (M,): how far paths move with anchors, and without.
+    `system` (U, U), `gradient` (U,): the information of anchors with the paths eliminated, without the prior.
     """
 
     residuals: np.ndarray
     weights: np.ndarray
     partial: np.ndarray
     along: sparse.csr_array
-    factor: np.ndarray
-    cross: np.ndarray
-    slope: np.ndarray
+    factor: SuperLU
+    slopes: np.ndarray
+    step: np.ndarray
+    system: np.ndarray
+    gradient: np.ndarray
 
 
 def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
@@ -74,26 +79,44 @@ def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
     return (DOF + 1.0) / (DOF * scales**2 + residuals**2)
 
 
-def linearised(walk: Walk, solution: Solution, k: int, damping: float) -> Linearised:
-    """Walk number `k` at a solution; `damping`: the share by which the diagonal of its path's information grows."""
-    residuals, units, partial = walk.linearised(solution.anchors, solution.paths[k])
-    weights = robust_weights(residuals, solution.scales[walk.anchor])
-    along = walk.along(units)
-    rough = walk.roughness / solution.densities[k]
-    weighted = along.T.multiply(weights).tocsr()
+def equations(walks: Sequence[Walk], solution: Solution, damping: float = 0.0, expected: bool = False) -> Equations:
+    """The equations at a solution; `damping`: the share by which the diagonal of the paths' information grows.
+
+    `expected`: with the weights that errors of the solution's scales have on average.
+    """
+    parts = [walk.linearised(solution.anchors, path) for walk, path in zip(walks, solution.paths, strict=True)]
+    residuals, partial = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    scales = solution.scales[anchors_of(walks)]
+    weights = FISHER / scales**2 if expected else robust_weights(residuals, scales)
+    along = sparse.csr_array(sparse.block_diag([part[2] for part in parts]))
+    rough = sparse.block_diag([w.bending @ w.bending.T / q for w, q in zip(walks, solution.densities, strict=True)])
+    weighted = sparse.csr_array(along.T.multiply(weights))
     information = weighted @ along + rough
-    factor = cholesky_banded(_banded(information, 4 * walk.dimensions - 1, damping))
-    slope = weighted @ residuals - rough @ solution.paths[k].ravel()
-    return Linearised(residuals, weights, partial, along, factor, weighted @ partial, slope)
+    information = information + sparse.diags_array(damping * information.diagonal() + RIDGE)
+    # Banded: no order has less fill.
+    options = {"permc_spec": "NATURAL", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    factor = splu(sparse.csc_array(information), **options)
+    path = np.concatenate([path.ravel() for path in solution.paths])
+    cross, slope = weighted @ partial, weighted @ residuals - rough @ path
+    slopes, own = factor.solve(cross), partial.T * weights
+    system, gradient = own @ partial - cross.T @ slopes, own @ residuals - slopes.T @ slope
+    return Equations(residuals, weights, partial, along, factor, slopes, factor.solve(slope), system, gradient)
 
 
-def _banded(matrix: sparse.csr_array, width: int, damping: float) -> np.ndarray:
-    """The upper bands (width + 1, m) of a symmetric sparse matrix, its diagonal increased by a share `damping`."""
-    bands = np.zeros((width + 1, matrix.shape[0]))
-    for k in range(width + 1):
-        bands[width - k, k:] = matrix.diagonal(k)
-    bands[width] += damping * bands[width] + _RIDGE
-    return bands
+def anchors_of(walks: Sequence[Walk]) -> np.ndarray:
+    """The numbers of the anchors of all ranges."""
+    return np.concatenate([walk.anchor for walk in walks])
+
+
+def tags(walks: Sequence[Walk], solution: Solution) -> Float[np.ndarray, "n 3"]:
+    """The positions of the tags, m, in all walks."""
+    return np.concatenate([walk.positions(path) for walk, path in zip(walks, solution.paths, strict=True)])
+
+
+def split(solution: Solution, vector: np.ndarray) -> list[np.ndarray]:
+    """The parts (knots, d) of each path in a vector (M,), or of many in (M, k) with k behind."""
+    parts = np.split(vector, np.cumsum([path.size for path in solution.paths])[:-1])
+    return [part.reshape(*path.shape, *part.shape[1:]) for part, path in zip(parts, solution.paths, strict=True)]
 
 
 def cost_of(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
@@ -101,157 +124,89 @@ def cost_of(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
     away = solution.anchors.ravel() - prior.mean
     cost = 0.5 * away @ prior.precision @ away
     for walk, path, density in zip(walks, solution.paths, solution.densities, strict=True):
-        residuals, scales = walk.linearised(solution.anchors, path)[0], solution.scales[walk.anchor]
+        residuals, scales = walk.residuals(solution.anchors, path), solution.scales[walk.anchor]
         cost += 0.5 * (DOF + 1.0) * np.log1p((residuals / scales) ** 2 / DOF).sum() + np.log(scales).sum()
-        flat = path.ravel()
-        logs = path.shape[1] * np.log(density)
-        cost += 0.5 * (flat @ (walk.roughness / density @ flat) + (path.shape[0] - 2) * logs)
+        bends = ((walk.bending.T @ path.ravel()) ** 2).sum() / density
+        cost += 0.5 * (bends + (path.shape[0] - 2) * path.shape[1] * np.log(density))
     return float(cost)
 
 
-def solved(walks: Sequence[Walk], start: Solution, prior: Prior, steps: int = _STEPS, levels: bool = True) -> Solution:
+def solved(walks: Sequence[Walk], start: Solution, prior: Prior, steps: int = STEPS, levels: bool = True) -> Solution:
     """The solution of least cost near a start, with the noise levels fitted."""
-    solution, damping = start, 1e-3
-    cost = cost_of(walks, solution, prior)
+    solution, damping, cost = start, 1e-3, cost_of(walks, start, prior)
     for _ in range(steps):
-        while damping < 1e8:
-            moved = _stepped(walks, solution, prior, damping)
-            new = cost_of(walks, moved, prior)
-            if new <= cost + 1e-9 * abs(cost):
-                break
+        moved = _stepped(walks, solution, prior, damping)
+        while (new := cost_of(walks, moved, prior)) > cost + 1e-9 * abs(cost) and damping < 1e8:
             damping *= 10.0
-        else:
+            moved = _stepped(walks, solution, prior, damping)
+        if damping >= 1e8:
             break
-        change = np.abs(moved.anchors - solution.anchors).max()
-        solution, damping = moved, max(damping / 5.0, 1e-9)
+        before, solution, damping = solution, moved, max(damping / 5.0, 1e-9)
         if levels:
             solution = _levelled(walks, moved)
-            change = max(change, 1e-3 * np.abs(np.log(solution.scales / moved.scales)).max())
             new = cost_of(walks, solution, prior)
         cost = new
-        if change < _CONVERGED:
+        change = np.abs(np.log(solution.scales / before.scales)).max()
+        if max(np.abs(moved.anchors - before.anchors).max(), 1e-3 * change) < CONVERGED:
             break
-    return replace(solution, cost=cost + _log_volume(walks, solution))
+    # Half the log determinant of the paths' information makes the cost marginal.
+    return replace(solution, cost=cost + 0.5 * float(np.log(equations(walks, solution).factor.U.diagonal()).sum()))
 
 
 def _stepped(walks: Sequence[Walk], solution: Solution, prior: Prior, damping: float) -> Solution:
     """The solution after a damped step of Gauss and Newton."""
-    system, gradient, parts = _reduced(walks, solution, prior, damping)
-    free = prior.free
-    block = system[np.ix_(free, free)]
-    block = block + damping * np.diag(np.diag(block)) + 1e-9 * np.eye(len(block))
-    move = np.zeros(len(system))
-    move[free] = np.linalg.solve(block, gradient[free])
-    paths = [
-        path + cho_solve_banded((part.factor, False), part.slope - part.cross @ move).reshape(path.shape)
-        for path, part in zip(solution.paths, parts, strict=True)
-    ]
-    return replace(solution, anchors=solution.anchors + move.reshape(-1, 4), paths=paths)
-
-
-def _reduced(
-    walks: Sequence[Walk], solution: Solution, prior: Prior, damping: float
-) -> tuple[np.ndarray, np.ndarray, list[Linearised]]:
-    """The information (U, U) of anchors with the paths eliminated, its gradient (U,), and the walks linearised."""
-    system = prior.precision.copy()
-    gradient = prior.precision @ (prior.mean - solution.anchors.ravel())
-    parts = []
-    for k, walk in enumerate(walks):
-        part = linearised(walk, solution, k, damping)
-        eliminated = cho_solve_banded((part.factor, False), np.column_stack([part.cross, part.slope]))
-        weighted = part.partial * part.weights[:, None]
-        system += part.partial.T @ weighted - part.cross.T @ eliminated[:, :-1]
-        gradient += weighted.T @ part.residuals - part.cross.T @ eliminated[:, -1]
-        parts.append(part)
-    return system, gradient, parts
+    found, free, move = equations(walks, solution, damping), prior.free, np.zeros(prior.free.shape)
+    gradient = found.gradient + prior.precision @ (prior.mean - solution.anchors.ravel())
+    block = (found.system + prior.precision)[np.ix_(free, free)]
+    move[free] = np.linalg.solve(block + np.diag(damping * np.diag(block) + 1e-9), gradient[free])
+    steps = zip(solution.paths, split(solution, found.step - found.slopes @ move), strict=True)
+    anchors = solution.anchors + move.reshape(-1, 4)
+    return replace(solution, anchors=anchors, paths=[path + step for path, step in steps])
 
 
 def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
     """The solution with noise levels of greater marginal likelihood."""
-    count = len(solution.scales)
-    squares, numbers, densities = np.zeros(count), np.zeros(count), []
-    random = np.random.default_rng(0)
-    for k, walk in enumerate(walks):
-        part = linearised(walk, solution, k, 0.0)
-        width = part.factor.shape[0] - 1
-        probes = random.standard_normal((part.factor.shape[1], PROBES))
-        drawn = solve_banded((0, width), part.factor, probes)
-        leverage = part.weights * ((part.along @ drawn) ** 2).mean(axis=1)
-        squares += np.bincount(walk.anchor, part.weights * part.residuals**2, count)
-        numbers += np.bincount(walk.anchor, 1.0 - np.minimum(leverage, 1.0), count)
-        densities.append(_density(walk, solution.paths[k], drawn, solution.densities[k]))
+    found, random, number = equations(walks, solution), np.random.default_rng(0), anchors_of(walks)
+    # Draws from the density of the paths at these anchors.
+    noise = found.along.T @ (np.sqrt(found.weights)[:, None] * random.standard_normal((len(number), PROBES)))
+    bending = [walk.bending / np.sqrt(q) for walk, q in zip(walks, solution.densities, strict=True)]
+    drawn = found.factor.solve(
+        noise + np.concatenate([b @ random.standard_normal((b.shape[1], PROBES)) for b in bending])
+    )
+    leverage = found.weights * ((found.along @ drawn) ** 2).mean(axis=1)
+    squares = np.bincount(number, found.weights * found.residuals**2, len(solution.scales))
     # Four unknowns of each anchor are fitted to its ranges, too.
-    scales = solution.scales * np.sqrt(squares / np.maximum(numbers - 4.0, 1.0))
-    return replace(
-        solution, scales=np.where(squares > 0, np.maximum(scales, LEAST_SCALE), solution.scales),
-        densities=np.clip(densities, 1e-4, 1e3),
-    )  # fmt: skip
+    numbers = np.bincount(number, 1.0 - np.minimum(leverage, 1.0), len(solution.scales)) - 4.0
+    scales = np.maximum(solution.scales * np.sqrt(squares / np.maximum(numbers, 1.0)), LEAST_SCALE)
+    densities = []
+    for walk, path, draws, part in zip(walks, solution.paths, split(solution, drawn), bending, strict=True):
+        bends, bent = ((walk.bending.T @ path.ravel()) ** 2).sum(), path.size - 2 * path.shape[1]
+        unseen = ((part.T @ draws.reshape(path.size, -1)) ** 2).sum() / PROBES
+        densities.append(bends / max(bent - unseen, 0.05 * bent))
+    scales = np.where(squares > 0, scales, solution.scales)
+    return replace(solution, scales=scales, densities=np.clip(densities, 1e-4, 1e3))
 
 
-def _density(walk: Walk, path: np.ndarray, drawn: np.ndarray, density: float) -> float:
-    """The density of accelerations of greatest marginal likelihood, by errors of the path that are `drawn`."""
-    bends = (path * (walk.roughness @ path.ravel()).reshape(path.shape)).sum(axis=0)
-    unseen = (drawn * (walk.roughness / density @ drawn)).mean(axis=1).reshape(path.shape).sum(axis=0)
-    bent = (len(path) - 2) * path.shape[1]
-    return float(bends.sum() / max(bent - unseen.sum(), 0.05 * bent))
-
-
-def _log_volume(walks: Sequence[Walk], solution: Solution) -> float:
-    """Half the log determinant of the paths' information."""
-    return sum(float(np.log(linearised(walk, solution, k, 0.0).factor[-1]).sum()) for k, walk in enumerate(walks))
-
-
-def design_effect(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
+def design_effect(walks: Sequence[Walk], solution: Solution, free: Bool[np.ndarray, " U"]) -> float:
     """By how much the scatter of the scores exceeds that of independent errors; at least 1.
 
     Errors last: scores are summed over pieces of time and over cubes, each of one anchor (Cameron and
     Miller 2015), and the largest scatter counts. Paths take up the errors that all anchors could share with a motion.
     """
-    free = prior.free
-    system, _, parts = _reduced(walks, solution, prior, 0.0)
-    values, vectors = np.linalg.eigh((system - prior.precision)[np.ix_(free, free)])
+    found = equations(walks, solution)
+    values, vectors = np.linalg.eigh(found.system[np.ix_(free, free)])
     kept = values > 1e-6 * values[-1]
-    whiten = vectors[:, kept] / np.sqrt(values[kept])
-    scores, pieces, spots = [], [], []
-    began = 0.0
-    for k, (walk, part) in enumerate(zip(walks, parts, strict=True)):
-        partial = part.partial - part.along @ cho_solve_banded((part.factor, False), part.cross)
-        scores.append((partial * (part.weights * part.residuals)[:, None])[:, free] @ whiten)
-        pieces.append(walk.times - walk.times[0] + began)
-        began += np.ptp(walk.times) + max(LENGTHS)
-        spots.append(walk.positions(solution.paths[k]))
-    score, time, spot = map(np.concatenate, (scores, pieces, spots))
-    number = np.concatenate([walk.anchor for walk in walks])
-    taken = np.mean([walk.dimensions for walk in walks])
-    seen = np.mean([len(np.unique(walk.anchor)) for walk in walks])
-    clusters = [(time / length).astype(int)[:, None] for length in LENGTHS]
-    clusters += [np.floor(spot / size).astype(int) for size in SIZES]
+    whiten, p = vectors[:, kept] / np.sqrt(values[kept]), kept.sum()
+    scores = (found.partial - found.along @ found.slopes) * (found.weights * found.residuals)[:, None]
+    score, number = scores[:, free] @ whiten, anchors_of(walks)
+    begins = np.cumsum([0.0, *(np.ptp(walk.times) + max(LENGTHS) for walk in walks)])
+    times = np.concatenate([w.times - w.times[0] + began for w, began in zip(walks, begins, strict=False)])
+    spots = tags(walks, solution)
     effects = []
-    for keys in clusters:
+    for keys in [times[:, None] // length for length in LENGTHS] + [spots // size for size in SIZES]:
         code = np.unique(np.column_stack([keys, number]), axis=0, return_inverse=True)[1].ravel()
-        sums = np.stack([np.bincount(code, column) for column in score.T])
-        groups, p = code.max() + 1, kept.sum()
+        sums, groups = np.stack([np.bincount(code, column) for column in score.T]), code.max() + 1
         effects.append((sums**2).sum() / p * groups / max(groups - p, 0.2 * groups))
+    seen = np.mean([len(np.unique(walk.anchor)) for walk in walks])
+    taken = np.mean([walk.dimensions for walk in walks])
     return max(1.0, max(effects) / FISHER * seen / max(seen - taken, 1.0))
-
-
-FISHER = (DOF + 1.0) / (DOF + 3.0)
-"""The information of a range with errors of Student's t, in that of a normal one of the same scale."""
-
-LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
-"""Pieces of time, s, and edges of cubes, m, over which errors may be the same."""
-
-
-def information(walks: Sequence[Walk], solution: Solution) -> np.ndarray:
-    """The Fisher information (U, U) of the ranges about anchors, with the paths eliminated."""
-    system = np.zeros((solution.anchors.size, solution.anchors.size))
-    for k, walk in enumerate(walks):
-        _, units, partial = walk.linearised(solution.anchors, solution.paths[k])
-        weights = FISHER / solution.scales[walk.anchor] ** 2
-        along = walk.along(units)
-        weighted = along.T.multiply(weights).tocsr()
-        rough = walk.roughness / solution.densities[k]
-        factor = cholesky_banded(_banded(weighted @ along + rough, 4 * walk.dimensions - 1, 0.0))
-        cross = weighted @ partial
-        system += partial.T @ (partial * weights[:, None]) - cross.T @ cho_solve_banded((factor, False), cross)
-    return system

@@ -16,23 +16,11 @@ from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.folder import RecordingFolder
 
-STEP = 0.25
-"""Interval of the knots of a path, s: a person or a drone turns more slowly."""
+STEP, AVERAGE, GAP = 0.25, 0.1, 5.0
+"""Times, s: between knots of a path, over which ranges to an anchor are averaged, after which a path begins anew."""
 
-AVERAGE = 0.1
-"""Interval, s, over which ranges to an anchor are averaged: a tag moves on a line meanwhile, and errors last longer."""
-
-GAP = 5.0
-"""Time without a range, s, after which a path begins anew."""
-
-LEVEL = 0.1
-"""Distance, m, from the height of a walk below which an anchor counts as at it."""
-
-LEAST_RANGES = 20
-"""Ranges below which a piece of a walk between gaps is left out."""
-
-LEAST_SCALE = 0.01
-"""Smallest scale of errors, m, about the resolution of ranges."""
+LEVEL, LEAST_SCALE, LEAST_RANGES = 0.1, 0.01, 20
+"""Distance, m, at which an anchor counts as at the height of a walk; least scale of errors, m; ranges of a walk."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,49 +53,40 @@ class Walk:
         return sparse.csr_array((weights.ravel(), (row, (first[:, None] + np.arange(4)).ravel())))
 
     @cached_property
-    def roughness(self) -> sparse.csr_array:
-        """The matrix (knots · dimensions, …) whose quadratic form of the coefficients is ∫|x''|²dt."""
+    def bending(self) -> sparse.csr_array:
+        """The matrix (knots · dimensions, …) by which, transposed, the square of the coefficients is ∫|x''|²dt."""
         knots = self.basis.shape[1]
-        second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(knots - 2, knots))
-        return sparse.csr_array(sparse.kron(second.T @ second / STEP**3, sparse.eye_array(self.dimensions)))
+        second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, -1, -2], shape=(knots, knots - 2)) / STEP**1.5
+        return sparse.csr_array(sparse.kron(second, sparse.eye_array(self.dimensions)))
 
     def positions(self, coefficients: Float[np.ndarray, "knots d"]) -> Float[np.ndarray, "n 3"]:
         """The positions of the tag, m, at the times of the ranges."""
         path = self.basis @ coefficients
         return path if self.height is None else np.column_stack([path, np.full(len(path), self.height)])
 
-    def along(self, units: Float[np.ndarray, "n 3"]) -> sparse.csr_array:
-        """The derivatives (n, knots · dimensions) of the ranges by the coefficients; `units`: by the position."""
-        d = self.dimensions
-        weights, knot = self.basis.data.reshape(-1, 4), self.basis.indices.reshape(-1, 4)
-        values = weights[:, :, None] * units[:, None, :d]
-        column = d * knot[:, :, None] + np.arange(d)
-        ends = np.arange(0, values.size + 1, 4 * d)
-        return sparse.csr_array((values.ravel(), column.ravel(), ends), shape=(len(values), d * self.basis.shape[1]))
-
     def fitted(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "knots d"]:
         """The coefficients of a smooth path near these positions at the times of the ranges."""
-        system = self.basis.T @ self.basis + sparse.csr_array(self.roughness[:: self.dimensions, :: self.dimensions])
+        bending = self.bending[:: self.dimensions, :: self.dimensions]
         # A little of the identity for knots without ranges beside them.
-        system = system + 1e-9 * sparse.eye_array(system.shape[0])
+        system = self.basis.T @ self.basis + bending @ bending.T + 1e-9 * sparse.eye_array(bending.shape[0])
         return sparse.linalg.spsolve(sparse.csc_array(system), self.basis.T @ positions[:, : self.dimensions])
 
-    def linearised(self, anchors: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The residuals (n,), m, and the derivatives of ranges by the position (n, 3) and by the unknowns (n, 4A).
-
-        `anchors` (A, 4): positions and delays, m; `path`: its coefficients.
-        """
+    def residuals(self, anchors: np.ndarray, path: np.ndarray) -> np.ndarray:
+        """How much longer the ranges (n,), m, are than those to anchors (A, 4) with delays from a path (knots, d)."""
         offset = self.positions(path) - anchors[self.anchor, :3]
-        distance = np.maximum(np.sqrt((offset**2).sum(axis=1)), 1e-9)
-        units, partial = offset / distance[:, None], np.zeros((len(offset), len(anchors), 4))
-        partial[np.arange(len(units)), self.anchor] = np.column_stack([-units, np.ones(len(units))])
-        return self.values - (distance + anchors[self.anchor, 3]), units, partial.reshape(len(units), -1)
+        return self.values - np.linalg.norm(offset, axis=1) - anchors[self.anchor, 3]
 
-
-def common_height(walks: Sequence[Walk]) -> float | None:
-    """The height, m, that is known of all walks; None where they have several or one is not known."""
-    heights = {walk.height for walk in walks}
-    return heights.pop() if len(heights) == 1 else None
+    def linearised(self, anchors: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray, sparse.csr_array]:
+        """The residuals (n,), m, and the derivatives by anchors (n, 4A) and by coefficients (n, knots · d)."""
+        offset = self.positions(path) - anchors[self.anchor, :3]
+        units, rows = offset / np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-9), np.arange(len(offset))
+        partial = np.zeros((len(rows), len(anchors), 4))
+        partial[rows, self.anchor] = np.column_stack([-units, np.ones(len(rows))])
+        d, ends = self.dimensions, 4 * self.dimensions * np.arange(len(rows) + 1)
+        values = self.basis.data.reshape(-1, 4, 1) * units[:, None, :d]
+        column = d * self.basis.indices.reshape(-1, 4, 1) + np.arange(d)
+        along = sparse.csr_array((values.ravel(), column.ravel(), ends), shape=(len(rows), d * self.basis.shape[1]))
+        return self.residuals(anchors, path), partial.reshape(len(rows), -1), along
 
 
 def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height: float | None) -> list[Walk]:
@@ -118,8 +97,7 @@ def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height:
         values, number = rows.floats(["range_m"])[:, 0], rows.codes("anchor", anchors)
         for k, tag in enumerate(rows.tags):
             known = folder.rig.tags[tag].height if height is None and tag in folder.rig.tags else height
-            of_tag = np.arange(rows.starts[k], rows.starts[k + 1])
-            of_tag = of_tag[values[of_tag] > 0.0]
+            of_tag = rows.starts[k] + np.flatnonzero(values[rows.starts[k] : rows.starts[k + 1]] > 0.0)
             walks += [
                 Walk(folder.name, tag, rows.times[piece], values[piece], known, number[piece])
                 for piece in np.split(of_tag, np.flatnonzero(np.diff(rows.times[of_tag]) > GAP) + 1)

@@ -9,15 +9,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
-from trackwright.experiments.pages.charts.style import BLUE, INK, SKY, VERMILION, literal, write_panels
+from trackwright.experiments.pages.charts.style import INK, SKY, VERMILION, literal, write_panels
 from trackwright.tuning.sweeping import Sweep
 
 
-def sweep_plot(path: Path | str, swept: Sweep, objective: str, paths: Sequence[np.ndarray] = ()) -> Path:
+def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
     """Writes the objective over the grid, its minimum marked, with its spread over repeats; returns the path.
 
-    `objective`: its name and unit. `paths`: optimiser traces, (i, p) for the p swept parameters. Raises UnusableInput
-    where the file can't be written.
+    `objective`: its name and unit. Raises UnusableInput where the file can't be written.
     """
     mean, at = swept.mean, swept.best_index
     best = [float(grid[k]) for grid, k in zip(swept.grids, at, strict=True)]
@@ -28,22 +27,16 @@ def sweep_plot(path: Path | str, swept: Sweep, objective: str, paths: Sequence[n
         if len(labels) == 1:
             repeated = len(swept.values) > 1
             draw_curve(axes, swept.grids[0], mean, swept.spread if repeated else None, (best[0], float(mean[at])))
-            for steps in paths:
-                # The fit may have had another objective: its steps are drawn at the sweep's values.
-                level = np.interp(steps[:, 0], swept.grids[0], mean)
-                axes.plot(steps[:, 0], level, ".-", color=BLUE, markersize=4, linewidth=0.6, label="optimiser steps")
             axes.set_ylabel(literal(objective))
-            if repeated or paths:
+            if repeated:
                 axes.legend(loc="best")
         else:
-            draw_contours(axes, swept.grids, mean, paths, (best[0], best[1]), objective)
+            draw_contours(axes, swept.grids, mean, (), (best[0], best[1]), objective)
             scale_axis(axes, swept.grids[1], "y", tight=True)
             axes.set_ylabel(labels[1])
         scale_axis(axes, swept.grids[0], "x", tight=len(labels) == 2)
         axes.set_xlabel(labels[0])
-        # Over contours the legend is between them and the title.
-        above = 22 if len(labels) == 2 and paths else 6
-        axes.set_title(literal(f"minimum {mean[at]:.5g} at {shown}"), fontsize=9, pad=above)
+        axes.set_title(literal(f"minimum {mean[at]:.5g} at {shown}"), fontsize=9)
 
     return write_panels(path, [draw], (7.0, 4.6), f"Sweep: {objective}")
 

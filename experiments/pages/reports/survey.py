@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, ellipses, plan_corners
-from trackwright.experiments.pages.charts.style import BLUE, GREY, Chart, write_panels
+from trackwright.experiments.pages.charts.style import BLUE, GREY, Chart
 from trackwright.experiments.pages.reports.pages import page, write_page
-from trackwright.tuning.survey.result import Survey
+from trackwright.tuning.survey.result import DELAY_DETERMINED, Survey
 
 
 def survey_data(survey: Survey) -> dict[str, Any]:
@@ -21,7 +21,7 @@ def survey_data(survey: Survey) -> dict[str, Any]:
     anchors = {
         name: {
             "position_m": survey.positions[k], "half_width_m": survey.half_widths[k, :3], "delay_m": survey.delays[k],
-            "delay_half_width_m": survey.half_widths[k, 3], "delay_determined": survey.delay_determined[k],
+            "delay_half_width_m": (half := survey.half_widths[k, 3]), "delay_determined": half < DELAY_DETERMINED,
             "rms_m": survey.rms[k], "ranges": survey.readings[k], "verdict": survey.verdict(name),
         }
         for k, name in enumerate(survey.names)
@@ -29,19 +29,18 @@ def survey_data(survey: Survey) -> dict[str, Any]:
     return {"anchors": anchors, "effect": survey.effect, "notes": survey.notes}
 
 
-def write_survey_report(out: Path, survey: Survey, command: Sequence[str]) -> tuple[Path, Path]:
-    """Writes the figure and the page beside the file `out`, with its name; returns their paths."""
-    title, draw = f"Survey of {survey.rig.name}", partial(_plan, survey=survey)
-    chart = Chart("survey", "Anchors with 95 % ellipses over the walks", draw, 7.0, None)
+def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path:
+    """Writes the page beside the file `out`, with its name; returns its path."""
+    title = f"Survey of {survey.rig.name}"
+    chart = Chart("survey", "Anchors with 95 % ellipses over the walks", partial(_plan, survey=survey), 7.0, None)
     text = page("survey.html", command, title=title, survey=survey, chart_of=chart, out=str(out))
-    return write_panels(out.with_suffix(".png"), [draw], None, title), write_page(out.with_suffix(".html"), text)
+    return write_page(out.with_suffix(".html"), text)
 
 
 def _plan(axes: Axes, survey: Survey) -> None:
     """Walks, and anchors with the ellipses of their intervals."""
-    covs = np.stack([survey.block(k)[:2, :2] for k in range(len(survey.names))])
-    drawn = survey.half_widths[:, :2].max(axis=1) < 2.0
-    places, covs = survey.positions[drawn, :2], covs[drawn]
+    drawn = np.flatnonzero(survey.half_widths[:, :2].max(axis=1) < 2.0).tolist()
+    places, covs = survey.positions[drawn, :2], np.reshape([survey.block(k)[:2, :2] for k in drawn], (-1, 2, 2))
     paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
     paths.append(PlanPath("", BLUE, np.full((1, 2), np.nan), places, covs, "95 % ellipse"))
     shown = [np.concatenate(survey.paths)[:, :2], ellipses(places, covs)]

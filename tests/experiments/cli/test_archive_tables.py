@@ -14,13 +14,12 @@ import pytest
 
 from tests.experiments.cli.small_archive import recording
 from trackwright.experiments.cli.archive_folders import MANY, archive_of, recordings_under
-from trackwright.experiments.cli.archive_tables import BLOCK, Rows
-from trackwright.experiments.text.evaluation_text import content, json_pieces, to_json
+from trackwright.experiments.cli.archive_tables import by_name
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import Evaluation, TrackScores, evaluate
+from trackwright.trackers.evaluation.evaluate import TrackScores, evaluate
 from trackwright.trackers.evaluation.metrics import MetricRows
 from trackwright.trackers.evaluation.scores import Scores
 from trackwright.trackers.recordings.atomic import json_text
@@ -63,26 +62,11 @@ def test_a_folder_that_cannot_be_opened_is_a_recording_that_cannot_be_read(tmp_p
     assert recordings_under(tmp_path) == [tmp_path / "a", tmp_path / "shut"]
 
 
-def test_rows_are_those_appended_whatever_a_block_lacks():
-    given = [{"recording": f"r{k}", "n": k, "rmse_m": None if k < BLOCK else 0.1 * k} for k in range(2 * BLOCK + 3)]
-    given[-1]["tag"] = "T"
-    rows = Rows()
-    for row in given:
-        rows.append(row)
-    assert len(rows) == len(given)
-    assert list(rows) == [{"tag": None} | row for row in given]
-    assert rows[BLOCK] == rows[BLOCK : BLOCK + 1][0] == {"tag": None} | given[BLOCK]
-
-
-def test_pieces_of_json_are_that_of_the_whole():
-    folder = recording("\u00e9 \u2028", 0)
-    whole = evaluate(build("fix-kf", folder).run(folder), folder)
-    kept = Evaluation(
-        whole.bearing, whole.overall, *(Rows(pl.DataFrame(rows)) for rows in (whole.recordings, whole.tracks))
-    )
-    text = "".join(json_pieces(kept))
-    assert json.loads(text) == json.loads(to_json(whole)) == json.loads(json_text(content(kept)))
-    assert sum(line.startswith('    {"recording"') for line in text.split("\n")) == 2
+def test_rows_are_sorted_by_name_and_what_one_lacks_is_none():
+    rows = [{"recording": "b", "tag": "2", "n": 1}, {"recording": "b", "tag": "1", "nis": 2.0}]
+    first, second = by_name(rows)
+    assert first == {"recording": "b", "tag": "1", "n": None, "nis": 2.0}
+    assert second == {"recording": "b", "tag": "2", "n": 1, "nis": None}
 
 
 def _bearings(folder, rng):

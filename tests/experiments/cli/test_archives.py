@@ -191,7 +191,7 @@ def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch
     assert_refused(refused, "no metric 'rmse' (did you mean rmse_m?)")
     failed = trackwright("evaluate", out, "--every", 1, "--fail-if", "rmse_m > 0.001")
     assert failed.code == 1
-    assert "fails: fix-kf: rmse_m is " in failed.err
+    assert "fails: fix-kf: rmse_m > 0.001 (rmse_m is " in failed.err
     assert set(_results(out)["n"]) == {4}
     (paths[2] / "truth.parquet").unlink()
     scored, associate = [], part.associate_truth

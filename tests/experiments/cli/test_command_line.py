@@ -236,7 +236,7 @@ def test_fail_if_decides_the_exit_code(runs, there):
     assert (passed.code, passed.err) == (0, "")
     failed = trackwright("evaluate", there / "fix-kf", "--fail-if", "p95_m>0.0001")
     assert failed.code == 1
-    assert failed.err.startswith("fails: p95_m is ")
+    assert failed.err.startswith("fails: p95_m>0.0001 (p95_m is ")
     assert failed.out == passed.out
 
 

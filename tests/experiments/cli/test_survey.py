@@ -23,7 +23,7 @@ def walks(tmp_path_factory):
     return there / "low", there / "high", np.linalg.norm((anchors[1] - anchors[0])[:2])
 
 
-def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks, tmp_path, monkeypatch):
+def test_walks_without_positions_of_anchors_give_a_rig_and_a_page(walks, tmp_path, monkeypatch):
     *folders, distance = walks
     out = tmp_path / "site" / "rig.toml"
     monkeypatch.setattr(terminal, "FIRST_LINE", 0.1)
@@ -37,7 +37,7 @@ def test_walks_without_positions_of_anchors_give_a_rig_a_page_and_a_figure(walks
     found = json.loads(said.out)["anchors"]
     assert found["A01"]["half_width_m"][1] == 0.0
     assert found["A03"]["half_width_m"][0] > 0.0
-    assert {path.name for path in out.parent.iterdir()} == {"rig.toml", "rig.html", "rig.png"}
+    assert {path.name for path in out.parent.iterdir()} == {"rig.toml", "rig.html"}
     assert "determined" in out.with_suffix(".html").read_text("utf-8")
     assert_refused(trackwright("survey", *folders, "--out", out), "exists", "--force")
     assert_refused(trackwright("survey", *folders, "--out", folders[0] / "new.toml"), "is a recording folder")

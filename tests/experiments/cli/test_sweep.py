@@ -53,13 +53,10 @@ def once(fixes):
 
 @pytest.fixture(scope="module")
 def twice(fixes):
-    """Two numbers by likelihood, with the way of a fit drawn in."""
+    """Two numbers by likelihood."""
     out = fixes.parent / "twice"
-    trace = fixes.parent / "trace.csv"
-    steps = np.linspace(0.2, 0.8, 5)
-    pl.DataFrame({"nll": steps, SIGMA_A: steps, SIGMA_P: steps}).write_csv(trace)
     grids = "--over", f"{SIGMA_A}=0.1:1:3", "--over", f"{SIGMA_P}=0.1:0.6:4"
-    return trackwright("sweep", fixes, *KALMAN, *grids, "--objective", "nll", "--path", trace, "--out", out), out
+    return trackwright("sweep", fixes, *KALMAN, *grids, "--objective", "nll", "--out", out), out
 
 
 def test_the_table_has_a_row_for_every_value_and_the_best_is_printed(once):
@@ -87,7 +84,7 @@ def test_a_sweep_gives_what_track_and_evaluate_give_at_the_same_value(once, fixe
     assert figures["overall"]["rmse_m"] == pytest.approx(rmse, rel=1e-4)
 
 
-def test_two_numbers_give_every_pair_and_a_figure_with_the_way_of_a_fit(twice):
+def test_two_numbers_give_every_pair_and_a_figure(twice):
     said, out = twice
     assert said.code == 0, said
     table = pl.read_csv(out / "sweep.csv")
@@ -143,7 +140,6 @@ def test_particles_are_swept_with_repeats_and_their_spread(world):
         (("--over", f"{SIGMA_P}=0.1:1:3", "--over", "sensors.*_horizontal=0.1:1:3"), ("match the same tunables",)),
         (("--over", f"{SIGMA_P}=0.1:1:3", "--repeats", 0), ("--repeats 0", "at least 1")),
         (("--over", f"{SIGMA_P}=0.1:1:3", "--objective", "accuracy"), ("'accuracy' is no objective", "rmse")),
-        (("--over", f"{SIGMA_P}=0.1:1:3", "--path", "nowhere.csv"), ("nowhere.csv", "trace.csv")),
     ],
 )
 def test_what_cannot_be_swept_is_refused_in_one_line(fixes, arguments, words):
@@ -159,11 +155,3 @@ def test_a_recording_without_truth_has_no_rmse(fixes):
         (bare / name).write_bytes((fixes / name).read_bytes())
     said = trackwright("sweep", bare, *KALMAN, "--over", f"{SIGMA_P}=0.1:1:3", "--out", fixes.parent / "refused")
     assert_refused(said, "objective rmse needs truth", "use the objective nll")
-
-
-def test_a_trace_of_other_numbers_is_refused(fixes):
-    trace = fixes.parent / "other.csv"
-    pl.DataFrame({"rmse": [1.0], "motion.sigma_b": [0.1]}).write_csv(trace)
-    grid = f"{SIGMA_P}=0.1:1:3"
-    said = trackwright("sweep", fixes, *KALMAN, "--over", grid, "--path", trace, "--out", fixes.parent / "refused")
-    assert_refused(said, "has no column", SIGMA_P, "motion.sigma_b")
