@@ -19,7 +19,7 @@ from trackwright.trackers.recordings.columns import codes, stable_order
 from trackwright.trackers.recordings.kinds import QUATERNION, Kind, first_time, table_kinds
 
 DT = pl.col("dt")
-LONG_GAP = (DT > 1.0) & (DT > 5.0 * DT.filter(DT > 0).median())
+LONG_GAP = DT.gt(1.0) & DT.gt(5.0 * DT.filter(DT > 0).median())
 """Of the rows of one stream: those after a gap longer than 1 s and than five times its median interval."""
 
 _LEAST_JUMP = {"m": 1.0, "mps": 5.0, "mps2": 20.0, "radps": 5.0}
