@@ -19,9 +19,9 @@ from trackwright.trackers.exchange.mapping import numbers_of
 from trackwright.trackers.exchange.pose_errors import (
     Alignment,
     Statistics,
-    Step,
     TrajectoryErrors,
     compare_trajectories,
+    step_of,
 )
 from trackwright.trackers.exchange.trajectories import Kind, read_trajectory, trajectory_of_table
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -156,7 +156,7 @@ def compare_tracks(
 
 def pooled_names(steps: Sequence[str]) -> list[str]:
     """The names that `pooled` may have with relative errors over these steps."""
-    return ["ape_m", *(f"rpe_{Step.of(step)}_m" for step in steps), "speed_mps"]
+    return ["ape_m", *(f"rpe_{step_of(step)[0]}_m" for step in steps), "speed_mps"]
 
 
 def pooled(compared: Sequence[ComparedTrack]) -> dict[str, float]:

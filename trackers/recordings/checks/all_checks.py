@@ -19,7 +19,6 @@ from trackwright.trackers.recordings.checks.coverage import (
     check_time_base,
     check_time_unit,
     check_truth,
-    check_values,
 )
 from trackwright.trackers.recordings.checks.geometry import (
     check_fix_heights,
@@ -46,7 +45,6 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     results += check_time_unit(measured or tables)
     results += check_time_base(measured or tables)
     results += check_clocks(measured)
-    results += check_values(tables)
     results += check_rates(tables)
     results += check_ids(rig, measured)
     results += check_units(rig, tables)
