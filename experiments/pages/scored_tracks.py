@@ -136,21 +136,19 @@ class ScoredRecording:
         known = not self.angles and self.association.scored.any()
         return bounds_of(self.folder, self.batches) if known else None
 
+    def rows_of(self, track: int) -> slice:
+        """The rows of a track by its number."""
+        return slice(*map(int, self.association.starts[track : track + 2]))
+
     @cached_property
     def rmse(self) -> np.ndarray:
         """The RMSE of each track (g,), horizontal in m or of the direction in rad; NaN without truth."""
-        squares = self.miss**2
-        known, starts = np.isfinite(squares), self.association.starts
-        total = np.concatenate([[0.0], np.cumsum(np.where(known, squares, 0.0))])
-        count = np.concatenate([[0], np.cumsum(known)])
-        sums, rows = total[starts[1:]] - total[starts[:-1]], count[starts[1:]] - count[starts[:-1]]
-        return np.where(rows > 0, np.sqrt(np.maximum(sums, 0) / np.maximum(rows, 1)), np.nan)
+        return np.array([_rms(self.miss[self.rows_of(k)]) for k in range(len(self.association.starts) - 1)])
 
     @property
     def overall_rmse(self) -> float:
         """The RMSE of all rows, in the unit of `rmse`; NaN without truth."""
-        known = self.miss[np.isfinite(self.miss)]
-        return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+        return _rms(self.miss)
 
     def worst_first(self) -> list[int]:
         """The numbers of the tracks from the largest RMSE to the smallest, those without truth last."""
@@ -221,6 +219,11 @@ class ScoredTracks:
             first = f"The figures in files are of the first {len(chosen)} of {len(self.folders)} recordings"
             return f"{first}: without truth, the worst and the best are unknown."
         return f"The figures in files are of {', '.join(f'{name} ({why})' for name, why in chosen.items())}."
+
+
+def _rms(errors: np.ndarray) -> float:
+    known = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
 
 
 def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth: bool = False) -> ScoredTracks:

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
-from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, plan_corners
+from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan
 from trackwright.experiments.pages.charts.style import (
     BLACK,
     LINES,
@@ -156,7 +156,7 @@ def _draw_plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str, lege
         paths.append(PlanPath("" if k else "estimates", colour, positions))
         truths.append(truth)
     # Around the truth: the runs share their axes, and the worst of them shall not set these.
-    draw_plan(axes, paths, truths, rig, plan_corners([part.truth[part.scored][:, :2]], [], rig))
+    draw_plan(axes, paths, truths, rig, around_estimates=False)
     title = literal(f"{run.name}, {name}" + (f",\n{why}" if why else ""))
     axes.set_title(title, fontsize=8.5, pad=30 if legend else None)
     if legend:

@@ -17,7 +17,7 @@ from trackwright.experiments.pages.charts.distributions import (
     draw_nis,
     draw_probabilities,
 )
-from trackwright.experiments.pages.charts.floor import AROUND, PlanPath, draw_plan, plan_corners
+from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan
 from trackwright.experiments.pages.charts.objective import draw_contours, draw_curve, named, scale_axis
 from trackwright.experiments.pages.charts.style import (
     BEFORE,
@@ -55,8 +55,7 @@ def plan_chart(change: TrackChange) -> Chart:
             for name, colour, side in sides
         ]
         truths = [change.truth] if len(change.truth) else []
-        corners = plan_corners(truths, [path.positions for path in paths], change.rig, AROUND)
-        draw_plan(axes, paths, truths, change.rig, corners)
+        draw_plan(axes, paths, truths, change.rig)
         legend_above(axes, 3)
         axes.set_title(literal(f"{change.recording}, tag {change.tag}"), pad=30)
 
