@@ -10,9 +10,12 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from trackwright.experiments.pages.charts.style import GREY, literal
+from trackwright.experiments.pages.charts.style import GREY, broken_at_gaps, literal
+from trackwright.experiments.pages.reports.pages import drawn_rows
+from trackwright.experiments.pages.scored_tracks import ScoredRecording
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.scoring import covariances
 
 TRUTH = "#9aa5b0"
 """The colour of true paths, drawn below the tracks and wider: neither hides the other."""
@@ -58,7 +61,7 @@ def draw_plan(
         dot: dict[str, Any] = {"marker": "o", "markersize": 4} if len(there) == 1 else {}
         label = literal(path.name) or "_"
         axes.plot(*path.positions.T, color=colour, alpha=0.9, linewidth=1.1, zorder=3, label=label, **dot)
-        outlines = ellipses(path.centres, path.covs)
+        outlines = _ellipses(path.centres, path.covs)
         if len(outlines):
             axes.plot(*outlines.T, color=colour, linewidth=0.8, alpha=0.8, zorder=3.5, label=path.ellipses)
             axes.plot(*path.centres.T, ".", color=colour, markersize=4, zorder=3.5, label="_")
@@ -93,18 +96,53 @@ def _draw_rig(axes: Axes, rig: Rig, size: float) -> None:
     for station in rig.stations.values():
         ahead = station.world_from_array()[:2, 2]
         if np.hypot(*ahead) > 0.3:
-            tip = station.position[:2] + 0.11 * size * ahead / np.hypot(*ahead)
-            axes.annotate("", tip, station.position[:2], arrowprops={"arrowstyle": "-|>", "color": GREY})
-    stacks: dict[tuple[float, ...], list[str]] = {}
+            x, y = map(float, station.position[:2])
+            dx, dy = 0.11 * size * ahead / np.hypot(*ahead)
+            axes.annotate("", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": GREY})
+    stacks: dict[tuple[float, float], list[str]] = {}
     for name, place in (anchors | stations).items():
         near = (one for one in stacks if np.hypot(*(place - one)) <= size / 40)
-        stacks.setdefault(next(near, tuple(map(float, place))), []).append(name)
+        stacks.setdefault(next(near, (float(place[0]), float(place[1]))), []).append(name)
     for at, names in stacks.items():
         text = literal(", ".join(sorted(names, key=natural)))
         axes.annotate(text, at, (0, -7), textcoords="offset points", ha="center", va="top", fontsize=7, color=GREY)
 
 
-def ellipse_rows(positions: Sequence[np.ndarray], covs: Sequence[np.ndarray], most: int) -> np.ndarray:
+def track_paths(
+    sides: Sequence[ScoredRecording],
+    track: int,
+    looks: Sequence[tuple[str, str, str]],
+    ellipses: int,
+    most: int = 10**9,
+) -> list[PlanPath]:
+    """The paths of a track by one or several trackers, with at most so many ellipses, at the same times for all.
+
+    `looks`: name, colour and name of the ellipses of each. `most`: about so many points of a path are kept, the first,
+    the last and those with the largest errors among them.
+    """
+    rows, paths = sides[0].rows_of(track), []
+    places = [side.places[rows] for side in sides]
+    covs = [covariances(side.association.rows[rows])[:, :2, :2] for side in sides]
+    some = _ellipse_rows(places, covs, ellipses)
+    for side, (name, colour, named), place, cov in zip(sides, looks, places, covs, strict=True):
+        there = np.isfinite(place).all(axis=1)
+        times, errors = side.times[rows][there], side.miss[rows][there]
+        _, path, weight = broken_at_gaps(times, place[there], np.nan_to_num(errors))
+        kept = drawn_rows(np.array([len(path)]), np.where(np.isnan(path[:, 0]), np.inf, weight), most)
+        paths.append(PlanPath(name, colour, path[kept], place[some], cov[some], named))
+    return paths
+
+
+def true_path(scored: ScoredRecording, track: int) -> list[np.ndarray]:
+    """The true path (n, 2), m, of a track, NaN in gaps: of the truth table, else at its rows; none without truth."""
+    rows, paths = scored.rows_of(track), scored.folder.paths
+    tag, known = str(scored.association.rows["tag"][rows.start]), scored.association.scored[rows]
+    times, path = scored.times[rows][known], scored.association.truth[rows][known]
+    times, path = paths.of_tag(tag) if tag in paths.number else (times, path)
+    return [broken_at_gaps(times, path[:, :2])[1]] if len(times) else []
+
+
+def _ellipse_rows(positions: Sequence[np.ndarray], covs: Sequence[np.ndarray], most: int) -> np.ndarray:
     """The rows whose ellipses are drawn, at most so many: evenly over those with a usual covariance on all sides.
 
     `positions` (n, 2), m, and `covs` (n, 2, 2), m², of the same times on each side.
@@ -119,7 +157,7 @@ def ellipse_rows(positions: Sequence[np.ndarray], covs: Sequence[np.ndarray], mo
     return rows[np.unique((np.arange(most) + 0.5) * len(rows) / most).astype(int)] if len(rows) else rows
 
 
-def ellipses(centres: Float[np.ndarray, "k 2"], covs: Float[np.ndarray, "k 2 2"]) -> Float[np.ndarray, "n 2"]:
+def _ellipses(centres: Float[np.ndarray, "k 2"], covs: Float[np.ndarray, "k 2 2"]) -> Float[np.ndarray, "n 2"]:
     """The 95 % ellipses as one line with NaN between them."""
     squares, vectors = np.linalg.eigh(covs)
     turn = np.append(np.linspace(0, 2 * np.pi, 37), np.nan)

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions, draw_nis, law_of
-from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, ellipse_rows, natural
+from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, natural, track_paths, true_path
 from trackwright.experiments.pages.charts.style import (
     BLACK,
     BLUE,
@@ -37,7 +37,6 @@ from trackwright.experiments.text.wording import Unit, length_unit
 from trackwright.trackers.core.data.consistency import chi_square_probability
 from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.evaluation.statements import COVERAGE, LIMITS
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.tuning.diagnostics import Innovations, nis_band
@@ -68,26 +67,20 @@ def floor_plan(
     bearings, and for an unknown tag.
     """
     scored = _scored(estimates, recording, "floor_plan")
-    association, starts, folder = scored.association, scored.association.starts, scored.folder
-    places = np.stack([float_column(association.rows, "x_m"), float_column(association.rows, "y_m")], axis=1)
-    covs, times = covariances(association.rows)[:, :2, :2], scored.times
-    names = [str(tag) for tag in association.rows["tag"].gather(starts[:-1])]
+    rig, tracks = scored.folder.rig, scored.association.rows["tag"].gather(scored.association.starts[:-1])
+    names = [str(tag) for tag in tracks]
     order = sorted(range(len(names)), key=lambda k: natural(names[k]))
     chosen = drawn_of(scored.rmse[order], False, len(LINES))
     shown = dict.fromkeys(tags[: len(LINES)], "") or {names[order[k]]: why for k, why in chosen.items()}
-    paths, truths = [], []
+    paths, truths = list[PlanPath](), list[np.ndarray]()
     for (tag, remark), colour in zip(shown.items(), LINES, strict=False):
-        k = _track(scored, tag, None, "floor_plan")
-        rows = np.arange(starts[k], starts[k + 1])
-        known, there = rows[association.scored[rows]], rows[np.isfinite(places[rows]).all(axis=1)]
-        some = there[ellipse_rows([places[there]], [covs[there]], min(ELLIPSES // len(shown), ELLIPSES // 2))]
+        k, most = _track(scored, tag, None, "floor_plan"), min(ELLIPSES // len(shown), ELLIPSES // 2)
         name = (f"tag {tag}" if tag else "estimates") + (f"\n{remark}" if remark else "")
-        paths.append(PlanPath(name, colour, broken_at_gaps(times[there], places[there])[1], places[some], covs[some]))
-        true = folder.paths.of_tag(tag) if tag in folder.paths.number else (times[known], association.truth[known])
-        truths += [broken_at_gaps(true[0], true[1][:, :2])[1]] if len(true[0]) else []
+        paths += track_paths([scored], k, [(name, colour, "_")], most)
+        truths += true_path(scored, k)
     axes = _axes(ax)
-    low, high = draw_plan(axes, paths, truths, folder.rig)
-    if paths or truths or folder.rig.anchors or folder.rig.stations:
+    low, high = draw_plan(axes, paths, truths, rig)
+    if paths or truths or rig.anchors or rig.stations:
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
     notes = ["dots: estimates with their reported 95 % ellipses"] if any(len(path.covs) for path in paths) else []
     notes += [f"{len(paths)} of {len(names)} tags are shown"] if len(names) > len(paths) else []
@@ -219,12 +212,11 @@ def coverage(
     low, high = (100 * x for x in COVERAGE)
     axes.vlines(95, low, high, GREY, linewidth=4.0, alpha=0.45, label=f"covariances hold: {low:.0f} to {high:.0f} %")
     pooled = np.concatenate([*levels.values()])
-    looks = [{"color": colour, "linewidth": 0.9 if shape and len(levels) > 1 else 1.6} for colour in LINES]
     # Of many curves none has a colour and a name of its own.
-    looks = looks[: len(levels)] if len(levels) <= len(looks) else [{"color": GREY, "linewidth": 0.9}] * len(levels)
-    for (name, values), look in zip(levels.items(), looks, strict=True):
-        named = len(levels) <= len(LINES)
-        axes.plot(at, _inside(values, at), label=_share_in_words(name, values) if named else "_", **look)
+    named, width = len(levels) <= len(LINES), 0.9 if shape and len(levels) > 1 else 1.6
+    for (name, values), colour in zip(levels.items(), LINES if named else [GREY] * len(levels), strict=False):
+        label = _share_in_words(name, values) if named else "_"
+        axes.plot(at, _inside(values, at), color=colour, linewidth=width, label=label)
     if shape and len(levels) > 1:
         axes.plot(at, _inside(pooled, at), color=BLACK, linewidth=1.9, label=_share_in_words("all rows", pooled))
         axes.plot(LEVELS[2:-1], _inside(pooled, LEVELS[2:-1]), "o", color=BLACK, markersize=4, label="_")
@@ -385,8 +377,10 @@ def _scored(
 
     Raises UnusableInput for what the chart cannot show.
     """
-    ready = isinstance(estimates, ScoredRecording)
-    scored = estimates if ready else scored_tracks(estimates, recording, truth).recordings[0]
+    if isinstance(estimates, ScoredRecording):
+        scored = estimates
+    else:
+        scored = scored_tracks(estimates, recording, truth).recordings[0]
     if scored.angles and not bearings:
         raise UnusableInput(f"{chart}: found bearings; expected estimates of positions")
     if truth and not scored.association.scored.any():

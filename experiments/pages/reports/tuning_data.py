@@ -18,7 +18,7 @@ from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
 from trackwright.tuning.diagnostics import Innovations, absolute_errors, implied_spread, innovations_of
-from trackwright.tuning.fitting import FitResult, Step
+from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.intervals import Interval
 from trackwright.tuning.named_objectives import all_metrics
@@ -163,13 +163,16 @@ def collect(
     comparable = all(hasattr(run.mean, quantity) for of_tracker in runs for _, run in of_tracker)
     rows = [[b if comparable else b._replace(truth={}) for b in data.rows(apart)] for apart in (False, True)]
     weights = [data.weights(apart) for apart in (False, True)]
+    # A sum of several metrics, or with priors, is a metric of its own.
+    sums = [] if objective in TITLES else [(result.start_value, result.value)]
+    own = [MetricChange(objective, objective, "1", pair, MISSING) for pair in sums]
     return TuningReportData(
         objective=objective,
         objective_about=_about(objective, "rad" if angles else "m"),
         training=recording_names(training),
         held_out=recording_names(held_out),
         parameters=_parameters(result, intervals, issues),
-        metrics=(*_sum_objective(objective, result), *_metrics(trackers, rows, weights, quantity, data.dimensions)),
+        metrics=(*own, *_metrics(trackers, rows, weights, quantity, data.dimensions)),
         traces=_traces(result),
         surface=surface_of(result),
         evaluated_on="held-out recordings" if held_out else "the recordings tuned on",
@@ -220,13 +223,6 @@ def _errors(
     return tuple(tracks)
 
 
-def _sum_objective(objective: str, result: FitResult) -> list[MetricChange]:
-    """The objective as a metric where it is a sum, of several metrics or with priors."""
-    if objective in TITLES:
-        return []
-    return [MetricChange(objective, objective, "1", (result.start_value, result.value), MISSING)]
-
-
 def _metrics(
     trackers: Sequence[AbstractTracker],
     recordings: Sequence[list[Batch]],
@@ -255,10 +251,11 @@ def _parameters(
     undetermined = {name for issue in issues for name in issue.names}
     names = component_names(result.parameters)
     units = [p.example.unit for p in result.parameters for _ in range(p.size)]
-    old, new = (_flat(result.parameters, values) for values in (_first_trace(result)[0].values, result.values))
-    nothing = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()}
-    bounds = {**nothing, **intervals}
-    low, high = (_flat(result.parameters, {label: bounds[label][k] for label in bounds}) for k in (0, 1))
+    old, new = (
+        _flat(result.parameters, values) for values in ((result.starts or [result.trace])[0][0].values, result.values)
+    )
+    nothing = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()} | {**intervals}
+    low, high = (_flat(result.parameters, {label: ends[k] for label, ends in nothing.items()}) for k in (0, 1))
     finite = np.isfinite(low) & np.isfinite(high)
     # Without any interval it is unknown what is determined; with some, a parameter without one is undetermined.
     known = bool(finite.any())
@@ -281,11 +278,6 @@ def _spread(result: FitResult, parameter: Parameter) -> list[str]:
 
 def _flat(parameters: Sequence[Parameter], values: dict[str, np.ndarray]) -> np.ndarray:
     return np.concatenate([np.ravel(np.asarray(values[p.label], float)) for p in parameters])
-
-
-def _first_trace(result: FitResult) -> list[Step]:
-    """The steps from the tracker's own values, which are the first start."""
-    return result.starts[0] if result.starts else result.trace
 
 
 def _traces(result: FitResult) -> tuple[OptimiserTrace, ...]:

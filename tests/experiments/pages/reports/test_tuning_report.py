@@ -140,7 +140,7 @@ def test_the_page_opens_with_the_verdict_and_nothing_warns_of_a_better_one():
     by = "Mean log density of the true position, held-out recordings: -2.00 → 1.00 nats, +3.00 (95 % interval +2.50 to +3.50)."
     assert advice.summary.startswith(by)
     assert "0.4812 to 0.1327 nats" in advice.summary
-    assert "determine both parameters" in advice.summary
+    assert "determine 2 of 2 parameters" in advice.summary
 
 
 @pytest.mark.parametrize(
@@ -151,10 +151,6 @@ def test_other_verdicts_are_no_recommendation_and_name_the_recordings_that_got_w
     assert (advice.word, advice.good) == (word, False)
     assert advice.warnings[0].startswith(f"line-c got worse, 1.00 → {change[1]:.2f} nats")
     assert advice.warnings[0].endswith(": its tag accelerates.")
-
-
-def _with_metric(key, **changes):
-    return tuple(MetricChange(**(vars(s) | changes)) if s.key == key else s for s in report_data().metrics)
 
 
 def test_a_change_too_small_to_matter_is_shown_in_per_cent():
