@@ -18,7 +18,7 @@ from trackwright.experiments.pages.charts.distributions import (
     draw_probabilities,
 )
 from trackwright.experiments.pages.charts.floor import draw_plan, track_paths, true_path
-from trackwright.experiments.pages.charts.objective import draw_contours, draw_curve, named, scale_axis
+from trackwright.experiments.pages.charts.objective import draw_objective, named, scale_axis
 from trackwright.experiments.pages.charts.style import (
     BEFORE,
     BLUE,
@@ -33,8 +33,8 @@ from trackwright.experiments.pages.charts.style import (
     plain,
     write_panels,
 )
-from trackwright.experiments.pages.reports.before_after import TrackChange
-from trackwright.experiments.pages.reports.tuning_data import ErrorTrack, OptimiserTrace, TuningReportData
+from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChange
+from trackwright.experiments.pages.reports.tuning_data import OptimiserTrace, TuningReportData
 from trackwright.experiments.pages.scored_tracks import root_mean_square
 from trackwright.experiments.text.wording import number
 from trackwright.tuning.diagnostics import Innovations
@@ -232,20 +232,11 @@ def selected_step(data: TuningReportData) -> int:
 def surface_chart(data: TuningReportData, surface: Surface) -> Chart:
     """The objective over one parameter as a curve, over two as contours with the steps of all starts."""
     known = [data.parameters[k] for k in surface.axes]
-    best = [n.after for n in known]
+    labels, best = [named(n.name, n.unit) for n in known], [n.after for n in known]
+    paths = [t.values[:, list(surface.axes)] for t in data.traces]
+    about = data.objective_about
 
     def draw(axes: Axes) -> None:
-        if len(known) == 1:
-            draw_curve(axes, surface.grids[0], surface.values, None, (best[0], float(np.nanmin(surface.values))))
-            axes.set_title(literal(data.objective_about))
-            plain(axes)
-        else:
-            paths = [t.values[:, list(surface.axes)] for t in data.traces]
-            draw_contours(axes, surface.grids, surface.values, paths, (best[0], best[1]), data.objective_about)
-            scale_axis(axes, surface.grids[1], "y", tight=True)
-            axes.set_ylabel(named(known[1].name, known[1].unit))
-        scale_axis(axes, surface.grids[0], "x", tight=True)
-        axes.set_xlabel(named(known[0].name, known[0].unit))
+        draw_objective(axes, labels, surface.grids, surface.values, best, about, paths)
 
-    names = " and ".join(n.name for n in known)
-    return Chart("surface", f"Objective over {names}", draw, WIDTH, 3.6)
+    return Chart("surface", f"Objective over {' and '.join(n.name for n in known)}", draw, WIDTH, 3.6)

@@ -18,7 +18,6 @@ from trackwright.trackers.evaluation.evaluate import evaluate_association
 from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.tracks_table import is_bearing
 
 WIDTH = 120
 DEGREES = SHOWN["rad"]
@@ -130,6 +129,18 @@ MOST_TAGS = 3
 """The most tags of a recording that have a floor plan each."""
 
 
+class ErrorTrack(NamedTuple):
+    """Sizes of the errors of a track before and after (t,), m or °, NaN where unknown, at `times` (t,).
+
+    `times`: s since the first estimate of the recording.
+    """
+
+    name: str
+    times: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
 class TrackChange(NamedTuple):
     """A track by its number in its recording before and after, whether that was held out, and why it is shown."""
 
@@ -141,9 +152,18 @@ class TrackChange(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The recording and the tag."""
-        tag = self.after.association.rows["tag"][self.after.rows_of(self.track).start]
-        return f"{self.after.folder.name}, tag {tag}"
+        """The recording, the tag and, of bearings, the station."""
+        rows = self.after.association.rows
+        first = rows.row(self.after.rows_of(self.track).start, named=True)
+        of_station = f", station {first['station']}" if self.after.angles else ""
+        return f"{self.after.folder.name}, tag {first['tag']}{of_station}"
+
+    @property
+    def errors(self) -> ErrorTrack:
+        """The errors over time."""
+        rows, factor = self.after.rows_of(self.track), 180 / np.pi if self.after.angles else 1.0
+        times = self.after.times - self.after.times.min()
+        return ErrorTrack(self.name, times[rows], factor * self.before.miss[rows], factor * self.after.miss[rows])
 
     @property
     def rmse(self) -> str:
@@ -162,28 +182,29 @@ class TrackChange(NamedTuple):
 
 
 class TrackChanges(NamedTuple):
-    """The tracks that are shown, and of how many."""
+    """The tracks that are shown, of how many, and the errors of all that are held out or, without these, of all."""
 
     shown: tuple[TrackChange, ...]
     total: int
+    errors: tuple[ErrorTrack, ...]
 
 
 def track_changes(
     before: Association, after: Association, folders: Sequence[RecordingFolder], held_out: Collection[str]
 ) -> TrackChanges:
-    """The tracks of these recordings before and after; of bearings there are none.
+    """The tracks of these recordings before and after; of bearings there are errors alone.
 
     Of a recording with more than `MOST_TAGS` tags the worst, the median and the best after the fit; of more than
     `MOST_PLANS` tracks those that moved most, and of recordings named `held_out` before others.
     """
-    if is_bearing(after.rows):
-        return TrackChanges((), 0)
     ordered = sorted(folders, key=lambda folder: folder.name not in held_out)
-    changes, total = list[TrackChange](), 0
+    changes, errors, total = list[TrackChange](), list[ErrorTrack](), 0
     for old, new in zip(*(ScoredTracks(side, ordered, ()).recordings for side in (before, after)), strict=True):
-        known = [TrackChange(old, new, k, new.folder.name in held_out) for k in range(len(new.rmse))]
-        known = [change for change in known if np.isfinite(change.moved)]
+        every = [TrackChange(old, new, k, new.folder.name in held_out) for k in range(len(new.rmse))]
+        judged = [change for change in every if change.held_out or not held_out]
+        errors += [change.errors for change in judged if np.isfinite([old.rmse, new.rmse])[:, change.track].all()]
+        known = [] if new.angles else [change for change in every if np.isfinite(change.moved)]
         chosen = drawn_of(new.rmse[[change.track for change in known]], False, MOST_TAGS)
         changes, total = [*changes, *(known[k]._replace(why=why) for k, why in chosen.items())], total + len(known)
     order = sorted(range(len(changes)), key=lambda k: (not changes[k].held_out, -changes[k].moved))
-    return TrackChanges(tuple(changes[k] for k in sorted(order[:MOST_PLANS])), total)
+    return TrackChanges(tuple(changes[k] for k in sorted(order[:MOST_PLANS])), total, tuple(errors))

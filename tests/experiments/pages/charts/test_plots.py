@@ -36,7 +36,7 @@ from trackwright.experiments.pages.charts.style import (
     write_panels,
 )
 from trackwright.experiments.pages.charts.tuning import error_charts, rmse_chart, tuning_trace
-from trackwright.experiments.pages.reports.tuning_data import ErrorTrack
+from trackwright.experiments.pages.reports.before_after import ErrorTrack
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Station

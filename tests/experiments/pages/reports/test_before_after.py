@@ -184,10 +184,26 @@ def test_a_long_track_keeps_its_ends_and_its_largest_error():
         assert np.isclose(path, every[row], rtol=1e-4, atol=1e-5).all(axis=1).any()
 
 
-def test_directions_have_no_plan():
+def test_of_directions_there_are_errors_in_degrees_and_no_plans():
     folders = [worlds.station(n=1, seed=1, rows=20).folder()]
-    side = tracked(tw.build("das", folders), folders)
-    assert track_changes(side, side, folders, ()) == ((), 0)
+    named = tw.build("beam", folders)
+    side = tracked(named, folders)
+    shown, total, errors = track_changes(side, side, folders, ())
+    assert (shown, total) == ((), 0)
+    own = {(t["tag"], t["station"]): t["rmse_direction_rad"] for t in tw.evaluate(named.run(folders), folders).tracks}
+    assert len(errors) == len(own)
+    for track, rmse in zip(errors, own.values(), strict=True):
+        assert np.sqrt(np.nanmean(track.after**2)) == pytest.approx(np.degrees(rmse), rel=1e-5)
+
+
+def test_errors_are_of_held_out_recordings_one_for_each_time_and_begin_at_zero(three):
+    folders, trackers, found = three
+    (track,) = found.errors
+    assert (track.name, track.times[0]) == ("b, tag t0", 0.0)
+    for side, tracker in zip((track.before, track.after), trackers, strict=True):
+        own = _metrics(tracker, folders)["b", "t0"]
+        assert np.isfinite(side).sum() == own["n"]
+        assert np.sqrt(np.nanmean(side**2)) == pytest.approx(own["rmse_m"], rel=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -236,14 +252,6 @@ def test_a_recording_without_truth_has_no_errors(walks):
     blind = next(row for row in found.rows if row[0] == "blind")
     assert blind[1:4] == ("– → –",) * 3
     assert "–" not in blind[4]
-
-
-def test_the_page_of_a_tuning_run_shows_the_table(walks):
-    folders, trackers = walks
-    found = compare(_both(trackers, folders), folders, 2, "held-out recordings")
-    page = tuning_page(report_data(compared=found))
-    assert "Held-out recordings</h2>" in page
-    assert found.rows[0][1] in page
 
 
 def test_recordings_tracked_beside_those_shown_change_nothing(walks):

@@ -9,7 +9,6 @@ import pytest
 from scipy import stats
 
 from tests.experiments.pages.reports.tuning_report_data import innovations, report_data
-from trackwright.experiments.pages.charts import tuning
 from trackwright.experiments.pages.reports.before_after import Compared
 from trackwright.experiments.pages.reports.tuning import (
     _changed,
@@ -20,7 +19,7 @@ from trackwright.experiments.pages.reports.tuning import (
 )
 from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
 from trackwright.experiments.pages.reports.verdict import Verdict
-from trackwright.experiments.text.wording import number, percent_change
+from trackwright.experiments.text.wording import number
 from trackwright.trackers.evaluation.comparison import Difference
 from trackwright.tuning.diagnostics import (
     Innovations,
@@ -189,16 +188,6 @@ def test_a_run_without_truth_held_out_recordings_starts_or_intervals_has_a_page_
     assert shown.sections == ["settings", "parameters", "metrics", "commands"]
 
 
-def test_numbers_are_short_and_changes_have_a_sign():
-    assert [number(v) for v in (0.123456, -2.0, float("nan"), 1.5e-7)] == ["0.1235", "−2", "–", "1.5·10⁻⁷"]
-    assert [percent_change(*p) for p in ((2.0, 1.0), (1.0, 1.013), (0.0, 1.0), (float("nan"), 1.0))] == [
-        "−50 %",
-        "+1.3 %",
-        "",
-        "",
-    ]
-
-
 def test_probabilities_and_scores_are_those_of_scipy():
     seen = innovations(1.3)
     np.testing.assert_allclose(nis_probabilities(seen), stats.chi2.cdf(seen.nis, seen.dof), rtol=1e-9)
@@ -264,11 +253,3 @@ def test_how_many_starts_end_at_one_point_is_said_and_whether_another_is_lower()
     assert one_of_three.endswith("1 of them with a lower objective: the optimum is not certain.")
     assert "2 of 3 starts" in agreement([start([1.0, 2.0], 1.0), near, far])
     assert "none with a lower objective" in agreement([start([1.0, 2.0], 1.0), near, far])
-
-
-def test_the_contours_name_the_objective_as_their_neighbour_does(monkeypatch):
-    named = []
-    monkeypatch.setattr(tuning, "draw_contours", lambda *args: named.append(args[-1]))
-    data = report_data()
-    assert tuning.surface_chart(data, data.surface).address
-    assert named == [data.objective_about]
