@@ -66,7 +66,7 @@ def draw_objective(
             label = "± standard deviation over repeats"
             axes.fill_between(grid, values - spread, values + spread, color=SKY, alpha=0.35, linewidth=0, label=label)
         axes.plot(grid, values, color=INK, linewidth=1.4, marker="o" if len(grid) <= 40 else "", markersize=3.5)
-        paths = [np.column_stack([path, np.interp(path[:, 0], grid, values)]) for path in paths]
+        paths = [np.column_stack([path, np.interp(path[:, 0], grid, values, np.nan, np.nan)]) for path in paths]
         axes.set_ylabel(literal(name))
     else:
         above = values[np.isfinite(values)] - height
