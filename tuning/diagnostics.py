@@ -17,7 +17,6 @@ from jaxtyping import Float, Int, Num
 
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.data.estimates import Estimates
-from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.run.tracker import AbstractTracker
@@ -70,27 +69,6 @@ def innovations_of(tracker: AbstractTracker, runs: Sequence[Estimates]) -> Innov
         for name in ("nis", "nis_dof")
     )
     return Innovations(nis, dof, np.concatenate(trajectory), None if nu is None else float(np.asarray(nu)))
-
-
-def absolute_errors(
-    tracker: AbstractTracker, recording: Recording, run: Estimates, quantity: str
-) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
-    """Times (t,) and lengths (t,) of the errors in `quantity`: horizontal, m, or of a direction's two angles, rad.
-
-    One for each time, that of its last row, as tables of errors have it. At the times of validity of the estimates,
-    with the truth interpolated between rows; NaN where either is missing.
-    """
-    rows = recording.times
-    true, known = recording.truth[quantity]
-    last, merged = run.per_time(rows)
-    times = run.valid_times(rows)[last]
-    if not (hasattr(run.mean, quantity) and known.any()):
-        return times, np.full(len(times), np.nan)
-    has_truth = (np.interp(times, rows, known) > 1 - 1e-9) & (times >= rows[0])
-    mean = np.stack([np.asarray(x) for x in getattr(merged.mean, quantity)], axis=1)[:, :2]
-    truth = np.stack([np.interp(times, rows[known], true[known, k]) for k in range(2)], axis=1)
-    length = np.sqrt(((mean - truth) ** 2).sum(axis=1))
-    return times, np.where(has_truth & merged.usable, length, np.nan)
 
 
 def nis_band(

@@ -15,8 +15,9 @@ import polars as pl
 
 from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.archive_part import RecordingStore
-from trackwright.experiments.pages.reports.comparison import BEARING_NAMES, Contrast, Table, adjusted, difference_table
+from trackwright.experiments.pages.reports.comparison import BEARING_NAMES, Contrast, adjusted, difference_table
 from trackwright.experiments.text.evaluation_text import to_json
+from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import Unit, fixed, length_unit
 from trackwright.trackers.core.errors import UnusableInput, has_control, one_line
 from trackwright.trackers.core.wording import counted
@@ -154,7 +155,7 @@ def read_results(out: Path) -> Refusals:
     return refusals
 
 
-def compared(runs: Sequence[Run]) -> list[Table]:
+def compared(runs: Sequence[Run]) -> list[Section]:
     """The trackers over the recordings that all have scored, of which each counts once; empty without one.
 
     The intervals are those of `paired_differences`, with recordings for pieces.
@@ -177,7 +178,7 @@ def compared(runs: Sequence[Run]) -> list[Table]:
     what = "Angles between directions" if bearing else "Horizontal position errors"
     head = ("tracker", "RMSE", "median", "p95", "lowest RMSE in")
     note = f"Medians over the {counted(rmse.shape[1], 'recording')} that all trackers have."
-    over = Table(f"{what} in {unit.name}", head, 1, rows, note)
+    over = Section(f"{what} in {unit.name}", head, rows, 1, note)
     contrasts = [
         Contrast("", metric, name, difference := _difference(by_tracker[0], of_tracker), difference.p)
         for metric, by_tracker in values.items()

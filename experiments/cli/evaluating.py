@@ -82,7 +82,8 @@ def print_comparison(
         notice(f"notice: {text}")
     if json:
         differences = [contrast._asdict() | {"difference": contrast.difference._asdict()} for contrast in contrasts]
-        print(json_text({"tables": [table._asdict() for table in tables], "contrasts": differences}), end="")
+        shown = [dict(zip(table._fields[:-1], table[:-1], strict=True)) for table in tables]
+        print(json_text({"tables": shown, "contrasts": differences}), end="")
     else:
         print(comparison_text(tables), end="")
     if out is None:

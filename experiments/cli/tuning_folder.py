@@ -176,6 +176,7 @@ def _write_run(
             seconds=seconds,
             compared=compared,
             plans=plans,
+            errors=() if plans is None else plans.errors,
             cautions=tuple(cautions),
             notes=tuple(notes),
         )

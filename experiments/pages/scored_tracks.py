@@ -74,6 +74,11 @@ class ScoredRecording:
         return float_column(self.association.rows, "t_s")
 
     @property
+    def places(self) -> np.ndarray:
+        """The estimates (n, 2) over the floor, m; NaN in rows without one."""
+        return np.stack([float_column(self.association.rows, f"{axis}_m") for axis in "xy"], axis=1)
+
+    @property
     def zero(self) -> float:
         """The time, s, from which times are shown: zero, or that of the first reading where they count from 1970."""
         tables = {name: table for name, table in self.folder.tables.items() if name in KINDS}
@@ -136,21 +141,19 @@ class ScoredRecording:
         known = not self.angles and self.association.scored.any()
         return bounds_of(self.folder, self.batches) if known else None
 
+    def rows_of(self, track: int) -> slice:
+        """The rows of a track by its number."""
+        return slice(*map(int, self.association.starts[track : track + 2]))
+
     @cached_property
     def rmse(self) -> np.ndarray:
         """The RMSE of each track (g,), horizontal in m or of the direction in rad; NaN without truth."""
-        squares = self.miss**2
-        known, starts = np.isfinite(squares), self.association.starts
-        total = np.concatenate([[0.0], np.cumsum(np.where(known, squares, 0.0))])
-        count = np.concatenate([[0], np.cumsum(known)])
-        sums, rows = total[starts[1:]] - total[starts[:-1]], count[starts[1:]] - count[starts[:-1]]
-        return np.where(rows > 0, np.sqrt(np.maximum(sums, 0) / np.maximum(rows, 1)), np.nan)
+        return np.array([root_mean_square(self.miss[self.rows_of(k)]) for k in range(len(self.association.starts) - 1)])
 
     @property
     def overall_rmse(self) -> float:
         """The RMSE of all rows, in the unit of `rmse`; NaN without truth."""
-        known = self.miss[np.isfinite(self.miss)]
-        return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+        return root_mean_square(self.miss)
 
     def worst_first(self) -> list[int]:
         """The numbers of the tracks from the largest RMSE to the smallest, those without truth last."""
@@ -180,36 +183,26 @@ class ScoredTracks:
     def recordings(self) -> list[ScoredRecording]:
         """Each recording with its rows; those with figures with what their bounds need."""
         rows, scored = self.association.rows, self.scored
-        errors, (miss, nees, nees_3d) = (
-            np.full((len(rows), 2 if self.bearing else 3), np.nan),
-            np.full((3, len(rows)), np.nan),
-        )
-        errors[scored.index], nees[scored.index] = scored.errors, scored.nees
-        miss[scored.index] = scored.size
+        errors = np.full((len(rows), 2 if self.bearing else 3), np.nan)
+        miss, nees, spatial = np.full((3, len(rows)), np.nan)
+        errors[scored.index], miss[scored.index], nees[scored.index] = scored.errors, scored.size, scored.nees
         if scored.nees_3d is not None:
-            nees_3d[scored.index] = scored.nees_3d
+            spatial[scored.index] = scored.nees_3d
         if not self.bearing:
             errors[~(float_column(rows, "std_z_m") > 0), 2] = np.nan
         names, recordings = rows["recording"], []
         for folder in self.folders:
-            of_folder = (names == folder.name).to_numpy()
-            part = self.association.of_recording(folder.name)
-            spatial = None if scored.nees_3d is None else nees_3d[of_folder]
-            noise = noise_of(folder, self.batches)
-            recordings.append(
-                ScoredRecording(folder, part, errors[of_folder], miss[of_folder], nees[of_folder], spatial, noise)
-            )
-        for k in self._drawn(recordings):
+            own, part = (names == folder.name).to_numpy(), self.association.of_recording(folder.name)
+            nees_3d, noise = None if scored.nees_3d is None else spatial[own], noise_of(folder, self.batches)
+            recordings.append(ScoredRecording(folder, part, errors[own], miss[own], nees[own], nees_3d, noise))
+        for k in drawn_of(np.array([one.overall_rmse for one in recordings]), self.bearing):
             recordings[k] = replace(recordings[k], batches=self.batches)
         return recordings
 
     @property
     def drawn(self) -> dict[int, str]:
         """The numbers of the recordings with figures, and why these: all, or the worst, the median and the best."""
-        return self._drawn(self.recordings)
-
-    def _drawn(self, recordings: Sequence[ScoredRecording]) -> dict[int, str]:
-        return drawn_of(np.array([recording.overall_rmse for recording in recordings]), self.bearing)
+        return drawn_of(np.array([recording.overall_rmse for recording in self.recordings]), self.bearing)
 
     @property
     def drawn_words(self) -> str:
@@ -223,6 +216,12 @@ class ScoredTracks:
         return f"The figures in files are of {', '.join(f'{name} ({why})' for name, why in chosen.items())}."
 
 
+def root_mean_square(errors: np.ndarray) -> float:
+    """The root mean square of the errors (n,) that are finite; NaN where none is."""
+    known = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+
+
 def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth: bool = False) -> ScoredTracks:
     """The estimates of one recording, in arrays too, with their errors where it has a truth.
 
@@ -230,10 +229,11 @@ def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth
     for one, and for estimates of several recordings without one given.
     """
     table = estimates.to_polars()
-    if isinstance(recording, RecordingFolder):
-        known = "truth" in recording.tables
+    whole = recording if isinstance(recording, RecordingFolder) else None
+    if whole is None:
+        known = isinstance(recording, Recording) and "position" in recording.truth
     else:
-        known = recording is not None and "position" in recording.truth
+        known = "truth" in whole.tables
     if recording is not None and (known or truth):
         association = associate(estimates, recording)
     else:
@@ -242,18 +242,15 @@ def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth
     if len(names) != 1:
         raise UnusableInput(f"plot: found estimates of {len(names)} recordings; expected a recording beside them")
     # A recording in arrays has no installation and no tables of readings.
-    folder = recording if isinstance(recording, RecordingFolder) else RecordingFolder(names[0], None, Rig(names[0]), {})
+    folder = RecordingFolder(names[0], None, Rig(names[0]), {}) if whole is None else whole
     return ScoredTracks(association, [folder], estimates.batches if isinstance(estimates, Tracks) else ())
 
 
 def noise_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> float | None:
     """The degrees of freedom of the noise behind a recording's NIS, as `ScoredRecording` has them."""
-    trackers = (
-        batch.tracker for batch in batches if any(trajectory.folder is folder for trajectory in batch.trajectories)
-    )
-    tracker = next(trackers, None)
+    own = (batch.tracker for batch in batches if any(one.folder is folder for one in batch.trajectories))
     try:
-        nu = math.nan if tracker is None else student_t_dof_of(tracker)
+        nu = math.nan if (tracker := next(own, None)) is None else student_t_dof_of(tracker)
     except ValueError:
         return math.nan
     return None if nu is None else float(np.asarray(nu))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import io
 import shutil
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from rich import box
 from rich.console import Console, RenderableType
@@ -32,6 +33,34 @@ def ruled_table(title: str, columns: Sequence[str], n_text: int = 1, rows: Itera
     for row in rows:
         table.add_row(*row)
     return table
+
+
+class Section(NamedTuple):
+    """A table of a report, for a terminal and for a page: title, head, rows and a note; `n_text` columns are text.
+
+    `looks`: classes of columns on a page by their heads, as in the template `parts.html`.
+    """
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    n_text: int = 1
+    note: str = ""
+    looks: Mapping[str, str] = {}
+
+    @property
+    def classes(self) -> list[str]:
+        """The classes of the columns on a page."""
+        return [self.looks.get(name, "text" if 0 < k < self.n_text else "") for k, name in enumerate(self.head)]
+
+
+def sections_text(sections: Sequence[Section], elsewhere: int, *lines: str) -> str:
+    """The tables with rows and their notes, and more lines, for a terminal, or `elsewhere` characters wide."""
+    parts: list[RenderableType] = []
+    for one in sections:
+        if one.rows:
+            parts += [ruled_table(one.title, one.head, one.n_text, one.rows), *([one.note] if one.note else [])]
+    return rendered(terminal_width(elsewhere), *parts, *filter(None, lines))
 
 
 def compact_table(title: str, labels: Sequence[str], numbers: Sequence[str]) -> Table:

@@ -107,21 +107,16 @@ def floor_image(panels: Sequence[Panel], columns: int) -> str:
     return svg_address(lambda figure: _draw_floor(figure, panels, columns), *_floor_size(panels, columns))
 
 
-def _corners(panels: Sequence[Panel]) -> tuple[np.ndarray, np.ndarray]:
-    positions = np.concatenate([panel.positions for panel in panels])
-    return positions.min(axis=0), positions.max(axis=0)
-
-
 def _floor_size(panels: Sequence[Panel], columns: int) -> tuple[float, float]:
     """Width and height in inches."""
-    width, height = np.subtract(*_corners(panels)[::-1])
+    width, height = np.ptp(np.concatenate([panel.positions for panel in panels]), axis=0)
     tall = 3.3 * float(np.clip(height / max(width, 1e-3), 0.35, 1.5))
     return 3.3 * columns + 1.0, (tall + 0.5) * -(-len(panels) // columns) + 0.6
 
 
 def _draw_floor(figure: Figure, panels: Sequence[Panel], columns: int) -> None:
-    low, high = _corners(panels)
-    edges = [np.arange(np.floor(a / SQUARE), np.floor(b / SQUARE) + 2) * SQUARE for a, b in zip(low, high, strict=True)]
+    squares = np.floor(np.concatenate([panel.positions for panel in panels]) / SQUARE).astype(int)
+    edges = [np.arange(x.min(), x.max() + 2) * SQUARE for x in squares.T]
     medians = [_medians(panel, edges) for panel in panels]
     largest = float(np.nanquantile(np.abs(np.concatenate([m.ravel() for m in medians])), 0.97)) or 1.0
     grid = figure.subplots(-(-len(panels) // columns), columns, squeeze=False, sharex=True, sharey=True)
@@ -144,8 +139,8 @@ def _draw_floor(figure: Figure, panels: Sequence[Panel], columns: int) -> None:
 def _medians(panel: Panel, edges: Sequence[np.ndarray]) -> np.ndarray:
     """The median errors in the squares, NaN where there is no reading."""
     medians = np.full([len(e) - 1 for e in edges], np.nan)
-    x, y = (np.floor(panel.positions[:, k] / SQUARE - edges[k][0] / SQUARE + 1e-9).astype(int) for k in range(2))
+    cells = np.floor(panel.positions / SQUARE - [e[0] / SQUARE for e in edges] + 1e-9).astype(int)
     error = panel.corrected - panel.true
-    for i, j in {*zip(x.tolist(), y.tolist(), strict=True)}:
-        medians[i, j] = np.median(error[(x == i) & (y == j)])
+    for cell in np.unique(cells, axis=0):
+        medians[tuple(cell)] = np.median(error[(cells == cell).all(axis=1)])
     return (DEGREES if panel.is_angle else 1.0) * medians

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +11,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
-from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, plan_corners
+from trackwright.experiments.pages.charts.floor import draw_plan, track_paths, true_path
 from trackwright.experiments.pages.charts.style import (
     BLACK,
     LINES,
     Chart,
     Draw,
-    broken_at_gaps,
     legend_above,
     literal,
     plain,
@@ -26,9 +24,8 @@ from trackwright.experiments.pages.charts.style import (
 )
 from trackwright.experiments.pages.reports.comparison import Contrast
 from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
-from trackwright.experiments.pages.scored_tracks import drawn_of
+from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
 from trackwright.experiments.text.wording import SHOWN, Unit, heading, length_unit, unit_of
-from trackwright.trackers.recordings.columns import float_column
 
 MOST_PLANS = 3
 """Recordings with floor plans: of more the worst, the median and the best by the RMSE of the first run."""
@@ -148,15 +145,12 @@ def _planned(runs: Sequence[TrackRun]) -> dict[str, str]:
 def _draw_plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str, legend: bool) -> None:
     """Estimates in the run's colour over the truth, with anchors, stations and their names."""
     assert run.association is not None
-    part, rig = run.association.of_recording(name), run.recordings[name].rig
-    x, y, times = (float_column(part.rows, column) for column in ("x_m", "y_m", "t_s"))
-    paths, truths = [], []
-    for k, (a, b) in enumerate(list(pairwise(part.starts))[:MOST_TAGS]):
-        _, positions, truth = broken_at_gaps(times[a:b], np.stack([x[a:b], y[a:b]], axis=1), part.truth[a:b, :2])
-        paths.append(PlanPath("" if k else "estimates", colour, positions))
-        truths.append(truth)
+    (scored,) = ScoredTracks(run.association.of_recording(name), [run.recordings[name]], ()).recordings
+    shown = range(len(scored.rmse))[:MOST_TAGS]
+    paths = [path for k in shown for path in track_paths([scored], k, [("" if k else "estimates", colour, "_")], 0)]
     # Around the truth: the runs share their axes, and the worst of them shall not set these.
-    draw_plan(axes, paths, truths, rig, plan_corners([part.truth[part.scored][:, :2]], [], rig))
+    truths = [truth for k in shown for truth in true_path(scored, k)]
+    draw_plan(axes, paths, truths, scored.folder.rig, around_estimates=False)
     title = literal(f"{run.name}, {name}" + (f",\n{why}" if why else ""))
     axes.set_title(title, fontsize=8.5, pad=30 if legend else None)
     if legend:

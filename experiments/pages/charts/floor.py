@@ -1,4 +1,4 @@
-"""Floor plans: tracks, true paths, installation and some 95 % ellipses; maps over the floor."""
+"""Floor plans: tracks with some 95 % ellipses, true paths, and the installation."""
 
 from __future__ import annotations
 
@@ -9,33 +9,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.patheffects import AbstractPathEffect, withStroke
-from matplotlib.ticker import MaxNLocator
 
-from trackwright.experiments.pages.charts.style import GREY, literal
+from trackwright.experiments.pages.charts.style import GREY, broken_at_gaps, literal
+from trackwright.experiments.pages.reports.pages import drawn_rows
+from trackwright.experiments.pages.scored_tracks import ScoredRecording
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.scoring import covariances
 
 TRUTH = "#9aa5b0"
 """The colour of true paths, drawn below the tracks and wider: neither hides the other."""
 
-HALO: list[AbstractPathEffect] = [withStroke(linewidth=2.0, foreground="white")]
-
 LARGE = 3.0
 """An ellipse with a major axis so many times the median, as that of a start, is not drawn."""
-
-CORNERS = 37
-"""Points of an ellipse."""
-
-AROUND = 2.5
-"""Plans of what changed include anchors and stations if they are then at most so many times the size of the paths."""
 
 
 class PlanPath(NamedTuple):
     """A path on a floor plan: its name in the legend, its colour, and positions (n, 2), m, with NaN in gaps.
 
     `centres` (k, 2), m, and `covs` (k, 2, 2), m²: some estimates and their covariances, drawn as 95 % ellipses.
-    `ellipses`: what the legend calls them; empty: nothing. `times` (n,), s: written along the path; None: they are not.
+    `ellipses`: what the legend calls them.
     """
 
     name: str
@@ -43,20 +36,7 @@ class PlanPath(NamedTuple):
     positions: Float[np.ndarray, "n 2"]
     centres: Float[np.ndarray, "k 2"] = np.zeros((0, 2))
     covs: Float[np.ndarray, "k 2 2"] = np.zeros((0, 2, 2))
-    ellipses: str = ""
-    times: Float[np.ndarray, " n"] | None = None
-
-
-class Corners(NamedTuple):
-    """The lower left and the upper right corner (2,), m, of a plan."""
-
-    low: np.ndarray
-    high: np.ndarray
-
-    @property
-    def size(self) -> float:
-        """The longer side, m."""
-        return float(np.max(self.high - self.low))
+    ellipses: str = "_"
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -64,108 +44,105 @@ def natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name)]
 
 
-def plan_corners(
-    truths: Sequence[np.ndarray], estimated: Sequence[np.ndarray], rig: Rig, around: float = np.inf
-) -> Corners:
-    """The corners of a plan: around true paths (n, 2), 98 % of each of the estimated ones, and the installation.
+def draw_plan(
+    axes: Axes, paths: Sequence[PlanPath], truths: Sequence[np.ndarray], rig: Rig, around_estimates: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draws paths with starts and ends, true paths (n, 2), m, and the installation; returns the corners (2,), m.
 
-    `around`: without an installation that makes the plan so many times as large.
+    `around_estimates`: whether the axes hold 98 % of each path and of its ellipses, too.
     """
-    points = [path[np.isfinite(path).all(axis=1)] for path in truths]
-    finite = [path[np.isfinite(path).all(axis=1)] for path in estimated]
-    points += [np.quantile(path, (0.01, 0.99), axis=0) for path in finite if len(path)]
-    places = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
-    mounted = np.concatenate([np.array([p[:2] for p in places]).reshape(-1, 2), rig.all_walls().reshape(-1, 2)])
-    paths = np.concatenate([*points, np.zeros((0, 2))])
-    drawn = np.concatenate([paths, mounted]) if len(paths) + len(mounted) else np.zeros((1, 2))
-    if len(paths) and np.max(np.ptp(drawn, axis=0)) > around * np.max(np.ptp(paths, axis=0)):
-        drawn = paths
-    low, high = drawn.min(axis=0), drawn.max(axis=0)
-    # The millimetres of noise of a tag at rest shall not fill the plan.
-    margin = max(0.08 * float(np.max(high - low)), 0.25)
-    return Corners(low - margin, high + margin)
-
-
-def draw_plan(axes: Axes, paths: Sequence[PlanPath], truths: Sequence[np.ndarray], rig: Rig, corners: Corners) -> None:
-    """Draws the paths with their starts and ends over the true paths (n, 2), m, and the installation."""
-    axes.set(xlabel="x (m)", ylabel="y (m)", xlim=(corners.low[0], corners.high[0]))
-    axes.set(ylim=(corners.low[1], corners.high[1]))
-    axes.set_aspect("equal")
+    points = [truth[np.isfinite(truth).all(axis=1)] for truth in truths]
+    points += [np.array([p[:2] for p in (*rig.anchors.values(), *(s.position for s in rig.stations.values()))])]
+    points += [rig.all_walls()]
     for k, truth in enumerate(truths):
         axes.plot(*truth.T, color=TRUTH, linewidth=3.0, zorder=2.5, solid_capstyle="round", label="_" if k else "truth")
     for k, path in enumerate(paths):
-        there = np.flatnonzero(np.isfinite(path.positions).all(axis=1))
+        colour, there = path.colour, path.positions[np.isfinite(path.positions).all(axis=1)]
         dot: dict[str, Any] = {"marker": "o", "markersize": 4} if len(there) == 1 else {}
         label = literal(path.name) or "_"
-        axes.plot(*path.positions.T, color=path.colour, alpha=0.9, linewidth=1.1, zorder=3, label=label, **dot)
-        if len(path.centres):
-            outlines = ellipses(path.centres, path.covs)
-            axes.plot(*outlines.T, color=path.colour, linewidth=0.8, alpha=0.8, zorder=3.5, label=path.ellipses or "_")
-            axes.plot(*path.centres.T, ".", color=path.colour, markersize=4, zorder=3.5, label="_")
+        axes.plot(*path.positions.T, color=colour, alpha=0.9, linewidth=1.1, zorder=3, label=label, **dot)
+        outlines = _ellipses(path.centres, path.covs)
+        if len(outlines):
+            axes.plot(*outlines.T, color=colour, linewidth=0.8, alpha=0.8, zorder=3.5, label=path.ellipses)
+            axes.plot(*path.centres.T, ".", color=colour, markersize=4, zorder=3.5, label="_")
         for row, marker, name in ((0, "o", "start"), (-1, "s", "end")) if len(there) > 1 else ():
-            axes.plot(*path.positions[there[row]], marker, markerfacecolor="none", color=path.colour, markersize=8,
-                      zorder=4.5, markeredgewidth=1.5, label=name if k == len(paths) - 1 else "_")  # fmt: skip
-        if path.times is not None and len(there) > 1:
-            _mark_times(axes, path.times[there], path.positions[there], path.colour)
-    draw_rig(axes, rig, corners.size)
+            axes.plot(*there[row], marker, markerfacecolor="none", color=colour, markersize=8, zorder=4.5,
+                      markeredgewidth=1.5, label=name if k == len(paths) - 1 else "_")  # fmt: skip
+        for own in (there, outlines[np.isfinite(outlines[:, 0])]) if around_estimates else ():
+            points += [np.quantile(own, (0.01, 0.99), axis=0)] if len(own) else []
+    drawn = np.concatenate([p.reshape(-1, 2) for p in points if len(p)] or [np.zeros((1, 2))])
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    size = float(np.max(high - low))
+    # The millimetres of noise of a tag at rest shall not fill the plan.
+    low, high = low - max(0.08 * size, 0.25), high + max(0.08 * size, 0.25)
+    axes.set(xlabel="x (m)", ylabel="y (m)", xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    _draw_rig(axes, rig, size)
+    return low, high
 
 
-def _mark_times(axes: Axes, times: np.ndarray, positions: np.ndarray, colour: str) -> None:
-    """About four times along a path, between its start and its end."""
-    for at in MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(times[0], times[-1]):
-        row = int(np.argmin(np.abs(times - at)))
-        near = abs(times[row] - at) <= 0.02 * (times[-1] - times[0])
-        if times[0] < at < times[-1] and near:
-            axes.plot(*positions[row], "|", color=colour, markersize=7, markeredgewidth=1.5, zorder=4, label="_")
-            axes.annotate(f"{at:.9g} s", positions[row], (4, 4), fontsize=7, color=colour, zorder=5,
-                          textcoords="offset points", path_effects=HALO)  # fmt: skip
+def _draw_rig(axes: Axes, rig: Rig, size: float) -> None:
+    """Walls, anchors, and stations with the boresight unless it points up or down; those above each other share a name.
 
-
-def draw_rig(axes: Axes, rig: Rig, size: float) -> None:
-    """Walls; stations as squares, with the boresight unless it points up or down; anchors as triangles.
-
-    Those that stand above each other share a label. `size`: of the plan, m.
+    `size`: of the plan, m.
     """
     for x1, y1, x2, y2 in rig.all_walls():
         axes.plot([x1, x2], [y1, y2], color=GREY, linewidth=2.0, solid_capstyle="round", zorder=2, label="_wall")
-    marks = [(name, float(position[0]), float(position[1]), "^", False) for name, position in rig.anchors.items()]
-    for name, station in rig.stations.items():
-        x, y = float(station.position[0]), float(station.position[1])
+    anchors = {name: place[:2] for name, place in rig.anchors.items()}
+    stations = {name: station.position[:2] for name, station in rig.stations.items()}
+    for kind, marker, places in (("anchor", "^", anchors), ("station", "s", stations)):
+        if places:
+            axes.plot(*np.array([*places.values()]).T, marker, color=GREY, markersize=7, markeredgecolor="white",
+                      zorder=5, clip_on=False, label=kind)  # fmt: skip
+    for station in rig.stations.values():
         ahead = station.world_from_array()[:2, 2]
-        level = float(np.hypot(*ahead)) > 0.3
-        if level:
-            dx, dy = 0.09 * size * ahead / np.hypot(*ahead)
-            arrow = {"arrowstyle": "-|>", "color": GREY, "linewidth": 1.0}
-            axes.annotate("", (x + dx, y + dy), (x, y), arrowprops=arrow)
-        marks.append((name, x, y, "s", level and ahead[1] < 0))
-    labels = _shared_labels(marks, size / 40)
-    named = set[str]()
-    for name, x, y, marker, above in marks:
-        kind = {"s": "station", "^": "anchor"}[marker]
-        label = "_" if kind in named else kind
-        look: dict[str, Any] = {"marker": marker, "color": GREY, "markersize": 7, "markeredgecolor": "white"}
-        axes.plot(x, y, linestyle="", zorder=5, clip_on=False, label=label, **look)
-        named.add(kind)
-        offset, side = ((0, 6), "bottom") if above else ((0, -7), "top")
-        words: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": side, "fontsize": 7}
-        if name in labels:
-            text = literal(labels[name])
-            axes.annotate(text, (x, y), offset, zorder=5, color=GREY, **words)
+        if np.hypot(*ahead) > 0.3:
+            x, y = map(float, station.position[:2])
+            dx, dy = 0.11 * size * ahead / np.hypot(*ahead)
+            axes.annotate("", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": GREY})
+    stacks: dict[tuple[float, float], list[str]] = {}
+    for name, place in (anchors | stations).items():
+        near = (one for one in stacks if np.hypot(*(place - one)) <= size / 40)
+        stacks.setdefault(next(near, (float(place[0]), float(place[1]))), []).append(name)
+    for at, names in stacks.items():
+        text = literal(", ".join(sorted(names, key=natural)))
+        axes.annotate(text, at, (0, -7), textcoords="offset points", ha="center", va="top", fontsize=7, color=GREY)
 
 
-def _shared_labels(marks: Sequence[tuple[str, float, float, str, bool]], near: float) -> dict[str, str]:
-    """The labels of the first of all marks that are nearer to each other than that."""
-    stacks: list[tuple[float, float, list[str]]] = []
-    for name, x, y, *_ in marks:
-        nearby = [names for u, v, names in stacks if np.hypot(u - x, v - y) <= near]
-        if nearby:
-            nearby[0].append(name)
-        else:
-            stacks.append((x, y, [name]))
-    return {names[0]: ", ".join(sorted(names, key=natural)) for _, _, names in stacks}
+def track_paths(
+    sides: Sequence[ScoredRecording],
+    track: int,
+    looks: Sequence[tuple[str, str, str]],
+    ellipses: int,
+    most: int = 10**9,
+) -> list[PlanPath]:
+    """The paths of a track by one or several trackers, with at most so many ellipses, at the same times for all.
+
+    `looks`: name, colour and name of the ellipses of each. `most`: about so many points of a path are kept, the first,
+    the last and those with the largest errors among them.
+    """
+    rows, paths = sides[0].rows_of(track), []
+    places = [side.places[rows] for side in sides]
+    covs = [covariances(side.association.rows[rows])[:, :2, :2] for side in sides]
+    some = _ellipse_rows(places, covs, ellipses)
+    for side, (name, colour, named), place, cov in zip(sides, looks, places, covs, strict=True):
+        there = np.isfinite(place).all(axis=1)
+        times, errors = side.times[rows][there], side.miss[rows][there]
+        _, path, weight = broken_at_gaps(times, place[there], np.nan_to_num(errors))
+        kept = drawn_rows(np.array([len(path)]), np.where(np.isnan(path[:, 0]), np.inf, weight), most)
+        paths.append(PlanPath(name, colour, path[kept], place[some], cov[some], named))
+    return paths
 
 
-def ellipse_rows(positions: Sequence[np.ndarray], covs: Sequence[np.ndarray], most: int) -> np.ndarray:
+def true_path(scored: ScoredRecording, track: int) -> list[np.ndarray]:
+    """The true path (n, 2), m, of a track, NaN in gaps: of the truth table, else at its rows; none without truth."""
+    rows, paths = scored.rows_of(track), scored.folder.paths
+    tag, known = str(scored.association.rows["tag"][rows.start]), scored.association.scored[rows]
+    times, path = scored.times[rows][known], scored.association.truth[rows][known]
+    times, path = paths.of_tag(tag) if tag in paths.number else (times, path)
+    return [broken_at_gaps(times, path[:, :2])[1]] if len(times) else []
+
+
+def _ellipse_rows(positions: Sequence[np.ndarray], covs: Sequence[np.ndarray], most: int) -> np.ndarray:
     """The rows whose ellipses are drawn, at most so many: evenly over those with a usual covariance on all sides.
 
     `positions` (n, 2), m, and `covs` (n, 2, 2), m², of the same times on each side.
@@ -180,12 +157,9 @@ def ellipse_rows(positions: Sequence[np.ndarray], covs: Sequence[np.ndarray], mo
     return rows[np.unique((np.arange(most) + 0.5) * len(rows) / most).astype(int)] if len(rows) else rows
 
 
-def ellipses(centres: Float[np.ndarray, "k 2"], covs: Float[np.ndarray, "k 2 2"]) -> Float[np.ndarray, "n 2"]:
+def _ellipses(centres: Float[np.ndarray, "k 2"], covs: Float[np.ndarray, "k 2 2"]) -> Float[np.ndarray, "n 2"]:
     """The 95 % ellipses as one line with NaN between them."""
     squares, vectors = np.linalg.eigh(covs)
-    turn = np.linspace(0, 2 * np.pi, CORNERS)
-    circle = np.stack([np.cos(turn), np.sin(turn)])
+    turn = np.append(np.linspace(0, 2 * np.pi, 37), np.nan)
     half_axes = vectors * np.sqrt(chi_square_quantile(0.95, 2) * np.maximum(squares, 0))[:, None, :]
-    lines = np.full((len(centres), CORNERS + 1, 2), np.nan)
-    lines[:, :CORNERS] = np.swapaxes(half_axes @ circle, 1, 2) + centres[:, None]
-    return lines.reshape(-1, 2)
+    return (np.swapaxes(half_axes @ np.stack([np.cos(turn), np.sin(turn)]), 1, 2) + centres[:, None]).reshape(-1, 2)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from trackwright.experiments.pages.charts.style import INK, SKY, VERMILION, literal, write_panels
 from trackwright.tuning.sweeping import Sweep
+
+BEST: dict[str, Any] = {"color": VERMILION, "markersize": 8, "markeredgecolor": "white", "clip_on": False, "zorder": 5}
+"""The mark of the best point."""
 
 
 def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
@@ -21,21 +25,11 @@ def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
     mean, at = swept.mean, swept.best_index
     best = [float(grid[k]) for grid, k in zip(swept.grids, at, strict=True)]
     labels = [named(p.label, p.example.unit) for p in swept.parameters]
+    spread = swept.spread if len(swept.values) > 1 else None
     shown = ", ".join(f"{p.label} = {x:.4g}" for p, x in zip(swept.parameters, best, strict=True))
 
     def draw(axes: Axes) -> None:
-        if len(labels) == 1:
-            repeated = len(swept.values) > 1
-            draw_curve(axes, swept.grids[0], mean, swept.spread if repeated else None, (best[0], float(mean[at])))
-            axes.set_ylabel(literal(objective))
-            if repeated:
-                axes.legend(loc="best")
-        else:
-            draw_contours(axes, swept.grids, mean, (), (best[0], best[1]), objective)
-            scale_axis(axes, swept.grids[1], "y", tight=True)
-            axes.set_ylabel(labels[1])
-        scale_axis(axes, swept.grids[0], "x", tight=len(labels) == 2)
-        axes.set_xlabel(labels[0])
+        draw_objective(axes, labels, swept.grids, mean, best, objective, (), spread)
         axes.set_title(literal(f"minimum {mean[at]:.5g} at {shown}"), fontsize=9)
 
     return write_panels(path, [draw], (7.0, 4.6), f"Sweep: {objective}")
@@ -46,78 +40,72 @@ def named(name: str, unit: str) -> str:
     return literal(name + (f" ({unit})" if unit not in ("", "1") else ""))
 
 
-def draw_curve(
-    axes: Axes, grid: np.ndarray, values: np.ndarray, spread: np.ndarray | None, best: tuple[float, float]
-) -> None:
-    """The objective (n,) over one parameter, ± its spread over repeats, with the best point marked."""
-    if spread is not None:
-        low, high = values - spread, values + spread
-        axes.fill_between(
-            grid, low, high, color=SKY, alpha=0.35, linewidth=0, label="± standard deviation over repeats"
-        )
-    axes.plot(grid, values, color=INK, linewidth=1.4, marker="o" if len(grid) <= 40 else "", markersize=3.5)
-    _mark(axes, best)
-
-
-def _mark(axes: Axes, best: tuple[float, float]) -> None:
-    axes.plot(
-        *best, "o", color=VERMILION, markersize=8, markeredgecolor="white", markeredgewidth=1.3, clip_on=False, zorder=5
-    )
-
-
-def draw_contours(
+def draw_objective(
     axes: Axes,
+    labels: Sequence[str],
     grids: Sequence[np.ndarray],
     values: np.ndarray,
-    paths: Sequence[np.ndarray],
-    best: tuple[float, float],
+    best: Sequence[float],
     name: str,
+    paths: Sequence[np.ndarray] = (),
+    spread: np.ndarray | None = None,
 ) -> None:
-    """Contours of the objective `name` (n, m) over two parameters, and optimiser traces (i, 2), best one first.
+    """The objective `name` over one parameter (n,) as a curve, or over two (n, m) as contours.
 
-    Levels are equidistant in the square root of the excess over the minimum: evenly spaced for a quadratic.
+    `best`: the point that is marked. `paths`: optimiser traces (i, p), the best one first; along a curve they are drawn
+    at its values, since a fit may have had another objective. `spread` (n,): over repeats. Levels of contours are
+    equidistant in the square root of the excess over the minimum: evenly spaced for a quadratic.
     """
-    low = float(np.nanmin(values))
-    above = values[np.isfinite(values)] - low
-    top = float(np.quantile(above, 0.97)) or float(above.max()) or 1.0
-    levels = low + np.linspace(0, np.sqrt(top), 12) ** 2
-    shown = np.where(np.isfinite(values), values, np.nan).T
-    filled = axes.contourf(*grids, shown, levels=levels, cmap="Blues_r", extend="max", alpha=0.75)
-    bar = axes.figure.colorbar(filled, ax=axes, ticks=levels[::3], format="%.4g", pad=0.02, aspect=30)
-    bar.set_label(literal(name), fontsize=8)
-    bar.outline.set_visible(False)  # type: ignore[operator]
-    axes.contour(*grids, shown, levels=levels, colors="white", linewidths=0.6, linestyles="solid")
+    curve, height = len(labels) == 1, float(np.nanmin(values))
+    if curve:
+        (grid,) = grids
+        if spread is not None:
+            label = "± standard deviation over repeats"
+            axes.fill_between(grid, values - spread, values + spread, color=SKY, alpha=0.35, linewidth=0, label=label)
+        axes.plot(grid, values, color=INK, linewidth=1.4, marker="o" if len(grid) <= 40 else "", markersize=3.5)
+        paths = [np.column_stack([path, np.interp(path[:, 0], grid, values, np.nan, np.nan)]) for path in paths]
+        axes.set_ylabel(literal(name))
+    else:
+        above = values[np.isfinite(values)] - height
+        top = float(np.quantile(above, 0.97)) or float(above.max()) or 1.0
+        levels = height + np.linspace(0, np.sqrt(top), 12) ** 2
+        shown = np.where(np.isfinite(values), values, np.nan).T
+        filled = axes.contourf(*grids, shown, levels=levels, cmap="Blues_r", extend="max", alpha=0.75)
+        bar = axes.figure.colorbar(filled, ax=axes, ticks=levels[::3], format="%.4g", pad=0.02, aspect=30)
+        bar.set_label(literal(name), fontsize=8)
+        bar.outline.set_visible(False)  # type: ignore[operator]
+        axes.contour(*grids, shown, levels=levels, colors="white", linewidths=0.6, linestyles="solid")
+        axes.grid(visible=False)
+        scale_axis(axes, grids[1], "y", tight=True)
+        axes.set_ylabel(labels[1])
     for k, path in reversed(list(enumerate(paths))):
-        first = k == 0
-        axes.plot(
-            path[:, 0], path[:, 1], ".-", color=VERMILION if first else INK, markersize=4.5 if first else 2.5,
-            linewidth=1.2 if first else 0.6, alpha=1.0 if first else 0.5,
-            label={0: "best start" if len(paths) > 1 else "optimiser steps", 1: "other starts"}.get(k),
-        )  # fmt: skip
-    _mark(axes, best)
-    axes.grid(visible=False)
-    if paths:
-        handles = (x[::-1] for x in axes.get_legend_handles_labels())
-        axes.legend(*handles, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=3)
+        colour, size, width, alpha = (VERMILION, 4.5, 1.2, 1.0) if k == 0 else (INK, 2.5, 0.6, 0.5)
+        label = {0: "best start" if len(paths) > 1 else "optimiser steps", 1: "other starts"}.get(k, "_")
+        axes.plot(*path.T, ".-", color=colour, markersize=size, linewidth=width, alpha=alpha, label=label)
+    axes.plot(*best, *([height] if curve else []), "o", **BEST)
+    handles, texts = axes.get_legend_handles_labels()
+    if texts:
+        place = {"loc": "best"} if curve else {"loc": "lower left", "bbox_to_anchor": (-0.01, 1.0), "ncols": 3}
+        axes.legend(handles[::-1], texts[::-1], **place)
+    scale_axis(axes, grids[0], "x", tight=not curve)
+    axes.set_xlabel(labels[0])
 
 
 def scale_axis(axes: Axes, values: np.ndarray, which: str, tight: bool = False) -> None:
     """Scales the axis x or y: logarithmic where all values are positive and differ by more than half, else linear."""
-    values = values[np.isfinite(values)]
-    low, high = float(values.min()), float(values.max())
-    set_limits = axes.set_xlim if which == "x" else axes.set_ylim
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
     axis = axes.xaxis if which == "x" else axes.yaxis
     if low > 0 and high > 1.5 * low:
-        (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+        axes.set(**{f"{which}scale": "log"})
         axis.set_major_locator(FixedLocator(_round_numbers(low, high)))
         axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_major_formatter("{x:g}")
         factor = 1.0 if tight else (high / low) ** 0.06
-        set_limits(low / factor, high * factor)
+        axes.set(**{f"{which}lim": (low / factor, high * factor)})
         return
     axis.set_major_locator(MaxNLocator(5))
     margin = 0.0 if tight and high > low else 0.08 * (high - low) or 0.1 * abs(high) or 1.0
-    set_limits(low - margin, high + margin)
+    axes.set(**{f"{which}lim": (low - margin, high + margin)})
 
 
 def _round_numbers(low: float, high: float) -> list[float]:

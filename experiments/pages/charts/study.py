@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -34,9 +34,6 @@ UNITS = ("rad/s", "m/s²", "m/s", "rad", "Hz", "m", "s")
 DECADES = 30.0
 """Ratio of the largest to the smallest value from which an axis is logarithmic."""
 
-ALIKE = 2.0
-"""Distributions whose ends differ by less than this factor share one axis."""
-
 
 def write_charts(folder: Path, charts: Sequence[Chart], kind: str) -> list[str]:
     """Writes the charts as files into the folder; returns their names. `kind`: their ending, png or pdf."""
@@ -58,107 +55,96 @@ def metric_chart(
     None where a chart has no room for all lines or rows, and where all values are zero or missing. `bounds`: Cramér–Rao
     bounds on the metric, drawn as lines, or as strokes in rows.
     """
-    study = results.study
+    study, along = results.study, _axis(results)
     values = {k: np.array(v.times(unit.factor)) for k, v in by_condition.items() if np.isfinite(v.value)}
-    if not any(v[0] for v in values.values()):
+    lines = len(study.worlds) * len(study.trackers)
+    room = len(values) <= ROWS_SHOWN if along is None else lines <= LINES_SHOWN
+    if not room or not any(v[0] for v in values.values()):
         return None
     limits = {k: v.value * unit.factor for k, v in (bounds or {}).items() if np.isfinite(v.value)}
     right = METRICS[metric].right if metric in METRICS else None
-    target = None if right is None else right * unit.factor
     words = heading(metric)
     title = words[0].upper() + words[1:] + (f", {unit.name}" if unit.name else "")
-    along = _axis(results)
+    drawn = _Drawn(results, values, limits, title, None if right is None else right * unit.factor)
     if along is None:
-        return _bars(results, metric, values, limits, title, target) if len(values) <= ROWS_SHOWN else None
-    if len(study.worlds) * len(study.trackers) > LINES_SHOWN:
-        return None
-    return _along(results, metric, along, values, limits, title, target)
+        return Chart(metric, title, partial(_bars, drawn=drawn), height=max(1.3, 0.75 + 0.24 * len(values)))
+    return Chart(metric, title, partial(_along, drawn=drawn, along=along), height=_height(lines))
 
 
-def _along(
-    results: Results,
-    metric: str,
-    along: str,
-    values: Mapping[tuple[int, str], np.ndarray],
-    limits: Mapping[tuple[int, str], float],
-    title: str,
-    target: float | None,
-) -> Chart:
-    """A line with its band for every world and tracker, over the grid, its bound, and the `target` of the metric."""
-    study = results.study
-    series = [(w, t) for w in study.worlds for t in study.trackers]
+class _Drawn(NamedTuple):
+    """What a chart of a metric shows: values with intervals, bounds, and the `target` of the metric, if any."""
 
-    def draw(axes: Axes) -> None:
-        for number, (world, tracker) in enumerate(series):
-            there = [c for c in study.conditions if c.world == world and (c.index, tracker) in values]
-            if not there:
-                continue
-            x = [float(c.point[along]) for c in there]
-            middle, low, high = np.array([values[c.index, tracker] for c in there]).T
-            look = _look(number)
-            name = tracker if len(study.worlds) == 1 else f"{world}: {tracker}"
-            axes.plot(x, middle, **look, marker=MARKS[number % len(MARKS)], markersize=4, label=literal(name))
-            axes.fill_between(x, low, high, color=look["color"], alpha=0.18, linewidth=0)
-            at = [float(c.point[along]) for c in there if (c.index, tracker) in limits]
-            if at:
-                bound = [limits[c.index, tracker] for c in there if (c.index, tracker) in limits]
-                line = {"color": look["color"], "linestyle": ":", "linewidth": 1.3}
-                axes.plot(at, bound, **line, label=literal(f"{name}: Cramér–Rao bound"))
-        least, most = min(study.grid[along]), max(study.grid[along])
-        if least > 0 and most / least >= 8:
-            axes.set_xscale("log")
-            axes.set_xticks(sorted(study.grid[along]), [f"{v:g}" for v in sorted(study.grid[along])])
-            axes.xaxis.set_minor_locator(NullLocator())
-        if target is not None:
-            axes.axhline(target, color=INK, linewidth=0.9, linestyle="--", label=f"{target:g} expected")
-        axes.set_xlabel(literal(short(along) + _unit_of(results, along)))
-        if _spans_decades(values):
-            axes.set_yscale("log")
-            _plain_log(axes.yaxis)
-        else:
-            axes.set_ylim(0, None)
-        axes.set_title(literal(title))
-        _legend(axes)
-        plain(axes)
+    results: Results
+    values: Mapping[tuple[int, str], np.ndarray]
+    limits: Mapping[tuple[int, str], float]
+    title: str
+    target: float | None
 
-    return Chart(metric, title, draw, height=_height(len(series)))
+    @property
+    def spans_decades(self) -> bool:
+        """Whether all values and intervals are positive and span more than `DECADES`."""
+        pooled = np.concatenate(list(self.values.values()))
+        low, high = np.nanmin(pooled), np.nanmax(pooled)
+        return bool(low > 0 and high >= DECADES * low)
 
 
-def _bars(
-    results: Results,
-    metric: str,
-    values: Mapping[tuple[int, str], np.ndarray],
-    limits: Mapping[tuple[int, str], float],
-    title: str,
-    target: float | None,
-) -> Chart:
-    """Points with intervals, a row for every condition and tracker, a stroke for its bound, a line at the `target`."""
-    trackers = list(results.study.trackers)
+def _along(axes: Axes, drawn: _Drawn, along: str) -> None:
+    """A line with its band for every world and tracker, over the grid, its bound, and the target."""
+    study, values, limits = drawn.results.study, drawn.values, drawn.limits
+    for number, (world, tracker) in enumerate((w, t) for w in study.worlds for t in study.trackers):
+        there = [c for c in study.conditions if c.world == world and (c.index, tracker) in values]
+        if not there:
+            continue
+        middle, low, high = np.array([values[c.index, tracker] for c in there]).T
+        look, x = _look(number), [float(c.point[along]) for c in there]
+        name = tracker if len(study.worlds) == 1 else f"{world}: {tracker}"
+        axes.plot(x, middle, **look, marker=MARKS[number % len(MARKS)], markersize=4, label=literal(name))
+        axes.fill_between(x, low, high, color=look["color"], alpha=0.18, linewidth=0)
+        bound = [(float(c.point[along]), limits[c.index, tracker]) for c in there if (c.index, tracker) in limits]
+        if bound:
+            label = literal(f"{name}: Cramér–Rao bound")
+            axes.plot(*zip(*bound, strict=True), color=look["color"], linestyle=":", linewidth=1.3, label=label)
+    grid = sorted(study.grid[along])
+    if grid[0] > 0 and grid[-1] / grid[0] >= 8:
+        axes.set_xscale("log")
+        axes.set_xticks(grid, [f"{v:g}" for v in grid])
+        axes.xaxis.set_minor_locator(NullLocator())
+    if drawn.target is not None:
+        axes.axhline(drawn.target, color=INK, linewidth=0.9, linestyle="--", label=f"{drawn.target:g} expected")
+    axes.set_xlabel(literal(short(along) + _unit_of(drawn.results, along)))
+    if drawn.spans_decades:
+        axes.set_yscale("log")
+        _plain_log(axes.yaxis)
+    else:
+        axes.set_ylim(0, None)
+    axes.set_title(literal(drawn.title))
+    _legend(axes)
+    plain(axes)
+
+
+def _bars(axes: Axes, drawn: _Drawn) -> None:
+    """Points with intervals, a row for every condition and tracker, a stroke for its bound, a line at the target."""
+    results, values, target, trackers = drawn.results, drawn.values, drawn.target, [*drawn.results.study.trackers]
     rows = [(c, t) for c in results.study.conditions for t in trackers if (c.index, t) in values]
-
-    def draw(axes: Axes) -> None:
-        for k, (condition, tracker) in enumerate(rows):
-            number = trackers.index(tracker)
-            colour, (middle, low, high) = LINES[number % len(LINES)], values[condition.index, tracker]
-            axes.plot([low, high], [k, k], color=colour, linewidth=3, alpha=0.35, solid_capstyle="butt")
-            mark = MARKS[number % len(MARKS)]
-            axes.plot(middle, k, color=colour, marker=mark, markersize=5, clip_on=False, zorder=3)
-            if (condition.index, tracker) in limits:
-                axes.plot(limits[condition.index, tracker], k, "|", color=INK, markersize=9, markeredgewidth=1.6)
-        if target is not None:
-            axes.axvline(target, color=INK, linewidth=0.9, linestyle="--", zorder=0)
-        axes.set_yticks(range(len(rows)), [literal(_row_name(results, c, t)) for c, t in rows])
-        axes.set_ylim(len(rows) - 0.4, -0.6)
-        if _spans_decades(values):
-            axes.set_xscale("log")
-            _plain_log(axes.xaxis)
-        else:
-            axes.set_xlim(0, 1.04 * max(target or 0.0, float(np.nanmax([values[c.index, t] for c, t in rows]))))
-        line = f" (line: {target:g})" if target is not None else ""
-        axes.set_title(literal(title + (" (strokes: Cramér–Rao bound)" if limits else "") + line))
-        plain(axes, "x")
-
-    return Chart(metric, title, draw, height=max(1.3, 0.75 + 0.24 * len(rows)))
+    for k, (condition, tracker) in enumerate(rows):
+        number, key = trackers.index(tracker), (condition.index, tracker)
+        colour, mark, (middle, low, high) = LINES[number % len(LINES)], MARKS[number % len(MARKS)], values[key]
+        axes.plot([low, high], [k, k], color=colour, linewidth=3, alpha=0.35, solid_capstyle="butt")
+        axes.plot(middle, k, color=colour, marker=mark, markersize=5, clip_on=False, zorder=3)
+        if key in drawn.limits:
+            axes.plot(drawn.limits[key], k, "|", color=INK, markersize=9, markeredgewidth=1.6)
+    if target is not None:
+        axes.axvline(target, color=INK, linewidth=0.9, linestyle="--", zorder=0)
+    axes.set_yticks(range(len(rows)), [literal(_row_name(results, c, t)) for c, t in rows])
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    if drawn.spans_decades:
+        axes.set_xscale("log")
+        _plain_log(axes.xaxis)
+    else:
+        axes.set_xlim(0, 1.04 * max(target or 0.0, float(np.nanmax([*values.values()]))))
+    line = f" (line: {target:g})" if target is not None else ""
+    axes.set_title(literal(drawn.title + (" (strokes: Cramér–Rao bound)" if drawn.limits else "") + line))
+    plain(axes, "x")
 
 
 def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
@@ -166,44 +152,34 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
 
     `lengths`: the page's unit of lengths, or None.
     """
-    study = results.study
+    study, made = results.study, []
     conditions = study.conditions[:SHOWN_CONDITIONS]
     kinds = [_kind(results, condition) for condition in conditions]
     medians = [
         results.at(f"median_{k}", c, t).value for c, k in zip(conditions, kinds, strict=True) for t in study.trackers
     ]
-    units = {k: lengths if lengths and k.endswith("m") else unit_of(f"median_{k}", medians) for k in kinds}
-    curves = [_curves(results, c, k, units[k].factor) for c, k in zip(conditions, kinds, strict=True)]
-    ends = [max(float(c.errors[np.searchsorted(c.shares, 98.0)]) for c in by_tracker.values()) for by_tracker in curves]
-    if len(set(kinds)) == 1 and max(ends) <= ALIKE * min(ends):
-        ends = [max(ends)] * len(ends)
-
-    def draw(axes: Axes, condition: int, title: str) -> None:
-        by_tracker = curves[condition]
-        looks = [_look(number) for number, tracker in enumerate(study.trackers) if tracker in by_tracker]
-        error = f"error {ERROR_KINDS[kinds[condition]].words}".strip()
-        quantity = f"{error}, {units[kinds[condition]].name}"
-        draw_distributions(axes, [*by_tracker.values()], quantity, ends[condition], looks=looks)
-        axes.set_title(literal(title))
-        _legend(axes)
-        plain(axes, "both")
-
-    made = []
-    for k, condition in enumerate(conditions):
+    for number, (condition, kind) in enumerate(zip(conditions, kinds, strict=True), 1):
+        unit = lengths if lengths and kind.endswith("m") else unit_of(f"median_{kind}", medians)
         title = f"Distribution of errors: {condition.label}"
-        draw_this = functools.partial(draw, condition=k, title=title)
-        made.append(Chart(f"errors-{k + 1}", title, draw_this, height=_height(len(study.trackers))))
+        draw = partial(_distributions, results=results, condition=condition, kind=kind, unit=unit, title=title)
+        made.append(Chart(f"errors-{number}", title, draw, height=_height(len(study.trackers))))
     return made
 
 
-def _curves(results: Results, condition: Condition, kind: str, factor: float) -> dict[str, Curve]:
-    """The distribution of errors times `factor`, for each tracker with errors of this kind."""
-    curves = {}
-    for tracker in results.study.trackers:
+def _distributions(axes: Axes, results: Results, condition: Condition, kind: str, unit: Unit, title: str) -> None:
+    """The distribution of the errors of each tracker with errors of this kind, up to 98 % of the largest."""
+    curves, looks = [], []
+    for number, tracker in enumerate(results.study.trackers):
         if kind in results.totals[condition.index, tracker].scores.histograms:
             edges, share = results.cdf(condition.world, tracker, kind, **condition.point)
-            curves[tracker] = Curve(tracker, edges * factor, 100 * share)
-    return curves
+            curves.append(Curve(tracker, edges * unit.factor, 100 * share))
+            looks.append(_look(number))
+    end = max(float(curve.errors[np.searchsorted(curve.shares, 98.0)]) for curve in curves)
+    quantity = f"{f'error {ERROR_KINDS[kind].words}'.strip()}, {unit.name}"
+    draw_distributions(axes, curves, quantity, end, looks=looks)
+    axes.set_title(literal(title))
+    _legend(axes)
+    plain(axes, "both")
 
 
 def _unit_of(results: Results, along: str) -> str:
@@ -212,7 +188,7 @@ def _unit_of(results: Results, along: str) -> str:
         key = name.strip().removeprefix(WORLD)
         for world in results.study.worlds.values():
             # Worlds by name are partial functions of those with the docstring.
-            make = world.make.args[0] if isinstance(world.make, functools.partial) else world.make
+            make = world.make.args[0] if isinstance(world.make, partial) else world.make
             about = re.search(rf"^ +{re.escape(key)}: ([^\n]*)", inspect.getdoc(make) or "", re.M)
             unit = re.search(rf", ({'|'.join(UNITS)})\b", about[1]) if about else None
             if unit:
@@ -235,13 +211,6 @@ def _legend(axes: Axes) -> None:
 
 def _height(names: int) -> float:
     return HEIGHT + (0.17 * -(-names // 2) + 0.1 if names > NAMES_INSIDE else 0.0)
-
-
-def _spans_decades(values: Mapping[tuple[int, str], np.ndarray]) -> bool:
-    """Whether all values and intervals are positive and span more than `DECADES`."""
-    pooled = np.concatenate(list(values.values()))
-    low, high = np.nanmin(pooled), np.nanmax(pooled)
-    return bool(low > 0 and high >= DECADES * low)
 
 
 def _plain_log(axis: Axis) -> None:

@@ -155,26 +155,23 @@ def write_panels(
         if legend:
             figure.legend(*drawn[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=legend)
         if size is None:
-            figure.set_size_inches(_plan_size(drawn[0, 0]) if len(panels) == 1 else _plans_size(drawn))
+            figure.set_size_inches(_plan_size(drawn))
     return Path(path)
 
 
-def _plans_size(drawn: np.ndarray) -> tuple[float, float]:
-    """Width and height in inches of plans in rows and columns, each row as high as it needs."""
-    columns = drawn.shape[1]
-    width = min(3.3 * columns + 0.4, 16.0)
-    heights = [height_over_width(row[0], 0.3, 1.5) * width / columns + 0.6 for row in drawn]
-    drawn[0, 0].get_gridspec().set_height_ratios(heights)
-    return width, sum(heights) + 0.4
-
-
-def _plan_size(axes: Axes) -> tuple[float, float]:
-    """Width and height in inches: a plan of about 30 square inches, and room for labels and a legend at its side."""
-    ratio = height_over_width(axes, 0.25, 2.5)
+def _plan_size(drawn: np.ndarray) -> tuple[float, float]:
+    """Width and height in inches of floor plans in rows and columns; one alone has room for a legend at its side."""
+    if drawn.size > 1:
+        columns = drawn.shape[1]
+        width = min(3.3 * columns + 0.4, 16.0)
+        heights = [height_over_width(row[0], 0.3, 1.5) * width / columns + 0.6 for row in drawn]
+        drawn[0, 0].get_gridspec().set_height_ratios(heights)
+        return width, sum(heights) + 0.4
+    ratio = height_over_width(drawn[0, 0], 0.25, 2.5)
     width = float(np.clip(np.sqrt(30 / ratio), 3.5, 8.5))
-    words = [text.get_text() for text in getattr(axes.get_legend(), "texts", ())]
-    longest = max((len(line) for text in words for line in text.splitlines()), default=0)
-    return width + max(1.9, 0.9 + 0.08 * longest), width * ratio + 1.3
+    legend = drawn[0, 0].get_legend()
+    lines = [line for text in (legend.texts if legend else ()) for line in text.get_text().splitlines()]
+    return width + max(1.9, 0.9 + 0.08 * max(map(len, lines), default=0)), width * ratio + 1.3
 
 
 def _joined(column: Sequence[Axes]) -> None:

@@ -17,8 +17,8 @@ from trackwright.experiments.pages.charts.distributions import (
     draw_nis,
     draw_probabilities,
 )
-from trackwright.experiments.pages.charts.floor import AROUND, PlanPath, draw_plan, plan_corners
-from trackwright.experiments.pages.charts.objective import draw_contours, draw_curve, named, scale_axis
+from trackwright.experiments.pages.charts.floor import draw_plan, track_paths, true_path
+from trackwright.experiments.pages.charts.objective import draw_objective, named, scale_axis
 from trackwright.experiments.pages.charts.style import (
     BEFORE,
     BLUE,
@@ -33,14 +33,18 @@ from trackwright.experiments.pages.charts.style import (
     plain,
     write_panels,
 )
-from trackwright.experiments.pages.reports.before_after import TrackChange
-from trackwright.experiments.pages.reports.tuning_data import ErrorTrack, OptimiserTrace, TuningReportData
+from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChange
+from trackwright.experiments.pages.reports.tuning_data import OptimiserTrace, TuningReportData
+from trackwright.experiments.pages.scored_tracks import root_mean_square
 from trackwright.experiments.text.wording import number
 from trackwright.tuning.diagnostics import Innovations
 from trackwright.tuning.sweeping import Surface
 
 PALE = "#c3ccd6"
 POINTS = 250
+ELLIPSES, PLAN_POINTS = 12, 1000
+"""The most ellipses of a side in a floor plan, and about the most points of a path."""
+
 SHOWN, MOST = 6, 24
 """The most trajectories whose errors are drawn over time, and whose RMSE is drawn."""
 
@@ -49,18 +53,13 @@ def plan_chart(change: TrackChange) -> Chart:
     """Paths before and after, 95 % ellipses of the same moments on both, truth, anchors, stations and walls."""
 
     def draw(axes: Axes) -> None:
-        sides = (("before", BEFORE, change.before), ("after", BLUE, change.after))
-        paths = [
-            PlanPath(name, colour, side.path, side.centres, side.covs, f"95 % ellipses {name}")
-            for name, colour, side in sides
-        ]
-        truths = [change.truth] if len(change.truth) else []
-        corners = plan_corners(truths, [path.positions for path in paths], change.rig, AROUND)
-        draw_plan(axes, paths, truths, change.rig, corners)
+        looks = [(k, colour, f"95 % ellipses {k}") for k, colour in (("before", BEFORE), ("after", BLUE))]
+        paths = track_paths([change.before, change.after], change.track, looks, ELLIPSES, PLAN_POINTS)
+        draw_plan(axes, paths, true_path(change.after, change.track), change.after.folder.rig)
         legend_above(axes, 3)
-        axes.set_title(literal(f"{change.recording}, tag {change.tag}"), pad=30)
+        axes.set_title(literal(change.name), pad=30)
 
-    return Chart("plan", f"Floor plan of {change.recording}, tag {change.tag}", draw, height=None)
+    return Chart("plan", f"Floor plan of {change.name}", draw, height=None)
 
 
 def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
@@ -81,27 +80,24 @@ def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
 
 def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
     """RMSE of every trajectory before and after, the largest on top."""
-    rows = sorted(((_rms(e.before), _rms(e.after), e.name) for e in errors), key=lambda row: row[0])
-    kept = rows[-MOST:]
+    rows = sorted((root_mean_square(e.before), root_mean_square(e.after), _short(e.name)) for e in errors)[-MOST:]
+    old, new, names = (np.array(column) for column in zip(*rows, strict=True))
+    places, worse = np.arange(len(rows)), new > old
 
     def draw(axes: Axes) -> None:
-        for k, (old, new, _) in enumerate(kept):
-            axes.plot([old, new], [k, k], color=BLUE if new <= old else VERMILION, linewidth=1.6, alpha=0.6, zorder=1)
-        places = np.arange(len(kept))
-        axes.plot([r[0] for r in kept], places, "o", markerfacecolor="white", color=BEFORE, markersize=6,
-                  label="before")  # fmt: skip
-        axes.plot([r[1] for r in kept], places, "o", color=BLUE, markersize=6, label="after")
-        worse = [(r[1], k) for k, r in enumerate(kept) if r[1] > r[0]]
-        if worse:
-            axes.plot(*np.array(worse).T, "o", color=VERMILION, markersize=6, label="after, larger")
-        axes.set_yticks(places, [literal(_short(r[2])) for r in kept])
-        axes.set(xlabel=f"RMSE ({unit})", ylim=(-0.6, len(kept) - 0.4))
-        axes.set_xlim(0, 1.06 * max(max(r[:2]) for r in kept))
+        for k in places:
+            colour = VERMILION if worse[k] else BLUE
+            axes.plot([old[k], new[k]], [k, k], color=colour, linewidth=1.6, alpha=0.6, zorder=1)
+        axes.plot(old, places, "o", markerfacecolor="white", color=BEFORE, markersize=6, label="before")
+        for which, colour, label in ((~worse, BLUE, "after"), (worse, VERMILION, "after, larger")):
+            if which.any():
+                axes.plot(new[which], places[which], "o", color=colour, markersize=6, label=label)
+        axes.set_yticks(places, [literal(name) for name in names])
+        axes.set(xlabel=f"RMSE ({unit})", ylim=(-0.6, len(rows) - 0.4), xlim=(0, 1.06 * max(old.max(), new.max())))
         legend_above(axes, 3)
-        axes.xaxis.set_major_locator(MaxNLocator(5))
         plain(axes, "x")
 
-    return Chart("rmse", "RMSE of trajectories", draw, height=max(2.0, 1.0 + 0.24 * len(kept)))
+    return Chart("rmse", "RMSE of trajectories", draw, height=max(2.0, 1.0 + 0.24 * len(rows)))
 
 
 def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
@@ -124,9 +120,9 @@ def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
 
 def error_charts(errors: Sequence[ErrorTrack], unit: str) -> list[Chart]:
     """The errors over time, for the trajectories whose RMSE changed most."""
-    chosen = sorted(errors, key=lambda e: -abs(_rms(e.after) - _rms(e.before)))[:SHOWN]
-    pooled = np.concatenate([np.concatenate([e.before, e.after]) for e in chosen])
-    top = 1.05 * float(np.nanquantile(pooled, 0.998)) or 1.0
+    changes = [abs(root_mean_square(e.after) - root_mean_square(e.before)) for e in errors]
+    chosen = [errors[k] for k in np.argsort(np.negative(changes), kind="stable")[:SHOWN]]
+    top = 1.05 * float(np.nanquantile(np.concatenate([x for e in chosen for x in (e.before, e.after)]), 0.998)) or 1.0
 
     def draw(axes: Axes, track: ErrorTrack) -> None:
         at, old, new = broken_at_gaps(*_smooth(track))
@@ -138,9 +134,7 @@ def error_charts(errors: Sequence[ErrorTrack], unit: str) -> list[Chart]:
         axes.legend(loc="lower right", bbox_to_anchor=(1.01, 1.0), ncols=2)
         plain(axes)
 
-    return [
-        Chart("errors", f"Error of {track.name} over time", partial(draw, track=track), height=2.1) for track in chosen
-    ]
+    return [Chart("errors", f"Error of {e.name} over time", partial(draw, track=e), height=2.1) for e in chosen]
 
 
 def _smooth(track: ErrorTrack) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -150,11 +144,6 @@ def _smooth(track: ErrorTrack) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     count = np.add.reduceat(np.ones(len(track.times)), starts)
     old, new = (np.sqrt(np.add.reduceat(values**2, starts) / count) for values in (track.before, track.after))
     return np.add.reduceat(track.times, starts) / count, old, new
-
-
-def _rms(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
 
 
 def _short(name: str) -> str:
@@ -242,20 +231,11 @@ def selected_step(data: TuningReportData) -> int:
 def surface_chart(data: TuningReportData, surface: Surface) -> Chart:
     """The objective over one parameter as a curve, over two as contours with the steps of all starts."""
     known = [data.parameters[k] for k in surface.axes]
-    best = [n.after for n in known]
+    labels, best = [named(n.name, n.unit) for n in known], [n.after for n in known]
+    paths = [t.values[:, list(surface.axes)] for t in data.traces]
+    about = data.objective_about
 
     def draw(axes: Axes) -> None:
-        if len(known) == 1:
-            draw_curve(axes, surface.grids[0], surface.values, None, (best[0], float(np.nanmin(surface.values))))
-            axes.set_title(literal(data.objective_about))
-            plain(axes)
-        else:
-            paths = [t.values[:, list(surface.axes)] for t in data.traces]
-            draw_contours(axes, surface.grids, surface.values, paths, (best[0], best[1]), data.objective_about)
-            scale_axis(axes, surface.grids[1], "y", tight=True)
-            axes.set_ylabel(named(known[1].name, known[1].unit))
-        scale_axis(axes, surface.grids[0], "x", tight=True)
-        axes.set_xlabel(named(known[0].name, known[0].unit))
+        draw_objective(axes, labels, surface.grids, surface.values, best, about, paths)
 
-    names = " and ".join(n.name for n in known)
-    return Chart("surface", f"Objective over {names}", draw, WIDTH, 3.6)
+    return Chart("surface", f"Objective over {' and '.join(n.name for n in known)}", draw, WIDTH, 3.6)

@@ -4,30 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.pages.charts.floor import ellipse_rows
-from trackwright.experiments.pages.charts.style import broken_at_gaps
-from trackwright.experiments.pages.reports.pages import drawn_rows
 from trackwright.experiments.pages.reports.verdict import Verdict, cells, density_content, judge
-from trackwright.experiments.text.tables import rendered, ruled_table, terminal_width
+from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, drawn_of, root_mean_square
+from trackwright.experiments.text.tables import Section, sections_text
 from trackwright.experiments.text.wording import SHOWN, fixed, length_unit
-from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.association import Association, associate_truth
 from trackwright.trackers.evaluation.evaluate import evaluate_association
-from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.evaluation.statements import covariance_statements
-from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.tracks_table import is_bearing
-from trackwright.trackers.recordings.truth import TruthStatus
 
 WIDTH = 120
 DEGREES = SHOWN["rad"]
@@ -52,7 +42,7 @@ class Compared(NamedTuple):
         title = f"{self.about[0].upper()}{self.about[1:]}, before → after"
         verdict = f"Verdict: {self.verdict.word}. {self.verdict.sentence(self.about)}"
         sentences = (*self.statements, verdict, *self.verdict.got_worse)
-        return rendered(terminal_width(WIDTH), ruled_table(title, self.head, 1, self.rows), *sentences)
+        return sections_text([Section(title, self.head, self.rows)], WIDTH, *sentences)
 
     def content(self) -> dict[str, Any]:
         """The verdict and the table as tuned.toml holds them, nan for what is unknown."""
@@ -138,164 +128,83 @@ MOST_PLANS = 8
 MOST_TAGS = 3
 """The most tags of a recording that have a floor plan each."""
 
-MOST_POINTS = 1000
-"""The most points of a path."""
 
-ELLIPSES = 12
-"""Moments at which both ellipses are drawn."""
+class ErrorTrack(NamedTuple):
+    """Sizes of the errors of a track before and after (t,), m or °, NaN where unknown, at `times` (t,).
 
-
-class Side(NamedTuple):
-    """A track with one of the two sets of noise levels.
-
-    `path` (n, 2), m, with a row of NaN in each gap. `centres` (k, 2), m, and `covs` (k, 2, 2), m², of some estimates,
-    those of the same moments on both sides. `rmse`: horizontal, m, NaN without truth.
+    `times`: s since the first estimate of the recording.
     """
 
-    path: np.ndarray
-    centres: np.ndarray
-    covs: np.ndarray
-    rmse: float
+    name: str
+    times: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
 
 
-@dataclass(frozen=True)
-class TrackChange:
-    """A track before and after, its true path (n, 2), m, with NaN in gaps, and why it is shown, empty for all tags."""
+class TrackChange(NamedTuple):
+    """A track by its number in its recording before and after, whether that was held out, and why it is shown."""
 
-    recording: str
-    tag: str
+    before: ScoredRecording
+    after: ScoredRecording
+    track: int
     held_out: bool
-    why: str
-    rig: Rig
-    truth: np.ndarray
-    before: Side
-    after: Side
+    why: str = ""
+
+    @property
+    def name(self) -> str:
+        """The recording, the tag and, of bearings, the station."""
+        rows = self.after.association.rows
+        first = rows.row(self.after.rows_of(self.track).start, named=True)
+        of_station = f", station {first['station']}" if self.after.angles else ""
+        return f"{self.after.folder.name}, tag {first['tag']}{of_station}"
+
+    @property
+    def errors(self) -> ErrorTrack:
+        """The errors over time."""
+        rows, factor = self.after.rows_of(self.track), 180 / np.pi if self.after.angles else 1.0
+        times = self.after.times - self.after.times.min()
+        return ErrorTrack(self.name, times[rows], factor * self.before.miss[rows], factor * self.after.miss[rows])
 
     @property
     def rmse(self) -> str:
         """The RMSE before and after in words; empty without truth."""
-        pair = (self.before.rmse, self.after.rmse)
+        pair = self.before.rmse[self.track], self.after.rmse[self.track]
         if not np.isfinite(pair).any():
             return ""
         unit = length_unit(float(np.nanmax(pair)))
         return " → ".join(fixed(unit.factor * x, 3 if unit.name == "m" else 1) for x in pair) + f" {unit.name}"
 
+    @property
+    def moved(self) -> float:
+        """The root mean square distance, m, of the estimates after from those before; NaN without both of a moment."""
+        rows = self.after.rows_of(self.track)
+        return root_mean_square(np.linalg.norm(self.after.places[rows] - self.before.places[rows], axis=1))
+
 
 class TrackChanges(NamedTuple):
-    """The tracks that are shown, and of how many."""
+    """The tracks that are shown, of how many, and the errors of all that are held out or, without these, of all."""
 
     shown: tuple[TrackChange, ...]
     total: int
-
-
-@dataclass(frozen=True)
-class _Pair:
-    """One track of a recording before and after: the rows `part` of both associations.
-
-    `positions` (n, 2), m, of each side, NaN in rows without an estimate. `why`: it is shown.
-    """
-
-    folder: RecordingFolder
-    sides: tuple[Association, Association]
-    part: slice
-    positions: tuple[np.ndarray, np.ndarray]
-    why: str = ""
-
-    @cached_property
-    def rmse(self) -> tuple[float, ...]:
-        """The horizontal RMSE of each side, m; NaN without truth."""
-        return tuple(
-            _rms(positions - side.truth[self.part, :2])
-            for side, positions in zip(self.sides, self.positions, strict=True)
-        )
-
-    @cached_property
-    def moved(self) -> float:
-        """The root mean square distance, m, of the estimates after from those before."""
-        return _rms(self.positions[1] - self.positions[0])
+    errors: tuple[ErrorTrack, ...]
 
 
 def track_changes(
     before: Association, after: Association, folders: Sequence[RecordingFolder], held_out: Collection[str]
 ) -> TrackChanges:
-    """The tracks of these recordings before and after; of bearings there are none.
+    """The tracks of these recordings before and after; of bearings there are errors alone.
 
-    Of a recording with more than `MOST_TAGS` tags those with the largest, the median and the smallest RMSE after the
-    fit; of more than `MOST_PLANS` tracks those that moved most, and of recordings named `held_out` before others.
+    Of a recording with more than `MOST_TAGS` tags the worst, the median and the best after the fit; of more than
+    `MOST_PLANS` tracks those that moved most, and of recordings named `held_out` before others.
     """
-    if is_bearing(after.rows):
-        return TrackChanges((), 0)
-    pairs, total = list[_Pair](), 0
-    for folder in sorted(folders, key=lambda folder: folder.name not in held_out):
-        of_folder = _pairs(folder, (before.of_recording(folder.name), after.of_recording(folder.name)))
-        pairs, total = [*pairs, *_chosen(of_folder)], total + len(of_folder)
-    order = sorted(range(len(pairs)), key=lambda k: (pairs[k].folder.name not in held_out, -pairs[k].moved))
-    shown = (pairs[k] for k in sorted(order[:MOST_PLANS]))
-    return TrackChanges(tuple(_change(pair, pair.folder.name in held_out) for pair in shown), total)
-
-
-def _pairs(folder: RecordingFolder, sides: tuple[Association, Association]) -> list[_Pair]:
-    """The tracks of a recording that have estimates of a moment both before and after."""
-    old, new = (_positions(side) for side in sides)
-    parts = [slice(a, b) for a, b in pairwise(sides[0].starts)]
-    pairs = [_Pair(folder, sides, part, (old[part], new[part])) for part in parts]
-    return [pair for pair in pairs if np.isfinite(pair.moved)]
-
-
-def _chosen(pairs: list[_Pair]) -> list[_Pair]:
-    """All tracks of a recording, or of many the worst, the median and the best; without truth by how far they moved."""
-    if len(pairs) <= MOST_TAGS:
-        return pairs
-    known = [pair for pair in pairs if np.isfinite(pair.rmse[1])]
-    if known:
-        ranked = sorted(known, key=lambda pair: -pair.rmse[1])
-        about = f"RMSE after the fit, of {len(ranked)} tags"
-    else:
-        ranked = sorted(pairs, key=lambda pair: -pair.moved)
-        about = f"change, of {len(ranked)} tags"
-    places = {"largest": 0, "median": len(ranked) // 2, "smallest": len(ranked) - 1}
-    return [replace(ranked[k], why=f"{word} {about}") for word, k in places.items()]
-
-
-def _change(pair: _Pair, held_out: bool) -> TrackChange:
-    rows = pair.sides[1].rows[pair.part]
-    tag, times = str(rows["tag"][0]), float_column(rows, "t_s")
-    covs = [covariances(side.rows[pair.part])[:, :2, :2] for side in pair.sides]
-    moments = ellipse_rows(pair.positions, covs, ELLIPSES)
-    before, after = (
-        Side(_path(times, positions, side.truth[pair.part, :2]), positions[moments], cov[moments], rmse)
-        for positions, side, cov, rmse in zip(pair.positions, pair.sides, covs, pair.rmse, strict=True)
-    )
-    true = _truth(pair.folder, tag, times[0], times[-1])
-    return TrackChange(pair.folder.name, tag, held_out, pair.why, pair.folder.rig, true, before, after)
-
-
-def _positions(side: Association) -> np.ndarray:
-    """The estimates (n, 2), m, NaN in rows without one."""
-    positions = np.stack([float_column(side.rows, "x_m"), float_column(side.rows, "y_m")], axis=1)
-    return np.where((side.truth_status != TruthStatus.NO_ESTIMATE)[:, None], positions, np.nan)
-
-
-def _rms(offsets: np.ndarray) -> float:
-    """The root mean square length of the offsets (n, 2) that are finite; NaN where none is."""
-    squares = (offsets**2).sum(axis=1)
-    known = np.isfinite(squares)
-    return float(np.sqrt(squares[known].mean())) if known.any() else float("nan")
-
-
-def _path(times: np.ndarray, positions: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """At most about `MOST_POINTS` positions, those with the largest errors among them, with NaN in gaps."""
-    there = np.isfinite(positions).all(axis=1)
-    times, positions, errors = times[there], positions[there], np.linalg.norm(positions - truth, axis=1)[there]
-    _, broken, weight = broken_at_gaps(times, positions, errors)
-    kept = drawn_rows(np.array([len(broken)]), np.where(np.isnan(broken[:, 0]), np.inf, weight), MOST_POINTS)
-    return broken[kept]
-
-
-def _truth(folder: RecordingFolder, tag: str, start: float, stop: float) -> np.ndarray:
-    """The true path of a tag between two times."""
-    if tag not in folder.paths.number:
-        return np.zeros((0, 2))
-    times, positions = folder.paths.of_tag(tag)
-    part = (times >= start) & (times <= stop)
-    return _path(times[part], positions[part, :2], positions[part, :2])
+    ordered = sorted(folders, key=lambda folder: folder.name not in held_out)
+    changes, errors, total = list[TrackChange](), list[ErrorTrack](), 0
+    for old, new in zip(*(ScoredTracks(side, ordered, ()).recordings for side in (before, after)), strict=True):
+        every = [TrackChange(old, new, k, new.folder.name in held_out) for k in range(len(new.rmse))]
+        judged = [change for change in every if change.held_out or not held_out]
+        errors += [change.errors for change in judged if np.isfinite([old.rmse, new.rmse])[:, change.track].all()]
+        known = [] if new.angles else [change for change in every if np.isfinite(change.moved)]
+        chosen = drawn_of(new.rmse[[change.track for change in known]], False, MOST_TAGS)
+        changes, total = [*changes, *(known[k]._replace(why=why) for k, why in chosen.items())], total + len(known)
+    order = sorted(range(len(changes)), key=lambda k: (not changes[k].held_out, -changes[k].moved))
+    return TrackChanges(tuple(changes[k] for k in sorted(order[:MOST_PLANS])), total, tuple(errors))

@@ -17,7 +17,7 @@ from trackwright.experiments.pages.charts.calibration import (
     reading_chart,
 )
 from trackwright.experiments.pages.reports.pages import page, write_page
-from trackwright.experiments.text.tables import rendered, ruled_table, terminal_width
+from trackwright.experiments.text.tables import Section, sections_text
 from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.wording import counted
@@ -151,23 +151,27 @@ class Report(NamedTuple):
     sources: list[Source]
     noise: str
 
-    def tables(self) -> list[tuple[str, Sequence[str], int, list[list[str]]]]:
-        """Title, head, number of columns of text and rows of each table; no column `left out` of dashes alone."""
-        heads = (("Stations", ANGLE_HEAD, 2), ("Anchors", RANGE_HEAD, 1), ("Range differences", DIFFERENCE_HEAD, 1))
-        tables = []
-        for (title, head, texts), rows in zip(heads, (self.stations, self.anchors, self.differences), strict=True):
+    def sections(self) -> list[Section]:
+        """The tables of stations, anchors, range differences, tags and errors that last; no column of dashes alone."""
+        sections = []
+        for title, head, rows, texts in (
+            ("Stations", ANGLE_HEAD, self.stations, 2),
+            ("Anchors", RANGE_HEAD, self.anchors, 1),
+            ("Range differences", DIFFERENCE_HEAD, self.differences, 1),
+        ):
             width = len(head) - all(row[-1] == MISSING for row in rows)
-            tables.append((title, head[:width], texts, [row[:width] for row in rows]))
-        tables.append(("Tags: bias relative to their mean, and where their ranges end", TAG_HEAD, 1, self.tags))
-        return [*tables, ("Errors that last, left out", LASTING_HEAD, 2, self.lasting)]
+            looks = {"calibrated": "after"}
+            sections.append(Section(title, head[:width], [row[:width] for row in rows], texts, "", looks))
+        title = "Tags: bias relative to their mean, and where their ranges end"
+        sections.append(Section(title, TAG_HEAD, self.tags))
+        return [*sections, Section("Errors that last, left out", LASTING_HEAD, self.lasting, 2)]
 
     @property
     def note(self) -> str:
         """What the marks mean that occur in the tables."""
-        shown = [table for table in self.tables() if table[3]]
-        cells = [*chain.from_iterable(head for _, head, _, _ in shown)]
-        cells += chain.from_iterable(row for *_, rows in shown for row in rows)
-        notes = [text for mark, text in NOTES.items() if any(mark in cell for cell in cells)]
+        shown = [section for section in self.sections() if section.rows]
+        cells = [*chain.from_iterable([section.head, *section.rows] for section in shown)]
+        notes = [text for mark, text in NOTES.items() if any(mark in cell for row in cells for cell in row)]
         return " ".join([*notes, self.noise] if self.noise else notes)
 
 
@@ -207,31 +211,28 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     ]
     lasting = [[*key, *_lasting(numbers, *_shown(key[1]))] for key, numbers in lasting_errors(series).items()]
     tags = tags if len(tags) > 1 else []
-    noise = " ".join(filter(None, [_noise(calibration.range_quality), _by_place(calibration.bearing_map)]))
+    noise = _in_words(calibration.range_quality, calibration.bearing_map)
     return Report(*tables, tags, lasting, undetermined, sources, noise)
 
 
-def _noise(quality: RangeQuality | None) -> str:
-    """What the noise of ranges follows; empty for nothing."""
-    if quality is None:
-        return ""
-    factor, low, high = np.exp(quality.slope + quality.standard_error * np.array([0.0, -1.96, 1.96]))
-    return (
-        f"The noise of ranges follows {quality.column}: their standard deviation is {factor:.2f} times as large (95 % "
-        f"interval {low:.2f} to {high:.2f}) with each {quality.spread:.3g} by which it is above {quality.centre:.3g}; "
-        f"ranges left out are more probable by {quality.gain:.3f} nats each than with the same noise for all."
-    )
-
-
-def _by_place(by_place: BearingMap | None) -> str:
-    """What the map of the errors of bearings brings; empty for none."""
-    if by_place is None:
-        return ""
-    count = sum(len(visits) for visits in by_place.stations.values())
-    return (
-        f"A map of the errors of bearings over the floor is kept, of {count} visits: visits left out are more probable "
-        f"by {by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
-    )
+def _in_words(quality: RangeQuality | None, by_place: BearingMap | None) -> str:
+    """What the noise of ranges follows, and what a map of the errors of bearings brings; empty for neither."""
+    said = []
+    if quality is not None:
+        factor, low, high = np.exp(quality.slope + quality.standard_error * np.array([0.0, -1.96, 1.96]))
+        said.append(
+            f"The noise of ranges follows {quality.column}: their standard deviation is {factor:.2f} times as large "
+            f"(95 % interval {low:.2f} to {high:.2f}) with each {quality.spread:.3g} by which it is above "
+            f"{quality.centre:.3g}; ranges left out are more probable by {quality.gain:.3f} nats each than with the "
+            "same noise for all."
+        )
+    if by_place is not None:
+        said.append(
+            "A map of the errors of bearings over the floor is kept, of "
+            f"{sum(len(visits) for visits in by_place.stations.values())} visits: visits left out are more probable by "
+            f"{by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
+        )
+    return " ".join(said)
 
 
 def _offset(value: float, sigma: float) -> str:
@@ -240,13 +241,10 @@ def _offset(value: float, sigma: float) -> str:
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
-    for name, pairs in calibration_pairs(folders, KINDS["bearings"]).items():
-        for column, angle in enumerate(ANGLES):
-            yield Source(name, angle, column, pairs)
-    for name, pairs in calibration_pairs(folders, KINDS["ranges"]).items():
-        yield Source(name, "range", 0, pairs)
-    for name, pairs in calibration_pairs(folders, KINDS["tdoa"]).items():
-        yield Source(name, DIFFERENCE, 0, pairs)
+    for table, quantities in (("bearings", ANGLES), ("ranges", ["range"]), ("tdoa", [DIFFERENCE])):
+        for name, pairs in calibration_pairs(folders, KINDS[table]).items():
+            for column, quantity in enumerate(quantities):
+                yield Source(name, quantity, column, pairs)
 
 
 def _without_each(folders: Sequence[RecordingFolder]) -> list[Calibration | None]:
@@ -279,13 +277,12 @@ def _shown(quantity: str) -> tuple[float, str]:
 
 def _lasting(numbers: LastingErrors, factor: float, unit: str) -> list[str]:
     """The cells of the four numbers, each with its interval where it is determined."""
-    scales, units, digits = (factor, factor, 1.0, 1.0), (unit, unit, "", ""), (1, 1, 1, 2)
     cells = []
-    for value, interval, known, scale, of, count in zip(
-        numbers.values, numbers.intervals, numbers.determined, scales, units, digits, strict=True
-    ):
-        low, high = (fixed(scale * end, count) for end in interval)
-        cells.append(f"{fixed(scale * value, count)}{of} [{low}, {high}]" if known else MISSING)
+    forms = zip((factor, factor, 1.0, 1.0), (unit, unit, "", ""), (1, 1, 1, 2), strict=True)
+    told = zip(numbers.values, numbers.intervals, numbers.determined, forms, strict=True)
+    for value, interval, known, (scale, of, digits) in told:
+        middle, low, high = (fixed(scale * x, digits) for x in (value, *interval))
+        cells.append(f"{middle}{of} [{low}, {high}]" if known else MISSING)
     return cells
 
 
@@ -296,8 +293,7 @@ def _term(value: float, sigma: float, determined: bool) -> str:
 
 def report_text(report: Report) -> str:
     """The tables for a terminal."""
-    tables = [ruled_table(*table) for table in report.tables() if table[-1]]
-    return rendered(terminal_width(WIDTH), *tables, report.note)
+    return sections_text(report.sections(), WIDTH, report.note)
 
 
 def draw_report(out: Path, calibration: Calibration, report: Report) -> list[str]:
@@ -348,7 +344,7 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
         (kind, [reading_chart(panel) for panel in panels], floor_image(panels, n))
         for kind, n, panels in _panels(calibration, report)
     ]
-    stations, anchors, differences, _, lasting = report.tables()
+    stations, anchors, differences, tags, lasting = report.sections()
     text = page(
         "calibration.html",
         command,
@@ -357,7 +353,7 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
         stations=stations,
         anchors=anchors,
         differences=differences,
-        tag_head=TAG_HEAD,
+        tags=tags,
         lasting=lasting,
         report=report,
         figures=figures,

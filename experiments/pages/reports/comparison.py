@@ -10,13 +10,11 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rich.console import RenderableType
-
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
 from trackwright.experiments.text.evaluation_text import COLUMNS, cells, title_of
 from trackwright.experiments.text.expectations import Value, with_interval
-from trackwright.experiments.text.tables import compact_table, rendered, terminal_width
+from trackwright.experiments.text.tables import Section, sections_text
 from trackwright.experiments.text.wording import (  # fmt: skip
     MISSING,
     Unit,
@@ -27,8 +25,7 @@ from trackwright.experiments.text.wording import (  # fmt: skip
     yes_no,
 )
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.evaluation.comparison import METRICS, Difference, holm, paired_differences
-from trackwright.trackers.evaluation.metrics import Metric
+from trackwright.trackers.evaluation.comparison import Difference, holm, paired_differences
 
 if TYPE_CHECKING:
     from trackwright.experiments.pages.charts.style import Chart
@@ -44,21 +41,6 @@ BEARING_NAMES = {"rmse_m": "rmse_direction_rad", "median_m": "median_direction_r
 LEVEL = 0.05
 WIDTH = 150
 ALL = "all recordings"
-
-
-class Table(NamedTuple):
-    """A table for a terminal and for a page: a title, its columns, of which `n_text` are text, rows, and a note."""
-
-    title: str
-    head: tuple[str, ...]
-    n_text: int
-    rows: list[list[str]]
-    note: str = ""
-
-    @property
-    def classes(self) -> list[str]:
-        """The classes of the columns on a page."""
-        return ["text"] * self.n_text + [""] * (len(self.head) - self.n_text)
 
 
 class Contrast(NamedTuple):
@@ -83,11 +65,9 @@ def track_contrasts(runs: Sequence[TrackRun]) -> list[Contrast]:
     """The paired differences of every run from the first, over the tracks that both have."""
     contrasts = []
     for run in runs[1:]:
-        differences = paired_differences(runs[0].errors, run.errors)
-        for metric in METRICS:
-            difference = differences.get(metric)
+        for metric, difference in paired_differences(runs[0].errors, run.errors).items():
             given = "_3d" in metric and all(shown_metric(both.metrics[""], metric) is None for both in (runs[0], run))
-            if difference is not None and math.isfinite(difference.value) and not given:
+            if math.isfinite(difference.value) and not given:
                 name = BEARING_NAMES.get(metric, metric) if run.bearing else metric
                 contrasts.append(Contrast("", name, run.name, difference, difference.p))
     return adjusted(contrasts)
@@ -99,21 +79,17 @@ def study_contrasts(runs: Sequence[StudyRun], metrics: Collection[str]) -> list[
     Conservative for studies with the same random numbers.
     """
     contrasts = []
-    for subject, metric in runs[0].metrics:
+    for (subject, metric), before in runs[0].metrics.items():
         for run in runs[1:]:
-            before, after = runs[0].metrics[subject, metric], run.metrics.get((subject, metric))
+            after = run.metrics.get((subject, metric))
             if metric in metrics and after is not None:
-                difference = _independent(before, after)
-                contrasts.append(Contrast(subject, metric, run.name, difference, difference.p))
+                half = math.hypot(before.high - before.low, after.high - after.low) / 2
+                value, p = after.value - before.value, math.nan
+                if math.isfinite(half):
+                    p = math.erfc(abs(value) / (half / 1.959964) / math.sqrt(2)) if half > 0 else float(value == 0)
+                difference = Difference(before.value, after.value, value - half, value + half, p, 0)
+                contrasts.append(Contrast(subject, metric, run.name, difference, p))
     return adjusted(contrasts)
-
-
-def _independent(before: Value, after: Value) -> Difference:
-    half = math.hypot(before.high - before.low, after.high - after.low) / 2
-    value, p = after.value - before.value, math.nan
-    if math.isfinite(half):
-        p = math.erfc(abs(value) / (half / 1.959964) / math.sqrt(2)) if half > 0 else float(value == 0)
-    return Difference(before.value, after.value, value - half, value + half, p, 0)
 
 
 def adjusted(contrasts: Sequence[Contrast]) -> list[Contrast]:
@@ -121,38 +97,36 @@ def adjusted(contrasts: Sequence[Contrast]) -> list[Contrast]:
     return [one._replace(p=p) for one, p in zip(contrasts, holm([one.p for one in contrasts]), strict=True)]
 
 
-def tables_of_tracks(runs: Sequence[TrackRun], contrasts: Sequence[Contrast]) -> list[Table]:
+def tables_of_tracks(runs: Sequence[TrackRun], contrasts: Sequence[Contrast]) -> list[Section]:
     """The metrics of every recording and run, and the differences from the first run."""
-    unit = _unit(runs)
+    sizes = [run.metrics[""]["rmse_m"] for run in runs if run.metrics[""].get("rmse_m") is not None]
+    unit = Unit("°", 180 / math.pi) if runs[0].bearing else length_unit(min(sizes, default=math.nan))
     names = [name for name in dict.fromkeys(name for run in runs for name in run.metrics) if name]
-    shown = names if len(names) == 1 else [*names, ""]
-    columns = _columns(runs)
+    # The main columns, and the median, with a value in any run.
+    held = [one for run in runs for one in run.metrics.values()]
+    main = [column for column in COLUMNS if column.rank == 0 or column.name.startswith("median")]
+    columns = [column for column in main if any(shown_metric(one, column.name) is not None for one in held)]
     rows = [
         [name or ALL, run.name, *cells(run.metrics[name], columns, unit)]
-        for name in shown
+        for name in (names if len(names) == 1 else [*names, ""])
         for run in runs
         if name in run.metrics
     ]
     spatial = " and 3-D" if any("_3d" in column.name for column in columns) else ""
     what = "Bearing errors in degrees" if runs[0].bearing else f"Horizontal{spatial} position errors in {unit.name}"
     head = ("recording", "run", *(title_of(column).replace("\n", " ").strip() for column in columns))
-    tables = [Table(what, head, 2, rows)]
-    if contrasts:
-        tables.append(difference_table(runs[0].name, contrasts, unit))
-    return tables
+    return [Section(what, head, rows, 2), *([difference_table(runs[0].name, contrasts, unit)] if contrasts else [])]
 
 
-def difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> Table:
+def difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> Section:
     """The differences from the run `first`, with errors in this unit."""
     rows = []
     for contrast in contrasts:
-        of = Unit("%", 100.0) if contrast.metric.startswith("coverage") else unit
-        d = contrast.difference
-        interval = Value(d.value, d.low, d.high)
+        of, d = Unit("%", 100.0) if contrast.metric.startswith("coverage") else unit, contrast.difference
         p = MISSING if math.isnan(contrast.p) else "<0.001" if contrast.p < 0.001 else f"{contrast.p:.3f}"
-        values = (with_interval(Value(x, math.nan, math.nan), of) for x in (d.first, d.second))
-        text = [heading(contrast.metric, of), *values, with_interval(interval, of), p, yes_no(contrast.differs)]
-        rows.append([contrast.run, *text])
+        values = Value(d.first, math.nan, math.nan), Value(d.second, math.nan, math.nan), Value(d.value, d.low, d.high)
+        shown = [with_interval(value, of) for value in values]
+        rows.append([contrast.run, heading(contrast.metric, of), *shown, p, yes_no(contrast.differs)])
     pieces = sorted({contrast.difference.pieces for contrast in contrasts})
     known = sum(contrast.differs is not None for contrast in contrasts)
     count = " to ".join(map(str, dict.fromkeys((pieces[0], pieces[-1]))))
@@ -160,66 +134,37 @@ def difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> T
     if not known:
         note = "No intervals: the common recordings are too short for five pieces that are longer than errors last."
     head = ("run", "metric", first, "run's", "difference (95 %)", "p", "differs")
-    return Table(f"Differences from {first}", head, 2, rows, note)
+    return Section(f"Differences from {first}", head, rows, 2, note)
 
 
-def _unit(runs: Sequence[TrackRun]) -> Unit:
-    if runs[0].bearing:
-        return Unit("°", 180 / math.pi)
-    sizes = [run.metrics[""]["rmse_m"] for run in runs if run.metrics[""].get("rmse_m") is not None]
-    return length_unit(min(sizes, default=math.nan))
-
-
-def _columns(runs: Sequence[TrackRun]) -> list[Metric]:
-    """The main columns, and the median, with a value in any run."""
-    return [
-        column
-        for column in COLUMNS
-        if (column.rank == 0 or column.name.startswith("median"))
-        and any(shown_metric(one, column.name) is not None for run in runs for one in run.metrics.values())
-    ]
-
-
-def tables_of_studies(runs: Sequence[StudyRun], contrasts: Sequence[Contrast]) -> list[Table]:
+def tables_of_studies(runs: Sequence[StudyRun], contrasts: Sequence[Contrast]) -> list[Section]:
     """The metrics of every world, tracker and study, and which studies differ from the first."""
     by_row: dict[tuple[str, str], list[Contrast]] = {}
     for contrast in contrasts:
         by_row.setdefault((contrast.subject, contrast.metric), []).append(contrast)
     values: dict[str, list[float]] = {}
-    for subject, metric in by_row:
-        of_runs = [run.metrics[subject, metric].value for run in runs if (subject, metric) in run.metrics]
-        values.setdefault(metric, []).extend(of_runs)
-    units = units_of(values)
-    rows = []
+    for key in by_row:
+        values.setdefault(key[1], []).extend(run.metrics[key].value for run in runs if key in run.metrics)
+    units, missing, rows = units_of(values), Value(math.nan, math.nan, math.nan), []
     for (subject, metric), others in by_row.items():
-        unit, missing = units[metric], Value(math.nan, math.nan, math.nan)
-        values_of_runs = [with_interval(run.metrics.get((subject, metric), missing), unit) for run in runs]
-        ratios = [_ratio(contrast.difference) for contrast in others]
-        rows.append([subject, heading(metric, unit), *values_of_runs, ", ".join(ratios), _which(others, len(runs))])
+        shown = [with_interval(run.metrics.get((subject, metric), missing), units[metric]) for run in runs]
+        ratios = [d.second / d.first if d.first else math.nan for d in (contrast.difference for contrast in others)]
+        ratio = ", ".join(f"{x:.3f}" if math.isfinite(x) else MISSING for x in ratios)
+        # Of more than two studies those that differ from the first are named.
+        differ = ", ".join(contrast.run for contrast in others if contrast.differs) or yes_no(False)
+        which = yes_no(others[0].differs) if len(runs) == 2 else differ
+        rows.append([subject, heading(metric, units[metric]), *shown, ratio, which])
     head = ("", "metric", *(run.name for run in runs), f"over {runs[0].name}", "differ?")
     note = f"In brackets 95 % intervals. Differences are corrected for {len(contrasts)} comparisons (Holm)."
-    return [Table("Metrics", head, 2, rows, note)]
+    return [Section("Metrics", head, rows, 2, note)]
 
 
-def _ratio(difference: Difference) -> str:
-    ratio = difference.second / difference.first if difference.first else math.nan
-    return f"{ratio:.3f}" if math.isfinite(ratio) else MISSING
-
-
-def _which(contrasts: Sequence[Contrast], runs: int) -> str:
-    """Yes or no for two studies; of more, the names of those that differ from the first."""
-    if runs == 2:
-        return yes_no(contrasts[0].differs)
-    return ", ".join(contrast.run for contrast in contrasts if contrast.differs) or yes_no(False)
-
-
-def comparison(runs: Sequence[StudyRun] | Sequence[TrackRun]) -> tuple[list[Table], list[Contrast]]:
+def comparison(runs: Sequence[StudyRun] | Sequence[TrackRun]) -> tuple[list[Section], list[Contrast]]:
     """The tables of a comparison and the contrasts behind them; raises UnusableInput without a common metric."""
-    if isinstance(runs[0], TrackRun):
-        tracks = [run for run in runs if isinstance(run, TrackRun)]
+    tracks, studies = [r for r in runs if isinstance(r, TrackRun)], [r for r in runs if isinstance(r, StudyRun)]
+    if tracks:
         contrasts = track_contrasts(tracks)
         return tables_of_tracks(tracks, contrasts), contrasts
-    studies = [run for run in runs if isinstance(run, StudyRun)]
     common = {key[1] for key in studies[0].metrics if any(key in run.metrics for run in studies[1:])}
     if not common:
         names = " and ".join(str(run.folder) for run in studies)
@@ -230,34 +175,26 @@ def comparison(runs: Sequence[StudyRun] | Sequence[TrackRun]) -> tuple[list[Tabl
 
 def lone_subjects(runs: Sequence[StudyRun] | Sequence[TrackRun]) -> list[str]:
     """A line for each recording, or world and tracker, that some run lacks."""
-    subjects: list[list[str]] = [
-        [name for name in run.metrics if name] if isinstance(run, TrackRun) else [subject for subject, _ in run.metrics]
+    held: dict[str, list[str]] = {
+        run.name: [name for name in (key if isinstance(key, str) else key[0] for key in run.metrics) if name]
         for run in runs
-    ]
-    all_subjects = dict.fromkeys(subject for held in subjects for subject in held)
-    names = [run.name for run in runs]
+    }
     return [
-        f"only in {listed([name for name, held in zip(names, subjects, strict=True) if subject in held])}: {subject}"
-        for subject in all_subjects
-        if not all(subject in held for held in subjects)
+        f"only in {listed([name for name, subjects in held.items() if subject in subjects])}: {subject}"
+        for subject in dict.fromkeys(subject for subjects in held.values() for subject in subjects)
+        if not all(subject in subjects for subjects in held.values())
     ]
 
 
-def comparison_text(tables: Sequence[Table]) -> str:
+def comparison_text(tables: Sequence[Section]) -> str:
     """The tables for a terminal."""
-    parts: list[RenderableType] = []
-    for table in tables:
-        made = compact_table(table.title, table.head[: table.n_text], table.head[table.n_text :])
-        for row in table.rows:
-            made.add_row(*row)
-        parts += [made, *([table.note] if table.note else [])]
-    return rendered(terminal_width(WIDTH), *parts)
+    return sections_text(tables, WIDTH)
 
 
 def write_comparison(
     path: Path,
     runs: Sequence[str],
-    tables: Sequence[Table],
+    tables: Sequence[Section],
     charts: Sequence[Chart],
     command: Sequence[str],
     playback: str | None = None,
@@ -270,7 +207,7 @@ def write_comparison(
         "comparison.html",
         command,
         title=" and ".join(runs) if len(runs) == 2 else f"{len(runs)} runs: {', '.join(runs)}",
-        tables=tables,
+        sections=tables,
         charts=charts,
         playback=playback,
     )

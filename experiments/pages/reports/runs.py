@@ -84,32 +84,22 @@ def _track_runs(names: Sequence[str], folders: Sequence[Path]) -> tuple[list[Tra
                 except UnusableInput as problem:
                     notices.append(f"{problem}; no intervals and figures for it")
     by_name = {recording.name: recording for recording in known.values()}
-    runs = []
+    truths = {name: recording.tables["truth"] for name, recording in by_name.items() if "truth" in recording.tables}
+    stations, runs = {name: recording.rig.stations for name, recording in by_name.items()}, []
     for name, folder, (bearing, metrics) in zip(names, folders, contents, strict=True):
-        association, errors = _errors(folder, by_name)
+        association, errors = None, dict[Key, TrackErrors]()
+        if truths and (folder / TRACKS).is_file():
+            association = associate_truth(read_tracks(folder), truths)
+            errors = errors_by_track(association, score(association, stations))
         runs.append(TrackRun(name, folder, bearing, metrics, by_name, association, errors))
     return runs, notices
-
-
-def _errors(
-    folder: Path, recordings: Mapping[str, RecordingFolder]
-) -> tuple[Association | None, Mapping[Key, TrackErrors]]:
-    truths = {name: recording.tables["truth"] for name, recording in recordings.items() if "truth" in recording.tables}
-    if not (folder / TRACKS).is_file() or not truths:
-        return None, {}
-    association = associate_truth(read_tracks(folder), truths)
-    scored = score(association, {name: recording.rig.stations for name, recording in recordings.items()})
-    return association, errors_by_track(association, scored)
 
 
 def _names(folders: Sequence[Path]) -> list[str]:
     """The last parts of the paths, as few as tell them apart."""
     parts = [folder.resolve().parts for folder in folders]
-    for length in range(1, max(map(len, parts)) + 1):
-        names = [os.sep.join(path[-length:]) for path in parts]
-        if len(set(names)) == len(names):
-            return names
-    return [str(folder) for folder in folders]
+    names = ([os.sep.join(path[-length:]) for path in parts] for length in range(1, max(map(len, parts)) + 1))
+    return next((found for found in names if len(set(found)) == len(found)), [*map(str, folders)])
 
 
 def _kind(folder: Path) -> str:

@@ -1,41 +1,35 @@
-"""A study's metrics and expected results as tables for a terminal, and as JSON."""
+"""A study's metrics and expected results as tables, for a terminal and a page, and as JSON."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from trackwright.experiments.monte_carlo.declaration import Study
 from trackwright.experiments.monte_carlo.results import NAMES, Results
 from trackwright.experiments.text.expectations import (
+    Claim,
     Conclusion,
     ExpectedResult,
-    Value,
     headline,
     ratio_text,
     with_interval,
 )
-from trackwright.experiments.text.tables import aligned, rendered, ruled_table, terminal_width
+from trackwright.experiments.text.tables import Section, aligned, sections_text
 from trackwright.experiments.text.wording import Unit, heading, units_of, yes_no
 from trackwright.trackers.recordings.atomic import json_text
 
 WIDTH = 160
 
 
-def to_text(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
+def to_text(results: Results, expected: Sequence[Claim]) -> str:
     """The main metrics of every condition and tracker, and the expected results beside ours."""
-    shown, units = results.main_metrics(), main_units(results)
-    tables = [
-        _table(results.study, heading(metric, units[metric]), values, units[metric]) for metric, values in shown.items()
-    ]
-    reproduced = [t for t in (_expected(expected), _conclusions(expected)) if t is not None]
-    text = rendered(terminal_width(WIDTH), *tables, *reproduced)
-    text += f"\n{without}\n" if (without := results.without_bound()) else ""
-    return f"{text}\n{headline_of(expected)}\n" if reproduced else text
+    reproduced = expected_sections(expected)
+    said = headline_of(expected) if any(section.rows for section in reproduced) else ""
+    return sections_text([metrics_section(results), *reproduced], WIDTH, results.without_bound(), said)
 
 
 def main_units(results: Results) -> dict[str, Unit]:
@@ -43,7 +37,7 @@ def main_units(results: Results) -> dict[str, Unit]:
     return units_of({m: [v.value for v in values.values()] for m, values in results.main_metrics().items()})
 
 
-def headline_of(expected: Sequence[ExpectedResult | Conclusion]) -> str:
+def headline_of(expected: Sequence[Claim]) -> str:
     """How many of the expected results are predicted, fitted and derived, and how many of them are reached."""
     return headline(
         [(c.origin, c.reached) for c in expected if isinstance(c, ExpectedResult)],
@@ -51,32 +45,71 @@ def headline_of(expected: Sequence[ExpectedResult | Conclusion]) -> str:
     )
 
 
-def _table(study: Study, title: str, values: Mapping[tuple[int, str], Value], unit: Unit) -> Table:
-    rows = [[c.label, *(with_interval(values[c.index, t], unit) for t in study.trackers)] for c in study.conditions]
-    return ruled_table(title, ["world", *study.trackers], 1, rows)
-
-
-def _expected(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
+def metrics_section(results: Results) -> Section:
+    """The main metrics of every condition and tracker, with intervals."""
+    study, units, shown = results.study, main_units(results), results.main_metrics()
     rows = [
-        [r.quantity, r.unit, r.origin, f"{r.printed:g}",
-         with_interval(r.ours, Unit(r.unit, 1.0)), ratio_text(r.ratio, r.compares_rest), yes_no(r.reached)]
-        for r in expected if isinstance(r, ExpectedResult)
+        [c.label, t, *(with_interval(values[c.index, t], units[metric]) for metric, values in shown.items())]
+        for c in study.conditions
+        for t in study.trackers
+    ]
+    runs = " to ".join(map(str, dict.fromkeys(f(results.runs.values()) for f in (min, max))))
+    note = f"{runs} trajectories per row, the same for all trackers. In brackets 95 % bootstrap intervals."
+    if any(metric.startswith("bound") for metric in study.metrics):
+        note += " The bound is for the tracker's own noise levels, over the second half of the rows."
+    head = ["world", "tracker", *(heading(metric, units[metric], "\u00a0") for metric in shown)]
+    return Section("Metrics", head, rows, 2, note)
+
+
+def ratios_section(results: Results) -> Section:
+    """All metrics relative to those of the first tracker; no rows without another one."""
+    study = results.study
+    first, *others = study.trackers
+    head, rows = ["world", "tracker"], [[c.label, t] for c in study.conditions for t in others]
+    for metric in study.metrics:
+        if metric in ("bound_m", "bound_3d_m", "us_per_row"):
+            continue
+        ratios = [results.compared(_divided, metric, c, t, first) for c in study.conditions for t in others]
+        if any(np.isfinite(ratio.value) for ratio in ratios):
+            head.append(heading(metric))
+            for row, ratio in zip(rows, ratios, strict=True):
+                row.append(with_interval(ratio))
+    note = f"Each metric divided by that of “{first}”, paired: variation common to both does not widen the interval."
+    return Section("Ratios to the first tracker", head, rows if len(head) > 2 else [], 2, note)
+
+
+def _divided(a: Any, b: Any) -> Any:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.divide(a, b)
+
+
+def expected_sections(expected: Sequence[Claim]) -> list[Section]:
+    """The printed numbers beside ours, and the conclusions."""
+    numbers = [c for c in expected if isinstance(c, ExpectedResult)]
+    rows = [
+        [r.quantity, f"{r.printed:g}\u00a0{r.unit}", with_interval(r.ours, Unit(r.unit, 1.0)),
+         ratio_text(r.ratio, r.compares_rest), r.origin, yes_no(r.reached), r.note]
+        for r in numbers
     ]  # fmt: skip
-    head = ("result", "unit", "origin", "printed", "ours (95 %)", "ratio", "within tolerance")
-    return ruled_table("Printed and ours", head, 3, rows) if rows else None
+    asked = [r for r in numbers if r.reached is not None]
+    within = " or ".join(f"{100 * width:g} %" for width in sorted({r.within for r in asked if r.within is not None}))
+    note = f"Within tolerance: at most {within} from the printed value. " if asked else ""
+    note += (
+        "Fitted: parameters or a choice were adjusted to the printed value; derived: it follows from other numbers and "
+        "is not judged again; predicted: neither."
+    )
+    if any(r.compares_rest for r in numbers):
+        note += " Shares above one half are compared by the rest."
+    head = ["result", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance", "remark"]
+    shown = len(head) if any(r.note for r in numbers) else len(head) - 1
+    looks = {"ours (95 % interval)": "after", "within tolerance": "answer", "remark": "long"}
+    printed = Section("Printed and reproduced results", head[:shown], [r[:shown] for r in rows], 1, note, looks)
+    held = [[c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
+    looks = {"origin": "", "holds": "answer", "evidence": "long"}
+    return [printed, Section("Conclusions", ["conclusion", *looks], held, 4, "", looks)]
 
 
-def _conclusions(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
-    rows = conclusion_rows(expected)
-    return ruled_table("Conclusions", ("conclusion", "origin", "holds", "evidence"), 4, rows) if rows else None
-
-
-def conclusion_rows(expected: Sequence[ExpectedResult | Conclusion]) -> list[list[str]]:
-    """Of each conclusion its statement, origin, whether it holds and the evidence."""
-    return [[c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
-
-
-def to_json(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
+def to_json(results: Results, expected: Sequence[Claim]) -> str:
     """All metrics of every condition and tracker with intervals, and the differences from the first tracker."""
     metrics = _all_metrics(results)
     return json_text(
@@ -125,21 +158,12 @@ def _all_metrics(results: Results) -> list[dict[str, Any]]:
     return made
 
 
-def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:
+def _claim(claim: Claim) -> dict[str, Any]:
     if isinstance(claim, Conclusion):
         return {"says": claim.statement, "holds": claim.holds, "evidence": claim.evidence, "origin": claim.origin.value}
-    ours: Value = claim.ours
-    return {
-        "figure": claim.quantity,
-        "printed": claim.printed,
-        "ours": ours._asdict(),
-        "unit": claim.unit,
-        "ratio": claim.ratio,
-        "compares_rest": claim.compares_rest,
-        "origin": claim.origin.value,
-        "reached": claim.reached,
-        "note": claim.note,
-    }
+    names = "printed", "unit", "ratio", "compares_rest", "origin", "reached", "note"
+    same = {name: getattr(claim, name) for name in names}
+    return {"figure": claim.quantity, **same, "ours": claim.ours._asdict(), "origin": claim.origin.value}
 
 
 def study_names(studies: Sequence[Study]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, ellipses, plan_corners
+from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan
 from trackwright.experiments.pages.charts.style import BLUE, GREY, Chart
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.tuning.survey.result import DELAY_DETERMINED, Survey
@@ -43,6 +43,5 @@ def _plan(axes: Axes, survey: Survey) -> None:
     places, covs = survey.positions[drawn, :2], np.reshape([survey.block(k)[:2, :2] for k in drawn], (-1, 2, 2))
     paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
     paths.append(PlanPath("", BLUE, np.full((1, 2), np.nan), places, covs, "95 % ellipse"))
-    shown = [np.concatenate(survey.paths)[:, :2], ellipses(places, covs)]
-    draw_plan(axes, paths, [], survey.rig, plan_corners(shown, [], survey.rig))
+    draw_plan(axes, paths, [], survey.rig)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)

@@ -24,7 +24,7 @@ from trackwright.experiments.pages.charts.tuning import (
 )
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TuningReportData
-from trackwright.experiments.text.wording import MISSING, number, percent_change, uncapitalised
+from trackwright.experiments.text.wording import MISSING, number, percent_change
 from trackwright.trackers.core.wording import counted
 
 SAME = 0.1
@@ -61,22 +61,16 @@ def _parameters_lead(data: TuningReportData) -> str:
 
 def agreement(traces: Sequence[OptimiserTrace]) -> str:
     """A sentence on how many starts end where the best one does: all values within a tenth."""
-    values, objectives = (np.array(x) for x in zip(*map(_end, traces), strict=True))
+    objectives = np.stack([np.where(np.isfinite(t.objective), t.objective, np.inf).min() for t in traces])
+    values = np.stack([t.values[np.argmin(np.where(np.isfinite(t.objective), t.objective, np.inf))] for t in traces])
     away = np.abs(values - values[0]) / np.maximum(np.abs(values[0]), np.finfo(float).tiny)
     same = away.max(axis=1) <= SAME
-    others = len(same) - int(same.sum())
-    if not others:
+    if same.all():
         return f"All {len(same)} starts end at one point (values within a tenth)."
     lower = int(np.sum(objectives[~same] < objectives[0]))
-    below = f", {lower} of them with a lower objective" if lower else ", none with a lower objective"
     agreeing = f"{int(same.sum())} of {counted(len(same), 'start')} end at the selected point (values within a tenth)"
-    return f"{agreeing}; {others} end elsewhere{below}: the optimum is not certain."
-
-
-def _end(trace: OptimiserTrace) -> tuple[np.ndarray, float]:
-    """The values (p,) and the objective of the best step from a start."""
-    best = int(np.argmin(np.where(np.isfinite(trace.objective), trace.objective, np.inf)))
-    return trace.values[best], float(trace.objective[best])
+    below = f", {lower or 'none'}{' of them' if lower else ''} with a lower objective"
+    return f"{agreeing}; {int((~same).sum())} end elsewhere{below}: the optimum is not certain."
 
 
 class Change(NamedTuple):
@@ -88,20 +82,17 @@ class Change(NamedTuple):
 
 def _changed(metric: MetricChange, pair: tuple[float, float]) -> Change:
     """The change as a difference or in per cent where that has a meaning, and as a word where it matters."""
-    if not all(map(math.isfinite, pair)):
-        return Change(MISSING)
-    if pair[0] == pair[1]:
-        return Change("same")
-    change = ""
-    if metric.unit == "nats":  # log-densities have no natural zero
-        change = ("+" if pair[1] >= pair[0] else "") + number(pair[1] - pair[0])
-    elif metric.unit != "1":  # distances between distributions are near zero for a good filter
-        change = percent_change(*pair)
-    if is_worse(metric, pair):
-        return Change(f"{change} worse".strip(), "worse")
-    if is_better(metric, pair):
-        return Change(change or "better", "better")
-    return Change(change or "same")
+    before, after = pair
+    if not all(map(math.isfinite, pair)) or before == after:
+        return Change("same" if before == after else MISSING)
+    # Log-densities have no natural zero; distances between distributions are near zero for a good filter.
+    nats = metric.unit == "nats"
+    change = ("+" if after > before else "") + number(after - before) if nats else percent_change(before, after)
+    text = "" if metric.unit == "1" else change
+    if after > before + (WORSE_BY if nats else WORSE * before):
+        return Change(f"{text} worse".strip(), "worse")
+    better = before > after + (WORSE_BY if nats else WORSE * after)
+    return Change(text or "better", "better") if better else Change(text or "same")
 
 
 def _charts(data: TuningReportData) -> dict[str, Any]:
@@ -151,17 +142,25 @@ class Advice:
 
 def advice_on(data: TuningReportData) -> Advice:
     """Summary, warnings and advice on a tuning result."""
-    warnings = [*(_sentence(text) for text in data.cautions), *_undetermined(data)]
+    known = [p.determined for p in data.parameters]
+    names = ", ".join(p.name for p in data.parameters if p.determined is False)
+    issues = list(data.issues)
+    if names and not issues:
+        issues = [f"The recordings do not determine {names}: other values fit equally well"]
+    warnings = [*map(_sentence, data.cautions), *(f"{text}." for text in issues)]
+    if issues:
+        warnings[-1] += f" {ADVICE}"
     best = data.metric(data.objective)
-    parts = [_change(best, best.training) if best else f"{data.objective_about} was tuned"]
-    determined = [p.determined for p in data.parameters]
-    if determined and None not in determined:
-        parts.append(_determined(determined.count(True), len(determined)))
-    elif False in determined:
-        parts.append(f"the recordings do not determine {determined.count(False)} of {len(determined)} parameters")
-    sentence = "; ".join(parts)
-    if not sentence.startswith(data.objective):
-        sentence = sentence[0].upper() + sentence[1:]
+    sentence = f"{data.objective_about} was tuned"
+    if best is not None:
+        relative = "" if best.unit == "nats" else percent_change(*best.training)
+        values = " to ".join(map(number, best.training))
+        sentence = f"{best.title} changed from {values} {best.unit}" + (f" ({relative})" if relative else "")
+    if None not in known:
+        sentence += f"; the recordings determine {known.count(True)} of {counted(len(known), 'parameter')}"
+    elif names:
+        sentence += f"; the recordings do not determine {known.count(False)} of {counted(len(known), 'parameter')}"
+    sentence = sentence if sentence.startswith(data.objective) else sentence[0].upper() + sentence[1:]
     if data.compared is None:
         return Advice("Not judged.", f"{sentence}.", False, tuple(warnings))
     verdict, about = data.compared.verdict, data.compared.about
@@ -169,48 +168,7 @@ def advice_on(data: TuningReportData) -> Advice:
     return Advice(word, summary, verdict.word == "better", (*verdict.got_worse, *warnings))
 
 
-def is_worse(metric: MetricChange, pair: tuple[float, float]) -> bool:
-    """Whether the metric increased by more than `WORSE`, or `WORSE_BY`."""
-    before, after = pair
-    if not (math.isfinite(before) and math.isfinite(after)):
-        return math.isfinite(before)
-    return after > before + (WORSE * before if metric.unit != "nats" else WORSE_BY)
-
-
-def is_better(metric: MetricChange, pair: tuple[float, float]) -> bool:
-    """Whether the metric decreased by as much."""
-    return all(math.isfinite(x) for x in pair) and is_worse(metric, (pair[1], pair[0]))
-
-
-def _change(metric: MetricChange, pair: tuple[float, float]) -> str:
-    unit = f" {metric.unit}"
-    relative = percent_change(*pair) if metric.unit != "nats" else ""
-    change = f" ({relative})" if relative else ""
-    return f"{uncapitalised(metric.title)} changed from {number(pair[0])} to {number(pair[1])}{unit}{change}"
-
-
-def _undetermined(data: TuningReportData) -> list[str]:
-    """Warnings on undetermined parameters: the sentences of the fit, else their names."""
-    if data.issues:
-        *others, last = data.issues
-        return [*(f"{text}." for text in others), f"{last}. {ADVICE}"]
-    names = [p.name for p in data.parameters if p.determined is False]
-    return (
-        [f"The recordings do not determine {', '.join(names)}: other values fit equally well. {ADVICE}"]
-        if names
-        else []
-    )
-
-
 def _sentence(clause: str) -> str:
     """A clause as a sentence; one that begins with the name of a parameter keeps its case."""
     first = clause.split(" ", 1)[0]
     return (clause if "." in first else clause[0].upper() + clause[1:]) + "."
-
-
-def _determined(known: int, all_of_them: int) -> str:
-    if all_of_them == 1:
-        return f"the recordings {'determine' if known else 'do not determine'} the parameter"
-    if known == all_of_them:
-        return f"the recordings determine {'both' if known == 2 else f'all {known}'} parameters"
-    return f"the recordings determine {known or 'none'} of {all_of_them} parameters"

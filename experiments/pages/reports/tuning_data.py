@@ -9,7 +9,7 @@ from importlib.metadata import version
 
 import numpy as np
 
-from trackwright.experiments.pages.reports.before_after import Compared, TrackChanges
+from trackwright.experiments.pages.reports.before_after import Compared, ErrorTrack, TrackChanges
 from trackwright.experiments.text.wording import number, uncapitalised
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Batch
@@ -17,8 +17,8 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
-from trackwright.tuning.diagnostics import Innovations, absolute_errors, implied_spread, innovations_of
-from trackwright.tuning.fitting import FitResult, Step
+from trackwright.tuning.diagnostics import Innovations, implied_spread, innovations_of
+from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.intervals import Interval
 from trackwright.tuning.named_objectives import all_metrics
@@ -68,19 +68,6 @@ class OptimiserTrace:
 
 
 @dataclass(frozen=True)
-class ErrorTrack:
-    """Absolute errors of one trajectory before and after (t,), in the report's error unit, NaN where unknown.
-
-    `times` (t,): s since the start of the recording, one for each time.
-    """
-
-    name: str
-    times: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-
-
-@dataclass(frozen=True)
 class TuningReportData:
     """Everything that a tuning report shows.
 
@@ -102,9 +89,9 @@ class TuningReportData:
     surface: Surface | None
     evaluated_on: str
     innovations: tuple[Innovations, Innovations] | None
-    errors: tuple[ErrorTrack, ...]
     error_unit: str
     filter_runs: int
+    errors: tuple[ErrorTrack, ...] = ()
     command: str = ""
     next_commands: tuple[str, ...] = ()
     tracker: str = ""
@@ -142,7 +129,7 @@ def collect(
     intervals: Mapping[str, Interval],
     issues: Sequence[IdentifiabilityIssue] = (),
 ) -> TuningReportData:
-    """Metrics of both trackers on all trajectories; innovations and errors on the held-out ones, if there are any.
+    """Metrics of both trackers on all trajectories; innovations on the held-out ones, if there are any.
 
     `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters. The objective
     surface takes about as many evaluations as the fit took steps. What is not of the result is left to the caller.
@@ -163,18 +150,20 @@ def collect(
     comparable = all(hasattr(run.mean, quantity) for of_tracker in runs for _, run in of_tracker)
     rows = [[b if comparable else b._replace(truth={}) for b in data.rows(apart)] for apart in (False, True)]
     weights = [data.weights(apart) for apart in (False, True)]
+    # A sum of several metrics, or with priors, is a metric of its own.
+    sums = [] if objective in TITLES else [(result.start_value, result.value)]
+    own = [MetricChange(objective, objective, "1", pair, MISSING) for pair in sums]
     return TuningReportData(
         objective=objective,
         objective_about=_about(objective, "rad" if angles else "m"),
         training=recording_names(training),
         held_out=recording_names(held_out),
         parameters=_parameters(result, intervals, issues),
-        metrics=(*_sum_objective(objective, result), *_metrics(trackers, rows, weights, quantity, data.dimensions)),
+        metrics=(*own, *_metrics(trackers, rows, weights, quantity, data.dimensions)),
         traces=_traces(result),
         surface=surface_of(result),
         evaluated_on="held-out recordings" if held_out else "the recordings tuned on",
         innovations=innovations,
-        errors=_errors(trackers, runs, quantity, 180 / np.pi if angles else 1.0),
         error_unit="°" if angles else "m",
         filter_runs=filter_runs,
         issues=tuple(issue.text for issue in issues),
@@ -195,36 +184,6 @@ def _runs(tracker: AbstractTracker, trajectories: Sequence[Trajectory]) -> list[
         estimates = tracker.run(batch)
         runs += [(trajectory, estimates[k][: len(trajectory.recording)]) for k, trajectory in enumerate(group)]
     return runs
-
-
-def _errors(
-    trackers: Sequence[AbstractTracker],
-    runs: Sequence[Sequence[tuple[Trajectory, Estimates]]],
-    quantity: str,
-    scale: float,
-) -> tuple[ErrorTrack, ...]:
-    """Errors times `scale` of the trajectories for which both trackers have some; times since the recording's start."""
-    tracks, starts = [], dict[str, float]()
-    for trajectory, _ in runs[0]:
-        name, first = trajectory.folder.name, float(trajectory.recording.times[0])
-        starts[name] = min(first, starts.get(name, first))
-    for (trajectory, old), (_, new) in zip(*runs, strict=True):
-        (times, before), (_, after) = (
-            absolute_errors(tracker, trajectory.recording, run, quantity)
-            for tracker, run in zip(trackers, (old, new), strict=True)
-        )
-        if np.isfinite(before).any() and np.isfinite(after).any():
-            tracks.append(
-                ErrorTrack(_name(trajectory), times - starts[trajectory.folder.name], scale * before, scale * after)
-            )
-    return tuple(tracks)
-
-
-def _sum_objective(objective: str, result: FitResult) -> list[MetricChange]:
-    """The objective as a metric where it is a sum, of several metrics or with priors."""
-    if objective in TITLES:
-        return []
-    return [MetricChange(objective, objective, "1", (result.start_value, result.value), MISSING)]
 
 
 def _metrics(
@@ -255,10 +214,11 @@ def _parameters(
     undetermined = {name for issue in issues for name in issue.names}
     names = component_names(result.parameters)
     units = [p.example.unit for p in result.parameters for _ in range(p.size)]
-    old, new = (_flat(result.parameters, values) for values in (_first_trace(result)[0].values, result.values))
-    nothing = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()}
-    bounds = {**nothing, **intervals}
-    low, high = (_flat(result.parameters, {label: bounds[label][k] for label in bounds}) for k in (0, 1))
+    old, new = (
+        _flat(result.parameters, values) for values in ((result.starts or [result.trace])[0][0].values, result.values)
+    )
+    nothing = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()} | {**intervals}
+    low, high = (_flat(result.parameters, {label: ends[k] for label, ends in nothing.items()}) for k in (0, 1))
     finite = np.isfinite(low) & np.isfinite(high)
     # Without any interval it is unknown what is determined; with some, a parameter without one is undetermined.
     known = bool(finite.any())
@@ -281,11 +241,6 @@ def _spread(result: FitResult, parameter: Parameter) -> list[str]:
 
 def _flat(parameters: Sequence[Parameter], values: dict[str, np.ndarray]) -> np.ndarray:
     return np.concatenate([np.ravel(np.asarray(values[p.label], float)) for p in parameters])
-
-
-def _first_trace(result: FitResult) -> list[Step]:
-    """The steps from the tracker's own values, which are the first start."""
-    return result.starts[0] if result.starts else result.trace
 
 
 def _traces(result: FitResult) -> tuple[OptimiserTrace, ...]:
@@ -312,8 +267,3 @@ def _about(objective: str, unit: str) -> str:
 def recording_names(trajectories: Sequence[Trajectory]) -> tuple[str, ...]:
     """The recordings of trajectories."""
     return tuple(dict.fromkeys(trajectory.folder.name for trajectory in trajectories))
-
-
-def _name(trajectory: Trajectory) -> str:
-    parts = [trajectory.folder.name, f"tag {trajectory.tag}"]
-    return ", ".join(parts + ([f"station {trajectory.station}"] if trajectory.station else []))

@@ -108,7 +108,7 @@ def test_an_anchor_whose_errors_have_a_step_is_marked_and_the_note_explains_only
     assert "Not linear" not in plain.note
     alone = report_on(calibrate(folders[:1]), folders[:1])
     assert "Left out: " not in alone.note
-    assert [head[-1] for _, head, _, rows in alone.tables() if rows] == ["calibrated"]
+    assert [section.head[-1] for section in alone.sections() if section.rows] == ["calibrated"]
 
 
 def test_the_report_says_how_large_the_errors_of_readings_are_and_how_long_they_last():

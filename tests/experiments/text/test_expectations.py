@@ -3,7 +3,7 @@
 import pytest
 
 from trackwright.experiments.monte_carlo import DERIVED, FITTED, PREDICTED, ExpectedResult, Value
-from trackwright.experiments.pages.reports.study import _expected
+from trackwright.experiments.pages.reports.study_text import expected_sections
 from trackwright.experiments.text.expectations import headline
 
 
@@ -54,7 +54,7 @@ def test_the_headline_counts_what_was_free_and_nothing_that_follows_from_it():
 
 @pytest.mark.parametrize("note", ["", "why it is not reached"])
 def test_the_table_of_printed_numbers_has_a_column_of_remarks_where_there_is_one(note):
-    table = _expected([_result(98.3, 93.7), _result(98.3, 80.0, note=note)])
+    table, _ = expected_sections([_result(98.3, 93.7), _result(98.3, 80.0, note=note)])
     assert list(table.head) == [
         "result", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance",
         *(["remark"] if note else []),

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import base64
 import builtins
-import dataclasses
 import json
 
 import matplotlib as mpl
 import numpy as np
-import polars as pl
 import pytest
 
 import trackwright as tw
@@ -64,15 +62,6 @@ def test_errors_over_time_are_those_of_the_evaluation(in_arrays):
     axes = tw.plot.error_over_time(estimates, recording)
     error = axes.lines[0].get_ydata()
     assert np.sqrt(np.nanmean(error**2)) == pytest.approx(tw.evaluate(estimates, recording)["rmse_m"])
-
-
-def test_of_tracks_of_unequal_length_the_first_alone_is_drawn_over_time(run):
-    recording, _ = run
-    shorter = recording.tables["fixes"].filter((pl.col("tag") == "0") | (pl.col("t_s") < 2.0))
-    unequal = dataclasses.replace(recording, tables={**recording.tables, "fixes": shorter})
-    axes = tw.plot.rmse_over_time(tw.build("fix-kf", unequal).run(unequal), unequal)
-    first = recording.tables["fixes"].filter(tag="0")["t_s"]
-    np.testing.assert_allclose(axes.lines[0].get_xdata(), first - first[0], atol=1e-6)
 
 
 def test_a_distribution_names_the_rmse_of_each_run(run):

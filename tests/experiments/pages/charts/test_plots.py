@@ -1,5 +1,7 @@
 """Every plot is a PNG that shows something, for full, odd and nearly empty input."""
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
@@ -12,40 +14,30 @@ from matplotlib.image import imread
 from tests.experiments.pages.charts.small_runs import chart_data
 from tests.experiments.pages.reports.small_tracks import small_bearings, small_tracks
 from trackwright.experiments.pages.charts import style
-from trackwright.experiments.pages.charts.distributions import (
-    Curve,
-    draw_autocorrelation,
-    draw_coverage,
-    draw_nis,
-    law_of,
-    levels_of,
-    observed_shares,
-)
+from trackwright.experiments.pages.charts.distributions import draw_autocorrelation, draw_nis, law_of
 from trackwright.experiments.pages.charts.figures import plot_tracks
 from trackwright.experiments.pages.charts.floor import TRUTH
 from trackwright.experiments.pages.charts.objective import sweep_plot
-from trackwright.experiments.pages.charts.over_time import (
-    draw_angle,
-    draw_consistency,
-    draw_error,
-    half_heights,
-    inflation,
+from trackwright.experiments.pages.charts.recording import (
+    _inflation,
+    bearing_over_time,
+    coverage,
+    error_cdf,
+    error_over_time,
+    floor_plan,
+    nees_over_time,
+    nis_over_time,
 )
-from trackwright.experiments.pages.charts.recording import bearing_over_time, coverage, error_cdf, floor_plan
 from trackwright.experiments.pages.charts.style import (
-    BLACK,
-    BLUE,
     GREY,
     LINES,
-    SKY,
     VERMILION,
     broken_at_gaps,
     write_panels,
 )
 from trackwright.experiments.pages.charts.tuning import error_charts, rmse_chart, tuning_trace
-from trackwright.experiments.pages.reports.tuning_data import ErrorTrack
+from trackwright.experiments.pages.reports.before_after import ErrorTrack
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
-from trackwright.experiments.text.wording import length_unit
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.core.model.tunable import Scale
@@ -129,10 +121,6 @@ def rng():
     return np.random.default_rng(5)
 
 
-def test_the_floor_plan_draws_at_most_six_tags(tmp_path):
-    assert all(_shows(_pixels(_plan(tmp_path / "plan.png", _tracks(9))), colour) for colour in LINES)
-
-
 def test_wild_estimates_are_counted_and_do_not_decide_the_scale_of_the__plan(tmp_path, figures):
     row = pl.int_range(pl.len())
     tracks = pl.concat([_tracks(1).with_columns(t_s=pl.col("t_s") + 6 * k) for k in range(10)])
@@ -151,14 +139,6 @@ def test_wild_estimates_are_counted_and_do_not_decide_the_scale_of_the__plan(tmp
     for limits in ("get_xlim", "get_ylim"):
         tame, spoiled = (getattr(figure.axes[0], limits)() for figure in figures[::-1])
         np.testing.assert_allclose(spoiled, tame, atol=0.1)
-
-
-def test_times_are_written_along_three_tracks_and_not_along_four(tmp_path, figures):
-    for n_tags in (3, 4):
-        _plan(tmp_path / "plan.png", _tracks(n_tags))
-    three, four = ([text.get_text() for text in figure.axes[0].texts] for figure in figures)
-    assert three == ["2 s", "4 s"] * 3
-    assert four == []
 
 
 @pytest.mark.parametrize(
@@ -203,13 +183,6 @@ def test_the_floor_plan_takes_odd_tracks(tmp_path, tracks):
     _pixels(_plan(tmp_path / "plan.png", tracks, _tracks(1)))
 
 
-def test_an_error_over_time_shows_its_band_and_its_bound(tmp_path, rng):
-    error, sigma = rng.normal(size=60), np.ones(60)
-    picture = _pixels(_on_axes(tmp_path / "error.png", draw_error, T, error, sigma, 0.9 * sigma, 4.0))
-    assert _shows(picture, BLUE)
-    assert _shows(picture, VERMILION)
-
-
 def test_errors_over_time_have_a_panel_for_each_axis_with_errors(tmp_path, figures):
     for z, count in ((1.0, 3), (None, 2)):
         tracks = _tracks(2).with_columns(z_m=pl.lit(z, pl.Float64), std_z_m=pl.lit(0.1))
@@ -223,33 +196,6 @@ def test_errors_over_time_have_a_panel_for_each_axis_with_errors(tmp_path, figur
         assert [axes.get_ylabel() for axes in panels] == [f"error in {a} (cm)" for a in "xyz"[:count]]
         assert [axes.get_xlabel() for axes in panels] == [*[""] * (count - 1), "time (s)"]
         assert [axes.get_legend() is None for axes in panels] == [False, *[True] * (count - 1)]
-
-
-@pytest.mark.parametrize("n", [0, 1, 2])
-def test_an_error_over_time_takes_next_to_nothing(tmp_path, n):
-    errors, sigmas = np.zeros(n), np.full(n, np.nan)
-    (half,) = half_heights([errors], [sigmas])
-    _pixels(_on_axes(tmp_path / "error.png", draw_error, T[:n], errors, sigmas, None, half))
-    # Without a standard deviation the errors alone give the height.
-    for error in (0.2, -0.2):
-        assert half_heights([np.full(3, error)], [np.full(3, np.nan)]) == pytest.approx([1.15 * 0.2])
-    assert half_heights([np.full(3, 0.2), np.zeros(3)], [np.full(3, np.nan)] * 2) == pytest.approx([0.23, 0.0115])
-
-
-def test_the_error_cdf_shows_horizontal_and_3d(tmp_path, rng):
-    shifted = [(pl.col(f"{a}_m") + pl.Series(rng.normal(size=60))).alias(f"{a}_m") for a in "xyz"]
-    scored = _scored(_tracks(1).with_columns(std_z_m=pl.lit(1.0)).with_columns(shifted), _tracks(1))
-    picture = _pixels(_drawn(tmp_path / "cdf.png", error_cdf, scored))
-    assert _shows(picture, BLUE)
-    assert _shows(picture, VERMILION)
-
-
-@pytest.mark.parametrize("n", [1, 2, 150, 5000])
-def test_a_distribution_has_the_percentiles_of_its_errors(rng, n):
-    errors = rng.exponential(size=n)
-    curve = Curve.of("", np.append(errors, np.nan))
-    shares = (0.0, 50.0, 90.0, 95.0, 100.0)
-    np.testing.assert_allclose(curve.quantiles(shares), np.percentile(errors, shares), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("rows", "block"), [(60, 1), (1000, 4), (1001, 5)])
@@ -278,23 +224,6 @@ def test_the_errors_of_all_trajectories_lie_inside_their_chart(figures):
     assert 40.0 < high < 50.0
 
 
-def test_the_error_cdf_takes_one_row_and_errors_of_zero(tmp_path):
-    for rows in (1, 9):
-        tracks = _tracks(1)[:rows]
-        _pixels(_drawn(tmp_path / "cdf.png", error_cdf, _scored(tracks, _tracks(1))))
-    with pytest.raises(UnusableInput, match="error_cdf: no estimate has a truth"):
-        error_cdf(_scored(_tracks(1)))
-
-
-def test_the_coverage_has_a_line_for_each_recording_and_one_for_all_rows(tmp_path, rng):
-    scales = {"hall": 1.0, "yard": 9.0, "50 $ worth": 0.2}
-    levels = {name: levels_of(scale * rng.chisquare(2, 200), 2) for name, scale in scales.items()}
-    picture = _pixels(_on_axes(tmp_path / "coverage.png", draw_coverage, levels, "all rows"))
-    assert all(_shows(picture, colour) for colour in (*LINES[:3], BLACK))
-    many = {f"{k}": levels_of(rng.chisquare(2, 5), 2) for k in range(60)}
-    assert not _shows(_pixels(_on_axes(tmp_path / "coverage.png", draw_coverage, many, "all rows")), LINES[0])
-
-
 def test_the_coverage_of_one_run_has_a_line_for_each_shape_and_of_several_for_each_run(tmp_path, figures):
     (scored,) = small_tracks().recordings
     (bearings,) = small_bearings(in_plane=True)[0].recordings
@@ -309,16 +238,6 @@ def test_the_coverage_of_one_run_has_a_line_for_each_shape_and_of_several_for_ea
         assert [label.partition(":")[0] for label in labels if label.endswith("inside 95 %")] == names
 
 
-def test_the_observed_share_is_that_of_the_rows_within_the_quantile(rng):
-    nees, levels = np.append(rng.chisquare(3, 500), np.nan), np.array([0.0, 0.5, 0.95, 1.0])
-    expected = [np.mean(nees[:-1] <= scipy.stats.chi2.ppf(level, 3)) for level in levels]
-    np.testing.assert_allclose(observed_shares(levels_of(nees, 3), levels), expected, rtol=1e-12)
-
-
-def _consistency(path, values, dof, name="NIS", law="χ²", student_t_dof=None):
-    return _on_axes(path, draw_consistency, T[: values.shape[1]], values, dof, name, law, student_t_dof)
-
-
 def test_the_density_of_nis_is_that_of_the_noise_and_missing_where_it_is_unknown(tmp_path, rng):
     # Student's t with 1.8 degrees of freedom bounds the NIS of a channel by 2.8.
     nis = 2.8 * rng.beta(0.5, 0.9, 600)
@@ -326,43 +245,6 @@ def test_the_density_of_nis_is_that_of_the_noise_and_missing_where_it_is_unknown
         seen = Innovations(nis, np.ones(600), np.zeros(600, int), dof)
         assert _shows(_pixels(_on_axes(tmp_path / "c.png", draw_nis, seen)), VERMILION) == shown
     assert [law_of(dof) for dof in (None, 1.8, np.nan)] == ["χ²", "Student's t", ""]
-
-
-def test_the_bands_of_three_sigma_and_of_consistency_are_light_and_missing_without_a_distribution(tmp_path, rng):
-    light = [255 - 0.35 * (255 - int(SKY[k : k + 2], 16)) for k in (1, 3, 5)]
-    nis = rng.chisquare(8, (3, 60))
-    for path, shown in (
-        (_on_axes(tmp_path / "error.png", draw_error, T, np.zeros(60), np.ones(60), None, 3.0), True),
-        (_consistency(tmp_path / "chi.png", nis, 8), True),
-        (_consistency(tmp_path / "unknown.png", nis, 8, law=""), False),
-    ):
-        assert ((np.abs(_pixels(path) - light).max(axis=2) < 6).sum() > 3_000) == shown
-
-
-def test_correlated_rows_count_as_so_many_fewer(rng):
-    white = rng.normal(size=20_000)
-    smooth = np.zeros_like(white)
-    for k in range(1, len(white)):
-        smooth[k] = 0.8 * smooth[k - 1] + white[k]
-    one = np.ones_like(white)
-    assert inflation(white, one, 50) == pytest.approx(1.0, abs=0.2)
-    lags = np.arange(1, 50)
-    assert inflation(smooth, one, 50) == pytest.approx(1 + 2 * np.sum((1 - lags / 50) * 0.8**lags), rel=0.1)
-
-
-def test_consistency_takes_gaps_different_dof_runs_without_a_value_and_rows_that_say_nothing(tmp_path, rng):
-    few = np.where(np.arange(60) % 3, 0.0, 8.0)[None]
-    dof = rng.integers(1, 9, (1, 60)).astype(float)
-    gaps = np.where(rng.random((1, 60)) < 0.2, np.nan, rng.chisquare(dof))
-    for values, freedom in (
-        (gaps, dof),
-        (100 * gaps, dof),
-        (np.full((1, 60), np.nan), 8),
-        (np.zeros((1, 60)), np.zeros((1, 60))),
-        (np.where(few > 0, rng.chisquare(8, (1, 60)), 0.0), few),
-    ):
-        _pixels(_consistency(tmp_path / "chi.png", values, freedom))
-    _pixels(_consistency(tmp_path / "chi.png", gaps, 2, "NEES"))
 
 
 def test_a_bin_of_nis_far_higher_than_the_density_is_cut_off(tmp_path, rng, figures):
@@ -423,15 +305,6 @@ def test_a_sweep_over_one_number_has_a_legend_of_its_spread(tmp_path, figures, r
     assert (figures[0].axes[0].get_legend() is not None) == (repeats > 1)
 
 
-def test_the_axis_of_a_sweep_over_one_number_has_equal_room_beyond_both_ends(tmp_path, figures):
-    swept = Sweep([_parameter("sigma_a")], [np.array([0.01, 0.1, 1.0])], np.array([[2.0, 1.0, 3.0]]), 1)
-    sweep_plot(tmp_path / "s.png", swept, "nll")
-    low, high = figures[0].axes[0].get_xlim()
-    # The axis is logarithmic: equal room at both ends is an equal factor.
-    assert 0.01 / low == pytest.approx(high / 1.0)
-    assert 1.0 < high < 2.0
-
-
 def test_the_axes_of_a_sweep_over_two_numbers_end_where_the_grid_does(tmp_path, figures):
     grids = [np.array([0.01, 0.1, 1.0]), np.array([2.0, 8.0])]
     swept = Sweep([_parameter("sigma_a"), _parameter("sigma_b")], grids, np.arange(6.0).reshape(1, 3, 2), 1)
@@ -439,27 +312,6 @@ def test_the_axes_of_a_sweep_over_two_numbers_end_where_the_grid_does(tmp_path, 
     axes = figures[0].axes[0]
     assert axes.get_xlim() == pytest.approx((0.01, 1.0))
     assert axes.get_ylim() == pytest.approx((2.0, 8.0))
-
-
-def test_rows_without_a_value_have_no_degrees_of_freedom():
-    axes = Figure().subplots()
-    draw_consistency(axes, T, np.where(np.arange(60) % 2, np.nan, 2.0)[None], 2.0, "NEES")
-    assert axes.texts[-1].get_text().startswith("mean 1.00, ")
-
-
-@pytest.mark.parametrize("rate", [1.2, -1.2])
-def test_no_line_crosses_the_axes_where_an_angle_turns_on(rate):
-    axes = Figure().subplots()
-    draw_angle(axes, T, np.degrees(np.angle(np.exp(1j * rate * T))), np.ones(60), None)
-    shown = axes.lines[0].get_ydata()
-    assert np.isnan(shown).any()
-    assert np.nanmax(np.abs(np.diff(shown))) < 180
-
-
-def test_an_angle_over_time_takes_a_full_turn_and_missing_rows(tmp_path):
-    turning = np.degrees(np.angle(np.exp(1.2j * T)))
-    _pixels(_on_axes(tmp_path / "b.png", draw_angle, T, turning, 0 * T + 1, None))
-    _pixels(_on_axes(tmp_path / "b.png", draw_angle, T, np.nan * T, np.nan * T, None))
 
 
 def test_a_figure_that_cannot_be_written_leaves_nothing_behind(tmp_path):
@@ -476,6 +328,93 @@ def test_lines_are_broken_in_gaps_only():
     assert len(broken_at_gaps(slow)[0]) == 5
 
 
-@pytest.mark.parametrize(("size", "unit"), [(3.0, ("m", 1.0)), (0.3, ("cm", 100.0)), (0.003, ("mm", 1000.0))])
-def test_lengths_are_shown_in_a_unit_of_their_size(size, unit):
-    assert length_unit(size) == unit
+def _with(tracks, **columns):
+    """The tracks with NIS and errors that are known: scored against the tracks without them."""
+    return _scored(tracks.with_columns(std_z_m=pl.lit(0.0)).with_columns(**columns), tracks)
+
+
+def test_correlated_rows_count_as_so_many_fewer(rng):
+    white = rng.normal(size=20_000)
+    smooth = np.zeros_like(white)
+    for k in range(1, len(white)):
+        smooth[k] = 0.8 * smooth[k - 1] + white[k]
+    assert _inflation(white, 50) == pytest.approx(1.0, abs=0.2)
+    lags = np.arange(1, 50)
+    assert _inflation(smooth, 50) == pytest.approx(1 + 2 * np.sum((1 - lags / 50) * 0.8**lags), rel=0.1)
+
+
+def test_means_of_nees_over_time_are_those_of_the_rows_in_windows_of_time():
+    axes = nees_over_time(_with(_tracks(1, sigma=2.0), x_m=pl.col("x_m") + pl.col("t_s")), ax=Figure().subplots())
+    _, line = axes.lines
+    # The inverse of [[4, 1], [1, 1]] is [[1, -1], [-1, 4]] / 3: the NEES of an error t in x is t² / 3, of two degrees.
+    np.testing.assert_allclose(line.get_ydata(), (T**2 / 6).reshape(3, 20).mean(axis=1))
+    np.testing.assert_allclose(line.get_xdata(), T.reshape(3, 20).mean(axis=1))
+    assert axes.texts[-1].get_text().startswith(f"mean {np.mean(T**2) / 6:.2f}, ")
+
+
+@pytest.mark.parametrize(
+    ("nis", "dof"),
+    [
+        (pl.lit(None, pl.Float64), 2.0),
+        (pl.lit(0.0), 0.0),
+        (pl.lit(2.0), 2.0),
+        (pl.when(pl.int_range(pl.len()) % 2 == 0).then(200.0), 2.0),
+    ],
+    ids=["none", "rows that say nothing", "all the same", "gaps"],
+)
+def test_consistency_takes_odd_rows(nis, dof):
+    axes = nis_over_time(_with(_tracks(2), nis=nis, nis_dof=pl.lit(dof)), ax=Figure().subplots())
+    assert axes.get_ylabel() == "NIS / dof"
+
+
+def test_the_band_of_nis_over_time_is_missing_where_its_distribution_is_unknown(rng):
+    scored = _with(_tracks(1), nis=pl.Series(rng.chisquare(2, 60)), nis_dof=pl.lit(2.0))
+    for known, bands in ((None, 1), (np.nan, 0)):
+        axes = nis_over_time(replace(scored, student_t_dof=known), ax=Figure().subplots())
+        assert len(axes.collections) == bands
+
+
+def test_an_error_over_time_has_its_band_its_bound_and_the_number_of_errors_beyond_the_axes(monkeypatch):
+    wild = pl.when(pl.int_range(pl.len()) % 1000 == 500).then(50.0).otherwise(0.1)
+    long = pl.concat([_tracks(1).with_columns(t_s=pl.col("t_s") + 6 * k) for k in range(30)])
+    scored = _with(long, x_m=pl.col("x_m") + wild)
+    monkeypatch.setitem(scored.__dict__, "bounds", (T, np.full((60, 3), 0.1)))
+    axes = error_over_time(scored, axis="x", ax=Figure().subplots())
+    drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
+    np.testing.assert_allclose(drawn["± 3 × Cramér–Rao bound of this model"], 30.0)
+    np.testing.assert_allclose(np.median(drawn["error"]), 10.0)
+    assert "2 outside the axes" in [text.get_text() for text in axes.texts]
+    low, high = axes.get_ylim()
+    assert (low, high) == pytest.approx((-46.0, 46.0))  # 4 times the errors, and 15 % room
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_charts_take_next_to_no_rows(rows):
+    scored = _scored(_tracks(1)[:rows].with_columns(x_m=pl.col("x_m") + 1), _tracks(1))
+    for chart in (error_over_time, nees_over_time, error_cdf, coverage):
+        assert chart(scored, ax=Figure().subplots()).has_data()
+    with pytest.raises(UnusableInput, match="error_cdf: no estimate has a truth"):
+        error_cdf(_scored(_tracks(1)))
+
+
+def test_the_error_cdf_has_the_percentiles_of_the_errors(rng):
+    error = rng.normal(size=60)
+    (line, *_) = [one for one in error_cdf(_with(_tracks(1), x_m=pl.col("x_m") + pl.Series(error)),
+                                           ax=Figure().subplots()).lines if len(one.get_xdata()) > 3]  # fmt: skip
+    np.testing.assert_allclose(np.interp([0, 50, 95, 100], line.get_ydata(), line.get_xdata()),
+                               np.percentile(np.abs(error), [0, 50, 95, 100]), rtol=1e-9)  # fmt: skip
+
+
+def test_the_coverage_is_the_share_of_rows_within_the_quantile_of_each_level():
+    axes = coverage(_with(_tracks(1, sigma=2.0), x_m=pl.col("x_m") + pl.col("t_s")), ax=Figure().subplots())
+    line = next(one for one in axes.lines if str(one.get_label()).startswith("horizontal"))
+    expected = [100 * np.mean(scipy.stats.chi2.ppf(level / 100, 2) >= T**2 / 3) for level in (50, 90, 95)]
+    np.testing.assert_allclose(np.interp([50, 90, 95], line.get_xdata(), line.get_ydata()), expected)
+
+
+def test_of_many_runs_in_a_coverage_only_all_rows_have_a_name(rng):
+    scored = _with(_tracks(1), x_m=pl.col("x_m") + pl.Series(rng.normal(size=60)))
+    for count in (2, 7):
+        axes = coverage({f"{k}": scored for k in range(count)}, ax=Figure().subplots())
+        named = [label for label in axes.get_legend_handles_labels()[1] if label.endswith("inside 95 %")]
+        assert len(named) == (3 if count == 2 else 1)

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.experiments.pages.charts.small_runs import chart_data
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.pages.charts.study import metric_chart
 from trackwright.experiments.text.expectations import Value
@@ -49,10 +48,6 @@ def test_the_bound_is_a_line_among_the_errors():
     assert "Cramér–Rao bound" not in _drawn("world.sigma_p", [0.1, 0.2, 0.3])
 
 
-def test_the_bound_is_a_stroke_in_the_row_of_a_condition():
-    assert "strokes: Cramér–Rao bound" in _drawn("world.path", ["helix", "hand"], [0.005, 0.006] * 2)
-
-
 @pytest.mark.parametrize(
     ("name", "label"),
     [("world.sigma_p, sensors.*.sigma_p", "sigma_p (rad)"), ("world.drop_outs", "drop_outs"), ("motion.sigma_a", "motion.sigma_a")],
@@ -70,12 +65,6 @@ def test_what_right_covariances_give_is_a_line_at_its_value():
     assert "95 expected" in _drawn(*grid, metric="coverage_95")
     assert "expected" not in _drawn(*grid)
     assert "(line: 95)" in _drawn("world.path", ["helix", "hand"], metric="coverage_95")
-
-
-@pytest.mark.parametrize(("highest", "kind"), [(0.06, None), (5.0, "log")])
-def test_values_over_decades_have_a_logarithmic_axis(highest, kind):
-    chart = _chart("world.sigma_p", [0.1, 0.2, 0.3], value=Value(0.01, 0.009, highest))
-    assert chart_data(chart.address)["layout"]["yaxis"].get("type") == kind
 
 
 def test_a_metric_without_a_value_above_zero_has_no_chart():

@@ -1,7 +1,6 @@
 """Recordings and tracks before and after tuning, as its report shows them, against the estimates and their evaluation."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -12,11 +11,10 @@ import trackwright as tw
 from tests.browser import chromium, watched
 from tests.experiments.pages.charts.small_runs import chart_data
 from tests.experiments.pages.reports.tuning_report_data import report_data, walk
-from trackwright.experiments.pages.charts.tuning import plan_chart
-from trackwright.experiments.pages.reports.before_after import MOST_PLANS, MOST_POINTS, compare, track_changes, tracked
+from trackwright.experiments.pages.charts.tuning import PLAN_POINTS, plan_chart
+from trackwright.experiments.pages.reports.before_after import MOST_PLANS, compare, track_changes, tracked
 from trackwright.experiments.pages.reports.tuning import tuning_page, write_tuning_report
 from trackwright.sim import worlds
-from trackwright.trackers.core.model.rig import Rig
 
 LEVELS = "sensors.fixes.sigma_*"
 SIGMAS = tuple(0.1 * (1 + tag) for tag in range(7))
@@ -44,83 +42,76 @@ def three():
     return folders, *_run(folders, {"b"})
 
 
+def _named(found):
+    return [(*change.name.split(", tag "), change.held_out) for change in found.shown]
+
+
+def _traces(change):
+    chart = chart_data(plan_chart(change).address)
+    assert chart["layout"]["yaxis"]["scaleanchor"] == "x"
+    return {trace["name"]: trace for trace in chart["data"]}
+
+
+def _drawn(trace):
+    return np.array([trace["x"], trace["y"]], float).T
+
+
+def _rows(tracker, folders, change):
+    """The estimates of the track that a plan shows."""
+    recording, tag = change.name.split(", tag ")
+    rows = tracker.run(folders).table
+    return rows.filter(pl.col("recording") == recording, pl.col("tag") == tag).sort("t_s")
+
+
 def test_paths_and_errors_are_those_of_the_estimates_and_held_out_ones_come_first(three):
     folders, trackers, found = three
-    assert [(t.recording, t.tag, t.held_out) for t in found.shown] == [
-        ("b", "t0", True), ("a", "t0", False), ("c", "t0", False), ("c", "t1", False),
-    ]  # fmt: skip
-    assert found.total == 4
-    for side, tracker in enumerate(trackers):
-        rows, own = tracker.run(folders).table, _metrics(tracker, folders)
+    assert _named(found) == [("b", "t0", True), ("a", "t0", False), ("c", "t0", False), ("c", "t1", False)]
+    assert (found.total, {t.why for t in found.shown}) == (4, {""})
+    for name, tracker in zip(("before", "after"), trackers, strict=True):
+        own = _metrics(tracker, folders)
         for change in found.shown:
-            shown = (change.before, change.after)[side]
-            assert shown.rmse == pytest.approx(own[change.recording, change.tag]["rmse_m"], rel=1e-5)
-            part = rows.filter(pl.col("recording") == change.recording, pl.col("tag") == change.tag).sort("t_s")
-            path = shown.path[np.isfinite(shown.path).all(axis=1)]
-            np.testing.assert_array_equal(path, part.select("x_m", "y_m").to_numpy())
-    assert {t.why for t in found.shown} == {""}
+            side = getattr(change, name)
+            assert side.rmse[change.track] == pytest.approx(own[tuple(change.name.split(", tag "))]["rmse_m"], rel=1e-5)
+            path = _drawn(_traces(change)[name])
+            expected = _rows(tracker, folders, change).select("x_m", "y_m").to_numpy()
+            np.testing.assert_allclose(path[np.isfinite(path[:, 0])], expected, rtol=1e-4, atol=1e-5)
     assert re.fullmatch(r"\d+\.\d → \d+\.\d cm", found.shown[0].rmse)
 
 
-def test_the_truth_is_that_of_the_time_of_the_track_and_holes_stay_open(three):
+def test_the_truth_is_that_of_its_table_and_holes_stay_open(three):
     folders, _, found = three
-    held_out, before = found.shown[0], found.shown[1]
-    np.testing.assert_array_equal(before.truth, folders[0].tables["truth"].select("x_m", "y_m").to_numpy())
-    for path in (held_out.truth, held_out.before.path, held_out.after.path):
-        assert np.flatnonzero(np.isnan(path[:, 0])).tolist() == [30]
+    held_out, other = map(_traces, found.shown[:2])
+    truth = folders[0].tables["truth"].select("x_m", "y_m").to_numpy()
+    np.testing.assert_allclose(_drawn(other["truth"]), truth, rtol=1e-4, atol=1e-5)
+    for name in ("truth", "before", "after"):
+        assert np.flatnonzero(np.isnan(_drawn(held_out[name])[:, 0])).tolist() == [30]
 
 
 def test_ellipses_before_and_after_are_of_the_same_times_and_hold_95_percent(three):
     folders, trackers, found = three
-    change = found.shown[1]
-    rows = [tracker.run(folders).table.filter(pl.col("recording") == "a") for tracker in trackers]
-    at = [np.flatnonzero((own["x_m"].to_numpy()[:, None] == side.centres[:, 0]).any(axis=1))
-          for own, side in zip(rows, (change.before, change.after), strict=True)]  # fmt: skip
-    assert at[0].tolist() == at[1].tolist()
-    assert len(at[0]) == 12
-    traces = _traces(change)
-    for name, side in (("before", change.before), ("after", change.after)):
-        x, y = (np.array(traces[f"95 % ellipses {name}"][axis], float).reshape(12, -1)[:, :-1] for axis in "xy")
-        for k, (centre, cov) in enumerate(zip(side.centres, side.covs, strict=True)):
-            off = np.stack([x[k], y[k]]) - centre[:, None]
+    traces, times = _traces(found.shown[1]), []
+    for name, tracker in zip(("before", "after"), trackers, strict=True):
+        rows = _rows(tracker, folders, found.shown[1])
+        outlines = _drawn(traces[f"95 % ellipses {name}"]).reshape(12, -1, 2)[:, :-1]
+        places = rows.select("x_m", "y_m").to_numpy()
+        # An outline begins and ends at the same point; its middle is the mean of the others.
+        at = [int(np.argmin(np.linalg.norm(places - line[:-1].mean(axis=0), axis=1))) for line in outlines]
+        times.append(rows["t_s"].gather(at).to_list())
+        for k, line in zip(at, outlines, strict=True):
+            off, row = (line - places[k]).T, rows.row(k, named=True)
+            cov = [[row["std_x_m"] ** 2, row["cov_xy_m2"]], [row["cov_xy_m2"], row["std_y_m"] ** 2]]
             # numbers of the chart have five digits
             np.testing.assert_allclose(
                 (off * np.linalg.solve(cov, off)).sum(axis=0), stats.chi2.ppf(0.95, 2), rtol=0.02
             )
+    assert times[0] == times[1]
 
 
-def _traces(change):
-    return {trace["name"]: trace for trace in _chart(change)["data"]}
-
-
-def _chart(change):
-    chart = chart_data(plan_chart(change).address)
-    assert chart["layout"]["yaxis"]["scaleanchor"] == "x"
-    return chart
-
-
-def test_the_chart_holds_both_paths_the_truth_and_the_anchors(three):
-    _, _, found = three
-    change = found.shown[1]
-    traces = _traces(change)
-    for name, path in (("truth", change.truth), ("before", change.before.path), ("after", change.after.path)):
-        np.testing.assert_allclose([traces[name]["x"], traces[name]["y"]], path.T, rtol=1e-4, atol=1e-5)
-    (mark,) = (t for t in _chart(change)["data"] if t.get("marker", {}).get("symbol") == "triangle-up")
+def test_the_plan_includes_the_anchors(three):
+    chart = chart_data(plan_chart(three[2].shown[1]).address)
+    (mark,) = (t for t in chart["data"] if t.get("marker", {}).get("symbol") == "triangle-up")
     assert (mark["x"], mark["y"]) == ([0.0], [0.0])
-    assert [(a["x"], a["y"], a["text"]) for a in _chart(change)["layout"]["annotations"]] == [(0.0, 0.0, "A")]
-
-
-def test_the_plan_includes_all_anchors_unless_they_are_far_away(three):
-    change = three[2].shown[1]
-    paths = np.concatenate([change.truth, change.before.path, change.after.path])
-    low, size = np.nanmin(paths, axis=0), float(np.max(np.nanmax(paths, axis=0) - np.nanmin(paths, axis=0)))
-    for share, included in ((0.4, True), (4.0, False)):
-        corners = low + share * size * np.array([[-1, 0], [0, -1], [2, 0], [0, 2]])
-        rig = Rig("hall", anchors={f"{k}": np.array([*place, 2.0]) for k, place in enumerate(corners)})
-        layout = _chart(replace(change, rig=rig))["layout"]
-        for axis, places in zip(("xaxis", "yaxis"), corners.T, strict=True):
-            first, last = layout[axis]["range"]
-            assert (first < places.min() and places.max() < last) == included
+    assert [(a["x"], a["y"], a["text"]) for a in chart["layout"]["annotations"]] == [(0.0, 0.0, "A")]
 
 
 @pytest.mark.slow
@@ -140,9 +131,8 @@ def test_the_plans_are_drawn_in_a_browser(three, tmp_path, width):
           return [place.data.find((trace) => trace.name === "after").x, [xaxis._m, -yaxis._m]];
         }""")
         assert scales[0] == pytest.approx(scales[1], rel=1e-3)
-        assert [np.nan if x is None else x for x in drawn] == pytest.approx(
-            found.shown[0].after.path[:, 0], rel=1e-4, abs=1e-4, nan_ok=True
-        )
+        expected = _traces(found.shown[0])["after"]["x"]
+        assert np.array(drawn, float) == pytest.approx(np.array(expected, float), rel=1e-4, abs=1e-4, nan_ok=True)
         assert page.locator("#plans figcaption").first.inner_text().endswith("held out.")
         assert not errors
 
@@ -151,13 +141,11 @@ def test_of_many_tags_the_worst_the_median_and_the_best_are_shown():
     folders = [walk("hall", 4, sigmas=SIGMAS[:7])]
     trackers, found = _run(folders)
     ranked = sorted(_metrics(trackers[1], folders).values(), key=lambda t: -t["rmse_m"])
-    assert [t.tag for t in found.shown] == [ranked[k]["tag"] for k in (0, 3, 6)]
+    assert [tag for _, tag, _ in _named(found)] == [ranked[k]["tag"] for k in (0, 3, 6)]
     assert found.total == 7
-    assert [t.why for t in found.shown] == [
-        f"{word} RMSE after the fit, of 7 tags" for word in ("largest", "median", "smallest")
-    ]
+    assert [t.why.partition(" of 7, RMSE ")[0] for t in found.shown] == ["worst", "median", "best"]
     _, few = _run([walk("hall", 4, sigmas=SIGMAS[:3])])
-    assert [(t.tag, t.why) for t in few.shown] == [("t0", ""), ("t1", ""), ("t2", "")]
+    assert [(t.track, t.why) for t in few.shown] == [(0, ""), (1, ""), (2, "")]
 
 
 def test_of_many_recordings_those_that_moved_most_are_shown_in_their_order_and_held_out_ones_first():
@@ -168,7 +156,7 @@ def test_of_many_recordings_those_that_moved_most_are_shown_in_their_order_and_h
     moved = old.select("recording", "tag").with_columns(square.alias("s")).group_by("recording", "tag").mean()
     first = pl.col("recording") == "r5"
     kept = moved.sort(first, "s", descending=True)[:MOST_PLANS].sort(~first, "recording", "tag")
-    assert [(t.recording, t.tag) for t in found.shown] == list(kept.select("recording", "tag").iter_rows())
+    assert [(name, tag) for name, tag, _ in _named(found)] == list(kept.select("recording", "tag").iter_rows())
     assert (len(found.shown), found.total) == (MOST_PLANS, MOST_PLANS + 3)
     page = tuning_page(report_data(plans=found))
     assert f"{MOST_PLANS} of {MOST_PLANS + 3} tracks are shown" in page
@@ -178,27 +166,44 @@ def test_of_many_recordings_those_that_moved_most_are_shown_in_their_order_and_h
 def test_without_truth_there_are_paths_and_no_errors():
     _, found = _run([walk("blind", 5, sigmas=SIGMAS[:5], truth=False)])
     assert len(found.shown) == 3
-    assert found.shown[0].why == "largest change, of 5 tags"
-    assert all(t.rmse == "" and len(t.truth) == 0 and len(t.before.path) for t in found.shown)
+    assert {t.rmse for t in found.shown} == {""}
+    assert {"before", "after"} < set(_traces(found.shown[0])) - {"truth"}
     assert "truth" not in _traces(found.shown[0])
 
 
 def test_a_long_track_keeps_its_ends_and_its_largest_error():
     folders = [walk("long", 6, rows=6000, sigmas=ONE)]
     trackers, found = _run(folders)
-    rows = trackers[1].run(folders).table
-    path = found.shown[0].after.path
-    assert len(path) <= MOST_POINTS + 2
-    every = rows.select("x_m", "y_m").to_numpy()
+    path, every = (
+        _drawn(_traces(found.shown[0])["after"]),
+        trackers[1].run(folders).table.select("x_m", "y_m").to_numpy(),
+    )
+    assert len(path) <= PLAN_POINTS + 2
     truth = folders[0].tables["truth"].select("x_m", "y_m").to_numpy()
     for row in (0, -1, int(np.argmax(np.linalg.norm(every - truth, axis=1)))):
-        assert (path == every[row]).all(axis=1).any()
+        assert np.isclose(path, every[row], rtol=1e-4, atol=1e-5).all(axis=1).any()
 
 
-def test_directions_have_no_plan():
+def test_of_directions_there_are_errors_in_degrees_and_no_plans():
     folders = [worlds.station(n=1, seed=1, rows=20).folder()]
-    side = tracked(tw.build("das", folders), folders)
-    assert track_changes(side, side, folders, ()) == ((), 0)
+    named = tw.build("beam", folders)
+    side = tracked(named, folders)
+    shown, total, errors = track_changes(side, side, folders, ())
+    assert (shown, total) == ((), 0)
+    own = {(t["tag"], t["station"]): t["rmse_direction_rad"] for t in tw.evaluate(named.run(folders), folders).tracks}
+    assert len(errors) == len(own)
+    for track, rmse in zip(errors, own.values(), strict=True):
+        assert np.sqrt(np.nanmean(track.after**2)) == pytest.approx(np.degrees(rmse), rel=1e-5)
+
+
+def test_errors_are_of_held_out_recordings_one_for_each_time_and_begin_at_zero(three):
+    folders, trackers, found = three
+    (track,) = found.errors
+    assert (track.name, track.times[0]) == ("b, tag t0", 0.0)
+    for side, tracker in zip((track.before, track.after), trackers, strict=True):
+        own = _metrics(tracker, folders)["b", "t0"]
+        assert np.isfinite(side).sum() == own["n"]
+        assert np.sqrt(np.nanmean(side**2)) == pytest.approx(own["rmse_m"], rel=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -247,14 +252,6 @@ def test_a_recording_without_truth_has_no_errors(walks):
     blind = next(row for row in found.rows if row[0] == "blind")
     assert blind[1:4] == ("– → –",) * 3
     assert "–" not in blind[4]
-
-
-def test_the_page_of_a_tuning_run_shows_the_table(walks):
-    folders, trackers = walks
-    found = compare(_both(trackers, folders), folders, 2, "held-out recordings")
-    page = tuning_page(report_data(compared=found))
-    assert "Held-out recordings</h2>" in page
-    assert found.rows[0][1] in page
 
 
 def test_recordings_tracked_beside_those_shown_change_nothing(walks):

@@ -43,9 +43,10 @@ def test_a_floor_that_is_wide_is_drawn_low():
 
 
 def test_columns_of_text_are_names_and_the_others_numbers():
-    for _, head, texts, _ in Report(*[[]] * 7, "").tables():
-        assert set(head[:texts]) <= {"station", "angle", "anchor", "tag", "source", "quantity"}, head
-        assert not {"angle", "quantity"} & set(head[texts:])
+    for section in Report(*[[]] * 7, "").sections():
+        names, numbers = set(section.head[: section.n_text]), set(section.head[section.n_text :])
+        assert names <= {"station", "angle", "anchor", "tag", "source", "quantity"}, section.head
+        assert not {"angle", "quantity"} & numbers
 
 
 def test_the_note_explains_the_marks_of_the_tables_that_have_rows():

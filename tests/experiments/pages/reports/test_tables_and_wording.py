@@ -2,29 +2,19 @@
 
 import numpy as np
 
-from trackwright.experiments.pages.reports import pages
 from trackwright.experiments.text.evaluation_text import cells
 from trackwright.experiments.text.expectations import Value, with_interval
-from trackwright.experiments.text.tables import aligned, compact_table, markdown, rendered, ruled_table
-from trackwright.experiments.text.wording import Unit, duration, fixed, heading, rounded, unit_of, units_of
-from trackwright.trackers.core.wording import counted, significant
+from trackwright.experiments.text.tables import compact_table, markdown, rendered, ruled_table
+from trackwright.experiments.text.wording import Unit, rounded, unit_of, units_of
+from trackwright.trackers.core.wording import significant
 from trackwright.trackers.evaluation.metrics import METRICS
 
 MM = Unit("mm", 1.0)
 
 
-def test_aligned_columns_have_two_spaces_between_them_and_none_at_the_end():
-    text = aligned([("name", "value", ""), ("a", "12.5", "x"), ("[b] :car:", "3", "")], numbers=[1])
-    assert text.splitlines() == ["name       value", "a           12.5  x", "[b] :car:      3"]
-
-
 def test_a_table_in_markdown_has_its_head_and_a_rule_that_aligns_numbers():
     rows = [("name", "m"), ("a", "1.5"), ("b", "")]
     assert markdown(rows, numbers=[1]) == "| name | m |\n| --- | ---: |\n| a | 1.5 |\n| b |  |\n"
-
-
-def test_a_long_cell_of_aligned_columns_is_not_wrapped():
-    assert aligned([("a" * 500, "b")]) == "a" * 500 + "  b"
 
 
 def test_cells_are_text_and_never_markup():
@@ -36,11 +26,6 @@ def test_cells_are_text_and_never_markup():
     assert all(line == line.rstrip() for line in text.splitlines())
 
 
-def test_the_title_of_a_narrow_table_is_one_line():
-    title = "Cramér–Rao bound of the horizontal position, cm"
-    assert rendered(80, ruled_table(title, ["a", "b"], 1, [["x", "1"]])).splitlines()[0] == title
-
-
 def test_digits_follow_the_spread():
     assert rounded(1.23456, 0.02) == "1.235"
     assert rounded(123.456, 20.0) == "123"
@@ -50,30 +35,9 @@ def test_digits_follow_the_spread():
     assert with_interval(Value(0.1234, np.nan, np.nan)) == "0.123"
 
 
-def test_a_page_has_four_digits_of_a_number_and_all_of_a_count():
-    assert pages.rounded(0.123456) == 0.1235
-    assert pages.rounded(10766) == 10766
-    assert pages.rounded(np.nan) is None
-
-
-def test_a_rounded_zero_has_no_sign():
-    assert [fixed(x, 1) for x in (-0.01, None, float("nan"), 2.25)] == ["0.0", "–", "–", "2.2"]
-
-
 def test_lengths_side_by_side_have_one_unit():
     units = units_of({"rmse_m": [0.2], "max_m": [5.0], "coverage_95": [0.9], "rmse_direction_rad": [0.1]})
     assert [units[k].name for k in units] == ["cm", "cm", "%", "°"]
-
-
-def test_metrics_have_names_in_words():
-    assert heading("rmse_3d_m", unit_of("rmse_3d_m", [0.2])) == "RMSE in 3-D, cm"
-    assert heading("rmse_direction_rad") == "RMSE of direction"
-    assert heading("own_measure_share") == "own measure"
-
-
-def test_durations_and_counts():
-    assert [duration(x) for x in (5.84, 300, 9000)] == ["5.8 s", "5.0 min", "2.5 h"]
-    assert [counted(n, "start") for n in (1, 2)] == ["1 start", "2 starts"]
 
 
 def test_large_numbers_are_written_without_powers_of_ten():

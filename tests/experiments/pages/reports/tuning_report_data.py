@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
+from trackwright.experiments.pages.reports.before_after import ErrorTrack
 from trackwright.experiments.pages.reports.tuning_data import (
-    ErrorTrack,
     MetricChange,
     OptimiserTrace,
     TunedParameter,
