@@ -163,6 +163,8 @@ def check_rates(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
 def _summary(per_stream: pl.DataFrame, ids: tuple[str, ...]) -> str:
     counts = ", ".join(counted(per_stream[column].n_unique(), column) for column in ids[:2])
     counts += f", {counted(per_stream.select(ids[1:]).n_unique(), 'pair')} of {ids[1]}s" if len(ids) > 2 else ""
-    low, middle, high = (f"{q:.3g}" for q in np.nanquantile(per_stream["rate"].cast(float).to_numpy(), (0, 0.5, 1)))
-    rates = f"{low} Hz each" if low == high else f"{low} to {high} Hz each, median {middle} Hz"
-    return f"{counts}: {per_stream['rows'].sum()} rows, {rates}"
+    rates, line = per_stream["rate"].drop_nulls().to_numpy(), f"{counts}: {per_stream['rows'].sum()} rows"
+    if not len(rates):
+        return line
+    low, middle, high = (f"{q:.3g}" for q in np.quantile(rates, (0, 0.5, 1)))
+    return f"{line}, {low} Hz each" if low == high else f"{line}, {low} to {high} Hz each, median {middle} Hz"

@@ -58,6 +58,8 @@ def test_many_streams_get_one_summary_line(good: RecordingFolder):
     results = check(replace(good, rig=replace(good.rig, tags={}), tables=tables))
     assert "ranges: 300 tags, 4 anchors: 60000 rows, 10 Hz each" in _messages(results, "info")
     assert len(results) < 40
+    once = with_rows("ranges", pl.col("t_s") == 0.0)(replace(good, rig=replace(good.rig, tags={}), tables=tables))
+    assert "ranges: 300 tags, 4 anchors: 1200 rows" in _messages(check(once), "info")
 
 
 @pytest.mark.parametrize("name", ANOMALOUS)
