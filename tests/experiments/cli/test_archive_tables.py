@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import errno
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -14,13 +11,11 @@ import pytest
 
 from tests.experiments.cli.small_archive import recording
 from trackwright.experiments.cli.archive_folders import MANY, archive_of, recordings_under
-from trackwright.experiments.cli.archive_tables import BLOCK, Rows
-from trackwright.experiments.text.evaluation_text import content, json_pieces, to_json
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import Evaluation, TrackScores, evaluate
+from trackwright.trackers.evaluation.evaluate import TrackScores, evaluate
 from trackwright.trackers.evaluation.metrics import MetricRows
 from trackwright.trackers.evaluation.scores import Scores
 from trackwright.trackers.recordings.atomic import json_text
@@ -48,41 +43,6 @@ def test_folders_of_folders_many_recordings_and_keep_going_make_an_archive(tmp_p
     assert archive_of(many, False) == many
     with pytest.raises(UnusableInput, match="more than once"):
         archive_of([tmp_path, tmp_path / "a"], False)
-
-
-def test_a_folder_that_cannot_be_opened_is_a_recording_that_cannot_be_read(tmp_path, monkeypatch):
-    _touch(tmp_path, "a/rig.toml", "shut/b/rig.toml")
-    scandir = os.scandir
-
-    def refusing(path):
-        if Path(path).name == "shut":
-            raise PermissionError(errno.EACCES, "Permission denied", str(path))
-        return scandir(path)
-
-    monkeypatch.setattr(os, "scandir", refusing)
-    assert recordings_under(tmp_path) == [tmp_path / "a", tmp_path / "shut"]
-
-
-def test_rows_are_those_appended_whatever_a_block_lacks():
-    given = [{"recording": f"r{k}", "n": k, "rmse_m": None if k < BLOCK else 0.1 * k} for k in range(2 * BLOCK + 3)]
-    given[-1]["tag"] = "T"
-    rows = Rows()
-    for row in given:
-        rows.append(row)
-    assert len(rows) == len(given)
-    assert list(rows) == [{"tag": None} | row for row in given]
-    assert rows[BLOCK] == rows[BLOCK : BLOCK + 1][0] == {"tag": None} | given[BLOCK]
-
-
-def test_pieces_of_json_are_that_of_the_whole():
-    folder = recording("\u00e9 \u2028", 0)
-    whole = evaluate(build("fix-kf", folder).run(folder), folder)
-    kept = Evaluation(
-        whole.bearing, whole.overall, *(Rows(pl.DataFrame(rows)) for rows in (whole.recordings, whole.tracks))
-    )
-    text = "".join(json_pieces(kept))
-    assert json.loads(text) == json.loads(to_json(whole)) == json.loads(json_text(content(kept)))
-    assert sum(line.startswith('    {"recording"') for line in text.split("\n")) == 2
 
 
 def _bearings(folder, rng):
@@ -123,12 +83,3 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
         # Three recordings of 800 rows have more than `EXACT` rows together, though none alone.
         tolerance = 0.01 if rows == 800 and name.startswith(PERCENTILES) else 1e-12
         assert found[name] == (value if value is None else pytest.approx(value, rel=tolerance, abs=1e-15)), name
-
-
-def test_metrics_without_a_scored_row_have_no_value():
-    folder = recording("r", 0)
-    association = associate_truth(build("fix-kf", folder).run(folder).table, {})
-    (found,) = MetricRows(_scores(association, {}))
-    assert (found["n"], found["n_no_truth"]) == (0, 40)
-    assert {found[name] for name in ("rmse_m", "p95_m", "max_m", "bias_x_m", "coverage_95", "sigma_factor")} == {None}
-    assert found["nis_ratio"] > 0

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import trackwright
 from trackwright.experiments.cli.trackers import _simulated
 from trackwright.trackers.catalogue import TRACKERS, build
 from trackwright.trackers.core.model.tunable import meanings
@@ -48,14 +48,3 @@ def test_values_are_those_of_a_noise_file_and_of_the_recording(simulated, tmp_pa
     found = {one["name"]: one["value"] for one in json.loads(done.out)["tunables"]}
     assert found["motion.sigma_a"] == pytest.approx(7.5)
     assert np.shape(found["sensors.phases.offsets"]) == (8,)
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (("uvb",), "tracker uvb: unknown"),
-        (("--free-height",), "are of one tracker"),
-    ],
-)
-def test_what_cannot_be_listed_is_refused(words, expected):
-    assert_refused(trackwright("trackers", *words), expected)
