@@ -3,7 +3,6 @@
 import pytest
 
 from trackwright.experiments.monte_carlo import PREDICTED, ExpectedResult, Value
-from trackwright.experiments.text.expectations import headline
 
 
 def _result(printed, ours, origin=PREDICTED, **more):
@@ -26,5 +25,3 @@ def test_a_share_is_compared_by_the_smaller_of_it_and_its_rest(printed, ours, ra
     result = _result(printed, ours, share=True)
     assert result.ratio == pytest.approx(ratio)
     assert result.reached is reached
-
-

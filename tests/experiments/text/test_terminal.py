@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from trackwright.experiments.text import terminal as module
-from trackwright.experiments.text.terminal import Compilation, stages
+from trackwright.experiments.text.terminal import stages
 
 
 class _Terminal(io.StringIO):
@@ -44,8 +44,6 @@ def test_every_stage_has_a_row_of_its_own_with_what_was_done(monkeypatch, capsys
     assert capsys.readouterr().out == "a result\n"
 
 
-
-
 def test_results_printed_before_a_failure_are_not_lost(monkeypatch, capsys):
     _on_terminal(monkeypatch)
 
@@ -58,5 +56,3 @@ def test_results_printed_before_a_failure_are_not_lost(monkeypatch, capsys):
     with pytest.raises(ValueError, match="no"):
         fail()
     assert capsys.readouterr().out == "a result\n"
-
-

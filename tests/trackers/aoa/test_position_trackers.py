@@ -89,8 +89,6 @@ def test_a_run_of_the_cascade_goes_on_from_a_state_of_each_station():
     assert set(state.beams) == set(RIG.stations)
 
 
-
-
 @pytest.mark.parametrize("world", ["whole", "a station is lost"])
 def test_the_direct_tracker_is_consistent(runs, world):
     estimates, errors = runs["direct", world]

@@ -419,8 +419,6 @@ def test_recordings_of_one_name_are_told_apart_by_their_place():
         evaluate(tracker.run(unnamed), unnamed[:1])
 
 
-
-
 def test_recordings_in_arrays_whose_truth_is_known_in_some_rows_or_none_or_has_no_height():
     own = [_still(float(k), name=f"{k}") for k in range(4)]
     estimates = tw.fix_tracker().run(own)

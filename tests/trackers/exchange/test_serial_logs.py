@@ -49,8 +49,6 @@ def test_the_lines_of_the_trek1000_manual_are_corrected_ranges_in_metres(tmp_pat
     assert log.notices == ["2 lines of raw (mr) and anchor (ma) ranges left out; mc lines are used"]
 
 
-
-
 @pytest.mark.parametrize(
     ("prefixes", "times"),
     [

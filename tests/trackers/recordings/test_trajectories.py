@@ -10,7 +10,7 @@ from tests.faulty import write_good
 from trackwright.trackers.aoa.fusion import BEARINGS
 from trackwright.trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories, phase_trajectories
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
-from trackwright.trackers.recordings.trajectories import Trajectories, cut, segments
+from trackwright.trackers.recordings.trajectories import Trajectories, segments
 
 
 @pytest.fixture
@@ -102,5 +102,3 @@ def test_segments_hold_all_rows_in_order_and_about_the_requested_number_each(goo
         np.testing.assert_array_equal(joined, trajectory.recording.times)
         values = np.concatenate([part.recording.readings[BEARINGS].values for part in parts])
         np.testing.assert_array_equal(values, trajectory.recording.readings[BEARINGS].values)
-
-

@@ -168,7 +168,7 @@ MISTAKES = [
     # inputs
     (
         "tw.range_tracker(4, planar=True).run(ranges)",
-        "recording 'lab': no input 'height', found anchors, anchor, nearby, room; expected one number per row, m, the known height",
+        "recording 'lab': no input 'height', found anchors, anchor, nearby, height_limits, room; expected one number per row, m, the known height",
         "which sensor 'ranges' (RangeSensor) reads for a planar state; usual fix: make it by `height=` of `fix_recording`",
     ),
     (
@@ -184,7 +184,7 @@ MISTAKES = [
     ),
     (
         "tw.range_tracker(4).run(changed(nearby=None))",
-        "no input 'nearby', found anchors, anchor, room; expected rows of shape (4,) m, a position from recent measurements",
+        "no input 'nearby', found anchors, anchor, height_limits, room; expected rows of shape (4,) m, a position from recent measurements",
         "which the start (BiasedStart) reads; usual fix: make it by `range_recording`",
     ),
     (
@@ -194,7 +194,7 @@ MISTAKES = [
     ),
     (
         "tw.inertial_tracker(4).run(ranges)",
-        "no input 'accel', found anchors, anchor, nearby, room; expected rows of shape (3,) m/s^2, specific force in body axes",
+        "no input 'accel', found anchors, anchor, nearby, height_limits, room; expected rows of shape (3,) m/s^2, specific force in body axes",
         "which the motion (Strapdown) reads; usual fix: make it by `tw.build('uwb-imu', folder)`",
     ),
     (
