@@ -67,54 +67,33 @@ BROKEN: dict[str, Builder] = {
     "rig missing": then(lambda folder: [(folder / "rig.toml").unlink(), "rig.toml"][1]),
     "rig is a directory": with_directory("rig.toml"),
     "rig empty": with_file("rig.toml", b""),
-    "rig binary": with_file("rig.toml", _JUNK),
     "rig broken TOML": with_rig("[anchors]", "[anchors"),
-    "rig cut off": with_file("rig.toml", lambda data: data[:230]),
     "rig table duplicated": with_rig("[tags.T2]", "[tags.T1]"),
-    "rig key duplicated": with_rig('"A2" =', '"A1" ='),
     "rig without format": with_rig("format = 1\n", ""),
     "rig of another format": with_rig("format = 1", "format = 2"),
-    "rig format as text": with_rig("format = 1", 'format = "1"'),
     "rig name a number": with_rig('name = "good"', "name = 7"),
     "rig key misspelt": with_rig("[anchors]", "[anchor]", "anchors"),
     "anchor of two numbers": with_rig("[6.0, 0.0, 2.6]", "[6.0, 0.0]", "anchors.A2"),
-    "anchor a text": with_rig("[6.0, 0.0, 2.6]", '"6.0, 0.0, 2.6"', "anchors.A2"),
-    "anchor with a text in it": with_rig("[6.0, 0.0, 2.6]", '[6.0, "0.0", 2.6]', "anchors.A2"),
     "anchor not a number": with_rig("[6.0, 0.0, 2.6]", "[6.0, nan, 2.6]", "anchors.A2"),
-    "anchor infinite": with_rig("[6.0, 0.0, 2.6]", "[6.0, inf, 2.6]", "anchors.A2"),
     "anchor beyond all numbers": with_rig("[6.0, 0.0, 2.6]", f"[6.0, {10**400}, 2.6]", "anchors.A2"),
     "anchors not a table": with_rig("[anchors]", "anchors = 3\n[comment]", "anchors"),
     "station without position": with_rig("position_m = [0.0, 2.5, 2.3]\n", "", "position_m"),
-    "station without rotation": with_rig(_QUATERNION + "\n", "", "rotation_wxyz"),
-    "station key misspelt": with_rig("wavelength_m", "wave_length_m", "wavelength_m"),
     "zero quaternion": with_rig(_QUATERNION, "rotation_wxyz = [0, 0, 0, 0]", "stations.S1.rotation_wxyz"),
     "quaternion not of unit length": with_rig(_QUATERNION, "rotation_wxyz = [1, 1, 0, 0]", "stations.S1.rotation_wxyz"),
-    "quaternion of three numbers": with_rig(_QUATERNION, "rotation_wxyz = [0, 0, 1]", "stations.S1.rotation_wxyz"),
     "negative wavelength": with_rig("wavelength_m = 0.0125", "wavelength_m = -0.0125", "wavelength_m"),
     "antennas without wavelength": with_rig("wavelength_m = 0.0125\n", "", "wavelength_m"),
-    "wavelength without antennas": with_rig(_ANTENNAS, "", "antennas_m"),
-    "antennas in 3-D": with_rig("[[0.02, 0.0],", "[[0.02, 0.0, 0.0],", "antennas_m"),
     "tag height beyond reason": with_rig("height_m = 1.0", "height_m = 1e9", "tags.T1.height_m"),
-    "tag height a text": with_rig("height_m = 1.0", 'height_m = "1 m"', "tags.T1.height_m"),
     "path of one corner": with_rig("[[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "[[1.0, 1.0]]", "knots_m"),
     "path with a repeated knot": with_rig(
         "[5.0, 1.0], [5.0, 4.0]]", "[5.0, 1.0], [5.0, 1.0]]", "knot 2 of the path repeats"
     ),
-    "path without corners": with_rig("knots_m = [[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "", "knots_m"),
     # a table's file
     "empty file": with_file("ranges.csv", b""),
     "header only": with_file("ranges.csv", lambda data: data.split(b"\n")[0] + b"\n"),
     "binary junk": with_file("ranges.csv", _JUNK),
-    "junk without a zero byte": with_file("ranges.csv", bytes(range(128, 256)) * 8),
     "UTF-16": with_file("ranges.csv", lambda data: data.decode().encode("utf-16")),
     "truncated gzip": with_file("ranges.csv", lambda data: gzip.compress(data)[:-400], to="ranges.csv.gz"),
-    "gzip header only": with_file("ranges.csv", lambda data: gzip.compress(data)[:10], to="ranges.csv.gz"),
-    "damaged gzip": with_file(
-        "ranges.csv", lambda data: gzip.compress(data)[:300] + _JUNK + gzip.compress(data)[2300:], to="ranges.csv.gz"
-    ),
-    "text named gzip": with_file("ranges.csv", lambda data: data, to="ranges.csv.gz"),
     "gzip named text": with_file("ranges.csv", gzip.compress),
-    "junk named Parquet": with_file("ranges.csv", _JUNK, to="ranges.parquet"),
     "truncated Parquet": with_parquet("ranges", lambda data: data[:-200]),
     "Parquet with damaged footer": with_parquet("ranges", lambda data: data[:-60] + b"\xff" * 52 + data[-8:]),
     "Parquet with damaged pages": with_parquet(
@@ -125,7 +104,6 @@ BROKEN: dict[str, Builder] = {
     "comment first": with_line("ranges", lambda line: f"# by T1\n{line}", 0, "line 1 is '# by T1', expected names"),
     "decimal commas": with_file("fixes.csv", lambda data: data.replace(b".", b",")),
     "a cell too many": with_line("ranges", lambda line: line + ",1", 5, "ranges.csv: row 5 (line 6)"),
-    "a cell too few": with_line("ranges", lambda line: line.rpartition(",")[0], 5, "ranges.csv: row 5 (line 6)"),
     "one row too long and one too short": with_file(
         "ranges.csv", lambda data: data.replace(b"\n", b",9\n", 5).replace(b",9\n", b"\n", 4)[:-6] + b"\n"
     ),
@@ -137,28 +115,20 @@ BROKEN: dict[str, Builder] = {
     "column duplicated": with_renamed("ranges", "range_std_m", "range_m"),
     "no header": with_file("ranges.csv", lambda data: data.partition(b"\n")[2]),
     "misnamed standard deviation": with_renamed("ranges", "range_std_m", "std_range_m"),
-    "standard deviation without unit": with_renamed("ranges", "range_std_m", "range_std"),
     "quaternion with three columns": with_table("truth", lambda table: table.drop("qz")),
-    "phase column too few": with_table("phases", lambda table: table.drop("phase_4_rad")),
     "phase column too many": with_table("phases", lambda table: table.with_columns(phase_5_rad=pl.col("phase_4_rad"))),
-    "hole in the phase columns": with_table("phases", lambda table: table.drop("phase_2_rad")),
-    "no phase column": with_table("phases", lambda table: table.select("t_s", "tag", "station")),
     "phases of a station without antennas": with_rig(_S1_PHASES, "", "phases.csv"),
     # its cells
     "text in a number": with_cell("ranges", "range_m", "far"),
-    "NA in a number": with_cell("imu", "accel_x_mps2", "NA"),
     "number with a unit": with_cell("ranges", "range_m", "2.5 m"),
     "infinite value": with_cell("ranges", "range_m", "inf"),
-    "minus infinity": with_cell("imu", "gyro_z_radps", "-Infinity"),
     "number beyond all numbers": with_cell("truth", "x_m", "1e999"),
-    "number beyond reason": with_cell("truth", "x_m", "1e300"),
     "time missing": with_cell("ranges", "t_s", ""),
     "time not a number": with_cell("truth", "t_s", "nan"),
     "time a clock text": with_cell("ranges", "t_s", "12:00:01"),
     "time a date": with_table(
         "ranges", lambda table: table.with_columns(t_s=pl.lit("2026-05-01T12:00:00")), word="by 't_s=t_s in iso'"
     ),
-    "time infinite": with_cell("ranges", "t_s", "inf"),
     "clock that starts again": with_table(
         "ranges",
         lambda table: pl.concat([table, table.with_columns(pl.col("t_s") + 0.02)]),
@@ -167,7 +137,6 @@ BROKEN: dict[str, Builder] = {
     "tag missing": with_cell("ranges", "tag", ""),
     "unknown anchor": with_cell("ranges", "anchor", "A9"),
     "unknown station": with_cell("bearings", "station", "s1"),
-    "unknown station of phases": with_cell("phases", "station", "S3"),
     "negative standard deviation": with_cell("ranges", "range_std_m", "-0.03"),
     "zero standard deviation": with_cell("fixes", "x_std_m", "0"),
     "zero quaternion in truth": with_cell("truth", "qw", "0"),
@@ -176,12 +145,6 @@ BROKEN: dict[str, Builder] = {
     ),
     "Parquet with dates for times": with_table(
         "ranges", lambda table: table.with_columns(pl.from_epoch("t_s", "s")), "parquet", "ranges.parquet: column t_s"
-    ),
-    "Parquet with fractions for ids": with_table(
-        "ranges", lambda table: table.with_columns(anchor=pl.lit(1.0)), "parquet", "ranges.parquet: column anchor"
-    ),
-    "Parquet with an infinite value": with_table(
-        "ranges", lambda table: table.with_columns(range_m=pl.lit(float("inf"))), "parquet", "row 1, column range_m"
     ),
     "Parquet without rows": with_table("ranges", lambda table: table.clear(), "parquet"),
 }

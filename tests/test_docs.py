@@ -15,7 +15,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from tests.in_process import PLAIN, assert_refused, trackwright
+from tests.in_process import PLAIN, trackwright
 from trackwright.trackers.core import user_file
 from trackwright.trackers.recordings.kinds import KINDS
 
@@ -35,12 +35,6 @@ def extended():
         if not block.startswith("# "):
             exec(compile(block, "docs/extending.md", "exec", dont_inherit=True), names)
     return names
-
-
-def test_a_motion_and_a_sensor_of_ones_own_take_under_30_lines_together():
-    first = _blocks("docs/extending.md")[0]
-    code = first[first.index("class Walker") :].splitlines()
-    assert sum(1 for line in code if line.strip()) < 30
 
 
 @pytest.mark.slow
@@ -194,20 +188,6 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
     assert tracks[0].equals(tracks[1])
 
 
-@pytest.mark.slow
-def test_a_kind_of_ones_own_is_tuned_swept_and_studied_by_file(hall):
-    _as_in_a_new_process()
-    done = trackwright("tune", "hall", *OWN, "--tune", "sensors.bistatic.sigma_p", "--steps", 4, "--out", "tuned")
-    assert done.code == 0, done.err
-    _as_in_a_new_process()
-    assert (
-        trackwright("sweep", "hall", *OWN, "--over", "sensors.bistatic.sigma_p=0.1:0.3:3", "--out", "swept").code == 0
-    )
-    done = trackwright("study", "hall.py", "--out", "studied")
-    assert done.code == 0, done.err
-    assert "bistatic" in Path("studied/results.json").read_text("utf-8")
-
-
 def test_a_kind_of_ones_own_is_imported_by_a_format_that_imports_its_file(hall):
     _as_in_a_new_process()
     sys.modules.pop("bistatic")
@@ -227,51 +207,11 @@ def test_a_kind_and_a_format_of_ones_own_are_checked_by_file(hall, capsys):
     assert capsys.readouterr().out.count(", 0 failed,") == 2
 
 
-def test_a_fit_of_a_start_by_readings_of_a_misspelt_name_is_refused(hall):
-    code = Path("bistatic.py").read_text("utf-8")
-    Path("bistatic.py").write_text(code.replace('readings["bistatic"]', 'readings["bistatc"]'), "utf-8")
-    _as_in_a_new_process()
-    said = trackwright("tune", "hall", *OWN, "--out", "tuned")
-    assert_refused(said, "found readings of bistatic; expected 'bistatc', which the start (InTheMiddle) reads")
-
-
-def test_a_kind_of_ones_own_with_an_unknown_anchor_is_refused_with_its_row(hall):
-    table = pl.read_parquet("hall/bistatic.parquet")
-    other = table.with_columns(anchor_2=pl.when(pl.int_range(pl.len()) == 4).then(pl.lit("9")).otherwise("anchor_2"))
-    other.write_parquet("hall/bistatic.parquet")
-    with pytest.raises(tw.UnusableInput, match=r"row 5, column anchor_2: anchor_2 '9' is not in rig.toml"):
-        tw.read("hall")
-
-
 def test_swapped_signs_of_a_kind_of_ones_own_are_explained(hall):
     table = pl.read_parquet("hall/bistatic.parquet")
     table.with_columns(-pl.col("path_m")).write_parquet("hall/bistatic.parquet")
     errors = [one.message for one in tw.check(tw.read("hall")) if one.level == "error"]
     assert any("sign of the bistatic flipped" in message for message in errors)
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("turning.py:NOTHING", ("NOTHING is no TrackerSpec", "TURNING")),
-        ("missing.py:X", ("there is no file missing.py",)),
-        ("nonsense", ("unknown", "FILE.py:NAME")),
-    ],
-)
-def test_a_tracker_that_a_file_does_not_hold_is_refused(turning, name, words):
-    assert_refused(trackwright("track", "agv", "--tracker", name, "--out", "out"), *words)
-
-
-@pytest.mark.parametrize(("system", "first", "last"), [("A", 1, 21), ("C", 8, 37), ("D", 1, 20)])
-def test_the_papers_page_has_one_row_for_each_numbered_equation(system, first, last):
-    text = (ROOT / "docs/papers.md").read_text(encoding="utf-8")
-    section = text.split(f"## {system}. ")[1].split("\n## ")[0]
-    numbers = []
-    for row in re.findall(r"^\| (\(\d+\).*?) \|", section, re.MULTILINE):
-        low, high = re.match(r"\((\d+)\)(?:–\((\d+)\))?", row).groups()
-        numbers += range(int(low), int(high or low) + 1)
-        numbers += [int(n) for n in re.findall(r", \((\d+)\)", row)]
-    assert sorted(numbers) == list(range(first, last + 1))
 
 
 @pytest.mark.parametrize(

@@ -101,24 +101,6 @@ def test_what_a_format_of_ones_own_returns_is_refused_in_a_line(tmp_path, monkey
     assert not (tmp_path / "new").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--format", "none.py:own"), ("format none.py:own: there is no file none.py",)),
-        (("--format", "bad.py:other"), ("bad.py: other is no function; the file's are: own",)),
-        (("--format", "csvv"), ("--format csvv: expected csv, ros", "FILE.py:NAME (did you mean csv?)")),
-        (("--format", "bad.py:own", "--table", "ranges"), ("has its tables; leave --table and --topic out",)),
-        (("--format", "bad.py:own", "--columns", "range_m=x"), ("has its columns; leave --columns out",)),
-    ],
-)
-def test_a_format_that_is_none_and_options_that_it_does_not_take_are_refused(tmp_path, monkeypatch, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my.log").write_text("@12.5;A1=271\n")
-    (tmp_path / "bad.py").write_text("def own(path):\n    return {}\n")
-    said = trackwright("import", "my.log", *arguments, "--out", "new")
-    assert_refused_last(said, *words)
-
-
 def test_the_python_code_of_the_page_runs(tmp_path, monkeypatch):
     pytest.importorskip("pandas", reason="pandas is not installed; make test installs it")
     monkeypatch.chdir(tmp_path)

@@ -14,7 +14,6 @@ from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.text.tables import width_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.checks.readings import known_median
-from trackwright.trackers.recordings.tracks_table import source_paths
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.optimisers import Adam
 
@@ -67,12 +66,6 @@ def test_a_name_in_brackets_is_no_markup_of_a_table():
     assert width_of(table) >= len("[/] [bold]x")
 
 
-@pytest.mark.parametrize("content", [b"a\0b\n", b"\xff\xfe", b"", b"x\x1b[31m\n"])
-def test_a_damaged_list_of_recordings_names_none(tmp_path, content):
-    (tmp_path / "recordings.txt").write_bytes(content)
-    assert source_paths(tmp_path) == []
-
-
 @pytest.mark.parametrize(
     "content", [[], {}, {"cells": [{}]}, {"cells": 3}, {"cells": [{"world": 1, "point": [], "figures": {}}]}]
 )
@@ -109,12 +102,3 @@ def test_a_line_of_another_system_within_a_table_with_semicolons_is_refused(tmp_
 def test_a_checkpoint_of_another_number_of_arrays_is_no_state_of_a_fit(count):
     with pytest.raises(UnusableInput, match=rf"checkpoint.npz: holds {count} arrays, .*begin anew"):
         from_arrays(Adam(3), [np.zeros((2, 3))] * count)
-
-
-def test_hundreds_of_unknown_columns_are_one_notice(tmp_path):
-    write_good(tmp_path / "good")
-    table = good_tables()["ranges"].with_columns(pl.lit("x").alias(f"more_{k}") for k in range(300))
-    table.write_csv(tmp_path / "good" / "ranges.csv")
-    lines = [line for line in trackwright("check", tmp_path / "good").out.splitlines() if "more_0" in line]
-    assert len(lines) == 1
-    assert "and 295 more of ranges.csv (not part of the format, or not numbers)" in lines[0]

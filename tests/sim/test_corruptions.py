@@ -71,13 +71,6 @@ def test_drop_outs_have_the_stated_mean_length_at_any_rate():
         assert stays == pytest.approx(expected, abs=0.01)
 
 
-def test_drop_outs_of_no_length_are_independent():
-    _, seen = drop_outs(0.3)(KEYS, TIMES, CLEAN, SEEN)
-    lost = ~seen[..., 0]
-    # 53,000 pairs, 0.09 expected, standard error 0.0012.
-    assert np.mean(lost[:, 1:] & lost[:, :-1]) == pytest.approx(0.09, abs=0.006)
-
-
 def test_a_masked_antenna_is_never_seen_and_nothing_else_changes():
     values, seen = mask_antenna(1, 2)(KEYS, TIMES, CLEAN, SEEN)
     assert not seen[:, :, 1, 2].any()
@@ -103,29 +96,3 @@ def test_adding_a_corruption_changes_no_noise_of_another():
     # Sums of float32 numbers of size 10.
     np.testing.assert_allclose(within[0] - others[0], without[0], atol=1e-5)
     assert np.array_equal(within[1], without[1])
-
-
-def test_two_corruptions_of_one_kind_have_independent_noise():
-    once = corrupted({"a": white_noise(1.0)}, KEYS, TIMES, CLEAN, SEEN)[0]
-    twice = corrupted({"a": white_noise(1.0), "b": white_noise(1.0)}, KEYS, TIMES, CLEAN, SEEN)[0]
-    # Equal noise would add up to twice, not the square root of two.
-    assert twice.std() / once.std() == pytest.approx(np.sqrt(2), rel=0.01)
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: white_noise(0.0),
-        lambda: gauss_markov(0.1, -1.0),
-        lambda: outliers(1.5, 1.0),
-        lambda: outliers(0.1, float("nan")),
-        lambda: drop_outs(-0.1),
-        lambda: drop_outs(0.1, -1.0),
-        lambda: mask_antenna(0, ANTENNAS)(KEYS, TIMES, CLEAN, SEEN),
-        lambda: mask_antenna(-1, 0)(KEYS, TIMES, CLEAN, SEEN),
-        lambda: lose_station(STATIONS)(KEYS, TIMES, CLEAN, SEEN),
-    ],
-)
-def test_invalid_corruptions_are_refused(make):
-    with pytest.raises(ValueError, match=r"expected|does not exist"):
-        make()

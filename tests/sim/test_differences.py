@@ -7,7 +7,6 @@ from trackwright.sim import worlds
 from trackwright.sim.corruptions import drop_outs, white_noise
 from trackwright.sim.differences import CORNERS, simulate_differences
 from trackwright.sim.ranging import antenna_biases, chamber
-from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.kinds import KINDS
 
 RIG = chamber(CORNERS)
@@ -56,11 +55,6 @@ def test_a_clock_offset_is_in_both_differences_of_its_anchor_with_opposite_signs
     assert sorted(map(tuple, number[:8].tolist())) == [(0, 7), *((k, k - 1) for k in range(1, 8))]
     assert of_pairs.sum() == pytest.approx(0.0, abs=1e-4)
     assert np.abs(of_pairs).max() > 0.05
-
-
-def test_one_anchor_is_refused():
-    with pytest.raises(ValueError, match="two anchors, found 1"):
-        simulate_differences(Rig("one", anchors={"A": np.zeros(3)}))
 
 
 def test_an_imu_leaves_the_differences_as_they_are_and_is_at_the_same_tags():

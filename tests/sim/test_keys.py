@@ -44,9 +44,3 @@ def test_draws_are_the_same_float32_numbers_whatever_precision_jax_runs_in(doubl
         draws = normals(stream(trajectory_keys(3, [5]), "name"), (15,))
     assert draws.dtype == np.float32
     assert np.array_equal(draws, normals(stream(trajectory_keys(3, [5]), "name"), (15,)))
-
-
-@pytest.mark.parametrize("ids", [[-1], [2**32], [0.5], [[1]]])
-def test_invalid_ids_are_refused(ids):
-    with pytest.raises(ValueError, match="trajectory ids"):
-        trajectory_keys(0, ids)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trackwright.sim.corruptions import white_noise
-from trackwright.sim.line import THESIS_KNOTS, along, simulate_line
+from trackwright.sim.line import THESIS_KNOTS, simulate_line
 
 
 def _moving(world):
@@ -68,13 +68,3 @@ def test_corruptions_apply_one_by_one_and_a_tag_can_be_carried_off():
     inside = (away.times >= 20.0) & (away.times < 30.0)
     np.testing.assert_allclose(apart[0, inside], [[0.0, 1.5]] * inside.sum())
     np.testing.assert_allclose(apart[0, ~inside], 0.0)
-
-
-def test_positions_along_the_path_are_the_corners_at_the_printed_cumulative_lengths():
-    np.testing.assert_allclose(along(THESIS_KNOTS, np.array([0, 4.05, 6.159, 10.209, 12.295, 16.345])), THESIS_KNOTS)
-
-
-@pytest.mark.parametrize("wrong", [{"situation": "rush"}, {"speed": 0.0}, {"rate_hz": -1.0}])
-def test_unknown_situations_and_invalid_numbers_are_refused(wrong):
-    with pytest.raises(ValueError, match="unknown|positive"):
-        simulate_line(**wrong)

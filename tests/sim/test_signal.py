@@ -107,16 +107,3 @@ def test_the_low_pass_suppresses_a_strong_distant_echo():
     # What is left of the echo leaks a few hundredths of its height into the peak, 125 bins away.
     assert taken[80e3] < 0.05
     assert taken[1e9] > 1.0
-
-
-def test_a_trajectorys_signals_are_the_same_in_any_batch(noisy):
-    alone = signal_phases(trajectory_keys(0, [7]), STATIONS, POSITIONS[7:8], Radar(snr=0.5))
-    assert np.array_equal(alone[0], noisy[7])
-
-
-@pytest.mark.parametrize(
-    "settings", [{"snr": 0.0}, {"n_samples": 64}, {"sync_s": (0.0, 1e-6)}, {"sync_s": (2e-7, 1e-7)}]
-)
-def test_a_radar_whose_tone_is_out_of_band_is_refused(settings):
-    with pytest.raises(ValueError, match="radar tone"):
-        Radar(**settings)

@@ -1,7 +1,5 @@
 """Worlds by name: folders, recordings, reproducibility, and refused parameters."""
 
-import inspect
-
 import numpy as np
 import polars as pl
 import pytest
@@ -12,7 +10,6 @@ from trackwright.sim import worlds
 from trackwright.sim.agv import ANCHOR_HEIGHT
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers import catalogue
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.folder import read_recording
 
 SHORT = {
@@ -71,11 +68,6 @@ def test_a_subset_of_ids_gives_the_same_trajectories(name):
             assert table.filter(tag=tag).equals(every.tables[key].filter(tag=tag))
 
 
-@pytest.mark.parametrize("name", WORLDS)
-def test_a_study_makes_the_same_folder(name):
-    _assert_equal(WORLDS[name](np.arange(2), 3, **SHORT[name]), _short(name, n=2).folder())
-
-
 @pytest.mark.parametrize(
     ("name", "tracker"),
     [
@@ -105,36 +97,6 @@ def test_bearings_are_a_recording_per_station():
     assert len(_short("station", n=2).recordings("beam")) == 2 * 3
 
 
-def test_a_tracker_that_lacks_its_table_is_refused():
-    with pytest.raises(UnusableInput, match="ranges"):
-        _short("line", n=1).recordings("uwb")
-
-
-def test_a_world_shows_its_name_and_size():
-    assert repr(worlds.line(n=2, seed=3)) == "<SimulatedWorld 'simulated-line-halts-3': 2 trajectories, SimulatedLine>"
-
-
-@pytest.mark.parametrize(
-    ("name", "numbers", "message"),
-    [
-        ("line", {"speed": 20.0}, "speed = 20.0: expected a number from 0.01 to 10"),
-        ("line", {"speed": np.nan}, "speed = nan"),
-        ("line", {"speed": "fast"}, "speed = 'fast': expected a number"),
-        ("line", {"situation": "stops"}, "situation = 'stops': expected one of constant, halts, speeds"),
-        ("ranges", {"rows": 3.5}, "rows = 3.5: expected a whole number"),
-        ("ranges", {"rows": True}, "rows = True: expected a whole number"),
-        ("station", {"outliers": 1.0}, "from 0 to below 1"),
-        ("station", {"lost_station": "7"}, "expected one of the stations 1, 2, 3"),
-        ("station", {"masked_antenna": ("1", 0)}, "an antenna from 1 to 8"),
-        ("tool", {"gap": (2.0, 1.0)}, "gap = .*expected two times"),
-        ("agv", {"n": 0}, "n = 0: expected a whole number from 1"),
-    ],
-)
-def test_values_out_of_range_are_refused(name, numbers, message):
-    with pytest.raises(ValueError, match=message):
-        getattr(worlds, name)(**numbers)
-
-
 @pytest.mark.parametrize("antenna", [1, 8])
 def test_a_masked_antenna_is_missing_from_its_station_alone(antenna):
     phases = worlds.station(n=1, rows=3, masked_antenna=("2", antenna)).folder().tables["phases"]
@@ -149,18 +111,3 @@ def test_heights_of_vehicles_are_mirrored_three_seconds_at_a_stretch():
     begins = np.diff(above, axis=1, prepend=False) & above
     assert above.mean() == pytest.approx(0.3, abs=0.05)
     assert 0.1 * above.sum() / begins.sum() == pytest.approx(3.0, abs=0.6)
-
-
-@pytest.mark.parametrize(("make", "first"), [(worlds.line, "n"), (WORLDS["line"], "situation")])
-def test_an_unknown_parameter_is_refused_with_the_known_ones(make, first):
-    given = () if first == "n" else (np.arange(1), 0)
-    with pytest.raises(TypeError, match=rf"parameter 'rate' is unknown; expected one of {first}, .*rate_hz"):
-        make(*given, rate=1.0)
-
-
-@pytest.mark.parametrize("name", WORLDS)
-def test_every_parameter_of_a_world_has_help(name):
-    world = getattr(worlds, name)
-    described = inspect.getdoc(world).partition("Args:")[2]
-    for parameter in set(inspect.signature(world).parameters) - {"n", "seed", "ids"}:
-        assert f"{parameter}: " in described

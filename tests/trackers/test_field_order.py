@@ -12,10 +12,6 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
-from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.monte_carlo.errors import scored
-from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.baselines.switching import mirror_tracker
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.filters.ekf import Gaussian
@@ -23,20 +19,15 @@ from trackwright.trackers.core.filters.imm import Mixture
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
-from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import Rotation
-from trackwright.trackers.core.model.tunable import Constant, Scale
+from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.line.grid import GridFilter
-from trackwright.trackers.line.motion import PathOutputMap, PathState
 from trackwright.trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks import batches as stacked
 from trackwright.trackers.recordings.tracks import track
 from trackwright.trackers.uwb_imu.inertial import with_yaw_variance
-from trackwright.tuning.named_objectives import all_metrics
 
 IDS, ROWS = np.array([f"tag {k}" for k in range(12)]), 40
 
@@ -130,32 +121,6 @@ def test_the_tables_and_their_evaluation_do_not_depend_on_the_order_of_the_field
     assert other["coverage_95"] == one["coverage_95"]
 
 
-@pytest.mark.slow
-def test_objectives_do_not_depend_on_the_order_of_the_fields(folder, specs):
-    metrics = []
-    for name, spec in specs.items():
-        ((_, rows),) = stacked(spec.batches([folder], name)[0].trajectories)
-        metrics.append(all_metrics(_tracker(name == "exchanged"), rows, "position", 3))
-    assert metrics[1] == pytest.approx(metrics[0], rel=1e-7)
-
-
-@pytest.mark.slow
-def test_studies_do_not_depend_on_the_order_of_the_fields(folder, specs):
-    trackers = {name: TrackerConfig(spec) for name, spec in specs.items()}
-    world = World(lambda ids, seed: folder)
-    study = Study("order", "", {"hall": world}, trackers, runs=len(IDS))
-    results = {}
-    for name, runs in tracked_runs(study, "hall", IDS).items():
-        totals = Totals(len(IDS))
-        totals.add(0, scored(runs))
-        results[name] = Results(study, {(0, name): totals}, {0: len(IDS)})
-    for metric, expected, within in (("nees_mean", 2.0, 0.6), ("nees_3d_mean", 3.0, 0.8), ("coverage_95", 0.95, 0.04)):
-        one, other = (results[name].at(metric, study.conditions[0], name).value for name in specs)
-        assert other == pytest.approx(one, rel=1e-7), metric
-        # The model is true; 480 correlated rows of 12 tags.
-        assert one == pytest.approx(expected, abs=within), metric
-
-
 def _random_cov(n, seed=0):
     A = np.random.default_rng(seed).normal(size=(n, n))
     return A @ A.T
@@ -189,20 +154,6 @@ def test_the_rate_of_crossing_the_plane_uses_the_variance_of_the_height():
     models = mirror_tracker(rate=0.7).filter
     (rate,) = models.switching_rates(Mixture((Gaussian(state, tuple(cov)),), (0.0,)), {"plane": plane})
     assert float(rate) == pytest.approx(0.7 * np.exp(-0.5 * (z - plane) ** 2 / (P[4, 4] + reach**2)), rel=1e-12)
-
-
-@pytest.mark.slow
-def test_a_grid_starts_from_the_variances_of_arclength_and_speed():
-    class SpeedFirst(NamedTuple):
-        speed: Any
-        arclength: Any
-
-    line = Polyline(np.array([[0.0, 0.0], [4.0, 0.0]]))
-    grid = GridFilter(PathOutputMap(line, Constant(0.02)), 41, 11, 1.5)
-    usual = Gaussian(PathState(jnp.array(1.0), jnp.array(0.4)), (jnp.array(0.25), jnp.array(0.0), jnp.array(0.01)))
-    exchanged = Gaussian(SpeedFirst(usual.mean.speed, usual.mean.arclength), usual.cov[::-1])
-    key = jnp.zeros(2, jnp.uint32)
-    np.testing.assert_array_equal(grid.init(exchanged, key).travelling, grid.init(usual, key).travelling)
 
 
 def test_a_yaw_variance_is_added_to_the_attitude():

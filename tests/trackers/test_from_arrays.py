@@ -78,8 +78,6 @@ RANGES_M = np.linalg.norm(HALL - np.array([3.0, 2.0, 1.0]), axis=1) * np.ones((3
         (TIMES, RANGES_M * 1000, HALL, "range_recording: a typical range is 5,405 m: looks like millimetres"),
         (TIMES, RANGES_M, HALL * 1000, "anchors .* m apart, ranges of .* looks like millimetres"),
         (TIMES, np.where(np.eye(3, 4) > 0, np.inf, RANGES_M), HALL, "ranges: row 0 is infinite"),
-        (TIMES, RANGES_M * np.nan, HALL, r"ranges of shape \(3, 4\) are all NaN"),
-        (TIMES[::-1], RANGES_M, HALL, r"times\[1\] = 0.5 s comes before"),
         (np.array([0.0, 1.0, 0.9]), RANGES_M, HALL, r"times\[2\] = 0.9 s comes before"),
     ],
 )
@@ -136,19 +134,10 @@ def unchecked():
         (lambda: tw.Station(np.zeros(2), np.array([1.0, 0, 0, 0])), r"Station: position = \[0.0, 0.0\]; expected"),
         (lambda: tw.tracker_for(pl.DataFrame({"x": [1.0]})), "found DataFrame; expected one or more recording folders"),
         (lambda: tw.tracker_for("my-folder"), "found str; expected one or more recording folders"),
-        (lambda: tw.tracker_for(["a"]), "found str; expected one or more recording folders"),
         (lambda: tw.survey("walk"), "found str; expected one or more recording folders, as `read`"),
-        (lambda: tw.survey([]), "found nothing; expected one or more recording folders"),
-        (lambda: tw.calibrate("walk"), "found str; expected one or more recording folders, as `read`"),
         (lambda: tw.Scale(-1.0), "a Scale is positive"),
     ],
 )
 def test_arguments_of_another_kind_are_refused_as_unusable_input(make, words, unchecked):
     with pytest.raises(tw.UnusableInput, match=words):
         make()
-
-
-def test_a_world_that_does_not_exist_names_the_one_that_was_meant():
-    with pytest.raises(AttributeError, match=r"no world 'range'; .*did you mean simulate\.ranges\?"):
-        tw.simulate.range  # noqa: B018
-    assert not hasattr(tw.simulate, "walk")

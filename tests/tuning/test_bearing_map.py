@@ -7,7 +7,6 @@ import polars as pl
 import pytest
 
 from tests.tuning.calibration_worlds import HEIGHT, RIG, STATIONS, lasting, walk
-from trackwright.experiments.pages.reports.calibration import report_on
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.evaluation.evaluate import evaluate
@@ -76,15 +75,6 @@ def test_no_map_is_kept_of_errors_that_last_but_do_not_return():
     assert sum(kept) <= 1
 
 
-def test_one_recording_has_no_map_and_the_report_of_several_has_a_line_on_it():
-    folders = _site(0, by_place=True, walks=4, seconds=80.0)
-    assert calibrate(folders[0]).bearing_map is None
-    calibration = calibrate(folders)
-    assert "A map of the errors of bearings over the floor is kept" in report_on(calibration, folders).note
-    without = replace(calibration, bearing_map=None)
-    assert "map" not in report_on(without, folders).note
-
-
 def test_visits_are_runs_of_rows_near_their_first_one_by_recording_and_tag():
     x = np.array([0.0, 0.2, 0.4, 0.6, 0.7, 0.0, 0.1, 0.1])
     number, tag = np.array([0, 0, 0, 0, 0, 0, 0, 1]), np.array(["a"] * 6 + ["b", "a"])
@@ -100,12 +90,3 @@ def test_visits_are_runs_of_rows_near_their_first_one_by_recording_and_tag():
     np.testing.assert_array_equal(runs.begins, [0, 2, 4, 5, 6])
     np.testing.assert_array_equal(runs.recording, [0, 0, 0, 0, 1])
     np.testing.assert_array_equal(runs.rows.measured[:, 0], [0, 2, 3, 4, 5, 6, 7])
-
-
-@pytest.mark.parametrize("by_place", [True, False])
-def test_a_recording_without_truth_or_too_short_takes_no_part(by_place):
-    folders = _site(7, by_place, walks=4, seconds=80.0)
-    blind = replace(folders[-1], tables={"bearings": folders[-1].tables["bearings"]})
-    short = replace(folders[-1], name="short", tables={k: t.head(6) for k, t in folders[-1].tables.items()})
-    found, expected = calibrate([*folders[:-1], blind, short]).bearing_map, calibrate(folders[:-1]).bearing_map
-    assert (found is None) == (expected is None) == (not by_place)

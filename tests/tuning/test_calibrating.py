@@ -39,13 +39,6 @@ def _coverage(worlds, **options):
     return (np.abs(angles) < 1.96).mean(), (np.abs(ranges) < 1.96).mean()
 
 
-def test_intervals_hold_the_terms_although_errors_last():
-    # The standard error of a share of 6 × 24 terms, some of them correlated, is about 3 %.
-    angles, ranges = _coverage(6)
-    assert 0.86 < angles < 1.0
-    assert 0.82 < ranges < 1.0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"recordings": 1, "seconds": 40.0}, {"outliers": 1.5}, {"by_place": True}])
 def test_intervals_hold_90_to_97_percent_of_the_terms_of_200_worlds(options):
@@ -124,13 +117,6 @@ def test_the_bias_of_a_tag_is_told_apart_from_those_of_the_anchors():
         assert one.coefficients[0] == pytest.approx(expected, abs=0.015)
 
 
-def test_recordings_of_several_installations_are_refused():
-    _, folders = world(5, 2, seconds=10.0)
-    moved = {**RIG.anchors, "B": RIG.anchors["B"] + 0.3}
-    with pytest.raises(UnusableInput, match=r"walk 2: anchor 'B' stands elsewhere than in walk 1; expected .*apart"):
-        calibrate([folders[0], replace(folders[1], rig=replace(RIG, anchors=moved))])
-
-
 def test_the_rows_of_a_tag_that_stands_still_count_as_one_sample_of_the_error():
     # The mean of 2000 rows has a standard error of 0.2 mm, but 5 cm of its error are those of the place.
     for one in calibrate(_standing(200.0, (3.0, 2.0))).anchors.values():
@@ -187,20 +173,6 @@ def test_azimuths_beyond_half_a_turn_are_compared_the_short_way_round():
     one = calibrate(RecordingFolder("round", None, rig, tables)).stations["S"]
     assert one.coefficients[0, 0] == pytest.approx(0.2, abs=0.05)
     assert one.coefficients[0, 1] == pytest.approx(1.0, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("tables", "words"),
-    [
-        (("bearings", "ranges"), "no truth table; expected truth to calibrate against"),
-        (("truth",), "expected ranges, tdoa or bearings to calibrate"),
-    ],
-)
-def test_recordings_that_lack_something_are_refused_in_one_line(tables, words):
-    folder = world(5, 1, seconds=10.0)[1][0]
-    kept = {name: folder.tables[name] for name in tables}
-    with pytest.raises(UnusableInput, match=words):
-        calibrate(replace(folder, tables=kept))
 
 
 def test_a_truth_over_the_floor_is_completed_by_the_height_of_the_tag():

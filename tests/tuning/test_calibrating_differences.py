@@ -56,6 +56,7 @@ def test_biases_are_the_most_likely_ones_of_a_dense_likelihood():
     np.testing.assert_allclose(found.biases, minimize(unlikely, np.zeros(4)).x, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_calibration_on_other_walks_makes_tracks_better_and_their_ellipses_hold_the_truth():
     _, folders = _site(4, walks=4)
     plain = folders[-1]

@@ -64,10 +64,3 @@ def test_a_step_contradicts_a_line(seed):
     assert differs_by_distance(distance, left, piece, 0.07)
     # The same structure, but too small to matter beside errors of a metre.
     assert not differs_by_distance(distance, left, piece, 1.0)
-
-
-def test_too_few_pieces_decide_nothing():
-    distance = np.linspace(1.0, 9.0, 100)
-    errors = np.where(distance > 5, 0.3, 0.0)
-    assert not differs_by_distance(distance, errors, np.zeros(100, int), 0.1)
-    assert not differs_by_distance(distance, np.full(100, np.nan), np.arange(100) // 5, 0.1)

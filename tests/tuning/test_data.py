@@ -24,7 +24,6 @@ from trackwright.tuning.batches import trajectory_weights
 from trackwright.tuning.data import fit_arrays, fit_data
 from trackwright.tuning.identifiability import identifiability_issues
 from trackwright.tuning.named_objectives import all_metrics, parse_objective
-from trackwright.tuning.objectives import MissingQuantityError
 from trackwright.tuning.parameters import flatten, select_parameters, tuned_by_default
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import optimum, uncertainty_at
@@ -89,20 +88,6 @@ def test_the_error_of_an_estimated_height_needs_truth_with_heights(objective):
     assert fit_data(tracker.only_batch(folder), objective).training, "the height is not judged"
     half = _folder(None, HALF)
     assert fit_data(tw.build("fix-kf", half).only_batch(half), objective, dimensions=3).training
-
-
-def test_a_recording_without_truth_has_none_to_fit_to():
-    folder = _folder(1.2, ALL)
-    blind = dataclasses.replace(folder, tables={"fixes": folder.tables["fixes"]})
-    with pytest.raises(UnusableInput, match="objective rmse needs truth, and these recordings have none"):
-        fit_data(tw.build("fix-kf", blind).only_batch(blind), "rmse")
-
-
-def test_truth_over_the_floor_of_a_state_in_space_is_refused_with_the_usual_fix():
-    times = np.arange(5) * 0.1
-    recording = tw.fix_recording(times, np.zeros((5, 3)), truth=np.zeros((5, 2)))
-    with pytest.raises(MissingQuantityError, match="truth of the position has 2 components, and 3 are judged"):
-        tw.fit(tw.fix_tracker(), recording, objective="rmse", options=tw.FitOptions(dimensions=3))
 
 
 @pytest.mark.parametrize(

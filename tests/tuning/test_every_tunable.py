@@ -9,63 +9,15 @@ import pytest
 
 from tests.catalogue import CASES, ROWS, trajectories
 from tests.tuning.worlds import line_tracker, walks
-from trackwright.trackers.aoa.fusion import bearing_tracker
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.core.data.recording import Recording, stack
-from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.core.run.chunks import as_dtype
-from trackwright.trackers.mhk.tracker import mhk_tracker
-from trackwright.trackers.uwb_imu.fusion import range_tracker
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
 from trackwright.tuning.parameters import component_names, flatten, select_parameters, with_parameters
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import unidentifiable
 
 STEP = 1e-5
-
-PROMISED = {
-    "direct": "motion.sigma_a sensors.*.sigma_p sensors.*.offsets track_loss.nis_limit",
-    "cascade": "beams.*.motion.sigma_a beams.*.sigma_p fusion.motion.sigma_a fusion.sensors.bearings.reported_std_scale",
-    "beam": "motion.sigma_a sensors.*.sigma_p sensors.*.offsets",
-    "line-grid": "motion.sigma_a motion.halting motion.rest sensors.fixes.sigma_p start.sigma_start",
-    "line-pf": "motion.sigma_a motion.halting motion.rest sensors.ranges.sigma_r start.sigma_start",
-    "uwb-imu in space": "motion.noise.sigma_accel motion.noise.sigma_gyro motion.noise.*_walk motion.gravity motion.arm sensors.*.bias sensors.*.late",
-    "uwb": "motion.sigma_a motion.sigma_bias motion.time_constant sensors.ranges.sigma_r sensors.ranges.bias track_loss.score_limit",
-    "fix-kf": "motion.sigma_a sensors.fixes.sigma_horizontal sensors.fixes.dof sensors.fixes.latency track_loss.nis_limit",
-    "fix-singer": "motion.sigma_a motion.tau sensors.fixes.latency",
-    "imm": "motion.modes.*.sigma_a filter.switching_rate filter.mode_prior sensors.fixes.latency",
-    "fix-mirror": "filter.switching_rate filter.mode_prior filter.reach sensors.fixes.offset sensors.fixes.shrink",
-    "mhk": "fusion.*.p_still fusion.*.p_full fusion.*.a_still fusion.*.covariance median.speed_limit fusion.*.latency",
-    "multilateration": "sigma_r",
-    "trilateration-compensated": "sigma_r",
-}
-"""By case of the catalogue what a user may want tuned."""
-
-
-@pytest.mark.parametrize("name", PROMISED)
-def test_what_a_user_may_want_tuned_is_found_by_name(name):
-    found = tunables(CASES[name].tracker())
-    missing = [pattern for pattern in PROMISED[name].split() if not fnmatch.filter(found, pattern)]
-    assert missing == []
-
-
-def test_the_rates_at_which_modes_and_accelerations_change_are_found_by_name():
-    assert "fusion.filter.rate" in tunables(mhk_tracker(rate=1.0))
-    assert {"sensors.bearings.dof", "track_loss.score_limit", "start.sigma_position"} <= set(
-        tunables(bearing_tracker(4))
-    )
-    assert np.shape(tunables(range_tracker(8))["sensors.ranges.bias"].raw) == (8,)
-
-
-@pytest.mark.parametrize("name", ["das", "moving-average", "median"])
-def test_what_has_no_number_but_a_window_has_nothing_to_tune(name):
-    with pytest.raises(ValueError, match="matches no tunable"):
-        select_parameters(CASES[name].tracker(), "*window*")
-
-
-def test_the_length_of_a_window_is_no_tunable():
-    with pytest.raises(ValueError, match=r"matches no tunable; this tracker has: median\.speed_limit"):
-        select_parameters(CASES["mhk"].tracker(), "median.window")
 
 
 def test_a_number_without_effect_is_reported_as_that():

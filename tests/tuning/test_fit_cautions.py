@@ -1,8 +1,5 @@
 """Cautions on a fit: each on data made so that it applies, and none on data of the model itself."""
 
-from dataclasses import replace
-from itertools import product
-from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -13,13 +10,9 @@ from tests.known_start import recording
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.model.covariance import FEW
-from trackwright.tuning import intervals
 from trackwright.tuning.fit_cautions import (
     WINDOWS_S,
-    correlation,
-    heavy_tails,
     rows_and_inflation,
-    standstill,
     window_sums,
 )
 from trackwright.tuning.intervals import left_out_values
@@ -87,15 +80,6 @@ def test_a_noise_level_that_collapses_without_a_grid_is_named():
     assert not any("collapsed" in text for text in far.cautions), "a level that the recordings determine"
 
 
-def test_degrees_of_freedom_that_leave_no_mean_are_named():
-    texts = []
-    for dof in (4.0, 0.006):
-        parameters = select_parameters(tw.fix_tracker(sigma_horizontal=0.1, dof=dof), ["sensors.fixes.*"])
-        texts.append(list(heavy_tails(parameters, flatten(parameters))))
-    assert texts[0] == []
-    assert [text.partition(",")[0] for text in texts[1]] == ["sensors.fixes.dof ended at 0.006"]
-
-
 def test_correlated_errors_are_named_with_how_much_too_narrow_intervals_are():
     rng, rows = np.random.default_rng(5), 6000
     errors = _gauss_markov(rng, rows, 0.3, 2.0) * np.exp(_gauss_markov(rng, rows, 0.8, 5.0))
@@ -104,16 +88,6 @@ def test_correlated_errors_are_named_with_how_much_too_narrow_intervals_are():
     assert text.startswith("innovations are correlated over time: 5999 rows carry the information of about ")
     factor = float(text.split(" about ")[2].split(" times")[0])
     assert 2.0 < factor < np.sqrt(max(WINDOWS_S) / 0.1)
-
-
-def test_rows_that_carry_the_information_of_half_as_many_are_named():
-    # Every row comes twice; the deviations of pairs, as all 16 patterns of signs in turn, have no other correlation.
-    signs = np.repeat(list(product([-1.0, 1.0], repeat=4)) * 2, 2)
-    sums = window_sums(np.arange(len(signs)) / 8, 1.0 + 0.5 * signs, np.zeros(len(signs)))
-    problem = SimpleNamespace(few=False, parts=SimpleNamespace(compute=lambda _: [(sums,)]))
-    (text,) = correlation(problem, np.zeros(2))
-    assert "256 rows carry the information of about 128 independent ones" in text
-    assert "about 1.4 times too narrow" in text
 
 
 class Stuck(AbstractOptimiser):
@@ -135,22 +109,6 @@ def test_a_fit_that_does_not_move_from_its_start_has_others():
     assert result.cautions == []
 
 
-def test_a_fit_that_stays_where_it_was_says_so():
-    (text,) = standstill(np.zeros(2), np.array([0.0, 1e-9]))
-    assert text.startswith("the fit did not move from its starting values")
-    assert text.endswith("has a better objective")
-    assert standstill(np.zeros(2), np.array([0.0, 1e-3])) == []
-
-
-def test_a_fit_that_held_out_recordings_keep_at_its_start_has_no_better_point_on_those():
-    own, other = walks([300], 6), walks([300], 7)
-    result = tw.fit(line_tracker(), own, "nll", LEVELS, tw.FitOptions(starts=1, steps=2, held_out=other))
-    assert result.selected
-    stayed = replace(result, vector=result.start_vector, uncertainty=None)
-    assert stayed.cautions[0].endswith("a better objective on the held-out recordings")
-    assert not tw.fit(line_tracker(), own, "nll", LEVELS, tw.FitOptions(starts=1, steps=2)).selected
-
-
 def _world():
     return [*walks([300, 200], 1), *walks([250], 2, sigma=0.5)]
 
@@ -165,19 +123,6 @@ def test_the_values_without_a_recording_are_those_of_a_fit_to_the_others(objecti
     for name in LEVELS:
         assert float(found["3"][name]) == pytest.approx(float(alone.values[name]), rel=0.02)
         assert abs(np.log(found["3"][name] / every.values[name])) > 0.02, "the third is noisier"
-
-
-def test_more_recordings_than_folds_are_left_out_several_at_once(monkeypatch):
-    monkeypatch.setattr(intervals, "MOST_FOLDS", 2)
-    every = tw.fit(line_tracker(), _world(), "nll", LEVELS)
-    found = left_out_values(every)
-    assert sorted(found) == ["1", "2", "3"]
-    assert found["1"] is found["3"]
-    assert found["1"] is not found["2"]
-
-
-def test_one_recording_has_no_other():
-    assert left_out_values(tw.fit(line_tracker(), walks([100], 1), "nll", LEVELS)) == {}
 
 
 SIGMA, STEP = "sensors.gauge.sigma", 0.1
@@ -236,11 +181,6 @@ def test_the_effective_rows_in_chunks_of_few_trajectories_are_those_of_one_large
     assert rows == other[0]
     assert factor == pytest.approx(other[1], rel=1e-6)
     assert factor > 2.0
-
-
-def test_rows_of_the_model_itself_are_not_correlated():
-    result = tw.fit(line_tracker(0.3, 0.2), walks([2000], 3), "nll", ("motion.sigma_v", SIGMA))
-    assert rows_and_inflation(result.problem, result.vector)[1] < 1.4
 
 
 def test_the_likelihoods_interval_is_that_of_the_scatter_of_blocks_where_errors_last():

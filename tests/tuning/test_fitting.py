@@ -71,12 +71,6 @@ def test_forward_and_reverse_mode_agree_on_the_line():
     np.testing.assert_allclose(problem.evaluate(vector).gradients[0], _reverse(problem, vector), rtol=1e-11, atol=1e-14)
 
 
-@pytest.mark.slow
-def test_forward_and_reverse_mode_agree_on_beams():
-    problem, vector = _problem(beam_tracker(STATION, "1"), beams(3, 12, SIGMA_A, SIGMA_P, 1, missing=0.3), "*")
-    np.testing.assert_allclose(problem.evaluate(vector).gradients[0], _reverse(problem, vector), rtol=1e-9, atol=1e-14)
-
-
 @pytest.mark.parametrize(
     ("optimiser", "wrong_a", "wrong_p"),
     [
@@ -133,14 +127,6 @@ def test_standard_errors_match_the_spread_of_fits():
         assert abs(values.mean() - true) < 3.5 * values.std() / np.sqrt(replicas)
 
 
-def test_undetermined_parameters_have_no_standard_error(line_world):
-    result = fit(line_tracker(), line_world, NLL, ("*.sigma", "*.offset", "*.bias"), FitOptions(steps=2))
-    errors = result.standard_errors
-    assert np.isnan(errors["sensors.gauge.offset"])
-    assert np.isnan(errors["sensors.gauge.bias"])
-    assert 0 < errors["sensors.gauge.sigma"] < 0.05
-
-
 @pytest.mark.slow
 def test_tied_tunables_are_fitted_as_one(line_world):
     both = fit(line_tracker(), line_world, NLL, "tied:sensors.gauge.[ob]*", FitOptions(steps=20))
@@ -167,34 +153,6 @@ def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world
     # an RMSE of few trajectories has no standard errors
     assert all(np.isnan(error) for error in result.standard_errors.values())
     assert "nan" not in repr(result)
-
-
-@pytest.mark.parametrize("options", [{}, {"starts": 3}], ids=["one start", "several"])
-def test_the_filter_runs_of_a_result_are_those_that_were_made(line_world, monkeypatch, options):
-    run, made = Problem._run, []
-
-    def counted(self, function, vectors, realisation):
-        made.append(len(np.atleast_2d(vectors)) * sum(map(len, self.parts.rows)))
-        return run(self, function, vectors, realisation)
-
-    monkeypatch.setattr(Problem, "_run", counted)
-    result = fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, FitOptions(steps=3, chunk=4, **options))
-    assert result.filter_runs == sum(made)
-
-
-def test_every_step_is_reported_and_nothing_else_is_touched(line_world):
-    seen = []
-    start = line_tracker()
-    result = fit(start, line_world, NLL, LEVELS, FitOptions(steps=5, optimiser=Adam(5)), Place(report=seen.append))
-    assert [int(state.number) for state in seen] == list(range(6))
-    assert [float(state.values[0]) for state in seen] == [step.value for step in result.trace[:6]]
-    # a likelihood ends with Newton steps
-    assert result.value == result.trace[-1].value <= result.trace[5].value
-    assert result.values == result.trace[-1].values
-    assert set(result.trace[0].values) == set(LEVELS)
-    assert type(result.tracker) is type(start)
-    before, after = tunables(start), tunables(result.tracker)
-    assert {k for k in before if float(before[k].raw) != float(after[k].raw)} == set(LEVELS)
 
 
 def test_a_step_to_a_non_finite_objective_is_halved(monkeypatch):
@@ -305,28 +263,6 @@ def test_bounds_and_frozen_numbers_hold(line_world):
     # the best noise level, 0.2 m, lies below
     assert result.values["sensors.gauge.sigma"] == pytest.approx(0.25, rel=1e-12)
     assert set(result.values) == {"motion.sigma_v", "sensors.gauge.sigma"}
-
-
-@pytest.mark.parametrize(
-    ("bounds", "words"),
-    [
-        ({"nothing.*": (1.0, 2.0)}, "no tuned number"),
-        ({"*.sigma": (2.0, 1.0)}, "not below"),
-        ({"*.sigma": (-1.0, 1.0)}, "positive"),
-    ],
-)
-def test_impossible_bounds_are_refused(line_world, bounds, words):
-    with pytest.raises(ValueError, match=words):
-        fit(line_tracker(), line_world, NLL, LEVELS, FitOptions(bounds=bounds, steps=1))
-
-
-def test_many_starts_find_at_least_what_each_of_them_finds(line_world):
-    wrong = line_tracker(sigma=30.0)
-    together = fit(wrong, line_world, NLL, LEVELS, FitOptions(starts=4))
-    alone = fit(wrong, line_world, NLL, LEVELS)
-    assert len(together.starts) == 4
-    assert together.starts[0][0].value == alone.start_value
-    assert together.value <= alone.value * (1 + 1e-9)
 
 
 def test_parameters_without_effect_keep_the_users_values_whichever_start_wins():

@@ -1,6 +1,5 @@
 """Noise levels found in recordings made by the models themselves, from starts that are wrong by orders of magnitude."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,7 +12,6 @@ from trackwright.sim.corruptions import white_noise
 from trackwright.sim.ranging import chamber, simulate_ranges
 from trackwright.trackers.aoa.beam import beam_tracker
 from trackwright.trackers.baselines.fixes import fix_tracker
-from trackwright.trackers.baselines.windows import MovingWindow
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model.algebra import Vector
@@ -30,12 +28,8 @@ from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.recordings.tracks import batches as in_batches
 from trackwright.trackers.uwb_imu.fusion import range_tracker
 from trackwright.tuning.guessing import (
-    TOLERANCE,
-    _Search,
     first_guess,
     noise_levels,
-    sample_segments,
-    tolerant,
 )
 from trackwright.tuning.optimisation import coarse_grid
 from trackwright.tuning.parameters import select_parameters
@@ -69,16 +63,6 @@ def _fixes(seed, count=8, rows=300, missing=0.0, uneven=0.0, dof=None):
         readings = {FIXES: Readings(np.where(seen, values, 0.0), seen, np.zeros((rows, 3)))}
         recordings.append(Recording(np.cumsum(dts), readings, {"height": np.zeros(rows)}, {}, str(k)))
     return recordings
-
-
-def test_the_search_raises_the_limit_of_track_loss_and_changes_nothing_else():
-    for tracker, limit in (
-        (mhk_tracker(), "fusion.track_loss.nis_limit"),
-        (range_tracker(4), "track_loss.score_limit"),
-    ):
-        before, after = _values(tracker), _values(tolerant(tracker))
-        assert [name for name in before if not np.array_equal(before[name], after[name])] == [limit]
-        assert after[limit] == pytest.approx(TOLERANCE * before[limit])
 
 
 @pytest.mark.parametrize("factors", [(10, 0.1, 10, 0.1), (0.1, 10, 0.1, 10)])
@@ -138,16 +122,6 @@ def test_levels_of_a_users_own_motion_and_sensor_are_found_by_their_roles_whatev
     assert sorted({tuple(np.sign(v)) for v in grid}) == [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
 
 
-def test_a_change_is_made_for_the_least_gain_and_not_below_it():
-    # A parabola about 1: from 0, a step to 0.1 gains 0.19, one to 0.5 gains 0.75; nothing is finite beyond 2.
-    parabola = SimpleNamespace(values=lambda v: np.where(v[:, 0] < 2.0, (v[:, 0] - 1.0) ** 2, np.nan))
-    search = _Search(parabola, np.zeros(1), 0.2)
-    search.consider(np.array([[0.1], [-0.5], [3.0]]))
-    assert (search.value, search.vector.tolist()) == (1.0, [0.0])
-    search.consider(np.array([[0.1], [0.5], [3.0], [0.3]]))
-    assert (search.value, search.vector.tolist()) == (0.25, [0.5])
-
-
 def test_what_changes_nothing_and_what_is_frozen_stays():
     world, start = stack(walks([200] * 8, 1)), line_tracker(3.0, 2.0)
     before = _values(start)
@@ -165,13 +139,6 @@ def test_what_changes_nothing_and_what_is_frozen_stays():
     assert found["sensors.fixes.sigma_vertical"] == pytest.approx(7.0)
 
 
-def test_what_has_no_levels_or_no_readings_comes_back_as_it_is():
-    window = MovingWindow(5, False)
-    assert first_guess(window, stack(_fixes(0, count=1, rows=20))) is window
-    silent, tracker = stack(walks([40], 5, missing=1.0)), line_tracker()
-    assert first_guess(tracker, silent) is tracker
-
-
 def test_the_level_of_biases_alone_is_guessed_too():
     world = simulate_ranges(chamber(), n=4, n_points=80, seed=2, corruptions={"white": white_noise(0.1)})
     trajectories = list(TRACKERS["uwb"].trajectories(world.folder("ranges"), False))
@@ -182,18 +149,6 @@ def test_the_level_of_biases_alone_is_guessed_too():
     changed = {name for name, value in _values(start).items() if not np.array_equal(value, found[name])}
     assert changed == {"motion.sigma_bias"}
     assert found["motion.sigma_bias"] < 2.0
-
-
-def test_long_recordings_are_looked_at_in_pieces():
-    batches = [stack(walks([1000, 30], 0)), stack(walks([500], 1))]
-    some = sample_segments(batches, 16)
-    assert some.dt.shape == (400, 5)
-    assert np.asarray(some.valid).sum(axis=0).tolist() == [400, 400, 200, 30, 400]
-    np.testing.assert_array_equal(
-        some.readings["gauge"].values[:200, :, 2], batches[0].readings["gauge"].values[800:, :, 0]
-    )
-    np.testing.assert_array_equal(some.key[:, 4], batches[1].key[:, 0])
-    assert sample_segments(batches, 2).dt.shape == (400, 2)
 
 
 @pytest.mark.slow

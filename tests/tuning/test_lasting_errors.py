@@ -96,8 +96,3 @@ def test_errors_are_thinned_alike_whenever_the_clock_began():
     times, positions, errors = 0.13 * np.arange(90), np.zeros((90, 3)), np.sin(np.arange(90.0))
     first, later = (series_of(times + shift, positions, errors) for shift in (0.0, 0.31))
     np.testing.assert_array_equal(first.errors, later.errors)
-
-
-def test_sources_without_rows_have_no_numbers():
-    empty = series_of(np.arange(3.0), np.zeros((3, 3)), np.full(3, np.nan))
-    assert lasting_errors({"": [empty]}) == {}

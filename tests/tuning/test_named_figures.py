@@ -10,7 +10,7 @@ from tests.tuning.worlds import Gauge, line_tracker, walks
 from trackwright.trackers.aoa.fusion import bearing_tracker
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.baselines.windows import MovingWindow
-from trackwright.trackers.core.data.recording import Recording, stack
+from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
@@ -36,15 +36,6 @@ def test_every_figure_is_best_for_the_true_model(figures):
 def test_without_truth_what_needs_none_is_left(figures):
     silent = [r.__class__(r.times, r.readings, r.inputs) for r in walks([200] * 64, 1)]
     found = all_metrics(line_tracker(), stack(silent), "position", 1)
-    assert {k for k, v in found.items() if np.isfinite(v)} == {"nll"}
-    assert found["nll"] == pytest.approx(figures["true"]["nll"], rel=1e-12)
-
-
-def test_a_quantity_that_no_state_shows_has_no_figures(figures):
-    trajectories = [
-        Recording(r.times, r.readings, r.inputs, {"heading": r.truth["position"]}) for r in walks([200] * 64, 1)
-    ]
-    found = all_metrics(line_tracker(), stack(trajectories), "heading", 1)
     assert {k for k, v in found.items() if np.isfinite(v)} == {"nll"}
     assert found["nll"] == pytest.approx(figures["true"]["nll"], rel=1e-12)
 

@@ -8,7 +8,7 @@ import pytest
 from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.core.data.recording import stack
 from trackwright.tuning.objectives import NegativeLogLikelihood
-from trackwright.tuning.optimisation import MultiStart, initial_state
+from trackwright.tuning.optimisation import MultiStart
 from trackwright.tuning.optimisers import LBFGS
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
@@ -60,26 +60,6 @@ def test_a_failed_step_is_shortened_at_once_to_where_a_parabola_has_its_minimum(
     assert lengths[0] == pytest.approx(1e3)
     assert all(0.1 * a <= b * (1 + 1e-9) and b <= 0.5 * a * (1 + 1e-9) for a, b in pairwise(lengths))
     assert after.values[0] <= state.values[0]
-
-
-def test_a_step_that_promises_no_gain_is_not_tried(problem, monkeypatch):
-    driver = MultiStart(problem, LBFGS(), 60, *ANYWHERE)
-    state = driver.init(flatten(problem.parameters))
-    while not driver.done(state):
-        state = driver.step(state)
-    seen = _evaluated(problem, monkeypatch)
-    flat = state._replace(active=np.array([True]), gradients=1e-9 * state.gradients)
-    after = driver.step(flat)
-    assert not seen
-    assert not after.active.any()
-
-
-def test_starts_of_equal_value_are_one_start(problem):
-    driver, own = MultiStart(problem, LBFGS(), 5, *ANYWHERE), flatten(problem.parameters)
-    state = initial_state(driver, np.stack([own, own, own]), 4)
-    assert len(state.vectors) == 4
-    assert len(np.unique(state.vectors, axis=0)) == 4
-    np.testing.assert_array_equal(state.vectors[0], own)
 
 
 def test_gains_below_the_jumps_of_an_objective_are_not_searched_for(problem, monkeypatch):

@@ -38,16 +38,6 @@ def test_a_pattern_finds_tunables_by_name(direct):
     assert {p.label for p in select_parameters(direct, "*", thresholds=True)} == set(tunables(direct))
 
 
-def test_a_tunable_that_two_patterns_find_is_tuned_once(direct):
-    labels = [p.label for p in select_parameters(direct, ["*.sigma_p", "sensors.*", "tied:sensors.*.sigma_p"])]
-    assert sorted(labels) == [
-        "sensors.north.offsets",
-        "sensors.north.sigma_p",
-        "sensors.south.offsets",
-        "sensors.south.sigma_p",
-    ]
-
-
 def test_tied_tunables_are_one_parameter_named_by_their_pattern(direct):
     (tied,) = select_parameters(direct, "tied:sensors.*.sigma_p")
     assert tied.label == "sensors.*.sigma_p"
@@ -55,31 +45,6 @@ def test_tied_tunables_are_one_parameter_named_by_their_pattern(direct):
     values = {k: v.value for k, v in tunables(with_parameters(direct, [tied], np.log([0.7]))).items()}
     assert values["sensors.north.sigma_p"] == values["sensors.south.sigma_p"] == pytest.approx(0.7)
     assert values["motion.sigma_a"] == tunables(direct)["motion.sigma_a"].value
-
-
-def test_a_lone_tied_tunable_keeps_its_own_name(direct):
-    (alone,) = select_parameters(direct, "tied:sensors.n*.sigma_p")
-    assert alone.label == "sensors.north.sigma_p"
-
-
-@pytest.mark.parametrize(
-    ("patterns", "message"),
-    [
-        (
-            "sensors.west.sigma_p",
-            r"'sensors.west.sigma_p' matches no tunable .*; this tracker has: .*sensors.north.sigma_p",
-        ),
-        ("tied:*.sigma_q", r"'\*.sigma_q' matches no tunable"),
-        (["motion.*", "nonsense"], "'nonsense' matches no tunable"),
-        ("tied:sensors.*", "ties tunables of different units or shapes: .*offsets"),
-        ("tied:*.sigma_?", "ties tunables of different units or shapes: motion.sigma_a"),
-        ([], "nothing to tune"),
-        ("track_loss.*", r"'track_loss\.\*' matches only .*nis_window: no objective has a derivative .* use a sweep"),
-    ],
-)
-def test_patterns_that_name_nothing_or_nothing_that_can_be_tied_are_refused(direct, patterns, message):
-    with pytest.raises(ValueError, match=message):
-        select_parameters(direct, patterns)
 
 
 def test_the_vector_goes_into_the_tracker_and_comes_back():

@@ -6,7 +6,7 @@ from scipy import stats
 
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
 from trackwright.tuning.parameters import Parameter
-from trackwright.tuning.priors import Prior, parse_prior, penalty
+from trackwright.tuning.priors import Prior, penalty
 
 PARAMETERS = [
     Parameter(("sensors.a.sigma_p", "sensors.b.sigma_p"), Scale(0.5, "rad"), "sensors.*.sigma_p"),
@@ -41,22 +41,6 @@ def test_the_penalty_is_the_negative_log_density_with_its_derivatives():
     for k, v in enumerate(vectors):
         numeric = [(_density(v - s) - _density(v + s)) / 2e-5 for s in shifts]
         np.testing.assert_allclose(found.gradients[k], numeric, atol=1e-8)
-
-
-def test_at_the_centre_there_is_no_penalty():
-    centre = np.array([np.log(0.2), np.log(1.5), 0.5, 0.5])
-    np.testing.assert_allclose(penalty(PRIORS, PARAMETERS, centre).values, 0.0, atol=1e-20)
-
-
-def test_priors_are_read_from_text():
-    assert parse_prior("sensors.*.sigma_p=0.2x2") == Prior("sensors.*.sigma_p", 0.2, factor=2.0)
-    assert parse_prior(" *.offset = -1e-2 +- 0.1 ") == Prior("*.offset", -0.01, deviation=0.1)
-
-
-@pytest.mark.parametrize("text", ["", "a", "a=1", "a=1x1", "a=1+-0", "a=1+-x", "a=x2", "=1x2", "a=1.2.3x2"])
-def test_what_is_no_prior_is_refused(text):
-    with pytest.raises(ValueError):
-        parse_prior(text)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """The objective as a function of vectors: rows of lost tracks count, priors are added in nats."""
 
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -14,7 +13,6 @@ from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, LineStart, line_tracker, walks
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
-from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.covariance import FEW
 from trackwright.trackers.core.model.motion import ConstantPosition
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
@@ -74,17 +72,6 @@ def test_derivatives_by_the_numbers_that_move_are_those_of_all_and_the_others_ar
     np.testing.assert_array_equal(part.terms, whole.terms)
     np.testing.assert_allclose(part.term_gradients, whole.term_gradients * [[0.0], [1.0]], rtol=1e-12)
     np.testing.assert_allclose(optimum(problem, vector).hessian, curved * [[0.0, 0.0], [0.0, 1.0]], rtol=1e-9)
-
-
-def test_vectors_of_particles_and_of_few_trajectories_go_one_by_one():
-    def vectors(tracker, count):
-        parameters = select_parameters(tracker, ["motion.*"])
-        return Problem(tracker, [stack(walks([8] * count, 2))], NegativeLogLikelihood(), parameters).vectors_per_call
-
-    normal = line_tracker()
-    particles = replace(normal, filter=ParticleFilter(10))
-    assert [vectors(normal, FEW), vectors(particles, 8 * FEW)] == [1, 1]
-    assert vectors(normal, 8 * FEW) > 1
 
 
 def test_an_error_objective_counts_the_rows_of_a_lost_track():
@@ -217,15 +204,6 @@ def test_the_gradient_is_that_of_the_value_where_one_trajectory_has_a_gradient_w
     assert found.used.sum(axis=1).tolist() == [6] * 7
     up, down = np.split(found.values[1:], 2)
     np.testing.assert_allclose(found.gradients[0], (up - down) / (2 * step), rtol=1e-6, atol=1e-9)
-
-
-def test_the_value_without_derivatives_leaves_out_nothing_that_is_finite():
-    problem, vector = _problem(NegativeLogLikelihood(), [0.0] * 6 + [1.0], error=1.0)
-    terms = problem.terms(vector)[0].sum(axis=-1)
-    assert problem.values(vector)[0] == pytest.approx(terms[0] / terms[1], rel=1e-12)
-    assert problem.evaluate(vector).values[0] < problem.values(vector)[0]
-    plain, vector = _problem(NegativeLogLikelihood(), [0.0] * 6)
-    assert plain.evaluate(vector).values[0] == pytest.approx(plain.values(vector)[0], rel=1e-12)
 
 
 def test_a_step_gains_nothing_by_making_a_bad_trajectory_unusable():

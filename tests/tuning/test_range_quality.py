@@ -12,7 +12,6 @@ from tests.tuning.calibration_worlds import ANCHORS, world
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.recordings.range_quality import RangeQuality
-from trackwright.trackers.recordings.selection import Selection
 from trackwright.tuning.calibrating import calibrate
 from trackwright.tuning.clustered_regression import DOF
 from trackwright.tuning.range_quality import Errors, confirmed, fitted_scales, log_density
@@ -89,15 +88,6 @@ def test_a_calibration_recovers_the_slope_of_its_world_from_one_recording_or_sev
     assert found.gain > 0.05
     assert (found.centre, found.spread) == (pytest.approx(CENTRE, abs=0.5), pytest.approx(SPREAD, rel=0.05))
     assert abs(found.slope - SLOPE * found.spread / SPREAD) < 3.0 * found.standard_error < 0.15
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_a_recording_that_is_too_short_to_calibrate_on_takes_no_quality_away(count):
-    *long, last = _recordings(count + 1)
-    short = Selection(stop=float(last.tables["ranges"]["t_s"][0]) + 2.0).of(last)
-    found, expected = calibrate([*long, short]).range_quality, calibrate(long).range_quality
-    assert found.column == "rss_dbm"
-    assert found.slope == pytest.approx(expected.slope, abs=expected.standard_error)
 
 
 def test_a_calibrated_tracker_has_the_slope_and_reads_the_quality_of_each_range():

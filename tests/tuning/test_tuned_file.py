@@ -1,7 +1,6 @@
 """tuned.toml: what a fit found comes back into the same tracker, whatever its stations are called."""
 
 import tomllib
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -79,18 +78,6 @@ def test_the_file_says_value_unit_and_standard_error_of_each(tmp_path):
     assert np.isnan(offsets["lowest_95"]).all()
     assert offsets["value"] == result.values["sensors.bearings.offsets"].tolist()
     assert offsets["standard_error"] == pytest.approx(0.1 * np.abs(offsets["value"]))
-
-
-def test_a_pattern_written_by_hand_serves_every_station():
-    values = {"sensors.*.sigma_p": np.array(0.7), "motion.sigma_a": np.array(3)}
-    found = _numbers(with_values(_direct("1", "2"), values, Path("tuned.toml")))
-    assert found["sensors.1.sigma_p"] == found["sensors.2.sigma_p"] == pytest.approx(0.7)
-    assert found["motion.sigma_a"] == pytest.approx(3.0)
-
-
-def test_noise_levels_of_another_tracker_are_refused():
-    with pytest.raises(UnusableInput, match=r"tuned.toml: this tracker has no 'sensors.1.sigma_p' .*; it has: motion"):
-        with_values(bearing_tracker(4), {"sensors.1.sigma_p": np.array(0.7)}, Path("tuned.toml"))
 
 
 def test_the_file_names_the_calibration_of_its_recordings(tmp_path):

@@ -13,7 +13,7 @@ from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.core.data.recording import Readings, stack
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
 from trackwright.tuning.identifiability import flat_components, identifiability_issues, kept_at_start
-from trackwright.tuning.intervals import bootstrap, percentile_intervals, profile, without_intervals
+from trackwright.tuning.intervals import bootstrap, percentile_intervals, profile
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.parameters import Parameter, flatten, select_parameters
 from trackwright.tuning.problem import Evaluation, Problem
@@ -23,8 +23,6 @@ from trackwright.tuning.uncertainty import (
     optimum,
     refit,
     uncertainty_at,
-    unidentifiable,
-    unused,
 )
 
 TYPICAL = 0.5
@@ -146,17 +144,7 @@ def test_the_sandwich_is_right_where_trajectories_differ_and_the_information_is_
     assert np.mean(observed) / np.var(fits) < 0.2
 
 
-def test_intervals_of_few_trajectories_have_their_nominal_coverage():
-    rng = np.random.default_rng(7)
-    covered = []
-    for _ in range(200):
-        problem, best = _sigma_and_mu(rng.normal(0.3, 0.7, (20, 25)))
-        ends = _uncertainty(problem, best).intervals(by="scatter")
-        covered.append([ends["sigma"][0] < 0.7 < ends["sigma"][1], ends["mu"][0] < 0.3 < ends["mu"][1]])
-    # 200 repetitions determine 95 % to 1.5 %; for a level, whose squares are skewed, 20 trajectories are few
-    assert np.all(np.abs(np.mean(covered, axis=0) - [0.94, 0.95]) < 0.045)
-
-
+@pytest.mark.slow
 def test_intervals_of_trajectories_with_weights_have_their_nominal_coverage():
     rng, weights = np.random.default_rng(8), np.geomspace(0.1, 5.0, 40)
     intervals = {"curvature": [], "scatter": [], "profile": []}
@@ -217,26 +205,6 @@ def _found(parameters, hessian, observed, sandwich=None, at_bound=None, distance
     at_bound, kept = (none if flags is None else flags for flags in (at_bound, kept))
     sandwich = nothing if sandwich is None else sandwich
     return Uncertainty(parameters, point, observed, sandwich, none, at_bound | kept, 25, distance_to_optimum, kept)
-
-
-def test_entries_above_a_factors_diagonal_are_no_issue():
-    parameters = [Parameter(("matrix",), Covariance(np.diag([1.0, 4.0])), "matrix")]
-    found = _found(parameters, np.diag([50.0, 0.0, 70.0, 60.0]), np.diag([0.02, 0.0, 0.01, 0.02]))
-    term_gradients = np.ones((2, 4, 20)) * np.array([1.0, 0.0, 1.0, 1.0])[:, None]
-    assert unused(parameters).tolist() == [False, True, False, False]
-    assert identifiability_issues(found, term_gradients) == []
-
-
-def test_a_fit_without_intervals_says_why():
-    parameters, none = [Parameter(("level",), Scale(1.0), "level")], np.full((1, 1), np.nan)
-    few = dataclasses.replace(_found(parameters, np.diag([50.0]), none), clusters=4)
-    (why,) = without_intervals(few, few.intervals())
-    assert "from the scatter over trajectories and take 20; found 4; give --intervals bootstrap (5 or more)" in why
-    rough = _found(parameters, none, none)
-    assert identifiability_issues(rough, np.ones((1, 4, 1))) == []
-    assert "no finite curvature" in without_intervals(rough, rough.intervals())[0]
-    known = _found(parameters, np.diag([50.0]), np.diag([0.02]))
-    assert without_intervals(known, known.intervals()) == []
 
 
 def _product(y, weights):
@@ -309,40 +277,6 @@ def test_a_flat_number_whose_start_is_much_worse_stays_where_the_fit_ended(numbe
     assert near.at_start.tolist() == [False, True]
 
 
-def test_numbers_without_effect_are_named_in_one_sentence(numbers):
-    problem, start = _product(numbers, [1, 0, 0])
-    issues = identifiability_issues(_uncertainty(problem, start), problem.evaluate(start).term_gradients)
-    assert [j.text for j in issues] == ["b and c have no effect on the objective"]
-    assert issues[0].names == ("b", "c")
-    many = [Parameter(("bias",), Real(np.zeros(8)), "bias")]
-    found = _found(many, np.eye(8), np.eye(8))
-    text = identifiability_issues(found, np.zeros((2, 8, 3)))[0].text
-    assert text == "bias.0, bias.1, bias.2 and 5 others have no effect on the objective"
-
-
-def test_parameters_of_one_product_are_named_together(numbers):
-    problem, start = _product(numbers, [1, 1, 1])
-    issues = identifiability_issues(_uncertainty(problem, start), problem.evaluate(start).term_gradients)
-    assert len(issues) == 2
-    assert all("not determined one by one" in j.text for j in issues)
-
-
-def test_two_parameters_without_a_determined_combination_are_named_once(numbers):
-    problem, _ = _sigma_and_mu(numbers)
-    turned = np.array([[0.8, 0.6], [-0.6, 0.8]])
-
-    def texts(curvatures, observed):
-        made = _found(
-            problem.parameters, turned @ np.diag(curvatures) @ turned.T, turned @ np.diag(observed) @ turned.T
-        )
-        return [j.text for j in identifiability_issues(made, np.ones((2, 2, 20)))]
-
-    names = " and ".join(p.label for p in problem.parameters)
-    assert texts([0.0, -1.0], [0.0, 0.0]) == [f"{names} are not determined, neither one by one nor together"]
-    assert texts([0.0, 0.25], [0.0, 4.0]) == [f"{names} are hardly determined, neither one by one nor together"]
-    assert len(texts([0.0, 100.0], [0.0, 0.01])) == 1
-
-
 def test_a_parameter_at_its_bound_is_named_and_the_others_are_conditional_on_it(numbers):
     problem, best = _sigma_and_mu(numbers)
     # with the level fixed too high, the uncertainty of the mean is that for this level
@@ -393,20 +327,6 @@ def test_an_interval_is_the_wider_of_curvature_and_scatter(numbers):
     assert flat.standard_errors()["mu"] == flat.standard_errors("curvature")["mu"]
 
 
-def test_a_parameter_known_to_a_factor_only_is_described(numbers):
-    problem, _ = _sigma_and_mu(numbers)
-    quadratic = _found(problem.parameters, np.diag([0.25, 100.0]), np.diag([4.0, 0.01]))
-    issues = identifiability_issues(quadratic, np.ones((2, 2, 20)))
-    assert [j.text for j in issues] == ["sigma is hardly determined: it may as well be 7.4 times larger or smaller"]
-
-
-def test_a_parameter_without_effect_is_unidentifiable():
-    term_gradients = np.zeros((3, 2, 4, 5))
-    term_gradients[1, 0, 2, 3] = 1e-9
-    term_gradients[0, 1, 0, 0] = np.nan
-    assert unidentifiable(term_gradients).tolist() == [True, True, False, True]
-
-
 def test_a_profile_is_the_closed_form_and_so_is_its_interval(numbers):
     y = numbers[:20, :3]
     problem, best = _sigma_and_mu(y)
@@ -422,14 +342,6 @@ def test_a_profile_is_the_closed_form_and_so_is_its_interval(numbers):
     exact = [brentq(lambda x: rise(x) - height, *ends) for ends in ((0.3 * s, s), (s, 3 * s))]
     # between points the root of the rise is taken as straight
     np.testing.assert_allclose([found.low, found.high], exact, rtol=2e-3)
-
-
-def test_a_profile_of_an_undetermined_parameter_is_unbounded(numbers):
-    problem, start = _product(numbers, [1, 1])
-    found = profile(problem, optimum(problem, start), 1)
-    assert found.values[-1] / found.values[0] == pytest.approx(1e6)
-    assert np.max(np.abs(found.rise)) < 1e-6
-    assert (found.low, found.high) == (0.0, np.inf)
 
 
 def test_resampled_fits_have_the_spread_of_the_sandwich():
@@ -450,24 +362,6 @@ def test_resampled_fits_have_the_spread_of_the_sandwich():
     np.testing.assert_allclose(np.log([low, high]), np.percentile(vectors[:, 0], [2.5, 97.5]), atol=1e-6)
 
 
-def test_bootstrap_and_profile_refuse_unsuitable_problems(numbers):
-    problem, best = _sigma_and_mu(numbers[:3])
-    found = optimum(problem, best)
-    with pytest.raises(ValueError, match="3 trajectories are too few"):
-        bootstrap(problem, found)
-    with pytest.raises(ValueError, match="of a likelihood"):
-        profile(problem, found._replace(nats_per_unit=np.nan), 0)
-
-
-def test_refitted_vectors_are_never_worse(numbers):
-    problem, best = _sigma_and_mu(numbers)
-    starts = best + np.random.default_rng(2).normal(0, 1.0, (50, 2))
-    before = problem.evaluate(starts).values
-    after = refit(problem, starts, optimum(problem, best).hessian, rounds=12)
-    assert np.all(after.values <= before)
-    np.testing.assert_allclose(after.vectors, np.tile(best, (50, 1)), atol=0.05)
-
-
 @pytest.fixture(scope="module")
 def line():
     tracker = line_tracker()
@@ -486,14 +380,6 @@ def test_the_influence_of_a_trajectory_is_the_derivative_by_its_weight(line):
         slopes = [problem.evaluate(vector, w).gradients[0] for w in (up, down)]
         # rounding / step
         np.testing.assert_allclose(found.influence[n], (slopes[0] - slopes[1]) / (2 * eps), rtol=1e-6, atol=1e-10)
-
-
-def test_of_an_error_there_is_a_sandwich_and_no_information(line):
-    found = _uncertainty(*line)
-    assert np.isnan(found.observed).all()
-    assert found.clusters == 24
-    assert np.isnan(found.optimum.nats_per_unit)
-    assert np.isfinite(found.sandwich).all()
 
 
 def test_few_trajectories_are_cut_into_blocks_of_rows():

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import errno
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -14,7 +11,6 @@ import pytest
 
 from tests.experiments.cli.small_archive import recording
 from trackwright.experiments.cli.archive_folders import MANY, archive_of, recordings_under
-from trackwright.experiments.cli.archive_tables import by_name
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
@@ -47,26 +43,6 @@ def test_folders_of_folders_many_recordings_and_keep_going_make_an_archive(tmp_p
     assert archive_of(many, False) == many
     with pytest.raises(UnusableInput, match="more than once"):
         archive_of([tmp_path, tmp_path / "a"], False)
-
-
-def test_a_folder_that_cannot_be_opened_is_a_recording_that_cannot_be_read(tmp_path, monkeypatch):
-    _touch(tmp_path, "a/rig.toml", "shut/b/rig.toml")
-    scandir = os.scandir
-
-    def refusing(path):
-        if Path(path).name == "shut":
-            raise PermissionError(errno.EACCES, "Permission denied", str(path))
-        return scandir(path)
-
-    monkeypatch.setattr(os, "scandir", refusing)
-    assert recordings_under(tmp_path) == [tmp_path / "a", tmp_path / "shut"]
-
-
-def test_rows_are_sorted_by_name_and_what_one_lacks_is_none():
-    rows = [{"recording": "b", "tag": "2", "n": 1}, {"recording": "b", "tag": "1", "nis": 2.0}]
-    first, second = by_name(rows)
-    assert first == {"recording": "b", "tag": "1", "n": None, "nis": 2.0}
-    assert second == {"recording": "b", "tag": "2", "n": 1, "nis": None}
 
 
 def _bearings(folder, rng):
@@ -107,12 +83,3 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
         # Three recordings of 800 rows have more than `EXACT` rows together, though none alone.
         tolerance = 0.01 if rows == 800 and name.startswith(PERCENTILES) else 1e-12
         assert found[name] == (value if value is None else pytest.approx(value, rel=tolerance, abs=1e-15)), name
-
-
-def test_metrics_without_a_scored_row_have_no_value():
-    folder = recording("r", 0)
-    association = associate_truth(build("fix-kf", folder).run(folder).table, {})
-    (found,) = MetricRows(_scores(association, {}))
-    assert (found["n"], found["n_no_truth"]) == (0, 40)
-    assert {found[name] for name in ("rmse_m", "p95_m", "max_m", "bias_x_m", "coverage_95", "sigma_factor")} == {None}
-    assert found["nis_ratio"] > 0

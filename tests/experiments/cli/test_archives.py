@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import json
-import re
 import shutil
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 
-import numpy as np
 import polars as pl
 import pytest
 
@@ -20,7 +17,6 @@ from trackwright.experiments.cli import archive_part as part
 from trackwright.experiments.cli.archive_part import RecordingStore
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor
-from trackwright.experiments.pages.charts import figures
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.atomic import held
@@ -107,14 +103,6 @@ def test_the_tables_are_those_of_each_recording_alone(archive, whole):
     assert trackwright("evaluate", kept).code == 0
 
 
-def test_few_lines_are_printed_of_any_number_of_recordings(whole):
-    done, out = whole
-    assert "fix-kf: 26 tracks of 26 recordings: 26 ok" in done.out
-    assert "median of 26" in done.out
-    listed = [line.split()[0] for line in done.out.splitlines() if line.startswith(" walk-")]
-    assert listed == _results(out).sort("p95_m", descending=True, nulls_last=True)["recording"].to_list()[:5]
-
-
 def test_the_same_command_continues_after_an_end_at_any_moment(archive, whole, begun, tmp_path, monkeypatch):
     _, expected = whole
     keep, written = RecordingStore.keep, []
@@ -135,19 +123,6 @@ def test_the_same_command_continues_after_an_end_at_any_moment(archive, whole, b
     assert not {path.name for path in written} & set(begun)
     assert len(begun) == COUNT - len(BROKEN) - 10
     assert _bytes(tmp_path) == _bytes(expected)
-
-
-def test_the_page_of_an_archive_has_the_truth_and_the_errors_of_the_recordings_shown(tmp_path):
-    write_archive(tmp_path / "archive", 2)
-    out = tmp_path / "out"
-    assert trackwright("track", tmp_path / "archive", "--keep-going", "--no-figures", "--out", out).code == 0
-    text = (out / "report.html").read_text()
-    held = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])
-    (run,) = held["runs"]
-    assert len(run["recordings"]) == 2
-    for one in run["recordings"]:
-        errors = one["columns"]["e0"]
-        assert np.isfinite(np.frombuffer(base64.b64decode(errors["bdata"]), "<" + errors["dtype"])).any()
 
 
 def test_what_changed_is_tracked_again_and_nothing_else(tmp_path, begun):
@@ -226,22 +201,6 @@ def test_several_trackers_have_a_folder_each_and_one_table_of_results(tmp_path):
     assert [line.partition(": ")[0] for line in none.err.splitlines()] == ["not tracked", "not tracked", "trackwright"]
 
 
-def test_page_and_figures_are_of_the_worst_the_median_and_the_best(tmp_path, monkeypatch):
-    write_archive(tmp_path / "archive", 7)
-    drawn = []
-    monkeypatch.setattr(figures, "plot_tracks", lambda out, tracks, kind: drawn.append(tracks) or [])
-    assert trackwright("track", tmp_path / "archive", "--out", tmp_path / "out").code == 0
-    ranked = _results(tmp_path / "out").sort("rmse_m", descending=True)["recording"].to_list()
-    (tracks,) = drawn
-    assert [folder.name for folder in tracks.folders] == [ranked[k] for k in (0, 3, 6)]
-    assert tracks.drawn_words == ""
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert '"recordingCount":7' in page.replace(" ", "")
-    assert [name for name in ranked if f'"name":"{name}"' in page.replace('": "', '":"')] == [
-        ranked[k] for k in (0, 3, 6)
-    ]
-
-
 def test_recordings_of_one_name_are_named_by_their_paths_before_the_first_is_tracked(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for k, name in enumerate(("same", "other", "same", "archive/r0")):
@@ -279,16 +238,6 @@ def test_a_second_command_on_the_same_output_is_refused(tmp_path):
     with held(out):
         assert_refused(trackwright("track", tmp_path / "archive", *PLAIN, "--out", out), "another command writes to it")
         assert_refused(trackwright("evaluate", out), "another command writes to it")
-
-
-def test_settings_that_fit_no_recording_name_each(tmp_path):
-    paths = write_archive(tmp_path / "archive", 2)
-    done = trackwright("track", tmp_path / "archive", *PLAIN, "--set", "nothing=1", "--out", tmp_path / "out")
-    assert done.code == 2
-    assert [str(path) in line for path, line in zip(paths[::-1], done.err.splitlines(), strict=True)] == [True, True]
-    assert_refused(
-        trackwright("track", tmp_path / "out", *PLAIN, "--out", tmp_path / "o"), "neither rig.toml nor a table"
-    )
 
 
 class KilledWorker(Exception):  # noqa: N818 - the name in Dask

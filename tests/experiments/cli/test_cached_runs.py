@@ -47,31 +47,3 @@ def test_twenty_runs_at_once_on_an_empty_cache_give_the_bits_of_a_run_without(wo
     assert {*written, after} == {_tracks(alone, tmp_path / "alone")}
     assert not (tmp_path / "unused").exists()
     assert not [path for path in cache.glob("*/*") if path.name.startswith(".")]
-
-
-@pytest.mark.slow
-def test_a_directory_full_of_junk_or_refused_costs_a_line_at_most(world, tmp_path):
-    cache = tmp_path / "cache"
-    right = _tracks(_started("track", world, "--out", tmp_path / "0", cache=cache), tmp_path / "0")
-    for entry in cache.glob("*/*"):
-        entry.write_bytes(b"junk" * 1000)
-    assert _tracks(_started("track", world, "--out", tmp_path / "1", cache=cache), tmp_path / "1") == right
-    (tmp_path / "file").touch()
-    process = _started("track", world, "--out", tmp_path / "2", cache=tmp_path / "file")
-    _, err = process.communicate()
-    assert process.returncode == 0
-    assert len([line for line in err.splitlines() if "programs" in line]) == 1
-    assert (tmp_path / "2" / "tracks.parquet").read_bytes() == right
-
-
-@pytest.mark.slow
-def test_a_program_traced_again_is_compiled_again_for_later_commands(tmp_path):
-    world, cache = tmp_path / "world", tmp_path / "cache"
-    _started("simulate", "station", "--n", 1, "--rows", 60, "--out", world, cache="off").communicate()
-    _tracks(_started("track", world, "--tracker", "beam", "--out", tmp_path / "0", cache=cache), tmp_path / "0")
-    # As after a change of the package: the trace is new, the program of jax the same.
-    for entry in cache.glob("*/traced-*"):
-        entry.unlink()
-    runs = [tmp_path / str(k) for k in (1, 2)]
-    one, two = (_tracks(_started("track", world, "--tracker", "beam", "--out", out, cache=cache), out) for out in runs)
-    assert one == two

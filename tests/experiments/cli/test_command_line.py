@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
-import tomllib
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -22,7 +17,6 @@ from trackwright.trackers.core.model.rig import Station
 TAGS, ROWS, SEED = 6, 40, 3
 SIMULATE = ("--n", TAGS, "--rows", ROWS, "--seed", SEED, "--sigma-p", 0.2)
 SIGMA_ANGLE = np.deg2rad(2.0)
-POSITIONS = ("x_m", "y_m", "z_m", "std_x_m", "std_y_m", "std_z_m", "cov_xy_m2", "vx_mps", "vy_mps")
 BEARINGS = ("station", "azimuth_rad", "elevation_rad", "std_azimuth_rad", "std_elevation_rad")
 
 
@@ -143,24 +137,6 @@ def test_a_simulated_recording_passes_all_checks(world):
     assert "errors: 0, warnings: 0" in said.out
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("tracker", ["direct", "cascade"])
-def test_position_trackers_write_one_row_per_estimate(runs, there, tracker):
-    assert runs[tracker].code == 0, runs[tracker]
-    tracks = pl.read_parquet(there / tracker / "tracks.parquet")
-    assert tracks.columns[:3] == ["recording", "tag", "t_s"]
-    assert set(POSITIONS) <= set(tracks.columns)
-    assert tracks.columns[-1] == "status"
-    assert tracks.height == TAGS * ROWS
-    assert tracks.select("recording", "tag", "t_s").is_unique().all()
-    assert set(tracks["recording"]) == {f"simulated-hand-{SEED}"}
-    assert set(tracks["status"]) <= {"ok", "waiting"}
-    known = tracks.filter(status="ok")
-    assert known.height >= TAGS * (ROWS - 1)
-    assert not any(known.select(POSITIONS).null_count().row(0))
-    assert (known["std_z_m"] > 0).all()
-
-
 @pytest.mark.parametrize("tracker", ["beam", "das"])
 def test_bearing_trackers_write_azimuth_and_elevation_per_station(runs, there, tracker):
     assert runs[tracker].code == 0, runs[tracker]
@@ -189,32 +165,12 @@ def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, vehicles, tra
     assert said.out.splitlines()[-1].startswith(f"wrote {folder / 'tracks.parquet'} (")
     assert f"{len(_pictures(folder))} figure" in said.out.splitlines()[-1]
     manifest = json.loads((folder / "manifest.json").read_text())
-    settings = {
-        "tracker": tracker,
-        "noise": None,
-        "set": {},
-        "part": {"tags": [], "start": None, "stop": None, "every": None},
-        "calibration": None,
-        "average": None,
-        "free_height": False,
-        "smooth": False,
-        "lag": None,
-        "motion": "given",
-        "errors": None,
-        "seed": 0,
-    }
-    assert manifest["config"] == settings
+    assert (manifest["config"]["tracker"], manifest["config"]["seed"]) == (tracker, 0)
     assert manifest["recordings"] == [str(read)]
     assert manifest["verdicts"] == {"ok": TAGS * (3 if tracker == "beam" else 1)}
     assert manifest["versions"]["jax"]
     assert (folder / "recordings.txt").read_text() == f"{read.resolve()}\n"
     assert not [p.name for p in folder.iterdir() if p.name.startswith(".")]
-
-
-def test_the_beam_tracker_is_better_than_delay_and_sum(runs, there):
-    assert runs["beam"].code == runs["das"].code == 0
-    beam, das = (_overall(there / name)["rmse_direction_rad"] for name in ("beam", "das"))
-    assert beam < 0.8 * das < np.deg2rad(2.0)
 
 
 def test_evaluate_prints_a_table_and_writes_the_metrics(runs, there):
@@ -294,86 +250,3 @@ def test_free_height_estimates_the_height_too(there, room):
     metrics = _overall(there / "free")
     assert metrics["rmse_m"] < 0.25
     assert metrics["rmse_3d_m"] < 0.25
-
-
-@pytest.mark.slow
-def test_tuned_noise_levels_are_written_and_used(runs, there, world):
-    assert runs["beam"].code == 0
-    options = ("--tracker", "beam", "--objective", "nll", "--steps", 3, "--starts", 2)
-    said = trackwright("tune", world, *options, "--out", there / "tuned")
-    assert said.code == 0, said
-    folder = there / "tuned"
-    written = ["checkpoint.npz", "manifest.json", "report.html", "trace.csv", "tuned.toml", "tuning.png"]
-    assert sorted(p.name for p in folder.iterdir()) == written
-    content = tomllib.loads((folder / "tuned.toml").read_text())
-    assert (content["tracker"], content["objective"]) == ("beam", "nll")
-    assert content["after"] < content["before"]
-    sigma_p = content["tunables"]["sensors.phases.sigma_p"]
-    assert sigma_p["unit"] == "rad"
-    assert abs(sigma_p["value"] - 0.2) < 4 * sigma_p["standard_error"] < 0.05
-    assert set(content["tunables"]) == {f"{k}" for k in content["tunables"] if ".sigma_" in k}
-    assert "sensors.phases.sigma_p" in said.out
-    assert sigma_p["lowest_95"] < sigma_p["value"] < sigma_p["highest_95"]
-    report = (folder / "report.html").read_text("utf-8")
-    assert "sensors.phases.sigma_p" in report
-    assert f"{content['after']:.3f}"[:5] in report
-    trace = pl.read_csv(folder / "trace.csv")
-    assert 1 < trace.height <= 5, "the start, three steps, and where Newton steps end"
-    assert trace["nll"][-1] == pytest.approx(content["after"])
-    assert trace.columns[:2] == ["nll", "gradient_norm"]
-    assert set(trace.columns[2:]) == set(content["tunables"])
-    again = trackwright(
-        "track", world, "--tracker", "beam", "--noise", folder / "tuned.toml", "--out", there / "better"
-    )
-    assert again.code == 0
-    noise = json.loads((there / "better" / "manifest.json").read_text())["config"]["noise"]
-    assert noise == str(folder / "tuned.toml")
-    default, tuned = (pl.read_parquet(there / name / "tracks.parquet") for name in ("beam", "better"))
-    assert not default.equals(tuned)
-    assert tuned["log_likelihood"].sum() > default["log_likelihood"].sum()
-
-
-@pytest.mark.slow
-def test_tuning_for_the_least_error_lowers_it_and_names_no_standard_errors(there, world):
-    start = there / "start.toml"
-    start.write_text('[tunables."motion.sigma_a"]\nvalue = 20.0\n')
-    options = ("--tracker", "beam", "--objective", "rmse", "--tune", "motion.*", "--start", start, "--steps", 4)
-    said = trackwright("tune", world, *options, "--out", there / "least")
-    assert said.code == 0, said
-    content = tomllib.loads((there / "least" / "tuned.toml").read_text())
-    assert content["after"] < content["before"]
-    (sigma_a,) = content["tunables"].values()
-    assert sigma_a["value"] < 20.0
-    assert np.isnan(sigma_a["standard_error"])
-    assert pl.read_csv(there / "least" / "trace.csv").columns == ["rmse", "gradient_norm", "motion.sigma_a"]
-
-
-@pytest.mark.slow
-def test_the_program_with_its_own_settings_tracks_as_the_suite_does(there):
-    """More trajectories than a chunk, single precision and flags; against double precision."""
-    options = ("--n", 200, "--rows", 20, "--sigma-p", 0.2)
-    assert trackwright("simulate", "station", "--out", there / "many", *options).code == 0
-    assert trackwright("track", there / "many", "--tracker", "beam", "--out", there / "many-inside").code == 0
-    line = [
-        sys.executable,
-        "-m",
-        "experiments",
-        "track",
-        there / "many",
-        "--tracker",
-        "beam",
-        "--out",
-        there / "many-run",
-    ]
-    clean = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_ENABLE_X64")}
-    done = subprocess.run(line, cwd=Path(__file__).parents[3], env=clean, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0
-    # On a busy machine a command says after ten seconds what it is doing.
-    assert not [line for line in done.stderr.splitlines() if not line.startswith("track: ")]
-    assert json.loads((there / "many-run" / "manifest.json").read_text())["n_devices"] == 1
-    inside, outside = (pl.read_parquet(there / name / "tracks.parquet") for name in ("many-inside", "many-run"))
-    assert inside["status"].equals(outside["status"])
-    for column in ("azimuth_rad", "elevation_rad", "std_azimuth_rad"):
-        difference = (inside[column] - outside[column]).abs()
-        # a beam that starts in another lobe by a rounding is another track; single precision itself errs by 1e-5
-        assert difference.quantile(0.99) < 1e-4

@@ -15,8 +15,6 @@ import pytest
 
 from tests.in_process import PLAIN, assert_refused, assert_refused_last, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
-from trackwright.experiments.cli import evaluating
-from trackwright.trackers.exchange import estimates as exchange_estimates
 from trackwright.trackers.exchange.exported_tracks import tracks_of
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, trajectory_of_table, write_trajectory
 from trackwright.trackers.recordings.tracks_table import write_tracks
@@ -114,26 +112,6 @@ def test_estimates_in_millimetres_and_a_height_that_is_known_exactly_are_scored(
     assert "millimetres" not in trackwright(*words, "--align", "sim3").err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--truth", "good"), ("names no tag", "T1, T2", "--tag")),
-        (("--truth", "good", "--tag", "T9"), ("no such tag", "T1, T2")),
-        ((), ("no --truth",)),
-        (("--truth", "good", "--tag", "T1", "--time-offset", "900"), ("no pose lies within", "both begin together")),
-        (
-            ("--truth", "good", "--tag", "T1", "--time-offset", "-0.17"),
-            ("half of the poses have a true one within 0.03 s",),
-        ),
-        (("--truth", "nowhere.tum"), ("--truth nowhere.tum: does not exist", "or a trajectory file")),
-        (("--truth", "good", "--tag", "T1", "--rpe", "5km"), ("such as 1m",)),
-    ],
-)
-def test_what_cannot_be_scored_is_refused(beginnings, there, monkeypatch, arguments, words):
-    monkeypatch.chdir(beginnings)
-    assert_refused_last(trackwright("evaluate", there / "own.tum", *arguments), *words)
-
-
 @pytest.fixture
 def run(truth, tmp_path):
     """The output folder of `track` of one tag, T7 of hall-1: the true path of T1, 0.3 s late, 4 cm beside it."""
@@ -166,23 +144,6 @@ def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
     several = trackwright("evaluate", run, "--truth", there / "true.tum")
     assert_refused_last(several, "no track has a truth", "T7", "give the --truth of the same recording and tag")
     assert trackwright("evaluate", run, "--truth", there / "true.tum", "--tag", "T8").code == 0
-
-
-def test_an_offset_that_was_fitted_is_said_to_hold_the_delay_of_the_filter(run, there):
-    arguments = ("--truth", there / "true.tum", "--time-offset", "auto", "--time-tolerance", 0.06)
-    said = " ".join(trackwright("evaluate", run, *arguments).out.split())
-    assert "a delay of the estimates, as a filter has, is part of it" in said
-
-
-@pytest.mark.parametrize("options", [(), ("--align", "se2")])
-def test_an_unknown_metric_is_refused_before_any_work(run, there, options, monkeypatch):
-    monkeypatch.setattr(evaluating, "evaluate", None)
-    monkeypatch.setattr(exchange_estimates, "compare_tracks", None)
-    truth = () if not options else ("--truth", there / "true.tum")
-    (run / "recordings.txt").write_text(f"{there}\n")
-    monkeypatch.setattr(evaluating, "read_with_notices", lambda paths: [])
-    said = trackwright("evaluate", run, *truth, *options, "--fail-if", "p95>1 or rpe>2")
-    assert_refused_last(said, "no metric 'p95' (did you mean p95_m?)")
 
 
 def test_what_track_writes_opens_in_evo_with_the_same_errors(recordings, tmp_path):
@@ -227,17 +188,6 @@ def test_several_tracks_are_exported_to_a_file_each(tracked, tmp_path):
     said = trackwright("export", tracked, "--format", "kitti", "--tag", "B", "--out", tmp_path / "b.kitti")
     assert said.code == 0
     assert (tmp_path / "b.times.txt").read_text().splitlines()[1] == "0.1"
-
-
-def test_a_file_of_times_is_not_replaced_unasked(tracked, tmp_path):
-    times = tmp_path / "b.times.txt"
-    times.write_text("precious")
-    command = "export", tracked, "--format", "kitti", "--tag", "B", "--out", tmp_path / "b.kitti"
-    assert_refused(trackwright(*command), "b.times.txt: exists", "--force replaces it")
-    assert times.read_text() == "precious"
-    assert not (tmp_path / "b.kitti").exists()
-    assert trackwright(*command, "--force").code == 0
-    assert times.read_text() != "precious"
 
 
 def test_a_heading_is_exported_as_the_attitude_of_a_level_body(tracked):
@@ -297,13 +247,3 @@ def test_a_missing_package_is_named_with_its_extra(tracked, tmp_path, monkeypatc
     monkeypatch.setitem(sys.modules, package, None)
     said = trackwright("export", tracked, "--format", format, "--out", tmp_path / "out")
     assert_refused(said, f"trackwright[{extra}]")
-
-
-def test_tracks_of_bearings_and_unknown_tags_are_refused(tracked, tmp_path):
-    assert_refused(
-        trackwright("export", tracked, "--format", "tum", "--tag", "x", "--out", tmp_path / "a"), "found 7, B"
-    )
-    pl.DataFrame(
-        {"recording": ["r"], "tag": ["1"], "station": ["S"], "t_s": [0.0], "azimuth_rad": [0.1]}
-    ).write_parquet(tmp_path / "tracks.parquet")
-    assert_refused(trackwright("export", tmp_path, "--format", "tum", "--out", tmp_path / "a"), "bearings", "csv")

@@ -1,15 +1,13 @@
 """Trackers of fixes from the folder to the table: trajectories, what is lacking, and the time that an estimate speaks of."""
 
-import tomllib
-
 import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import PLAIN, assert_refused, trackwright
+from tests.in_process import PLAIN, trackwright
 from trackwright.sim.agv import ANCHOR_HEIGHT, simulate_agv
 from trackwright.sim.corruptions import correlated_noise, delayed
-from trackwright.trackers.baselines.rows import lacks_coplanar_anchors, mirror_trajectories
+from trackwright.trackers.baselines.rows import mirror_trajectories
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.mhk.rows import spatial_trajectories
 from trackwright.trackers.mhk.tracker import STILL
@@ -76,24 +74,10 @@ def test_trackers_of_mirrored_heights_read_the_distance_from_the_anchors_plane(w
     np.testing.assert_array_equal(trajectory.recording.inputs["fix_z"], z)
 
 
-def test_anchors_that_are_few_or_at_several_heights_have_no_plane(world):
-    few = dict(list(world.rig.anchors.items())[:2])
-    uneven = world.rig.anchors | {"1": np.array([0.0, 0.0, 0.3])}
-    assert lacks_coplanar_anchors(world) is None
-    assert "found 2 anchors" in lacks_coplanar_anchors(_with(world, Rig("few", anchors=few)))
-    assert "2.20 m of height" in lacks_coplanar_anchors(_with(world, Rig("uneven", anchors=uneven)))
-
-
 def test_fixes_without_any_height_are_refused_and_with_a_known_one_are_not(world):
     flat = world.tables["fixes"].with_columns(z_m=pl.lit(None, pl.Float64))
     assert "height_m" in lacks_fixes(_with(world, fixes=flat))
     assert lacks_fixes(_with(_known_height(world), fixes=flat)) is None
-
-
-def test_anchors_without_a_plane_are_refused_in_one_line(world, tmp_path):
-    write_recording(_with(world, Rig("few", anchors={}, tags=world.rig.tags)), tmp_path / "few")
-    said = trackwright("track", tmp_path / "few", "--tracker", "fix-mirror", "--out", tmp_path / "out")
-    assert_refused(said, "fix-mirror", "at least 3 anchors")
 
 
 def test_a_tag_that_is_never_seen_is_a_track_that_waits(world, tmp_path):
@@ -108,36 +92,3 @@ def test_a_tag_that_is_never_seen_is_a_track_that_waits(world, tmp_path):
     tracks = read_tracks(tmp_path / "out")
     assert set(tracks.filter(tag="1")["status"]) == {"waiting"}
     assert tracks.filter(tag="1")["x_m"].null_count() == 300
-
-
-@pytest.fixture(scope="module")
-def tuned(folder, tmp_path_factory):
-    """A latency fitted to truth, and the tracks with it."""
-    out = tmp_path_factory.mktemp("tuned")
-    fit = ("--tracker", "fix-kf", "--objective", "rmse", "--tune", "*latency*", "--steps", 30)
-    said = trackwright("tune", folder, *fit, "--out", out / "fit")
-    assert said.code == 0, said.err
-    options = ("--tracker", "fix-kf", "--noise", out / "fit" / "tuned.toml", "--out", out / "tracks")
-    assert trackwright("track", folder, *options).code == 0
-    return out
-
-
-@pytest.mark.slow
-def test_a_latency_is_found_by_the_error_against_truth(tuned):
-    found = tomllib.loads((tuned / "fit" / "tuned.toml").read_text())["tunables"]["sensors.fixes.latency"]["value"]
-    # A filter that lags in corners of 1 m/s² by what half a row covers.
-    assert found == pytest.approx(LATENCY, abs=0.05)
-
-
-@pytest.mark.slow
-def test_estimates_stand_at_the_time_for_which_late_fixes_speak(tuned, world):
-    tracks = read_tracks(tuned / "tracks").filter(tag="0").sort("t_s")
-    shift = world.tables["fixes"].filter(tag="0")["t_s"][0] - tracks["t_s"][0]
-    assert abs(shift - LATENCY) < 0.05
-    truth = world.tables["truth"].filter(tag="0")
-    off = [tracks[a].to_numpy() - np.interp(tracks["t_s"], truth["t_s"], truth[a]) for a in ("x_m", "y_m")]
-    late_off = [tracks[a].to_numpy() - np.interp(tracks["t_s"] + shift, truth["t_s"], truth[a]) for a in ("x_m", "y_m")]
-    rmse, unstamped = (float(np.sqrt(np.mean(np.sum(np.square(e), axis=0)[30:]))) for e in (off, late_off))
-    # Fixes of 3 cm per axis, and what is left of the latency at 1 m/s.
-    assert rmse < 0.08
-    assert unstamped > 0.3

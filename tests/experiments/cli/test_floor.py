@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import PLAIN, assert_refused, trackwright
+from tests.in_process import PLAIN, trackwright
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Vector
@@ -12,7 +12,6 @@ from trackwright.trackers.core.model.motion import Placed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.parts.walls import Walls
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
-from trackwright.tuning.tuned_file import read_tuned
 
 OUTLINE = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 8.0], [10.5, 8.0], [10.5, 1.5], [0.0, 1.5]])
 """A corridor 1.5 m wide that turns left, m."""
@@ -87,28 +86,6 @@ def test_the_walls_take_a_quarter_of_the_error_across_the_corridor(there, tracke
     assert errors[0] < 0.75 * errors[1]
 
 
-@pytest.mark.slow
-def test_the_noise_is_tuned_by_the_particles_score_between_the_walls(there):
-    tuned = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
-    said = trackwright(
-        "tune", there / "corner", "--tracker", "floor-pf", "--tune", *tuned, "--steps", 6, "--starts", 1,
-        "--out", there / "tuned",
-    )  # fmt: skip
-    assert said.code == 0, said.err
-    # The fixes are off by a metre and more, slowly and by 0.2 m at random; the tracker begins with 0.1 m.
-    values = read_tuned(there / "tuned" / "tuned.toml").values
-    assert 0.15 < float(values["sensors.fixes.sigma_horizontal"]) < 1.2
-    trace = pl.read_csv(there / "tuned" / "trace.csv")["nll"]
-    assert trace.min() < trace[0] - 0.5
-
-
-def test_without_a_floor_plan_the_tracker_is_refused(there):
-    bare = RecordingFolder("bare", None, Rig("bare"), _folder().tables)
-    write_recording(bare, there / "bare")
-    said = trackwright("track", there / "bare", "--tracker", "floor-pf", "--out", there / "none")
-    assert_refused(said, "floor-pf", "[floor]", "walls_m or outline_m")
-
-
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
@@ -125,14 +102,6 @@ def test_a_floor_plan_that_is_none_is_refused_with_its_key(there, tmp_path, line
     rig.write_text(f'format = 1\nname = "a"\n\n{lines}\n')
     with pytest.raises(UnusableInput, match=words):
         read_recording(tmp_path / "a")
-
-
-def test_a_wall_without_length_is_refused_in_one_line(tmp_path):
-    write_recording(
-        RecordingFolder("a", None, Rig("a", walls=np.array([[1.0, 2.0, 1.0, 2.0]])), _folder().tables), tmp_path / "a"
-    )
-    said = trackwright("track", tmp_path / "a", "--tracker", "floor-pf", "--out", tmp_path / "out")
-    assert_refused(said, "rig.toml, [floor]: wall 0", "no length")
 
 
 def test_what_begins_outside_the_outline_dies_at_its_first_move():

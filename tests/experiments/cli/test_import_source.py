@@ -142,16 +142,6 @@ def test_one_origin_moves_all_tables_of_an_import(there):
     assert pl.read_parquet("dated/truth.parquet")["t_s"][29] == pytest.approx(2.9, abs=1e-6)
 
 
-def test_a_notice_is_given_by_the_import_of_its_table_alone(there):
-    rows = [f"{100 * k},A1,{2000 + k if k != 9 else 13440}" for k in range(20)]
-    (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
-    first = trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "hall")
-    assert "outliers of range_m: 1, the worst 13.44 at t_s 0.9 (tag " in first.err
-    second = trackwright("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", "hall")
-    assert second.code == 0
-    assert "outliers" not in second.err
-
-
 def test_rows_in_any_order_are_sorted_at_import_and_noticed_there_alone(there):
     rows = [f"{100 * k},A1,{2000 + j}" for j, k in enumerate((0, 2, 1, 3, 3))]
     for out, log in (("new", "log.csv"), ("hall", "late.csv")):

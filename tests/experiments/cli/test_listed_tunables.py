@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import trackwright
 from trackwright.experiments.cli.trackers import _simulated
 from trackwright.trackers.catalogue import TRACKERS, build
 from trackwright.trackers.core.model.tunable import meanings
@@ -41,12 +41,10 @@ def test_tunables_are_listed_with_values_units_and_bounds():
     assert all(name in text.out for name in listed)
 
 
-def test_values_are_those_of_the_recording(simulated):
-    done = trackwright("trackers", "beam", simulated, "--json")
+def test_values_are_those_of_a_noise_file_and_of_the_recording(simulated, tmp_path):
+    (tmp_path / "tuned.toml").write_text('tracker = "beam"\n[tunables."motion.sigma_a"]\nvalue = 7.5\n')
+    done = trackwright("trackers", "beam", simulated, "--noise", tmp_path / "tuned.toml", "--json")
     assert done.err == ""
     found = {one["name"]: one["value"] for one in json.loads(done.out)["tunables"]}
+    assert found["motion.sigma_a"] == pytest.approx(7.5)
     assert np.shape(found["sensors.phases.offsets"]) == (8,)
-
-
-def test_an_unknown_tracker_is_refused():
-    assert_refused(trackwright("trackers", "uvb"), "tracker uvb: unknown")

@@ -11,7 +11,7 @@ from importlib.metadata import version
 
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import trackwright
 from trackwright.experiments.cli.commands import COMMANDS, application
 from trackwright.sim import worlds
 from trackwright.trackers.recordings.folder import write_recording
@@ -49,42 +49,6 @@ def test_the_help_of_each_command_explains_every_argument_in_80_columns(command)
 
 def test_the_version_is_printed():
     assert trackwright("--version").out == f"trackwright {version('trackwright')}\n"
-
-
-def test_a_family_of_commands_lists_its_members():
-    for words in (("simulate",), ("simulate", "--help")):
-        done = trackwright(*words)
-        assert done.code == 0
-        assert all(f"  {name} " in done.out for name in MEMBERS)
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (("trak", "x"), "no command trak (did you mean track?)"),
-        (("simulate-line",), "did you mean simulate?"),
-        (("simulate", "lines"), "simulate: no command lines (did you mean line?)"),
-        (
-            ("simulate", "walk"),
-            "simulate: no command walk; expected station, line, ranges, tdoa, fusion, body, tool or agv",
-        ),
-        (("track", "x", "--out", "o", "--nose", "f"), "no option --nose (did you mean --noise?)"),
-        (("track", "x", "--out", "/"), "--out /: is the root of the file system"),
-        (("tune", "x", "--out", "o", "--steps", "0"), "--steps 0: expected at least 1"),
-        (("tune", "x", "--out", "o", "--piece-rows", "3"), "--piece-rows 3: expected at least 10"),
-        (("tune", "x", "--out", "o", "--starts", "0"), "--starts 0: expected at least 1"),
-        (("tune", "x", "--out", "o", "--optimiser", "adamm"), "expected one of auto, lbfgs, adam (did you mean adam?)"),
-        (("track", "x", "--out", "o", "--lag", "0"), "--lag 0: expected seconds above zero"),
-        (("track", "x", "--out", "o", "--seed", "-1"), "--seed -1: expected a whole number from 0 to 2^64 - 1"),
-        (("track", "x", "--out", "o", "--set", "sigma"), "--set sigma: expected NAME=VALUE"),
-        (("track", "x", "--out", "o", "--from", "9", "--to", "3"), "--from 9 --to 3: expected the first below"),
-        (("track", "x", "--out", "o", "--every", "0"), "--every 0: expected seconds above zero"),
-        (("track", "x", "--out", "o", "--noise", "nowhere.toml"), "nowhere.toml: cannot be read"),
-        (("sweep", "x", "--out", "o", "--over", "a=0:1:5:log"), "expected START above zero"),
-    ],
-)
-def test_a_mistake_is_one_line_that_names_the_option_before_anything_is_read(words, expected):
-    assert_refused(trackwright(*words), expected)
 
 
 def _imported(lines):

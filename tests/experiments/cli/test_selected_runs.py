@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 
 from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.sim import worlds
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 from trackwright.trackers.recordings.selection import Selection
 
@@ -50,18 +48,6 @@ def test_the_last_reading_of_each_anchor_and_interval_is_kept(room):
         last[int(t // 1.0), tag, anchor] = t
     assert chosen == {(t, tag, anchor) for (_, tag, anchor), t in last.items()}
     assert Selection(every=1.0).of(whole).tables["truth"].equals(whole.tables["truth"])
-
-
-@pytest.mark.parametrize(
-    ("part", "expected"),
-    [
-        (Selection(tags=("9",)), "no tag '9'; its tags: 0, 1"),
-        (Selection(start=100.0), "ranges has no row in the span of time asked for; expected a part of 0 to 5.9 s"),
-    ],
-)
-def test_a_part_that_holds_nothing_is_refused(room, part, expected):
-    with pytest.raises(UnusableInput, match=expected):
-        part.of(read_recording(room))
 
 
 def test_seconds_after_the_start_are_refused_where_times_count_from_1970(room, tmp_path):
@@ -108,12 +94,6 @@ def test_the_tracker_of_a_noise_file_is_taken_where_the_tables_would_give_anothe
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["config"]["tracker"] == "multilateration"
 
 
-def test_a_value_that_no_tunable_takes_is_refused(room, tmp_path):
-    for text, expected in (("sigma_q=1", "--set: this tracker has no 'sigma_q'"), ("*.sigma_r=-1", "is positive")):
-        said = trackwright("track", room, *PLAIN, "--tracker", "uwb", "--set", text, "--out", tmp_path / "out")
-        assert_refused(said, expected)
-
-
 def test_quiet_prints_results_alone(room, tmp_path):
     loud = trackwright("track", room, *PLAIN, "--out", tmp_path / "loud")
     quiet = trackwright("track", room, *PLAIN, "--quiet", "--out", tmp_path / "quiet")
@@ -140,11 +120,3 @@ def test_a_sweep_in_equal_ratios(room, tmp_path):
     assert done.code == 0, done
     values = pl.read_csv(tmp_path / "sweep.csv")["sensors.ranges.sigma_r"].to_numpy()
     np.testing.assert_allclose(values, [0.01, 0.1, 1.0])
-
-
-@pytest.mark.slow
-def test_noise_levels_of_motion_and_sensors_are_fitted_by_default(room, tmp_path):
-    done = trackwright("tune", room, "--tracker", "uwb", "--steps", 2, "--starts", 1, "--out", tmp_path)
-    assert done.code == 0, done
-    fitted = tomllib.loads((tmp_path / "tuned.toml").read_text())["tunables"]
-    assert set(fitted) == {"motion.sigma_a", "motion.sigma_z", "motion.sigma_bias", "sensors.ranges.sigma_r"}

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from tests.faulty import write_good
-from tests.in_process import PLAIN, assert_refused, trackwright
+from tests.in_process import PLAIN, trackwright
 
 
 @pytest.fixture(scope="module")
@@ -44,15 +44,6 @@ def test_several_trackers_are_compared_in_one_table_with_paired_differences_and_
     # The distribution of errors, their boxes, and a floor plan by each tracker.
     assert page.count('<img src="data:image/svg+xml;base64,') == 4
     assert "adjusted for" in page
-
-
-def test_several_trackers_write_neither_pages_nor_figures_that_are_not_asked_for(compared, tmp_path):
-    folder, _ = compared
-    assert '<a href="report.html">' in (folder / "two" / "comparison.html").read_text()
-    plain = trackwright("track", folder / "good", "--tracker", "moving-average,median", "--out", tmp_path, *PLAIN)
-    assert plain.code == 0, plain
-    assert "Differences from moving-average" in plain.out
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["median", "moving-average"]
 
 
 def test_the_table_has_the_errors_of_each_run(compared):
@@ -96,9 +87,3 @@ def test_recordings_of_two_kinds_get_the_trackers_that_fit_and_one_that_fits_non
     for name, recording in (("uwb", "ranged"), ("fix-kf", "fixed")):
         content = json.loads((tmp_path / "out" / name / "evaluation.json").read_text())
         assert [one["recording"] for one in content["recordings"]] == [recording]
-
-
-def test_wrong_lists_of_trackers_are_refused(tmp_path):
-    write_good(tmp_path / "good")
-    for names, word in (("uwb,uwb", "twice"), ("a.py:T,b.py:T", "twice"), ("uwb,nothing", "tracker nothing: unknown")):
-        assert_refused(trackwright("track", tmp_path / "good", "--tracker", names, "--out", tmp_path / "out"), word)

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import replace
-
-import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import trackwright
 from trackwright.trackers.catalogue import fitting
-from trackwright.trackers.line.path import path_of
 from trackwright.trackers.recordings.folder import read_recording
 
 WORLDS = {
@@ -50,58 +45,3 @@ def test_a_tag_depends_on_the_seed_and_its_own_number_alone(worlds, tmp_path):
     assert trackwright("simulate", "ranges", "--n", 1, "--seed", 4, "--rows", 30, "--out", tmp_path / "one").code == 0
     one, two = (pl.read_parquet(path / "ranges.parquet") for path in (tmp_path / "one", worlds / "ranges"))
     assert one.equals(two.filter(pl.col("tag") == "0"))
-
-
-@pytest.mark.parametrize(
-    ("command", "option", "value"),
-    [
-        ("station", "--seed", 2**70),
-        ("station", "--sigma-p", -1.0),
-        ("station", "--gauss-markov", "inf"),
-        ("station", "--drop-outs", "nan"),
-        ("station", "--outliers", 1.0),
-        ("station", "--lost-station", 4),
-        ("line", "--speed", 0.0),
-        ("tool", "--rows", 1),
-        ("agv", "--n", 0),
-        ("agv", "--speed", 1.5),
-    ],
-)
-def test_a_value_out_of_range_is_refused_with_its_option(tmp_path, command, option, value):
-    refused = trackwright("simulate", command, f"{option}={value}", "--out", tmp_path / "out")
-    assert_refused(refused, f"{option} {value}: ", "expected ")
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_gap_that_ends_before_it_starts_is_refused(tmp_path):
-    refused = trackwright("simulate", "tool", "--gap", 3, 1, "--out", tmp_path / "out")
-    assert_refused(refused, "--gap 3.0 1.0: expected two times in seconds")
-
-
-@pytest.mark.slow
-def test_a_tag_on_a_closed_path_is_tracked_round_it_and_has_no_height(worlds, tmp_path):
-    folder = read_recording(worlds / "agv")
-    knots = folder.rig.path_knots
-    # Ends that nearly meet close the path, too.
-    gap, part = np.vstack([knots[:-1:60], knots[-1] + 0.01]), knots[:300]
-    closed = [path_of(replace(folder, rig=replace(folder.rig, path_knots=k))).closed for k in (knots, gap, part)]
-    assert closed == [True, True, False]
-    said = trackwright("track", worlds / "agv", "--tracker", "line-grid", "--out", tmp_path / "out")
-    assert said.code == 0, said
-    assert "height" not in said.err
-    tracks = pl.read_parquet(tmp_path / "out" / "tracks.parquet")
-    assert tracks["z_m"].null_count() == len(tracks)
-    places = tracks.select("x_m", "y_m").to_numpy()
-    assert path_of(folder).nearest(places)[1].max() < 1e-4
-
-
-@pytest.mark.slow
-def test_particles_are_tuned_by_their_score(worlds, tmp_path):
-    options = ("--tracker", "line-pf", "--tune", "sensors.*.sigma_p", "--steps", 6, "--starts", 1)
-    start = tmp_path / "start.toml"
-    start.write_text('[tunables."sensors.fixes.sigma_p"]\nvalue = 3.0\n')
-    said = trackwright("tune", worlds / "line", *options, "--start", start, "--out", tmp_path / "out")
-    assert said.code == 0, said
-    content = tomllib.loads((tmp_path / "out" / "tuned.toml").read_text())
-    assert content["after"] < content["before"]
-    assert content["tunables"]["sensors.fixes.sigma_p"]["value"] < 3.0

@@ -8,9 +8,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import PLAIN, assert_refused, trackwright
+from tests.in_process import PLAIN, trackwright
 from trackwright.trackers.catalogue import TRACKERS
-from trackwright.trackers.evaluation.events import events_of, off_the_path
+from trackwright.trackers.evaluation.events import off_the_path
 from trackwright.trackers.recordings.folder import read_recording
 
 OPTIONS = {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}
@@ -40,34 +40,6 @@ def test_smoothed_tracks_have_the_rows_columns_and_likelihoods_of_filtered_ones(
 
 def test_rows_to_come_make_the_spread_smaller(runs):
     assert runs("filtered")["std_x_m"].mean() > runs("smoothed")["std_x_m"].mean()
-
-
-@pytest.mark.slow
-def test_a_lag_has_a_spread_between_that_of_all_rows_and_that_of_none(runs):
-    spread = [runs(name)["std_x_m"].mean() for name in OPTIONS]
-    assert spread[0] > spread[2] > spread[1]
-
-
-def test_the_last_row_has_nothing_to_come(runs):
-    assert runs("smoothed")["x_m"][-1] == runs("filtered")["x_m"][-1]
-
-
-@pytest.mark.parametrize(("extra", "word"), [(("--lag", -1), "lag -1"), (("--smooth",), "Kalman filters")])
-def test_what_can_not_be_smoothed_is_refused(tmp_path, simulated, extra, word):
-    said = trackwright("track", simulated, "--tracker", "cascade", *extra, "--out", tmp_path / "out")
-    assert_refused(said, word)
-    assert not (tmp_path / "out").exists()
-
-
-def test_events_are_the_turns_of_the_status_once_each():
-    status = ["waiting", "ok", "ok", "lost", "lost", "restarted", "ok"]
-    times = [float(t) for t in range(7)]
-    tracks = pl.DataFrame({"tag": ["1"] * 7 + ["2"] * 7, "t_s": times * 2, "x_m": 0.0, "status": status * 2})
-    tracks = tracks.with_columns(recording=pl.lit("a"))
-    events = events_of(tracks, TRACKERS["bearings"], [])
-    assert events.rows() == [
-        ("a", tag, t, event, "") for tag in "12" for t, event in ((3.0, "lost"), (5.0, "found again"))
-    ]
 
 
 def test_a_tag_beside_its_prescribed_path_is_told_with_the_distance_and_the_way_back(beginnings):

@@ -6,24 +6,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import assert_refused, trackwright
-from trackwright.experiments.cli import sweep_job
-from trackwright.experiments.text.terminal import Stages
+from tests.in_process import trackwright
 
 KALMAN = "--tracker", "fix-kf"
 SIGMA_A, SIGMA_P = "motion.sigma_a", "sensors.fixes.sigma_horizontal"
-SIGMA_LINE = "sensors.fixes.sigma_p"
-
-
-@pytest.fixture(scope="module")
-def world(tmp_path_factory):
-    """Two tags on the line, as short as a line can be walked."""
-    folder = tmp_path_factory.mktemp("sweep") / "line"
-    said = trackwright(
-        "simulate", "line", "--out", folder, "--situation", "constant", "--n", 2, "--speed", 5, "--rate-hz", 3
-    )
-    assert said.code == 0, said
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +39,13 @@ def once(fixes):
 
 @pytest.fixture(scope="module")
 def twice(fixes):
-    """Two numbers by likelihood."""
+    """Two numbers by likelihood, with the way of a fit drawn in."""
     out = fixes.parent / "twice"
+    trace = fixes.parent / "trace.csv"
+    steps = np.linspace(0.2, 0.8, 5)
+    pl.DataFrame({"nll": steps, SIGMA_A: steps, SIGMA_P: steps}).write_csv(trace)
     grids = "--over", f"{SIGMA_A}=0.1:1:3", "--over", f"{SIGMA_P}=0.1:0.6:4"
-    return trackwright("sweep", fixes, *KALMAN, *grids, "--objective", "nll", "--out", out), out
+    return trackwright("sweep", fixes, *KALMAN, *grids, "--objective", "nll", "--path", trace, "--out", out), out
 
 
 def test_the_table_has_a_row_for_every_value_and_the_best_is_printed(once):
@@ -84,7 +73,7 @@ def test_a_sweep_gives_what_track_and_evaluate_give_at_the_same_value(once, fixe
     assert figures["overall"]["rmse_m"] == pytest.approx(rmse, rel=1e-4)
 
 
-def test_two_numbers_give_every_pair_and_a_figure(twice):
+def test_two_numbers_give_every_pair_and_a_figure_with_the_way_of_a_fit(twice):
     said, out = twice
     assert said.code == 0, said
     table = pl.read_csv(out / "sweep.csv")
@@ -94,64 +83,3 @@ def test_two_numbers_give_every_pair_and_a_figure(twice):
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["filter_runs"] == 12
     assert set(manifest["best"]) == {SIGMA_A, SIGMA_P}
-
-
-def test_the_progress_of_a_stochastic_tracker_counts_every_repeat(fixes, monkeypatch, tmp_path):
-    totals, begin = [], Stages.begin
-    monkeypatch.setattr(
-        Stages, "begin", lambda self, name, total=None: totals.append((name, total)) or begin(self, name, total)
-    )
-    monkeypatch.setattr(sweep_job, "is_stochastic", lambda tracker: True)
-    grid = f"{SIGMA_P}=0.2:0.4:2"
-    said = trackwright("sweep", fixes, *KALMAN, "--over", grid, "--repeats", 3, "--out", tmp_path / "out")
-    assert said.code == 0, said
-    assert ("grid point", 2 * 3) in totals
-
-
-@pytest.mark.slow
-def test_particles_are_swept_with_repeats_and_their_spread(world):
-    out = world.parent / "particles"
-    grid = f"{SIGMA_LINE}=0.2:0.4:2"
-    said = trackwright("sweep", world, "--tracker", "line-pf", "--over", grid, "--repeats", 3, "--out", out)
-    assert said.code == 0, said
-    table = pl.read_csv(out / "sweep.csv")
-    repeats = table.select(pl.col("^repeat_.*$")).to_numpy()
-    assert repeats.shape == (2, 3)
-    np.testing.assert_allclose(table["rmse"], repeats.mean(axis=1), rtol=1e-6)
-    np.testing.assert_allclose(table["spread"], repeats.std(axis=1, ddof=1), rtol=1e-5)
-    assert "over 3 repeats" in said.out
-    assert "12 trajectories filtered" in said.out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--over", "no.such=0.1:1:5"), ("no.such", "matches no tunable", SIGMA_P)),
-        (("--over", f"{SIGMA_P}=0.1:1:0"), ("expected PATTERN", "COUNT at least 2")),
-        (("--over", f"{SIGMA_P}=0.1:1:1"), ("expected PATTERN", "COUNT at least 2")),
-        (("--over", f"{SIGMA_P}=1:0.1:5"), ("expected PATTERN", "START below STOP")),
-        (("--over", f"{SIGMA_P}=-0.1:1:5"), ("a Scale is positive", "-0.1", "small positive value")),
-        (("--over", f"{SIGMA_P}=0:1:101"), ("a Scale is positive", "left out", "small positive value")),
-        (("--over", SIGMA_P), ("expected PATTERN=START:STOP:COUNT",)),
-        (("--over", f"{SIGMA_P}=a:b:c"), ("expected PATTERN=START:STOP:COUNT",)),
-        (("--over", f"{SIGMA_P}=0.1:inf:3"), ("expected PATTERN=START:STOP:COUNT",)),
-        (("--over", f"{SIGMA_P}=0.1:1:3", "--over", f"{SIGMA_A}=0.1:1:3", "--over", "a=1:2:3"), ("3 times", "once or")),
-        (("--over", f"{SIGMA_P}=0.1:1:3", "--over", f"{SIGMA_P}=0.1:1:3"), ("duplicate",)),
-        (("--over", f"{SIGMA_P}=0.1:1:3", "--over", "sensors.*_horizontal=0.1:1:3"), ("match the same tunables",)),
-        (("--over", f"{SIGMA_P}=0.1:1:3", "--repeats", 0), ("--repeats 0", "at least 1")),
-        (("--over", f"{SIGMA_P}=0.1:1:3", "--objective", "accuracy"), ("'accuracy' is no objective", "rmse")),
-    ],
-)
-def test_what_cannot_be_swept_is_refused_in_one_line(fixes, arguments, words):
-    out = fixes.parent / "refused"
-    assert_refused(trackwright("sweep", fixes, *KALMAN, *arguments, "--out", out), *words)
-    assert not out.exists()
-
-
-def test_a_recording_without_truth_has_no_rmse(fixes):
-    bare = fixes.parent / "bare"
-    bare.mkdir()
-    for name in ("rig.toml", "fixes.parquet"):
-        (bare / name).write_bytes((fixes / name).read_bytes())
-    said = trackwright("sweep", bare, *KALMAN, "--over", f"{SIGMA_P}=0.1:1:3", "--out", fixes.parent / "refused")
-    assert_refused(said, "objective rmse needs truth", "use the objective nll")

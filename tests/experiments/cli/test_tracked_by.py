@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import polars as pl
-import pytest
 
-from tests.faulty import good_tables
 from trackwright.experiments.cli.tracking import late_readings, tracked_by
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -49,17 +46,3 @@ def test_ranges_and_an_imu_are_tracked_without_the_imu_where_the_ranges_suffice(
         runs, refused = tracked_by([RecordingFolder(folder.name, None, folder.rig, tables)], None)
         assert [run.tracker for run in runs] == [expected]
         assert refused == []
-
-
-def test_a_recording_that_a_named_tracker_does_not_fit_has_a_line():
-    good = RecordingFolder("good", None, Rig("good"), {"fixes": good_tables()["fixes"]})
-    bare = RecordingFolder("bare", None, Rig("bare"), {"imu": good_tables()["imu"]})
-    runs, refused = tracked_by([good, bare], "fix-kf,median")
-    assert [(run.tracker, [f.name for f in run.folders]) for run in runs] == [
-        ("fix-kf", ["good"]),
-        ("median", ["good"]),
-    ]
-    assert len(refused) == 2
-    assert refused[0].startswith("bare: tracker 'fix-kf' needs")
-    with pytest.raises(UnusableInput, match="bare: no tracker fits"):
-        tracked_by([bare], None)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tomllib
 
 import pytest
 
 from tests.held_here import client_here
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import trackwright
 from trackwright.experiments.cli import tuning_job
 from trackwright.experiments.jobs import executors
 from trackwright.sim import worlds
-from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import write_recording
 from trackwright.tuning.fitting import fit
 
@@ -60,6 +58,7 @@ def _assert_same_files(tmp_path):
     assert sorted(x.name for x in (tmp_path / "a").iterdir()) == sorted(x.name for x in (tmp_path / "b").iterdir())
 
 
+@pytest.mark.slow
 def test_a_fit_on_a_cluster_writes_the_numbers_of_a_fit_here(paths, elsewhere, tmp_path):
     words = (*paths[:2], "--held-out", paths[2], "--steps", 1, "--starts", 2, "--piece-rows", 30, "--no-report")
     here, there = _both(tmp_path, *words)
@@ -67,23 +66,6 @@ def test_a_fit_on_a_cluster_writes_the_numbers_of_a_fit_here(paths, elsewhere, t
     _assert_same_files(tmp_path)
     assert here.out.replace(str(tmp_path / "a"), "") == there.out.replace(str(tmp_path / "b"), "")
     assert json.loads((tmp_path / "b" / "manifest.json").read_text())["config"]["cluster"] == "x:1"
-
-
-@pytest.mark.slow
-def test_a_report_of_a_fit_on_a_cluster_shows_a_part_of_many_recordings(paths, elsewhere, tmp_path):
-    here, there = _both(tmp_path, *paths, "--steps", 1, "--starts", 1)
-    assert (here.code, there.code) == (0, 0), there.err
-    # The verdict is that on the recordings shown.
-    a, b = (tomllib.loads((tmp_path / out / "tuned.toml").read_text()) for out in "ab")
-    assert (a["tunables"], len(a["recordings"]), len(b["recordings"])) == (b["tunables"], 10, 8)
-    pages = [(tmp_path / out / "report.html").read_text("utf-8") for out in "ab"]
-    assert ["What is shown of the recordings tuned on is that of 8 of all 10." in page for page in pages] == [
-        False,
-        True,
-    ]
-    assert all(" tuned on 10 recordings" in page for page in pages)
-    known = "8 of 10 recordings tuned on, each with values fitted to the others, before → after"
-    assert known in " ".join(there.out.split())
 
 
 @pytest.mark.slow
@@ -111,15 +93,3 @@ def test_a_fit_interrupted_on_a_cluster_is_resumed_with_the_same_bits_there_or_h
         assert trackwright(*run, *out, *again, "--resume").code == 0
         for name in ("tuned.toml", "trace.csv"):
             assert (out[1] / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-
-
-def test_recordings_that_no_fit_can_use_together_are_refused_and_leave_nothing(paths, elsewhere, tmp_path):
-    level = _write(tmp_path / "level", 1, tags=dict.fromkeys(("1", "2"), Tag(1.2)))
-    on = ("--cluster", "x:1", "--out", tmp_path / "out")
-    refused = trackwright("tune", paths[0], level, *FIT, *on)
-    assert refused.code == 2
-    assert "need 2 different 'fix-kf' trackers" in refused.err.splitlines()[-1]
-    twice = _write(tmp_path / "other" / "hall-0", 5)
-    assert_refused(trackwright("tune", paths[0], twice, *FIT, *on), "two recordings are both named 'hall-0'")
-    assert_refused(trackwright("tune", paths[0], paths[0], *FIT, *on), "is given more than once")
-    assert not (tmp_path / "out").exists()

@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import trackwright
 from trackwright.experiments.cli.tuning_folder import table
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
@@ -119,10 +119,6 @@ def test_a_fit_that_ended_early_is_written_and_says_so(tmp_path):
     assert said.code == 0, said.err
     assert (tmp_path / "early" / "tuned.toml").exists()
     assert "notice: the fit took all its steps before it came to rest" in said.out
-
-
-def test_there_is_nothing_to_force(tmp_path):
-    assert_refused(trackwright("tune", tmp_path, "--force", "--out", tmp_path / "out"), "--force")
 
 
 def test_a_tuned_number_without_a_unit_has_none_in_the_table():

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from tests.experiments.monte_carlo.small_study import TOML
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import trackwright
 from trackwright.sim import worlds
 from trackwright.trackers.recordings.folder import write_recording
 
@@ -68,26 +68,6 @@ def test_study_writes_the_figures_and_the_page_that_are_asked_for(tmp_path, opti
     assert set(re.findall(r"[\w-]+\.(?:png|pdf)", done.out)) == figures
     assert ("report.html" in done.out) == report
     _assert_kinds(out)
-
-
-def test_a_comparison_writes_figures_of_the_kind_that_is_asked_for(rooms, tmp_path):
-    pair = ("--tracker", "fix-kf,moving-average", "--no-report", "--format", "pdf")
-    assert trackwright("track", rooms[0], *pair, "--out", tmp_path / "pair").code == 0
-    names = {f"comparison-{name}.pdf" for name in ("errors", "floor_plans")}
-    assert {path.name for path in (tmp_path / "pair").glob("*.p*")} == names
-    runs = (tmp_path / "pair" / "fix-kf", tmp_path / "pair" / "moving-average")
-    done = trackwright("evaluate", *runs, "--out", tmp_path / "page")
-    assert done.code == 0, done
-    names = {f"comparison-{name}.png" for name in ("errors", "floor_plans")}
-    assert {path.name for path in (tmp_path / "page").glob("*.p*")} == names
-    assert all(name in done.out for name in names)
-    _assert_kinds(tmp_path / "pair")
-    _assert_kinds(tmp_path / "page")
-
-
-@pytest.mark.parametrize("command", ["track", "tune", "study"])
-def test_every_other_kind_is_refused(command, tmp_path):
-    assert_refused(trackwright(command, "x", "--out", tmp_path / "x.html", "--format", "svg"), "expected png or pdf")
 
 
 def _assert_kinds(folder):

@@ -6,24 +6,13 @@ import math
 import os
 import signal
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from tests.experiments.monte_carlo.small_study import TOML
 from tests.in_process import assert_refused, trackwright
-from trackwright.experiments.jobs.environment import environment
-from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor
+from trackwright.experiments.jobs.executors import cluster_executor
 from trackwright.trackers.core.errors import UnusableInput
-
-
-def test_a_worker_of_another_environment_computes_nothing():
-    for key in ("trackwright", "jax", "XLA flags", "device", "vector instructions"):
-        with ThreadPoolExecutor(1) as threads:
-            part = WorkerExecutor(threads, environment() | {key: "another"}).submit(pytest.fail, "was computed")
-            with pytest.raises(UnusableInput, match=rf"worker on .*: {key}: .* expected as here: another") as refused:
-                part.result()
-        assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -43,17 +32,6 @@ def test_a_cluster_that_is_none_is_refused_in_one_line(tmp_path, monkeypatch, cl
     assert result.code == 2
     for word in words:
         assert word in result.err.splitlines()[-1]
-
-
-def test_processes_that_end_while_they_start_are_refused_in_one_line(monkeypatch):
-    distributed = pytest.importorskip("distributed")
-
-    def ended(**options):
-        raise RuntimeError("Nanny failed to start.")
-
-    monkeypatch.setattr(distributed, "LocalCluster", ended)
-    with pytest.raises(UnusableInput, match="local:2: a process ended while it started"), cluster_executor("local:2"):
-        pytest.fail("was connected")
 
 
 def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):

@@ -5,11 +5,9 @@ from __future__ import annotations
 import dataclasses
 import os
 import pickle
-import shutil
 import signal
 import sys
 
-import equinox as eqx
 import numpy as np
 import pytest
 
@@ -20,7 +18,6 @@ from trackwright.experiments.jobs.executors import cluster_client
 from trackwright.experiments.jobs.held_parts import FitWorkers, HeldParts
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.tuning.batches import Pieces
 from trackwright.tuning.data import fit_data
 from trackwright.tuning.parameters import flatten, select_parameters
@@ -100,27 +97,6 @@ def _keys(point, batch):
 
 def _as_found(found, chunk):
     return found
-
-
-def test_a_folder_that_workers_do_not_see_is_refused_in_a_line(vehicles, tmp_path):
-    named, data = vehicles
-    place = tmp_path / "parts"
-    place.mkdir()
-    problem = _problem(named, data, lambda point, pieces: HeldParts(_workers(place), named, point, pieces))
-    shutil.rmtree(place)
-    with pytest.raises(
-        UnusableInput, match=r"worker on .*: cannot read .*\.npz .*expected a folder that all workers see"
-    ):
-        problem.evaluate(flatten(problem.parameters))
-
-
-def test_a_tracker_that_cannot_travel_is_refused_in_a_line(vehicles, tmp_path):
-    named, data = vehicles
-    problem = _problem(named, data, LocalParts)
-    point = eqx.tree_at(lambda own: own.objective, problem.start, lambda: None)
-    with pytest.raises(UnusableInput, match="tracker 'fix-kf' cannot be sent to workers") as refused:
-        HeldParts(_workers(tmp_path), named, point, [])
-    assert "\n" not in str(refused.value)
 
 
 def test_a_tracker_of_a_user_s_file_travels_with_the_file(vehicles, tmp_path, monkeypatch):

@@ -90,33 +90,6 @@ def test_a_part_that_fails_without_a_substitute_ends_the_run_and_what_has_finish
     assert (store.kept(0), store.kept(1), store.kept(2)) == (1, 1, None)
 
 
-def test_of_a_part_of_several_files_the_last_one_is_not_there_while_the_others_are_written(tmp_path):
-    seen = []
-
-    def writes(path):
-        seen.append((tmp_path / "part" / "last").exists())
-        path.write_text("x")
-
-    for _ in range(2):
-        written(tmp_path / "part", {"a/table": writes, "last": writes})
-    assert seen == [False] * 4
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "last", "part", "table"]
-
-
-def test_parts_come_as_they_finish_and_few_are_submitted_at_once():
-    submitted = []
-    with ThreadPoolExecutor(2) as threads:
-
-        def submit(item):
-            submitted.append(item)
-            return threads.submit(math.factorial, item)
-
-        parts = finished(submit, range(20), at_once=3)
-        first = next(parts)
-        assert len(submitted) == 3
-        assert sorted([first, *parts]) == [(k, math.factorial(k)) for k in range(20)]
-
-
 WAITS = """
 from concurrent.futures import Future
 import polars

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
@@ -66,29 +63,8 @@ def test_a_damaged_chunk_is_named(finished):
         run_study(SMALL, folder)
 
 
-def test_a_clock_that_is_set_back_or_forth_costs_no_chunk(whole, finished, monkeypatch):
-    monkeypatch.setattr(ChunkStore, "keep", None)
-    for year in (0, 4e9):
-        for path in finished[0].rglob("*"):
-            os.utime(path, (year, year))
-        assert sha(run_study(SMALL, finished[0])) == whole[1]
-
-
 def test_two_callers_on_one_folder_end_with_the_same_bits(whole, tmp_path):
     with ThreadPoolExecutor(2) as callers:
         found = [*callers.map(lambda _: run_study(SMALL, tmp_path), range(2))]
     assert [*map(sha, found)] == [whole[1]] * 2
     assert not [path.name for path in tmp_path.rglob(".*")]
-
-
-def test_a_folder_that_takes_no_files_is_refused():
-    # Not even root may write there.
-    with pytest.raises(UnusableInput, match="--out /proc/self/out: cannot be created"):
-        run_study(SMALL, Path("/proc/self/out"))
-
-
-def test_shards_of_different_studies_are_not_merged(whole, tmp_path):
-    other = ChunkStore(tmp_path / "other", dataclasses.replace(SMALL, seed=5)).open()
-    with pytest.raises(UnusableInput, match="seed: 5, not 0|seed: 0, not 5"):
-        merge_shards([whole[0], other.folder], tmp_path / "merged")
-    assert not (tmp_path / "merged").exists()

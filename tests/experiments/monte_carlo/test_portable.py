@@ -7,13 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.experiments.monte_carlo.small_study import SMALL, TOML, sha
+from tests.experiments.monte_carlo.small_study import TOML, sha
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor
-from trackwright.experiments.monte_carlo.chunk_store import identity
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
 from trackwright.experiments.monte_carlo.sources import PortableStudy, available_studies, load_study
-from trackwright.trackers.core.errors import UnusableInput
 
 MINE = "from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
 PYTHON = """
@@ -75,20 +73,6 @@ def test_every_name_on_the_list_is_a_study_with_expected_results(name):
     study = load_study(name)
     assert study.name == name
     assert study.expected is not None
-
-
-def test_a_study_by_name_travels_as_its_name():
-    portable = PortableStudy.of(load_study("table-3-1"))
-    assert (portable.what, portable.files) == ("table-3-1", ())
-    assert identity(portable.study()) == identity(load_study("table-3-1"))
-
-
-def test_a_study_without_a_declaration_or_changed_in_memory_is_refused(studies):
-    with pytest.raises(UnusableInput, match="built in memory"):
-        PortableStudy.of(SMALL)
-    changed = dataclasses.replace(studies[1], grid={"world.speed": [0.4]})
-    with pytest.raises(UnusableInput, match="differs from its declaration small.toml .grid"):
-        PortableStudy.of(changed)
 
 
 @pytest.mark.slow

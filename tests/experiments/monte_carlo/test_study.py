@@ -1,4 +1,3 @@
-import copy
 import dataclasses
 import json
 import re
@@ -7,10 +6,8 @@ import numpy as np
 import pytest
 
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, study_command
-from tests.in_process import trackwright
 from trackwright.experiments.monte_carlo import chunk as one_chunk
 from trackwright.experiments.monte_carlo import errors
-from trackwright.experiments.monte_carlo.chunk_store import compact, expanded
 from trackwright.experiments.monte_carlo.errors import Masked, TrackedRuns, scored
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
@@ -19,8 +16,8 @@ from trackwright.experiments.pages.reports.study_text import to_text
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.metrics import METRICS, position_sizes
-from trackwright.trackers.evaluation.scores import BIN_WIDTH, BINS, error_sums, quantile
+from trackwright.trackers.evaluation.metrics import METRICS
+from trackwright.trackers.evaluation.scores import BINS, error_sums
 
 
 @pytest.fixture(scope="module")
@@ -117,42 +114,6 @@ def test_chunks_are_added_to_the_blocks_of_their_trajectories_in_order():
     np.testing.assert_array_equal(found.histograms["m"], histogram)
 
 
-@pytest.mark.parametrize("rows", [1, 2, 3, 10, 30, 100, 1000])
-def test_percentiles_of_few_rows_are_within_a_bin_of_those_of_the_values(rows):
-    values = np.random.default_rng(rows).lognormal(size=(40, rows))
-    cells, counts = Masked(np.ones(values.shape, bool)).histograms(values)
-    dense = np.bincount(cells, counts, 40 * BINS).reshape(40, BINS)
-    for share in (0.5, 0.9, 0.95, 0.99):
-        exact = np.quantile(values, share, axis=1)
-        np.testing.assert_allclose(quantile(dense, share), exact, rtol=BIN_WIDTH)
-    assert np.isnan(quantile(np.zeros(BINS), 0.5))
-
-
-@pytest.mark.parametrize("flat", [True, False])
-def test_histograms_are_stored_in_few_bits_and_equal_ones_once(flat):
-    tracked, _ = _normal_tracked(4)
-    if flat:
-        level = tracked.estimates.copy()
-        level[..., 2] = tracked.truth[..., 2]
-        tracked = tracked._replace(estimates=level)
-    arrays = scored(tracked)
-    stored = compact(arrays)
-    names = [name for name in stored if name not in ("columns", "sums")]
-    assert names == (["histograms m 3d_m"] if flat else ["histograms m", "histograms 3d_m"])
-    assert {stored[name].dtype for name in names} == {np.dtype(np.uint16)}
-    for found in (expanded(stored), expanded(arrays)):
-        assert found.keys() == arrays.keys()
-        for name in arrays:
-            np.testing.assert_array_equal(found[name], arrays[name])
-
-
-def test_errors_of_known_heights_are_those_of_three_dimensions_to_the_bit():
-    _, errors = _normal_tracked(6)
-    flat = position_sizes(errors * [1.0, 1.0, 0.0])
-    assert flat["3d_m"] is flat["m"]
-    np.testing.assert_array_equal(flat["m"], position_sizes(errors * [1, 1, 1e-200])["3d_m"])
-
-
 def _accumulated(sizes, histogram):
     """Accumulators of errors (n, T)."""
     rows = Masked(np.ones(sizes.shape, bool))
@@ -194,16 +155,6 @@ def test_a_paired_difference_has_a_narrower_interval_than_an_unpaired_one(whole)
     assert difference.value == pytest.approx(parts[1].value - parts[0].value)
     unpaired = np.hypot(*(p.high - p.low for p in parts))
     assert difference.high - difference.low < unpaired
-
-
-def test_trackers_without_a_bound_are_named(whole):
-    study, runs = whole[1].study, whole[1].runs
-    bounded = {key: copy.copy(totals) for key, totals in whole[1].totals.items()}
-    for index, _ in bounded:
-        bounded[index, "kalman"].bounds = np.ones(2)
-    said = "\nNo bound of window, stiffer: only extended Kalman filters whose state is position and velocity"
-    assert said in to_text(Results(study, bounded, runs), [])
-    assert "No bound" not in to_text(Results(dataclasses.replace(study, metrics=("rmse_m",)), bounded, runs), [])
 
 
 def test_every_condition_and_tracker_has_its_metrics(whole):
@@ -294,34 +245,3 @@ def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, mes
     assert "\n" not in str(refused.value)
     # Nothing is written before the refusal: a corrected study may use the same folder.
     assert not (tmp_path / "out").exists()
-
-
-def test_a_tracker_of_a_users_own_file_takes_part(tmp_path):
-    mine, file = tmp_path / "mine.py", tmp_path / "study.toml"
-    mine.write_text("from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n")
-    file.write_text(TOML.replace("[trackers.moving-average]", f"[trackers.mine]\ntracker = '{mine}:MINE'"))
-    study = load_study(str(file))
-    results = run_study(study, tmp_path / "out")
-    assert results.value("rmse_m", "line", "mine") == results.value("rmse_m", "line", "fix-kf")
-    mine.write_text("MINE = None\n")
-    with pytest.raises(UnusableInput, match=r"trackers.mine: .*MINE is no TrackerSpec"):
-        load_study(str(file))
-
-
-def test_the_command_line_refuses_what_is_no_study(tmp_path, whole):
-    file = tmp_path / "small.toml"
-    file.write_text(TOML)
-    (tmp_path / "none.py").write_text("NOTHING = 1\n")
-    (tmp_path / "failing.py").write_text("STUDY = 1\nSTUDY / 0\n")
-    for words, message in (
-        ((tmp_path / "none.py",), "expected `STUDY = Study(...)` of trackwright.experiments.monte_carlo"),
-        ((tmp_path / "failing.py",), "raises ZeroDivisionError in line 2: "),
-        (("tabel-1",), "did you mean table-1?"),
-        ((file, "--shard", "3/2", "--out", tmp_path / "a"), "--shard 3/2"),
-        ((file, "--out", whole[0]), "another study"),
-        (("merge", whole[0], tmp_path, "--out", tmp_path / "b"), "study.json"),
-        ((file, "--until", "rmse±1", "--out", tmp_path / "c"), "--until"),
-    ):
-        result = trackwright("study", *words)
-        assert result.code == 2, (words, result)
-        assert message in result.err.splitlines()[-1]

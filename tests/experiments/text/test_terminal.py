@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import sys
 import time
 
@@ -11,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from trackwright.experiments.text import terminal as module
-from trackwright.experiments.text.terminal import Compilation, stages
+from trackwright.experiments.text.terminal import stages
 
 
 class _Terminal(io.StringIO):
@@ -45,22 +44,6 @@ def test_every_stage_has_a_row_of_its_own_with_what_was_done(monkeypatch, capsys
     assert capsys.readouterr().out == "a result\n"
 
 
-def test_a_pipe_gets_lines_at_intervals(monkeypatch, capsys):
-    monkeypatch.setattr(module, "FIRST_LINE", 0.05)
-    with stages("tune") as begin:
-        begin("step", 60)(7, "objective 1.5")
-        time.sleep(0.2)
-    lines = capsys.readouterr().err.splitlines()
-    assert 1 <= len(lines) <= 3, "the interval doubles"
-    assert all(re.fullmatch(r"tune: step 7 of 60, \d+ s, objective 1.5", line) for line in lines)
-
-
-def test_a_short_command_prints_nothing_in_a_pipe(capsys):
-    with stages("track") as begin:
-        begin("reading")
-    assert capsys.readouterr() == ("", "")
-
-
 def test_results_printed_before_a_failure_are_not_lost(monkeypatch, capsys):
     _on_terminal(monkeypatch)
 
@@ -73,34 +56,3 @@ def test_results_printed_before_a_failure_are_not_lost(monkeypatch, capsys):
     with pytest.raises(ValueError, match="no"):
         fail()
     assert capsys.readouterr().out == "a result\n"
-
-
-def test_compiling_is_said_while_it_lasts():
-    compilation = Compilation()
-    assert compilation.now() == ""
-    compilation.heard("/jax/core/compile/jaxpr_to_mlir_module_duration", 0.1)
-    assert compilation.now() == "compiling 0 s"
-    compilation.heard("/jax/core/compile/backend_compile_duration", 2.5)
-    assert compilation.now() == ""
-    assert (compilation.done, compilation.seconds) == (1, 2.5)
-
-
-def test_jax_reports_what_it_compiles():
-    import jax
-    import jax.numpy as jnp
-
-    compilation = Compilation()
-    compilation.listen()
-    try:
-        jax.jit(lambda x: jnp.sin(x) * 12345.0)(jnp.ones(3))
-        assert compilation.done >= 1
-        assert compilation.begun == []
-    finally:
-        jax.monitoring.unregister_event_duration_listener(compilation.heard)
-
-
-def test_a_program_that_was_lowered_before_and_not_compiled_is_not_shown():
-    module.COMPILATION.begun.append(time.monotonic() - 100)
-    with stages("tune") as begin:
-        begin("step")
-        assert not module.COMPILATION.now()

@@ -65,15 +65,6 @@ def _error(estimates, trajectory):
     return np.rad2deg(np.abs(np.stack([mean.azimuth, mean.elevation], axis=1) - _angles(trajectory)).max(axis=1))
 
 
-def test_a_track_starts_on_its_first_row_and_stays(estimates):
-    status = estimates[STEADY].status
-    assert np.all(status == Status.OK)
-    # The start has the grid's 0.6° and the noise of one row; then the filter settles.
-    assert _error(estimates, STEADY)[0] < 3
-    assert _error(estimates, STEADY)[10:].max() < 2
-    assert estimates.cov_upper.dtype == np.float32
-
-
 def test_after_a_jump_the_track_is_lost_restarted_and_recovers(estimates):
     status = estimates[JUMP].status
     restarts = np.flatnonzero(status == Status.RESTARTED)
@@ -91,20 +82,6 @@ def test_a_long_gap_is_a_track_loss_and_the_next_measurement_restarts_it(estimat
     assert np.all(status[81:90] == Status.LOST)
     assert status[90] == Status.RESTARTED
     assert _error(estimates, SILENT)[95:].max() < 2
-
-
-def test_a_short_gap_increases_the_covariance_without_track_loss(estimates):
-    one = estimates[SHORT_SILENCE]
-    assert np.all(one.status == Status.OK)
-    assert np.all(np.diff(one.sigmas["azimuth"][30:60]) > 0)
-    assert not one.nis_dof[30:60].any()
-    assert _error(estimates, SHORT_SILENCE)[70:].max() < 2
-
-
-def test_a_recording_without_measurements_stays_waiting(estimates):
-    assert np.all(estimates[EMPTY].status == Status.WAITING)
-    assert estimates[EMPTY].summary() == "too little data: no row could start the tracker"
-    assert not estimates[EMPTY].usable.any()
 
 
 def test_a_track_waits_for_three_antennas(estimates):
@@ -132,11 +109,3 @@ def test_garbage_in_one_trajectory_leaves_the_others_bit_identical_through_repea
         ):
             np.testing.assert_array_equal(a, b)
     assert np.sum(result[NOISE].status == Status.RESTARTED) > 5
-
-
-@pytest.mark.parametrize("size", [1e9, 1e15, 3e38])  # 1e30: the square of a residual may overflow, and is then infinite
-def test_the_output_for_garbage_is_finite(recordings, size):
-    one = _with_garbage(recordings, size)[NOISE]
-    assert np.all(np.isfinite(one.log_likelihood))
-    assert np.all(np.isfinite(one.nis))
-    assert np.all(np.isfinite(one.cov_upper))

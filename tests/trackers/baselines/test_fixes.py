@@ -142,11 +142,6 @@ def test_an_earlier_position_has_the_mean_and_covariance_of_the_linear_combinati
     np.testing.assert_allclose(earlier.covariance, J @ at_rows.covariance @ J.T, atol=1e-12)
 
 
-def test_without_latency_estimates_have_the_times_of_their_rows(circling):
-    recording, _ = circling
-    np.testing.assert_array_equal(fix_tracker().run(recording).times, recording.times)
-
-
 @pytest.mark.slow
 def test_an_outlier_hardly_moves_a_track_with_students_t(circling):
     recording, _ = circling

@@ -33,14 +33,3 @@ def test_each_axis_is_numpys_mean_or_median_of_its_last_values(median, numpys):
             np.testing.assert_allclose(_positions(estimates)[row], [numpys(p) for p in past], rtol=1e-12)
         else:
             assert estimates.status[row] == Status.WAITING
-
-
-def test_of_nine_values_the_fifth_is_the_median():
-    values = np.tile(np.array([9.0, 1, 8, 2, 7, 3, 6, 4, 5])[:, None], (1, 3))
-    recording = Recording(np.arange(9) * 0.1, {FIXES: Readings(values, np.ones(values.shape, bool))})
-    assert _positions(MovingWindow(9, True).run(recording))[-1].tolist() == [5.0, 5.0, 5.0]
-
-
-def test_a_window_without_rows_is_refused():
-    with pytest.raises(ValueError, match="at least one row"):
-        MovingWindow(0, True)

@@ -13,7 +13,6 @@ import pytest
 
 from tests.in_process import trackwright
 from trackwright.trackers.core import jax_private
-from trackwright.trackers.programs.program_cache import cache_programs
 
 PRIVATE = (
     "jax.extend.core",
@@ -32,13 +31,6 @@ sys.exit(main())
 """
 
 
-@pytest.fixture
-def lacking(monkeypatch):
-    """The process with imports of the private parts failing."""
-    for name in PRIVATE:
-        monkeypatch.setitem(sys.modules, name, None)
-
-
 def _cubed(x):
     return x * x * x
 
@@ -52,41 +44,11 @@ def test_an_identity_has_the_derivative_one_whatever_it_is_compiled_as():
     np.testing.assert_array_equal(jax.vmap(elsewhere)(jnp.arange(3.0)), np.arange(3.0))
 
 
-def test_without_primitives_an_identity_returns_its_array(lacking):
-    x = jnp.arange(3.0)
-    assert jax_private.identity("cubed", _cubed)(x) is x
-
-
-def test_constants_of_a_program_are_told_from_variables():
-    program = jax.make_jaxpr(lambda x: x + 2.0)(1.0).jaxpr
-    x, two = program.eqns[0].invars
-    assert not jax_private.is_literal(x)
-    assert jax_private.is_literal(two)
-    assert two.val == 2.0
-
-
-@pytest.mark.parametrize("kept", ["the live part", "all"])
-def test_a_program_computes_its_outputs_with_or_without_the_dead_part(kept, request):
-    program = jax.make_jaxpr(lambda x, y: (jnp.sin(y), 2.0 * x)[1:])(3.0, 4.0).jaxpr
-    if kept == "all":
-        request.getfixturevalue("lacking")
-    live, used = jax_private.live_part(program)
-    assert (used, len(live.eqns)) == (([True, False], 1) if kept == "the live part" else ([True, True], 2))
-    arguments = [x for x, is_used in zip((3.0, 4.0), used, strict=True) if is_used]
-    assert float(jax.core.eval_jaxpr(live, (), *arguments)[0]) == 6.0
-
-
 def test_settings_of_jax_change_what_programs_depend_on():
     before = jax_private.trace_settings()
     with jax.default_matmul_precision("highest"):
         assert jax_private.trace_settings() != before
     assert jax_private.trace_settings() == before
-
-
-def test_without_jaxs_lookup_no_programs_are_kept(lacking, tmp_path):
-    assert jax_private.trace_settings() is None
-    assert cache_programs(tmp_path / "cache") is None
-    assert not (tmp_path / "cache").exists()
 
 
 @pytest.mark.slow

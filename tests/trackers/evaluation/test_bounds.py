@@ -51,9 +51,3 @@ def test_of_a_linear_model_it_is_the_textbook_bound_over_the_span_of_the_truth(p
     P = cramer_rao(vertical, [np.array([[VERTICAL**-2]])] * len(dts), np.eye(1))
     height = np.full(7, np.nan) if planar else np.sqrt([1.0, *P[:, 0, 0]])
     np.testing.assert_allclose(found, np.stack([horizontal, horizontal, height], axis=1), rtol=1e-9)
-
-
-def test_there_is_none_without_truth_nor_for_another_folder():
-    batch = _batch(False)
-    assert bounds_of(FOLDER, [_batch(False, np.zeros(ROWS, bool))]) is None
-    assert bounds_of(RecordingFolder("other", Path("other"), Rig("other"), {}), [batch]) is None

@@ -16,12 +16,9 @@ from trackwright.experiments.cli.evaluating import violation
 from trackwright.experiments.text.evaluation_text import to_json, to_text
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.evaluate import _truths, associate, evaluate
-from trackwright.trackers.evaluation.scores import Values
-from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks_table import read_tracks
 from trackwright.trackers.recordings.truth import TruthStatus
 
 RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[3] / ".." / "shared" / "recordings"))
@@ -61,9 +58,6 @@ def noisy():
     return pl.concat(tracks), truths
 
 
-# Association
-
-
 def test_truth_is_interpolated_linearly_at_the_estimates_times():
     association = associate_truth(
         _tracks([0.25, 0.5, 1.0], [0.0] * 3), {"hall": _truth([0.0, 0.5, 1.0], [0.0, 2.0, 3.0])}
@@ -86,18 +80,9 @@ def test_estimates_in_a_hole_are_scored_unless_it_is_long_and_the_tag_moved(seco
     assert statuses == [TruthStatus.SCORED if scored else TruthStatus.HOLE]
 
 
-def test_estimates_at_the_truth_rows_around_a_hole_are_scored():
-    statuses = _statuses(_tracks([1.0, 2.0, 5.0, 5.5], [0.0] * 4), _truth([0.0, 1.0, 5.0, 6.0], [0.0, 0.0, 9.0, 9.0]))
-    assert statuses == [TruthStatus.SCORED, TruthStatus.HOLE, TruthStatus.SCORED, TruthStatus.SCORED]
-
-
 def test_empty_truth_cells_are_a_hole():
     truth = _truth([0.0, 1.0, 2.0], [0.0, None, 3.0])
     assert _statuses(_tracks([1.0], [0.0]), truth) == [TruthStatus.HOLE]
-
-
-def test_a_truth_of_one_row_serves_its_own_time():
-    assert _statuses(_tracks([1.0, 1.1], [0.0] * 2), _truth([1.0], [0.0])) == [TruthStatus.SCORED, TruthStatus.NO_TRUTH]
 
 
 def test_rows_without_an_estimate_are_not_scored():
@@ -111,9 +96,6 @@ def test_rows_without_an_estimate_are_not_scored():
 def test_integer_tags_in_the_truth_are_compared_as_text():
     truth = _truth([0.0, 1.0], [0.0, 0.0]).with_columns(tag=pl.lit(8401))
     assert _statuses(_tracks([0.5], [0.0], tag="8401"), truth) == [TruthStatus.SCORED]
-
-
-# Metrics
 
 
 def _plain(errors):
@@ -148,13 +130,6 @@ def test_every_level_pools_the_rows_of_its_tracks(noisy):
             # The chi-square quantile of two degrees of freedom is −2 log(1 − p).
             inside = sum(value < -2 * math.log(1 - percent / 100) for value in nees)
             assert metrics[f"coverage_{percent}"] == inside / len(nees)
-
-
-def test_an_association_is_evaluated_as_the_estimates_it_was_made_of(noisy):
-    tracks, truths = noisy
-    folders = [RecordingFolder(name, None, Rig(name), {"truth": truth}) for name, truth in truths.items()]
-    association = associate(tracks, folders)
-    assert evaluate(association, folders) == evaluate(tracks, folders) == evaluate_table(tracks, truths)
 
 
 def test_a_part_of_an_association_is_the_association_of_that_recording(noisy):
@@ -222,12 +197,6 @@ def test_a_singular_covariance_counts_as_outside_and_a_missing_entry_as_none(cov
     assert found["nees_ratio"] == pytest.approx(squares.mean() / 2, rel=1e-5)
 
 
-def test_few_rows_without_a_covariance_leave_a_verdict_and_their_count():
-    found, _ = _with_covariances(2, 0.05, std_x_m=pl.Series(np.where(np.arange(400) % 20, 0.05, math.nan)))
-    assert found.statements[0].startswith("Reported covariances hold")
-    assert found.statements[1].startswith("20 of 400 rows are without a covariance, 0 of them")
-
-
 def test_a_height_known_in_some_rows_alone_counts_as_zero():
     deviations = pl.Series(np.where(np.arange(400) % 4, 0.05, 0.0))
     found, squares = _with_covariances(3, 0.05, std_z_m=deviations)
@@ -269,23 +238,6 @@ def test_only_the_last_estimate_of_each_interval_can_be_scored():
     tracks = _tracks([0.0, 0.05, 0.09, 0.1, 0.25, 0.3, 0.31], [9.0, 9.0, 1.0, 2.0, 3.0, 9.0, 4.0])
     evaluation = evaluate_table(tracks, {"hall": _truth([0.0, 1.0], [0.0, 0.0])}, every=0.1)
     assert (evaluation.overall["n"], evaluation.overall["max_m"], evaluation.overall["median_m"]) == (4, 4.0, 2.5)
-
-
-def test_thousands_of_tags_are_evaluated_like_one():
-    rng = np.random.default_rng(3)
-    tags, rows = 3000, 20
-    t, tag = np.tile(np.arange(rows) * 0.1, tags), np.repeat([f"{k}" for k in range(tags)], rows)
-    errors = rng.normal(size=(tags * rows, 2))
-    frame = pl.DataFrame({"t_s": t, "tag": tag, "x_m": np.sin(t), "y_m": 0 * t, "z_m": 0 * t})
-    moved = frame.with_columns(x_m=np.sin(t) + errors[:, 0], y_m=errors[:, 1], recording=pl.lit("hall"))
-    evaluation = evaluate_table(moved, {"hall": frame})
-    expected = np.sqrt((errors**2).sum(axis=1).reshape(tags, rows).mean(axis=1))
-    found = {metrics["tag"]: metrics["rmse_m"] for metrics in evaluation.tracks}
-    np.testing.assert_allclose([found[f"{k}"] for k in range(tags)], expected, rtol=1e-9)
-    assert len(to_text(evaluation).splitlines()) < 20
-
-
-# Bearings
 
 
 @pytest.fixture
@@ -358,31 +310,9 @@ def test_of_directions_in_the_plane_of_an_array_the_angle_alone_is_judged():
     assert "az" not in head
 
 
-@pytest.mark.parametrize(("z", "title"), [(None, "Horizontal position"), (0.0, "Horizontal and 3-D position")])
-def test_the_title_of_the_table_names_what_its_columns_show(z, title):
-    tracks = _tracks([0.5], [0.1]).with_columns(z_m=pl.lit(z, float), std_z_m=pl.lit(0.0 if z is None else 0.1))
-    evaluation = evaluate_table(tracks, {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
-    assert to_text(evaluation, 120).startswith(f"{title} errors in cm")
-
-
-def test_a_station_missing_in_the_rig_is_refused(stations):
-    del stations["hall"]["S"]
-    tracks = _bearing_tracks(stations, [0.0, 0.0]).with_columns(station=pl.lit("S"))
-    with pytest.raises(UnusableInput, match=r"station 'S' is not in its rig; found N"):
-        evaluate_table(tracks, _still_walk(), stations)
-
-
-# What cannot be used
-
-
 def test_tracks_at_other_times_are_refused_with_both_spans():
     with pytest.raises(UnusableInput, match=r"from 100 to 101 s of tags 1, truth of 'hall' from 0 to 1 s"):
         evaluate_table(_tracks([100.0, 101.0], [0.0] * 2), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
-
-
-def test_tracks_without_an_estimate_are_refused():
-    with pytest.raises(UnusableInput, match="none of 1 row holds an estimate"):
-        evaluate_table(_tracks([0.5], [0.0], status=["waiting"]), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
 
 
 @pytest.mark.parametrize(
@@ -401,52 +331,6 @@ def test_tables_that_do_not_fit_are_refused_in_one_line(tracks, truth, words):
     assert "\n" not in str(caught.value)
 
 
-def test_tracks_are_read_from_the_folder_that_track_wrote(tmp_path, noisy):
-    noisy[0].write_parquet(tmp_path / "tracks.parquet")
-    assert read_tracks(tmp_path).equals(noisy[0])
-
-
-# Text, JSON, conditions
-
-
-def test_json_holds_every_level_and_null_for_what_is_missing(noisy):
-    tracks, truths = noisy
-    parsed = json.loads(to_json(evaluate_table(tracks.drop("std_x_m"), truths)), parse_constant=pytest.fail)
-    assert (parsed["kind"], len(parsed["recordings"]), len(parsed["tracks"])) == ("position", 2, 3)
-    assert parsed["overall"]["nees_mean"] is None
-
-
-def test_the_table_names_its_unit_and_every_track(noisy):
-    text = to_text(evaluate_table(*noisy))
-    assert "errors in cm" in text
-    assert all(word in text for word in ("hall", "yard", "all 2", "overall"))
-
-
-def test_metrics_without_data_have_no_column(noisy):
-    tracks, truths = noisy
-    heads = [to_text(evaluate_table(t, truths), 200).split("─")[0] for t in (tracks, tracks.drop("nis", "nis_dof"))]
-    assert ["NIS" in head for head in heads] == [True, False]
-    assert all("NEES" in head for head in heads)
-
-
-@pytest.mark.parametrize(("size", "unit"), [(5.0, "m"), (0.05, "cm"), (0.005, "mm")])
-def test_the_unit_suits_the_size_of_the_errors(size, unit):
-    assert f"errors in {unit}\n" in to_text(
-        evaluate_table(_tracks([0.5], [size]), {"hall": _truth([0, 1], [0.0, 0.0])})
-    )
-
-
-@pytest.mark.parametrize("width", [60, 80, 120, 200])
-def test_the_table_fits_the_width_it_is_given(noisy, width):
-    assert max(map(len, to_text(evaluate_table(*noisy), width).splitlines())) <= width
-
-
-def test_bearings_are_shown_in_degrees(stations):
-    text = to_text(evaluate_table(_bearing_tracks(stations, [math.radians(2), 0.0]), _still_walk(), stations))
-    assert "in degrees" in text
-    assert " 2.00 " in text
-
-
 @pytest.fixture
 def one_metre():
     """An evaluation whose horizontal metrics are all 1 m and that has no NEES."""
@@ -456,14 +340,11 @@ def one_metre():
 @pytest.mark.parametrize(
     ("expression", "failure"),
     [
-        ("p95_m>0.5", "p95_m>0.5 (p95_m is 1)"),
+        ("p95_m>0.5", "p95_m is 1 > 0.5"),
         ("p95_m > 1", None),
-        ("p95_m >= 1.0", "p95_m >= 1.0 (p95_m is 1)"),
-        ("n<1e1 and rmse_m==1", "n<1e1 and rmse_m==1 (n is 1, rmse_m is 1)"),
-        ("n<10 and rmse_m<1", None),
-        ("n>10 and rmse_m<1 or max_m<=.1e1", "n>10 and rmse_m<1 or max_m<=.1e1 (n is 1, rmse_m is 1, max_m is 1)"),
-        ("(n>10 or rmse_m=1) and max_m>1", None),
-        ("lost_fraction != 0", None),
+        ("n<1e1 and rmse_m==1", "n is 1 < 1e1 and rmse_m is 1 == 1"),
+        ("n>10 and rmse_m<1 or max_m<=.1e1", "max_m is 1 <= .1e1"),
+        ("bias_x_m > -3 or n == 1", "bias_x_m is 1 > -3; n is 1 == 1"),
     ],
 )
 def test_a_condition_holds_or_does_not(one_metre, expression, failure):
@@ -472,24 +353,16 @@ def test_a_condition_holds_or_does_not(one_metre, expression, failure):
 
 @pytest.mark.parametrize(
     "expression",
-    ["", "p95_m", "p95_m>", "p95_m>>1", "p95_m>1 and", "p95_m>'a'", "print('x')>1", "1>0", "n>1,n>2", "rmse_m=>1"],
+    ["", "p95_m", "p95_m>", "p95_m>>1", "p95_m>1 and", "1<p95_m", "p95_m>nan", "print('x')>1", "n>0x1", "n>1,n>2"],
 )
 def test_a_condition_that_cannot_be_read_is_refused_with_the_names(one_metre, expression):
     with pytest.raises(UnusableInput, match=r"NAME OPERATOR NUMBER.*names: n, .*rmse_m"):
         violation(one_metre, expression)
 
 
-def test_an_unknown_metric_is_refused_with_the_names(one_metre):
-    with pytest.raises(UnusableInput, match=r"no metric 'p95' \(did you mean p95_m\?\); names: .*p95_m"):
-        violation(one_metre, "p95>0.5 or n>0")
-
-
 def test_a_metric_without_a_value_does_not_pass_silently(one_metre):
     with pytest.raises(UnusableInput, match="'nees_mean' has no value"):
         violation(one_metre, "n>1 and nees_mean>3")
-
-
-# Real recordings: the raw errors of their README
 
 
 @pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the real recordings are not here; set TRACKWRIGHT_RECORDINGS")
@@ -546,25 +419,6 @@ def test_recordings_of_one_name_are_told_apart_by_their_place():
         evaluate(tracker.run(unnamed), unnamed[:1])
 
 
-def test_folders_of_one_name_are_refused_by_a_run_and_by_an_evaluation():
-    folders = [replace(tw.simulate.agv(n=1, rows=30, seed=seed).folder(), name="hall") for seed in (1, 2)]
-    tracker = tw.build("fix-kf", folders[0])
-    for call in (lambda: tracker.run(folders), lambda: evaluate(tracker.run(folders[0]), folders)):
-        with pytest.raises(UnusableInput, match="two recordings are both named"):
-            call()
-
-
-def test_an_evaluation_is_printed_as_a_table_with_what_it_means():
-    own = [_still(0.0, name="a"), _still(5.0, name="b")]
-    found = evaluate(tw.fix_tracker().run(own), own)
-    head, overall, a, *_ = str(found).splitlines()
-    assert head.split() == ["recording", "tag", "n", "rmse_m", "p95_m", "max_m", "coverage_95", "nees_ratio"]
-    assert overall.split()[:3] == ["overall", "40", f"{found['rmse_m']:.4g}"]
-    assert a.split()[:3] == ["a", "all", "20"]
-    assert str(found).endswith(found.statements[-1])
-    assert len(repr(found)) < 120
-
-
 def test_recordings_in_arrays_whose_truth_is_known_in_some_rows_or_none_or_has_no_height():
     own = [_still(float(k), name=f"{k}") for k in range(4)]
     estimates = tw.fix_tracker().run(own)
@@ -593,10 +447,3 @@ def test_recordings_in_arrays_have_the_truth_that_their_tables_would_have(world,
     assert found.scored.any()
     np.testing.assert_array_equal(found.truth, expected.truth)
     np.testing.assert_array_equal(found.truth_status, expected.truth_status)
-
-
-def test_a_quantile_of_values_that_are_not_in_order_is_refused():
-    values = Values(np.random.default_rng(0).random(3000), np.array([0, 3000]))
-    with pytest.raises(ValueError, match="add it to SHARES"):
-        values.quantile(0.75)
-    assert values.quantile(0.95) == pytest.approx(np.quantile(values.values, 0.95), rel=1e-12)

@@ -20,7 +20,7 @@ from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosit
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.evaluation.bounds import NoBoundError, _predicted, posterior_bound
+from trackwright.trackers.evaluation.bounds import posterior_bound
 
 ROWS, SIGMA_A, SIGMA = 12, 0.4, 0.3
 
@@ -123,11 +123,6 @@ def test_a_heavy_tail_carries_the_information_of_its_density(dof):
     assert second == pytest.approx((1 / (1 + 0.2**2 * 0.1) + weight / SIGMA**2) ** -0.5, rel=3e-4)
 
 
-def test_readings_that_were_not_seen_carry_nothing():
-    bounds = _on_the_line(Gauge(), [_reads(np.zeros(4, bool))])
-    np.testing.assert_allclose(bounds, np.sqrt(1 + 0.2**2 * 0.1 * np.arange(4)))
-
-
 def test_recordings_that_have_ended_do_not_weigh():
     long, short = _reads(np.ones(6, bool)), _reads(np.ones(3, bool))
     np.testing.assert_allclose(_on_the_line(Gauge(), [long, short]), _on_the_line(Gauge(), [long]), rtol=1e-12)
@@ -178,19 +173,6 @@ def test_of_a_nonlinear_motion_it_is_the_inverse_of_the_mean_information_of_all_
         expected.append(np.linalg.inv(whole[: k + 1, : k + 1])[k, k] ** 0.5)
     # the mean of 20,000 second derivatives is known to about 1 %
     np.testing.assert_allclose(bounds, expected, rtol=0.01)
-
-
-def test_transitions_that_do_not_differ_predict_as_a_kalman_filter():
-    rng = np.random.default_rng(4)
-    F, G, P = (rng.normal(size=(3, 3)) for _ in range(3))
-    P = P @ P.T
-    predicted = _predicted(P, np.stack([F] * 2), np.stack([G] * 2), 1)
-    np.testing.assert_allclose(predicted, F @ P @ F.T + G @ G.T, rtol=1e-8)
-
-
-def test_noise_that_depends_on_the_state_has_no_bound():
-    with pytest.raises(NoBoundError, match="row 1: the noise of Pendulum is not additive: .* expected a motion f"):
-        _pendulum(3, 4, Pendulum(0.1))
 
 
 class Falling(ConstantVelocity):

@@ -89,28 +89,6 @@ def test_readings_of_one_and_of_four_degrees_of_freedom_in_turn_are_uncorrelated
     assert np.abs(found).max() < 4 / np.sqrt(n)
 
 
-def test_tracks_of_different_noise_are_no_correlation():
-    rng = np.random.default_rng(4)
-    starts = np.arange(0, 20_001, 2000)
-    nis = rng.chisquare(2, 20_000) * np.repeat(np.geomspace(0.1, 10, 10), 2000)
-    found = _correlations(rank_sums(np.tile(0.05 * np.arange(2000), 10), nis, np.full(20_000, 2), starts))
-    assert np.abs(found).max() < 4 / np.sqrt(20_000)
-
-
-@pytest.mark.parametrize("step", [0.2, 30.0])
-def test_lags_without_rows_have_no_correlation(step):
-    n = 400
-    nis = np.random.default_rng(1).chisquare(2, n)
-    found = _correlations(rank_sums(step * np.arange(n), nis, np.full(n, 2), np.array([0, n])))
-    assert list(np.isfinite(found)) == ([False, True, True] if step < 1 else [False] * 3)
-
-
-def test_a_few_rows_and_none_have_no_correlation():
-    for n in (0, 1, 2, 25):
-        times = 0.1 * np.arange(n)
-        assert np.isnan(_correlations(rank_sums(times, times, np.ones(n), np.array([0, n])))).all()
-
-
 def test_repeated_readings_inflate_by_the_length_of_their_runs():
     # 20 rows a second in runs of 5 equal values that do not cross the seconds: 5 rows carry the information of one.
     rng = np.random.default_rng(6)

@@ -9,7 +9,6 @@ import pytest
 from tests.bags import write_bag
 from tests.in_process import trackwright
 from trackwright import read
-from trackwright.trackers.exchange import ros_reader
 
 POSES = ("--table", "truth", "--tag", "T")
 BAG = ("--table", "truth", "--topic", "/vicon/cart", "--tag", "T")
@@ -53,20 +52,6 @@ def test_a_large_file_and_one_without_an_end_are_refused_before_they_are_read(tm
     assert not (tmp_path / "out").exists()
 
 
-def test_files_of_a_bag_beyond_the_limit_together_are_refused(tmp_path):
-    write_bag(tmp_path / "bag", "mcap")
-    for k in range(2):
-        with (tmp_path / "bag" / f"more{k}").open("wb") as file:
-            file.truncate(20 * 10**9)
-    assert "copy the topics that are needed" in _refused(tmp_path / "bag", *BAG, "--out", tmp_path / "out")
-
-
-def test_messages_beyond_the_limit_are_refused(tmp_path, monkeypatch):
-    write_bag(tmp_path / "bag", "mcap")
-    monkeypatch.setattr(ros_reader, "LARGEST", 500)
-    assert "its messages hold more than" in _refused(tmp_path / "bag", *BAG, "--out", tmp_path / "out")
-
-
 @pytest.mark.parametrize(
     ("kind", "packed"),
     [("bag", "bz2"), ("bag", "lz4"), ("mcap", "STORAGE"), ("db3", "MESSAGE"), ("db3", "FILE"), ("mcap", "FILE")],
@@ -89,10 +74,3 @@ def test_a_bag_reads_nothing_outside_its_folder(tmp_path, outside):
     metadata = tmp_path / "bag" / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("bag.mcap", outside))
     assert "missing" in _refused(tmp_path / "bag", *BAG, "--out", tmp_path / "out")
-
-
-def test_a_message_definition_that_is_no_text_is_refused(tmp_path):
-    write_bag(tmp_path / "bag", "mcap")
-    (tmp_path / "Ranges.msg").write_bytes(b"\xff\xfe")
-    words = _refused(tmp_path / "bag", *BAG, "--messages", tmp_path / "Ranges.msg", "--out", tmp_path / "out")
-    assert "Ranges.msg: is no message definition" in words

@@ -7,8 +7,6 @@ import polars as pl
 import pytest
 
 from tests.in_process import assert_refused_last, trackwright
-from trackwright.trackers.exchange.mapping_file import PRESETS
-from trackwright.trackers.recordings.checks.all_checks import check
 from trackwright.trackers.recordings.folder import read_recording
 
 ANCHORS = np.array([(3, 3, 1.5), (3, 0, 1), (2, -3, 2), (-2, -3, 1), (-3, 1, 2)])
@@ -216,12 +214,6 @@ def test_isas_walks_have_z_down_nested_ranges_and_failed_exchanges(tmp_path):
     np.testing.assert_allclose(recording.tables["fixes"].select("x_m", "y_m", "z_m"), BODY, atol=1e-9)
 
 
-def test_the_help_names_all_presets_and_a_misspelled_one_is_refused(tmp_path):
-    assert ", ".join(sorted(PRESETS)) in " ".join(trackwright("import", "--help").out.split())
-    arguments = ("import", tmp_path, "--mapping", "milluv", "--out", tmp_path / "new")
-    assert_refused_last(trackwright(*arguments), "milluv: cannot be read", "(did you mean miluv?)")
-
-
 @pytest.fixture
 def bag(recordings):
     """The bag of a real walk, beside the recording that was made of it by hand."""
@@ -242,17 +234,3 @@ def test_the_bag_of_isas_walk_1_gives_the_recording_that_was_made_by_hand(bag, r
                 assert one.equals(other)
             else:
                 np.testing.assert_allclose(one, other, atol=1.1e-5)
-
-
-def test_check_finds_in_the_bag_as_it_is_what_was_found_by_hand(bag, tmp_path):
-    columns = (
-        't_s = "header.stamp", tag = "id", anchor = "ranges[].id", range_m = "ranges[].range", valid = "ranges[].ra"'
-    )
-    places = ", ".join(f'{a}_m = "ranges[].pos.{a}"' for a in "xyz")
-    entries = [f'table = "ranges"\ntopic = "/rtls_flares"\ncolumns = {{ {columns} }}\nanchors = {{ {places} }}']
-    for table, topic in (("imu", "/waveshare_sense_hat_b"), ("truth", "/vive/transform/tracker_1_ref")):
-        entries.append(f'table = "{table}"\ntopic = "{topic}"\ntag = "27956"')
-    (tmp_path / "as-it-is.toml").write_text("".join(f"[[tables]]\n{entry}\n" for entry in entries))
-    found = [result.message for result in check(_imported(tmp_path, bag, tmp_path / "as-it-is.toml"))]
-    for words in ("z points down", "comes 0.04 s late", "rows with valid = 0 repeat", "repeated readings: 57 %"):
-        assert any(words in line for line in found), words

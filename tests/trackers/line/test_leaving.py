@@ -21,19 +21,6 @@ def test_a_short_or_small_difference_is_no_excursion():
     assert excursions(TIMES, np.full(len(TIMES), 0.9), 1.0, 2.0) == []
 
 
-def test_an_excursion_that_lasts_ends_with_the_recording():
-    (excursion,) = excursions(TIMES, np.where(TIMES >= 40, 3.0, 0.0), 1.0, 2.0)
-    assert excursion.end == len(TIMES)
-
-
-def test_rows_without_a_free_estimate_are_ignored():
-    distance = np.where((TIMES >= 20) & (TIMES < 30), 2.0, 0.2)
-    gaps = np.where((TIMES > 22) & (TIMES < 28), np.nan, distance)
-    (excursion,) = excursions(TIMES, gaps, 1.0, 2.0)
-    assert (TIMES[excursion.start], excursion.farthest) == (20.0, 2.0)
-    assert excursions(TIMES, np.full(len(TIMES), np.nan), 1.0, 2.0) == []
-
-
 def test_the_cusum_is_excess_distance_summed_over_time_and_never_negative():
     distance = np.where((TIMES >= 20) & (TIMES < 30), 2.0, 0.2)
     sums = cusum(TIMES, distance, 1.0)

@@ -7,8 +7,7 @@ import polars as pl
 import pytest
 
 from trackwright.sim.line import simulate_line
-from trackwright.trackers.catalogue import TRACKERS, fitting, spec_of
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.catalogue import TRACKERS, spec_of
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.evaluation.events import left_the_line
@@ -39,10 +38,6 @@ def folders():
 def tracked(folders):
     """Tracks by the tracker's name, made when first asked for."""
     return lru_cache(lambda name: _tracked(folders, name))
-
-
-def test_a_known_path_chooses_the_grid(folders):
-    assert fitting(folders[0]) == "line-grid"
 
 
 @pytest.mark.slow
@@ -81,12 +76,6 @@ def test_a_tag_that_is_carried_off_gives_an_event_and_its_return_another(tracked
         mine = tracks.filter((pl.col("recording") == trajectory.folder.name) & (pl.col("tag") == trajectory.tag))
         false += bool(left_the_line(trajectory, mine))
     assert false <= (0 if name == "line-grid" else 1)
-
-
-def test_an_unknown_path_is_refused_in_one_line(folders):
-    nowhere = RecordingFolder("x", None, Rig("x"), folders[0].tables)
-    with pytest.raises(UnusableInput, match=r"tracker 'line-pf' needs a known path, \[path\] with knots_m in rig.toml"):
-        spec_of("line-pf").batches([nowhere], "line-pf", False)
 
 
 def test_ranges_to_tags_of_unknown_height_are_refused_in_words(folders):

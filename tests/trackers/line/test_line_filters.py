@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import stack
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.algebra import diagonal
 from trackwright.trackers.core.model.covariance import Gaussian
@@ -20,7 +18,6 @@ from trackwright.trackers.core.run.tracker import Tracker, filter_batch
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
-from trackwright.trackers.line.tracker import line_grid_tracker
 
 KEYS, ROWS, DT = 200, 12, 0.5
 PARTICLES = 4000
@@ -114,11 +111,6 @@ def test_the_nis_of_the_particles_is_the_grids(pair):
     np.testing.assert_allclose(pair.particles.nis.mean(axis=0), pair.grid.nis, rtol=0.1, atol=0.02)
 
 
-def test_all_rows_are_usable(pair):
-    assert np.all(pair.particles.status == Status.OK)
-    assert np.all(pair.grid.status == Status.OK)
-
-
 def test_the_grids_probabilities_add_to_one():
     motion, build, mean, sigma = STARTS["halting"]
     tracker = _tracker("halting", GRID)
@@ -164,9 +156,3 @@ def test_the_gradient_of_the_grids_likelihood_is_the_central_difference():
 
 def _with(model, raw_a, raw_p):
     return eqx.tree_at(lambda t: (t.motion.sigma_a.raw, t.sensors[FIXES].sigma_p.raw), model, (raw_a, raw_p))
-
-
-def test_a_grid_on_a_path_of_many_kilometres_is_refused():
-    far = LineMotion(Polyline([[0.0, 0.0], [1e5, 0.0]]), 0.3)
-    with pytest.raises(UnusableInput, match="cells of the path: found 2000001; expected at most 65536"):
-        line_grid_tracker(far, {FIXES: FloorFixes(0.1)})

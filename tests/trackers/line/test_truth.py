@@ -3,13 +3,11 @@
 import re
 
 import numpy as np
-import polars as pl
 import pytest
-
 from trackwright.experiments.cli.import_source import import_source
+
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.line import THESIS_KNOTS, simulate_line
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.line.truth import knot_times
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
@@ -50,11 +48,6 @@ def test_no_other_knot_times_have_a_smaller_sum_of_squares():
             assert np.sqrt(np.mean(np.sum((fixes - positions) ** 2, axis=1))) > fitted.rms - 1e-4
 
 
-def test_too_few_rows_for_the_path_are_refused():
-    with pytest.raises(ValueError, match="5 different times are too few for a path of 5 segments"):
-        knot_times(THESIS_KNOTS, np.arange(5.0), np.zeros((5, 2)))
-
-
 def test_the_command_writes_the_recording_with_a_fitted_truth(tmp_path, capsys):
     world = simulate_line("halts", 2, seed=8).folder("line")
     write_recording(world, tmp_path / "line")
@@ -71,27 +64,3 @@ def test_the_command_writes_the_recording_with_a_fitted_truth(tmp_path, capsys):
     # of the knots' times, too
     assert float(said[1]) == pytest.approx(np.sqrt(np.mean(own**2)), rel=0.03)
     assert both["z_m"].unique().to_list() == [0.78]
-
-
-def test_a_recording_without_a_path_is_refused_in_one_line(tmp_path):
-    world = simulate_line("constant", 1).folder("line")
-    write_recording(world, tmp_path / "line")
-    text = (tmp_path / "line" / "rig.toml").read_text()
-    (tmp_path / "line" / "rig.toml").write_text(text[: text.index("[path]")])
-    with pytest.raises(UnusableInput, match=r"no \[path\] in rig.toml"):
-        import_source(tmp_path / "line", path=True, out=tmp_path / "fitted")
-    assert not (tmp_path / "fitted").exists()
-
-
-def test_a_recording_too_short_for_its_path_is_refused_in_one_line(tmp_path):
-    world = simulate_line("constant", 1).folder("line")
-    short = {name: table.filter(pl.col("t_s") < 1.0) for name, table in world.tables.items()}
-    write_recording(type(world)(world.name, None, world.rig, short), tmp_path / "line")
-    with pytest.raises(UnusableInput, match="too few for a path of 5 segments"):
-        import_source(tmp_path / "line", path=True, out=tmp_path / "fitted")
-
-
-@pytest.mark.parametrize("option", [{"table": "fixes"}, {"decimal": ","}, {"interval": 1.0}, {"align_truth": True}])
-def test_a_path_with_an_option_of_other_files_is_refused(tmp_path, option):
-    with pytest.raises(UnusableInput, match="expected no other option but --out"):
-        import_source(tmp_path / "line", path=True, out=tmp_path / "fitted", **option)

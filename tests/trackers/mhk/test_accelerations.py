@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackwright.trackers.mhk.accelerations import AccelerationSphere, directions, layers
+from trackwright.trackers.mhk.accelerations import AccelerationSphere, layers
 
 SPHERE = AccelerationSphere(a_still=0.2, a_full=1.8, p_still=0.5, p_full=0.2)
 
@@ -28,19 +28,10 @@ def test_layers_hold_equal_volumes():
     assert radii[[0, -1]] == pytest.approx([0.2, 2.0], rel=1e-12)
 
 
-def test_solid_angles_add_up_to_the_sphere():
-    assert directions()[1].sum() == pytest.approx(4 * np.pi, rel=1e-12)
-
-
 def test_still_and_full_have_the_probabilities_of_equation_7(blocks):
     _, probabilities = blocks
     assert probabilities[-1] == pytest.approx(0.5)
     assert probabilities[6480:-1].sum() == pytest.approx(0.5 * 0.2)
-
-
-def test_the_mean_acceleration_is_zero(blocks):
-    accelerations, probabilities = blocks
-    np.testing.assert_allclose(probabilities @ accelerations, 0.0, atol=1e-12)
 
 
 def test_blocks_between_have_the_density_of_equation_5_and_the_centroids_of_uniform_draws(blocks):

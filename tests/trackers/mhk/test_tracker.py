@@ -10,7 +10,6 @@ from tests.known_start import flat
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
-from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.mhk.accelerations import AccelerationSphere
 from trackwright.trackers.mhk.fusion import AccelerationFilter
 from trackwright.trackers.mhk.tracker import mhk_tracker
@@ -72,10 +71,3 @@ def test_stamped_estimates_have_the_time_of_the_middle_fix_however_many_rows_are
     without = np.flatnonzero(~there & (recording.times > fix_times[8]))
     np.testing.assert_allclose(lags[without], lags[without - 1], atol=1e-12)
     np.testing.assert_array_equal(mhk_tracker().run(recording).times, recording.times)
-
-
-def test_every_number_that_the_paper_does_not_print_is_tunable():
-    names = set(tunables(mhk_tracker(rate=1.0)))
-    expected = {"median.speed_limit", "fusion.motion.sigma_a", "fusion.sensors.fixes.covariance"}
-    expected |= {f"fusion.filter.sphere.{k}" for k in ("a_still", "a_full", "p_still", "p_full")}
-    assert expected | {"fusion.filter.sigma_displacement", "fusion.filter.rate"} <= names

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import polars as pl
 import pytest
 
 from tests.faulty import write_good
-from tests.in_process import PLAIN, trackwright
 from trackwright.trackers.recordings.folder import averaged, read_recording
 
 
@@ -90,20 +87,3 @@ def test_an_interval_shorter_than_the_rows_changes_nothing(tmp_path):
         assert table.sort(keys).select(keys).equals(expected.select(keys))
         for column in set(table.columns) - set(keys):
             np.testing.assert_allclose(table.sort(keys)[column], expected[column], rtol=1e-12, atol=1e-15)
-
-
-def test_track_averages_and_its_manifest_has_the_interval(tmp_path):
-    write_good(tmp_path / "good")
-    counts = {}
-    for average in (None, 0.5):
-        out = tmp_path / f"out-{average}"
-        options = [] if average is None else ["--average", str(average)]
-        plain = ("--tracker", "moving-average", *PLAIN, "--out", out)
-        done = trackwright("track", tmp_path / "good", *plain, *options)
-        assert done.code == 0
-        assert json.loads((out / "manifest.json").read_text())["config"]["average"] == average
-        counts[average] = len(pl.read_parquet(out / "tracks.parquet"))
-    assert counts[0.5] < 0.5 * counts[None]
-    done = trackwright("track", tmp_path / "good", "--out", tmp_path / "none", "--average", "-1")
-    assert done.code == 2
-    assert "--average -1: expected seconds above zero" in done.err

@@ -1,7 +1,6 @@
 """The map of bearings' errors: means and standard deviations against the equations of a Gaussian process."""
 
 import numpy as np
-import pytest
 
 from trackwright.trackers.recordings.bearing_map import BearingMap, predicted
 
@@ -40,9 +39,3 @@ def test_a_grid_has_the_values_at_its_nodes_about_an_origin_and_of_stations_in_o
             np.testing.assert_allclose(grid.values[station, i, j], expected, rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(grid.values[1, i, j], grid.unknown)
     np.testing.assert_allclose(grid.unknown, [0.0, 0.0, np.hypot(0.1, 0.06), 0.25])
-
-
-def test_a_grid_of_a_large_hall_has_no_more_nodes_than_one_of_a_room():
-    grid = BearingMap(0.2, {"A": VISITS * [100.0, 1.0, 1.0, 1.0]}).grid(["A"])
-    assert grid.step == pytest.approx(404.0 / 200, rel=0.05)
-    assert grid.values.shape[1] <= 202

@@ -98,36 +98,22 @@ def test_a_calibration_is_read_back_to_the_bit(path):
     [
         ("format = 1", "format = 2", "format = 2, expected `format = 1`"),
         ("format = 1\n", "", "no `format`"),
-        ("cross_per_rad = ", "cross = ", "[stations.S 1.azimuth] has unknown key 'cross'"),
         ("rows = 812\n", "", "[stations.S 1] has no rows"),
-        ("rows = 812", "rows = -1", "rows = -1, expected a count"),
-        ("rows = 93", "rows = 93\nheight = 1.0", "[anchors.A] has unknown key 'height'"),
         ("range_spread_m = 0.0583", "range_spread_m = 0", "range_spread_m = 0, expected a number above zero"),
         ("slope = 0.01", "slope = nan", "anchors.A.slope = nan, expected a finite number"),
-        ("slope = 0.01", "slope = 1e200", "anchors.A.slope = 1e+200, expected a finite number, at most 1e+09 in size"),
         ("slope = 0.01", "slope = -1.5", "slope = -1.5, expected a number above -1"),
         ("bias_m = 0.", "bias_m = -50.", "anchors.A.bias_m = -50.1, expected at most 10 m: looks like millimetres"),
-        ("slope = 0.01", 'slope = "0.01"', "slope = '0.01', expected a finite number"),
         ("position_m = [\n    1.0", "position_m = [\n    nan", "anchors.A.position_m = [nan, 2.0, 2.5], expected a list of 3 finite"),
-        ("position_m = [\n    0.0", "place_m = [\n    0.0", "[stations.S 1] has unknown key 'place_m'"),
         ("standard_error_m = 0.01", "standard_error_m = -0.01", "standard_error_m = -0.01, expected a number of zero"),
         ("lowest_m = 0.4", "lowest_m = 9.0", "lowest_m = 9 is above highest_m = 7"),
         ("\nspread = 4.25", "\nspread = 0", "range_quality.spread = 0, expected a number above zero"),
-        ("slope = -0.28", 'slope = "no"', "range_quality.slope = 'no', expected a finite number"),
-        ('column = "fp power, dBm"', "column = 3", "range_quality.column = 3, expected the name of a column of ranges"),
-        ("gain = 0.036\n", "", "[range_quality] has no gain"),
         ("gain = 0.41\n", "", "[bearing_map] has no gain"),
-        ("gain = 0.41", "gain = inf", "bearing_map.gain = inf, expected a finite number"),
-        ("        3.25,\n", "", "bearing_map.stations.S 1 = [[1.5, 2.5, 0.01, -0.2], [2.0, 0.05, 0.1]], expected 2 lists of 4 finite"),
         ("        3.25,", "        nan,", "[nan, 2.0, 0.05, 0.1]], expected 2 lists of 4 finite numbers"),
         ('[bearing_map.stations]\n', '[bearing_map.stations]\n"S 2" = []\n', "bearing_map.stations.S 2 = [], expected a list of visits"),
         ('[bearing_map.stations]\n', '[bearing_map.stations]\n"S 3" = [[0.0, 0.0, 0.0, 0.0]]\n', "bearing_map has station 'S 3', which is not calibrated"),
         ("spread_m = 0.0625", "spread_m = 0", "tdoa.spread_m = 0, expected a number above zero"),
         ("    70,\n", "", "tdoa.rows = [71], expected a list of 2 counts"),
-        ("    70,\n", "    -7,\n", "tdoa.rows = -7, expected a count"),
         ('    "B",\n', '    "A",\n', "tdoa.anchors = ['A', 'A'], expected each name once"),
-        ('    "B",\n', "    2,\n", "tdoa.anchors = ['A', 2], expected a list of names"),
-        ('recordings = [\n', "recordings = [\n    3,\n", "expected a list of names"),
     ],
 )  # fmt: skip
 def test_other_content_is_refused_in_one_line(path, before, after, words):
@@ -145,15 +131,3 @@ def test_a_matrix_that_is_no_covariance_is_refused(path):
     write_calibration(broken, path)
     with pytest.raises(UnusableInput, match=r"anchors\.A\.covariance is no covariance"):
         read_calibration(path)
-
-
-@pytest.mark.parametrize("text", ["format = 1\nrecordings = []\n[stations]\n[anchors]\n", "format =", "\xff"])
-def test_an_empty_or_invalid_file_is_refused(path, text):
-    path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(UnusableInput):
-        read_calibration(path)
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(UnusableInput, match="cannot be read"):
-        read_calibration(tmp_path / "none.toml")

@@ -14,7 +14,7 @@ from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.parts.fixes import FixSensor
 from trackwright.trackers.parts.ranges import RangeSensor
-from trackwright.trackers.recordings.kinds import KINDS, TRUTH, Column, Kind, Measured, Sensors, add_kind, wrapped
+from trackwright.trackers.recordings.kinds import KINDS, Column, Kind, Sensors, add_kind
 
 RNG = np.random.default_rng(32)
 TURNED = np.array([0.5, -0.3, 0.7, 0.4]) / np.sqrt(0.99)
@@ -75,25 +75,6 @@ def test_fixes_are_predicted_as_their_sensor_does():
     np.testing.assert_array_equal(_predicted("fixes", 3), expected)
 
 
-def test_columns_of_phases_are_those_that_the_table_has():
-    columns = ["t_s", "tag", "station", "phase_1_rad", "phase_2_rad", "phase_std_rad", "phase_x_rad"]
-    layout = KINDS["phases"].layout(columns)
-    assert layout.ids == ("tag", "station")
-    assert layout.values == ("phase_1_rad", "phase_2_rad")
-    assert layout.optional == ("phase_1_std_rad", "phase_2_std_rad", "phase_std_rad")
-    assert KINDS["phases"].least == ("phase_1_rad",)
-
-
-def test_an_imu_and_truth_may_have_an_attitude_and_fixes_may_not():
-    assert "qw" in KINDS["imu"].layout(()).optional
-    assert "qw" in TRUTH.layout(()).optional
-    assert "qw" not in KINDS["fixes"].layout(()).optional
-
-
-def test_only_differences_of_angles_are_wrapped():
-    np.testing.assert_allclose(wrapped(np.array([[4.0, 4.0]]), ("a_m", "a_rad")), [[4.0, 4.0 - 2 * np.pi]])
-
-
 def test_a_kind_with_two_sensors_is_predicted_from_both():
     def difference(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
         first, second = sensors.distances(positions).T
@@ -105,17 +86,6 @@ def test_a_kind_with_two_sensors_is_predicted_from_both():
     a, b = (np.linalg.norm(POSITIONS[:2] - place, axis=1) for place in RIG.anchors.values())
     np.testing.assert_allclose(found[:, 0], [a[0] - b[0], b[1] - a[1]])
     assert kind.layout(()).ids == ("tag", "anchor", "anchor_2")
-
-
-def test_predictions_of_another_shape_are_refused_with_the_name_of_the_kind():
-    kind = Kind(
-        "arrivals", (Column("path_m"),), ("anchor",), lambda positions, sensors: sensors.distances(positions)[:, 0]
-    )
-    sensors = kind.sensors_of(RIG, ["A", "B"], NUMBER, 1)
-    readings = Measured(kind, ("A", "B"), ("path_m",), np.ones((40, 1)), sensors)
-    for predict in (readings.predicted, readings.errors):
-        with pytest.raises(UnusableInput, match=r"kind arrivals: predicted gave \(40,\), expected \(40, 1\)"):
-            predict(POSITIONS)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import pytest
 
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.trajectories import mapped
 
 
@@ -61,8 +60,3 @@ def test_a_trajectory_takes_the_same_few_kilobytes_however_many_its_rows(rows, t
     kept, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert kept < 4_000 * len(found)
-
-
-def test_a_folder_that_cannot_be_written_to_is_refused_in_a_line(trajectories, tmp_path):
-    with pytest.raises(UnusableInput, match="cannot write .*rows"):
-        mapped(trajectories, tmp_path / "missing" / "rows")

@@ -86,10 +86,6 @@ def test_the_claims_of_files_that_polars_writes_are_read():
     assert found.unpacked > 8000
 
 
-def test_a_footer_by_hand_is_read():
-    assert read_footer(_file())[:4] == (10, 1, 10, 80)
-
-
 @pytest.mark.parametrize(
     ("data", "word"),
     [

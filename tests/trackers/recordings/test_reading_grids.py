@@ -102,14 +102,3 @@ def test_no_level_is_raised_above_the_rounding_nor_where_standard_deviations_are
     fixes = coarse.tables["fixes"].with_columns(x_std_m=pl.lit(0.2), y_std_m=pl.lit(0.2), z_std_m=pl.lit(0.2))
     reported = dataclasses.replace(coarse, tables={**coarse.tables, "fixes": fixes})
     assert tw.build("fix-kf", reported).with_values({SIGMA: 0.01}).run(reported).notices == ()
-
-
-def test_the_step_of_channels_of_one_unit_is_the_finest():
-    """Noise levels of one unit may share one number, which is bounded by the finest of its channels."""
-    n, rng = 400, np.random.default_rng(4)
-    azimuth, elevation = (step * np.round(rng.normal(0, 0.5, n) / step) for step in (0.01, 0.05))
-    stations = {"a": Station(np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0, 0.0]))}
-    bearings = np.stack([azimuth, elevation], axis=1)
-    recording = tw.bearing_recording(0.05 * np.arange(n), bearings, ["a"] * n, stations)
-    (grid,) = reading_grids(tw.bearing_tracker(1), [stack([recording])])
-    assert grid.step == pytest.approx(0.01, rel=1e-3)

@@ -100,17 +100,3 @@ def test_the_chance_of_a_repeat_bounds_the_exact_one(sigma, most):
     steps = np.floor(phase + sigma * rng.normal(size=len(phase)))
     bound = chance_of_repeat(0.02 * steps, 0.02)
     assert 0.97 * exact < bound < most * exact
-
-
-@pytest.mark.parametrize("sigma", [0.2, 0.5, 1.0, 4.0])
-def test_a_coarse_grid_repeats_by_chance(sigma):
-    walk = 5.0 + np.sin(0.01 * np.arange(4000)) + 0.1 * sigma * np.random.default_rng(7).normal(size=4000)
-    assert not source_repeats(_readings(walk, 0.1))
-    # Where nearly all new readings are equal, too, whether they are repeated does not show.
-    assert source_repeats(_readings(np.repeat(walk, 2), 0.1)) or sigma < 0.5
-
-
-def test_a_tag_at_rest_repeats_by_chance():
-    # Without noise: at rest every value repeats, on the way hardly one.
-    speed = np.tile(np.repeat([0.0, 0.03], 200), 10)
-    assert not source_repeats(_readings(np.cumsum(speed) % 7.0, 0.01))

@@ -167,14 +167,6 @@ def test_the_status_of_a_line_is_the_worst_that_happened_and_still_holds(rows, l
     assert merged.nis_dof.tolist() == [1.0, len(rows), 2.0]
 
 
-def test_the_summary_counts_the_restarted_lines_of_the_table():
-    times, status = np.array([0.0, 1.0, 1.0, 1.0, 2.0]), np.array([OK, RESTARTED, LOST, RESTARTED, OK], np.int8)
-    none = np.zeros(5)
-    estimates = Estimates(Placed(Vector(none)), none[None], none, none, none, none, status, times, ("a",))
-    assert estimates.summary() == "lost and re-started 1 times"
-    assert estimates.to_polars()["status"].to_list() == ["ok", "restarted", "ok"]
-
-
 def test_rows_are_merged_by_their_own_time_not_by_that_for_which_they_are_valid():
     rows, age = 1.7e9 + np.array([0.1, 0.1, 0.3, 0.4, 0.4, 0.4]), np.array([0.1, 0.07, 0.1, 0.2, 1 / 3, 0.2])
     zero, one, status = np.zeros(6), np.ones(6), np.full(6, OK, np.int8)

@@ -10,7 +10,7 @@ from tests.faulty import write_good
 from trackwright.trackers.aoa.fusion import BEARINGS
 from trackwright.trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories, phase_trajectories
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
-from trackwright.trackers.recordings.trajectories import Trajectories, cut, segments
+from trackwright.trackers.recordings.trajectories import Trajectories, segments
 
 
 @pytest.fixture
@@ -102,14 +102,3 @@ def test_segments_hold_all_rows_in_order_and_about_the_requested_number_each(goo
         np.testing.assert_array_equal(joined, trajectory.recording.times)
         values = np.concatenate([part.recording.readings[BEARINGS].values for part in parts])
         np.testing.assert_array_equal(values, trajectory.recording.readings[BEARINGS].values)
-
-
-def test_a_segment_has_the_rows_of_readings_inputs_and_truth(good):
-    whole = bearing_trajectories(good, False)[0].recording
-    part = cut(whole, 20, 45)
-    assert len(part) == 25
-    for name, values in whole.inputs.items():
-        np.testing.assert_array_equal(part.inputs[name], values[20:45])
-    for mine, all_rows in zip(part.truth["position"], whole.truth["position"], strict=True):
-        np.testing.assert_array_equal(mine, all_rows[20:45])
-    np.testing.assert_array_equal(part.readings[BEARINGS].reported, whole.readings[BEARINGS].reported[20:45])

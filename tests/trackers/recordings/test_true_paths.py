@@ -55,9 +55,3 @@ def test_headings_are_unknown_where_the_attitudes_have_a_hole():
     np.testing.assert_array_equal(np.isfinite(found), known)
     turned = found[known] - np.interp(at[known], times, yaw)
     np.testing.assert_allclose(np.remainder(turned + np.pi, 2 * np.pi) - np.pi, 0.0, atol=1e-9)
-
-
-def test_a_tag_without_a_path_has_no_truth():
-    position, status = TruePaths.none().at(["a"], np.array([0, 2]), np.zeros(2))
-    assert np.isnan(position).all()
-    assert (status == TruthStatus.NO_TRUTH).all()

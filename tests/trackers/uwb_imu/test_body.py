@@ -11,7 +11,6 @@ from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.rig_file import read_rig, rig_text
 from trackwright.trackers.recordings.selection import Selection
-from trackwright.trackers.uwb_imu.body import body_tracker
 from trackwright.tuning.calibrating import calibrate
 
 CORNERS = {f"A{k}": np.array(place) for k, place in enumerate([(-3, -3, 2.2), (3, -3, 2.6), (3, 3, 2.2), (-3, 3, 2.6)])}
@@ -106,12 +105,6 @@ def test_calibration_finds_where_the_ranges_of_a_tag_end_and_headings_follow():
     assert turned[1] < 0.8 * turned[0]
 
 
-def test_a_calibration_file_keeps_where_ranges_end(tmp_path):
-    calibration = calibrate(_folder(3))
-    path = tw.write_calibration(calibration, tmp_path / "calibration.toml")
-    assert tw.read_calibration(path).tags == calibration.tags
-
-
 def test_bodies_of_a_rig_are_read_as_written_and_contradictions_refused(tmp_path):
     rig, path = _folder(0, seconds=1.0).rig, tmp_path / "rig.toml"
     path.write_text(rig_text(rig))
@@ -128,13 +121,6 @@ def test_bodies_of_a_rig_are_read_as_written_and_contradictions_refused(tmp_path
             read_rig(path)
 
 
-def test_tags_of_two_bodies_do_not_share_readings(folder):
-    rig = dataclasses.replace(folder.rig, bodies={"a": ("front", "left"), "b": ("right", "tip")})
-    assert rig.on_body_of("front") == ("front", "left")
-    assert rig.on_body_of("stranger") == ()
-    assert dataclasses.replace(rig, bodies={}).on_body_of("right") == tuple(OFFSETS)
-
-
 def test_a_tag_on_no_body_is_refused(folder):
     tags = {**folder.rig.tags, "right": Tag(HEIGHT)}
     lone = dataclasses.replace(folder, rig=dataclasses.replace(folder.rig, tags=tags, bodies={}))
@@ -143,8 +129,3 @@ def test_a_tag_on_no_body_is_refused(folder):
     # A selection of one tag of several.
     with pytest.raises(tw.UnusableInput, match="found neither for front"):
         tw.build("body", Selection(("front",)).of(folder))
-
-
-def test_a_tracker_of_no_number_of_anchors_is_refused():
-    with pytest.raises(tw.UnusableInput, match="the number of anchors"):
-        body_tracker(-1)

@@ -12,10 +12,9 @@ from tests.known_start import NEVER_LOST
 from tests.oracles import joint_conditioning, van_loan
 from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.data.recording import Readings, Recording
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.model.sensor import Reading
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.uwb_imu.difference_rows import (
     BEYOND,
     MOST_SLOTS,
@@ -191,37 +190,3 @@ def test_starts_near_the_truth_ten_times_in_two_seconds():
     assert known.sum() == 10
     # The differences of a second, in which the tag moves by a metre.
     assert np.linalg.norm(nearby[known, :2] - PATH[:20][known, :2], axis=1).max() < 0.6
-
-
-def test_anchors_on_a_line_are_refused():
-    folder = _folder(RING)
-    line = {name: place * [1, 0, 1] for name, place in ANCHORS.items()}
-    with pytest.raises(UnusableInput, match="anchors that span a plane, found all 6 on one line"):
-        build(TDOA, replace(folder, rig=replace(folder.rig, anchors=line)))
-
-
-@pytest.mark.parametrize(
-    ("change", "pairs", "message"),
-    [
-        (lambda table: table.with_columns(anchor_2="anchor"), RING, "found 0 at most"),
-        (lambda table: table, RING[:3], "at least 4 anchors, or 5 where rig.toml gives it no height_m, found 4"),
-        (
-            lambda table: table.with_columns(pl.col("range_difference_m") * 1000),
-            RING,
-            "in metres, found a median of .* between anchors .* m apart: probably nanoseconds or millimetres",
-        ),
-    ],
-)
-def test_what_a_folder_lacks_is_said(change, pairs, message):
-    with pytest.raises(UnusableInput, match=message):
-        build(TDOA, _folder(pairs, change=change))
-
-
-def test_a_difference_of_an_anchor_from_itself_is_refused_with_its_row(tmp_path):
-    row = pl.int_range(pl.len()) == 4
-    same = _folder(
-        RING, change=lambda table: table.with_columns(anchor_2=pl.when(row).then("anchor").otherwise("anchor_2"))
-    )
-    write_recording(same, tmp_path / "room")
-    with pytest.raises(UnusableInput, match=r"row 5, column anchor_2: anchor_2 '.*' is the anchor, too"):
-        read_recording(tmp_path / "room")

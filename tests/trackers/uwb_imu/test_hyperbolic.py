@@ -53,16 +53,6 @@ def test_one_anchor_more_than_needed_must_agree(known):
         np.testing.assert_allclose(places[determined], INSIDE[determined], atol=0.01)
 
 
-def test_anchors_in_a_line_determine_no_position():
-    line = np.column_stack([np.arange(8.0), np.zeros(8), np.full(8, 2.0)])
-    assert not _solved(INSIDE, RING, anchors=line)[1].any()
-
-
-def test_pairs_that_no_anchor_connects_determine_no_position():
-    apart = np.array([(0, 1), (2, 3), (4, 5), (6, 7)] * 4)
-    assert not _solved(INSIDE, apart)[1].any()
-
-
 def test_below_coplanar_anchors_the_lower_of_both_mirror_images_is_taken():
     ceiling = np.where([True, True, False], ROOM, 2.7)
     places, determined = _solved(INSIDE, MIXED, anchors=ceiling)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation as Turn
 
-from tests.in_process import PLAIN, assert_refused, trackwright
+from tests.in_process import PLAIN, trackwright
 from tests.known_start import NEVER_LOST
 from tests.oracles import normal_log_density
 from trackwright.experiments.lab.validation.own_worlds import own_world
@@ -16,16 +16,13 @@ from trackwright.trackers.catalogue import TRACKERS, build, fitting
 from trackwright.trackers.core.data.consistency import nees
 from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.rig import Tag
-from trackwright.trackers.core.model.sensor import Row
-from trackwright.trackers.core.model.tunable import tunables, with_values
+from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.uwb_imu.difference_rows import SHARED, correlations
 from trackwright.trackers.uwb_imu.differences import TDOA
-from trackwright.trackers.uwb_imu.fusion import MAX_BIASES
-from trackwright.trackers.uwb_imu.inertial import InertialStart, inertial_difference_tracker
+from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise
 from trackwright.tuning.calibrating import calibrate
 
@@ -196,11 +193,6 @@ def test_a_recording_is_smoothed_from_the_command_line(room, tmp_path):
     assert trackwright("evaluate", tmp_path / "tracks", "--fail-if", "rmse_m > 0.1").code == 0
 
 
-def test_levels_of_motion_are_refused(room, tmp_path):
-    refused = trackwright("track", room, "--tracker", "tdoa-imu", "--motion", "auto", "--out", tmp_path / "none")
-    assert_refused(refused, "no process noise of the horizontal motion")
-
-
 @pytest.mark.slow
 def test_covariances_are_those_of_the_errors_in_worlds_of_its_own_model():
     world = worlds.tdoa(n=60, seed=2, rows=30, imu=True).folder()
@@ -227,16 +219,3 @@ def test_a_calibration_gives_the_biases_that_it_leaves(folder):
     assert float(batch.tracker.motion.drift.time_constant.value) == pytest.approx(5.0)
     assert not batch.tracker.lasting_errors
     assert build("tdoa-imu", folder).batches(folder)[0].tracker.lasting_errors
-
-
-@pytest.mark.parametrize("planar", [False, True])
-def test_more_anchors_than_the_state_may_have_biases_for_have_none(planar):
-    motion = inertial_difference_tracker(MAX_BIASES + 1, planar=planar).motion
-    assert not [name for name in tunables(motion) if name.startswith("drift") or name.endswith("range_walk")]
-    start = InertialStart(planar).belief(
-        np.array([1.0, 2.0, 3.0]), Row(0.0, True, {}, {"rest": np.zeros(7)}, None, None)
-    )
-    still = {"accel": GRAVITY, "gyro": np.zeros(3), "imu": np.ones(2)}
-    after = motion.step(start.mean, still, 0.1, Vector(*[0.0] * motion.noise_dimension))
-    np.testing.assert_allclose([*after.position], [1.0, 2.0, 3.0][: len(after.position)])
-    assert len(after.bias) == 0

@@ -7,17 +7,15 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackwright.sim.imu import ideal_readings, simulate_uwb_imu, swinging
-from trackwright.sim.keys import trajectory_keys
+from trackwright.sim.imu import simulate_uwb_imu
 from trackwright.sim.ranging import chamber
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.core.data.recording import stack
-from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import Rotation
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.uwb_imu.inertial import InertialStart, inertial_tracker, level_attitude
+from trackwright.trackers.uwb_imu.inertial import InertialStart, inertial_tracker
 from trackwright.trackers.uwb_imu.rows import inertial_trajectories
 
 TAGS, POINTS = 6, 480
@@ -91,12 +89,6 @@ def test_an_imu_without_ranges_drifts_within_its_covariance(runs):
     assert np.all(np.isfinite(sigma[:, : len(recordings[k])]))
 
 
-@pytest.mark.parametrize("force", [(0.0, 0.0, 9.8), (5.0, -1.0, 8.0), (0.0, 0.0, -9.8), (9.8, 0.0, 0.0)])
-def test_the_level_attitude_brings_the_specific_force_to_the_vertical(force):
-    world = level_attitude(Vector(*(np.float64(x) for x in force))).apply(Vector(*force))
-    np.testing.assert_allclose([*world], [0, 0, np.linalg.norm(force)], atol=1e-9)
-
-
 def test_the_start_has_a_large_variance_of_the_yaw_alone():
     felt = np.array([5.0, -1.0, 8.0])
     inputs = {"nearby": np.array([1.0, 2.0, 1.5, 1.0]), "rest": np.array([*felt, 0, 0, 0, 0.0])}
@@ -123,24 +115,6 @@ def test_a_body_at_rest_starts_with_the_measured_gyro_bias_known_ten_times_bette
     np.testing.assert_allclose(measured, [0.04] if planar else [0.01, -0.02, 0.04], rtol=1e-12)
     np.testing.assert_allclose(loose, 0.06, rtol=1e-12)
     np.testing.assert_allclose(tight, 0.006, rtol=1e-12)
-
-
-def test_the_ideal_imu_reads_circle_and_gravity():
-    t = np.arange(0, 2, 0.005)
-    positions = np.stack([2 * np.cos(t), 2 * np.sin(t), 0 * t], axis=1)[None]
-    attitudes = np.stack([np.cos(t / 2), 0 * t, 0 * t, np.sin(t / 2)], axis=1)[None]
-    accel, gyro = ideal_readings(t, positions, attitudes)
-    # Differences of the path are second order in the step, 5 ms: 1e-5.
-    np.testing.assert_allclose(accel[0, 2:-2], np.tile([-2, 0, 9.81], (len(t) - 4, 1)), atol=1e-4)
-    np.testing.assert_allclose(gyro[0], np.tile([0, 0, 1], (len(t), 1)), atol=1e-9)
-
-
-@pytest.mark.slow
-def test_a_body_depends_on_seed_and_id_alone():
-    many, one = (simulate_uwb_imu(chamber(), n=ids, seed=4, n_points=20) for ids in ([5, 6, 7], [6]))
-    np.testing.assert_array_equal(many.samples.accel[1], one.samples.accel[0])
-    np.testing.assert_array_equal(many.samples.attitudes[1], one.samples.attitudes[0])
-    assert np.allclose(np.linalg.norm(swinging(trajectory_keys(0, [1]), one.times), axis=-1), 1)
 
 
 def test_tags_on_one_body_share_their_ranges_and_their_imu_and_others_do_not():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.recording import Readings, Recording
-from trackwright.trackers.parts.multilaterate import inverse, lower_median, multilaterate
+from trackwright.trackers.parts.multilaterate import multilaterate
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
 
@@ -47,13 +47,6 @@ def test_exact_ranges_give_the_position(locate):
     np.testing.assert_allclose(fit.position, POSITION[:n], atol=1e-9)
 
 
-def test_exact_ranges_give_the_position_far_from_the_origin(locate):
-    call, n = locate
-    far = np.array([4000.0, -3000.0, 0.0])
-    fit = call(_exact(), ANCHORS + far)
-    np.testing.assert_allclose(fit.position, (POSITION + far)[:n], atol=1e-6)
-
-
 def test_noisy_ranges_give_the_minimum_of_the_loss(locate):
     call, n = locate
     rng = np.random.default_rng(0)
@@ -73,14 +66,6 @@ def test_a_range_of_kilometres_has_no_influence(locate):
     np.testing.assert_allclose(call(ranges).position, POSITION[:n], atol=1e-3)
 
 
-def test_too_few_ranges_determine_nothing_and_give_no_nan(locate):
-    call, n = locate
-    for count in range(len(ANCHORS) + 1):
-        fit = call(_exact(), counts=np.arange(len(ANCHORS)) < count)
-        assert bool(fit.determined) == (count > n)
-        assert np.isfinite(fit.position).all()
-
-
 def test_four_ranges_of_which_one_is_ignored_determine_nothing():
     # Three ranges are met exactly by two positions; the loss hardly counts a fourth one that is hundreds of metres off.
     anchors = 1000.0 * np.array([[0, 0, 0.1], [1, 0, 0.9], [1, 1, 0.1], [0, 1, 0.9]])
@@ -94,31 +79,12 @@ def test_four_ranges_of_which_one_is_ignored_determine_nothing():
     assert np.asarray(fits.determined).mean() > 0.95
 
 
-def test_anchors_on_one_line_determine_nothing(locate):
-    call, _ = locate
-    line = np.column_stack([np.arange(6.0), 2.0 * np.arange(6.0), np.full(6, 2.0)])
-    assert not bool(call(np.linalg.norm(np.array([2.0, 4.05, 1.1]) - line, axis=1), line).determined)
-
-
 def test_coplanar_anchors_give_the_horizontal_position():
     flat = ANCHORS * [1.0, 1.0, 0.0] + [0.0, 0.0, 2.0]
     fit = jax.jit(multilaterate)(_exact(flat), flat, np.ones(6, bool), None, SCALE)
     np.testing.assert_allclose(fit.position[:2], POSITION[:2], atol=1e-6)
     # Either image: below the plane or above it.
     assert abs(abs(float(fit.position[2]) - 2.0) - 0.9) < 1e-5
-
-
-@pytest.mark.parametrize("n", [2, 3])
-def test_the_inverse_is_that_of_linear_algebra(n):
-    root = np.random.default_rng(n).normal(size=(n, n))
-    matrix = root @ root.T + np.eye(n)
-    np.testing.assert_allclose(inverse(jnp.asarray(matrix)), np.linalg.inv(matrix), rtol=1e-12, atol=1e-13)
-
-
-def test_the_median_ignores_masked_values():
-    values, counts = jnp.array([5.0, 1.0, 9.0, 3.0]), jnp.array([1.0, 1.0, 0.0, 1.0])
-    assert float(lower_median(values, counts)) == 3.0
-    assert float(lower_median(values, counts * 0.0)) == 0.0
 
 
 def test_the_tracker_waits_for_rows_with_enough_ranges_and_reports_a_covariance():

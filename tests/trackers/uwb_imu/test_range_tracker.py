@@ -30,32 +30,6 @@ def _recent(times, anchors, numbers, ranges, seen, height):
     return recent_positions(np.array([0, len(times)]), times, anchors, numbers, ranges, seen, heights)
 
 
-@pytest.mark.parametrize("height", [HEIGHT, None])
-def test_recent_positions_are_the_tags_with_ranges_to_three_or_four_anchors(height):
-    times, numbers, ranges, positions = _rows(np.random.default_rng(0), sigma=0.0, still=True)
-    recent = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
-    least = 3 if height is not None else 4
-    assert not recent[: least - 1, 3].any()
-    assert recent[least - 1 :, 3].all()
-    # A weak ridge keeps undetermined directions finite; noise-free ranges leave a thousandth of a step of it.
-    np.testing.assert_allclose(recent[least + 5 :, :3], positions[least + 5 :], atol=1e-3)
-
-
-def test_an_outlier_of_kilometres_does_not_change_recent_positions():
-    times, numbers, ranges, positions = _rows(np.random.default_rng(1), still=True)
-    ranges[200], ranges[203] = 9000.0, 0.01
-    recent = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
-    # 2 cm of noise, five anchors round the tag; the median of an anchor's latest five ignores the outlier.
-    assert np.abs(recent[195:230, :2] - positions[195:230, :2]).max() < 0.08
-
-
-def test_collinear_anchors_determine_no_position():
-    line = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [2.0, 0.0, 2.0], [4.0, 0.0, 2.0]])
-    times, numbers = np.arange(40) * 0.02, np.arange(40) % 4
-    ranges = np.linalg.norm(np.array([1.5, 0.02, HEIGHT]) - line[numbers], axis=1)
-    assert not _recent(times, line, numbers, ranges, np.ones(40, bool), HEIGHT)[:, 3].any()
-
-
 def _recording(times, numbers, ranges, height):
     nearby = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
     inputs = {
@@ -99,12 +73,6 @@ def test_biases_are_separated_from_motion(runs):
     bias = np.stack([np.asarray(x) for x in runs["outlier"][1].mean.bias], axis=1)
     # The mean of all five is only weakly seen; the difference of 20 cm between two is learnt to a part.
     assert bias[-1, 0] - bias[-1, 4] > 0.08
-
-
-def test_a_gap_of_a_minute_ends_the_track_and_starts_another(runs):
-    errors, estimates = runs["clean"]
-    assert estimates.summary() == "lost and re-started 1 times"
-    assert np.sqrt(np.mean(errors[450:] ** 2)) < 0.09
 
 
 def test_with_too_many_anchors_the_state_has_only_the_bias_that_they_share():

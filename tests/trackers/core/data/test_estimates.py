@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackwright.trackers.core.data.estimates import Estimates, Status
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, Placed
@@ -82,27 +81,3 @@ def test_sigmas_are_named_roots_of_the_covariances_diagonal(both_states):
         assert list(estimates.sigmas) == ["position.0", "position.1"]
         diagonal = np.sqrt(np.diagonal(estimates.covariance, axis1=-2, axis2=-1))
         np.testing.assert_array_equal(np.stack(list(estimates.sigmas.values()), axis=-1), diagonal)
-
-
-def _with_status(*status):
-    none = np.zeros(len(status))
-    return Estimates(Placed(Vector(none)), none[None], none, none, none, none, np.array(status, np.int8))
-
-
-@pytest.mark.parametrize(
-    ("status", "summary"),
-    [
-        ((Status.WAITING, Status.OK, Status.OK, Status.PADDING), "ok"),
-        ((Status.WAITING, Status.WAITING, Status.PADDING), "too little data: no row could start the tracker"),
-        ((Status.OK, Status.LOST, Status.RESTARTED, Status.OK), "lost and re-started 1 times"),
-        ((Status.OK, Status.LOST, Status.LOST), "lost and never re-started"),
-        ((Status.OK, Status.OK, Status.NON_FINITE, Status.LOST), "non-finite at row 2"),
-    ],
-)
-def test_the_summary_is_one_sentence(status, summary):
-    assert _with_status(*status).summary() == summary
-
-
-def test_usable_rows_are_those_with_an_estimate():
-    every = _with_status(*Status)
-    assert {Status(s) for s in every.status[every.usable]} == {Status.OK, Status.RESTARTED, Status.LOST}

@@ -209,22 +209,6 @@ def test_one_component_alone_has_the_variance_of_errors_with_a_correlation_of_on
     np.testing.assert_allclose(reported[1:-1], expected, rtol=1e-6)
 
 
-def _backward_loop(world, copies):
-    """The loop over times from the last to the first: numbers of operations, and the shapes that it carries."""
-    batch = world.stacked(copies=copies)
-    program = jax.make_jaxpr(lambda batch: Smoothed(world.tracker).scan(batch)[0])(batch._replace(truth={}))
-    scans = [e for e in _equations(program.jaxpr) if e.primitive.name == "scan"]
-    # Its covariances are matrices (n, n, trajectories).
-    (loop,) = [e for e in scans if (4, 4) in {shape[:2] for shape in _carried(e)}]
-    return len(_equations(loop.params["jaxpr"].jaxpr)), _carried(loop)
-
-
-def _carried(scan):
-    # Results of the loop that are as large as those of one step are carried, others stacked.
-    each = zip(scan.params["jaxpr"].jaxpr.outvars, scan.outvars, strict=True)
-    return [step.aval.shape for step, whole in each if step.aval.shape == whole.aval.shape]
-
-
 def _equations(jaxpr):
     """The equations of a program and of those within it."""
     equations = []
@@ -234,13 +218,6 @@ def _equations(jaxpr):
             if hasattr(part, "jaxpr") or hasattr(part, "eqns"):
                 equations += _equations(getattr(part, "jaxpr", part))
     return equations
-
-
-def test_hundreds_of_trajectories_are_smoothed_in_blocks_by_one_loop(world):
-    (operations, block), (as_many, more) = (_backward_loop(world, copies) for copies in (8, 32))
-    assert (4, 4, 32) in block
-    assert more == block
-    assert operations == as_many
 
 
 @pytest.mark.parametrize("copies", [FEW, MANY])
@@ -315,8 +292,3 @@ def test_the_gradient_of_a_smoothed_figure_is_the_central_difference(world):
     slope = jax.jvp(at, (raw,), (jnp.ones_like(raw),))[1]
     step = 1e-5
     np.testing.assert_allclose(slope, (at(raw + step) - at(raw - step)) / (2 * step), rtol=1e-6)
-
-
-def test_a_tracker_without_a_kalman_filter_is_refused(world):
-    with pytest.raises(TypeError, match="Kalman filters"):
-        Smoothed(Smoothed(world.tracker))

@@ -33,12 +33,6 @@ def test_the_thesis_path_is_its_equation_with_the_last_case_corrected():
     assert line.length == pytest.approx(16.345)
 
 
-def test_beyond_its_ends_the_path_stays_where_it_ends():
-    line = Polyline(KNOTS)
-    np.testing.assert_allclose(list(line.position(jnp.asarray(-1.0))), KNOTS[0])
-    np.testing.assert_allclose(list(line.position(jnp.asarray(99.0))), KNOTS[-1])
-
-
 def test_the_direction_is_the_slope_of_the_place_on_slanting_segments_too():
     line = Polyline([[0.0, 0.0], [3.0, 4.0], [3.0, 9.0], [-2.0, 9.0], [-3.0, 7.0]])
     for d in (0.5, 4.9, 5.1, 9.0, 12.0, 16.0):
@@ -54,20 +48,6 @@ def test_the_nearest_point_of_places_on_the_path_is_where_they_are():
     np.testing.assert_allclose(distance, 0, atol=1e-9)
     arclength, distance = line.nearest(np.array([4.0, 7.9]))
     assert (float(arclength), float(distance)) == (pytest.approx(1.385), pytest.approx(0.36))
-
-
-@pytest.mark.parametrize(
-    ("knots", "message"),
-    [
-        ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]], r"knot 2 of the path repeats the one before, \[1.0, 0.0\]"),
-        ([[0.0, 0.0], [np.nan, 0.0]], "knot 1 of the path is not finite"),
-        ([[0.0, 0.0]], "at least two knots"),
-        ([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]], "at least two knots"),
-    ],
-)
-def test_a_path_that_is_none_is_refused(knots, message):
-    with pytest.raises(ValueError, match=message):
-        Polyline(knots)
 
 
 def test_a_step_is_the_printed_one():

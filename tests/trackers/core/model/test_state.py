@@ -14,7 +14,6 @@ from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.state import (
     Heading,
     Rotation,
-    component_names,
     coordinates,
     dimension,
     local,
@@ -81,12 +80,6 @@ def test_retract_by_local_leads_to_the_other_rotation(u, v):
     np.testing.assert_allclose(inverse_trip(list(u), list(v)), turned(list(v), [1.0, 2.0, 3.0]), atol=1e-13)
 
 
-def test_log_is_never_longer_than_half_a_turn():
-    for angle in (3.0, np.pi - 1e-9, np.pi + 1e-9, 4.0, 6.0):
-        expected = angle - 2 * np.pi * np.round(angle / (2 * np.pi))
-        assert float(Rotation.exp([angle, 0.0, 0.0]).log()[0]) == pytest.approx(expected, abs=1e-9)
-
-
 def test_a_zero_step_gives_the_state_back_to_the_bit():
     pose = _pose([0.3, -0.4, 1.1])
     same = retract(pose, [0.0] * dimension(pose))
@@ -113,13 +106,6 @@ def test_the_step_of_a_change_is_the_derivative_of_local_at_the_state_itself():
     np.testing.assert_allclose(steps_of(pose, change), expected, atol=1e-12)
 
 
-def test_components_are_named_in_the_order_of_the_covariance():
-    names = component_names(_pose([0.0, 0.0, 0.0]))
-    assert names == [
-        "attitude.0", "attitude.1", "attitude.2", "position.0", "position.1", "bias.0", "bias.1", "heading.0", "speed",
-    ]  # fmt: skip
-
-
 @pytest.mark.parametrize("at", [[0.0, 0.0, 0.0], [1e-5, 0.0, 0.0], [0.5, -0.2, 0.9]])
 def test_the_derivative_of_local_after_retract_is_the_identity(at):
     rotation = Rotation.exp(at)
@@ -133,10 +119,6 @@ def test_a_wrapped_angle_is_the_same_direction_inside_half_a_turn(angle):
     wrapped = float(wrap(angle))
     assert -np.pi <= wrapped <= np.pi
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-11)
-
-
-def test_half_a_turn_is_kept_and_minus_half_a_turn_becomes_it():
-    assert [float(wrap(x)) for x in (np.pi, -np.pi, 0.0)] == [np.pi, np.pi, 0.0]
 
 
 def test_normalising_brings_a_rotations_length_back():

@@ -101,11 +101,6 @@ def test_an_initial_belief_that_does_not_fit_is_refused_in_one_sentence(recordin
     assert "\n" not in str(caught.value)
 
 
-def test_a_tracker_without_a_belief_begins_with_none():
-    with pytest.raises(tw.UnusableInput, match="MovingWindow, whose estimates depend on no belief"):
-        tw.MovingWindow(3, False).run(_recording(5), initial=_prior()[0])
-
-
 def test_random_numbers_come_from_the_seed_and_the_id_alone():
     tracker = _tracker(tw.ParticleFilter(50))
 

@@ -12,13 +12,10 @@ from scipy.interpolate import CubicHermiteSpline
 
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.algebra import Vector, dense
-from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.latency import scored_truth, shifted_back
 from trackwright.trackers.core.run.smoother import Smoothed
-from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.evaluation.evaluate import associate
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.tuning.fitting import FitOptions, fit
@@ -52,12 +49,6 @@ def test_the_truth_at_earlier_times_is_scipys_spline_within_a_stretch_and_its_ta
         expected = inside + np.minimum(at - t[0], 0.0)[:, None] * slopes[0]
         np.testing.assert_allclose(values[first:end, :, 0], expected, atol=1e-12)
         np.testing.assert_allclose(values[first:end, :, 1], z, atol=1e-12)
-
-
-def test_the_truth_of_a_single_row_is_that_of_every_earlier_time():
-    recording = _recording(1)
-    values, _ = scored_truth(stack([recording]), np.array([0.21]))["position"]
-    np.testing.assert_array_equal(values[..., 0], recording.truth["position"][0])
 
 
 def _after_a_gap(seconds):
@@ -166,16 +157,6 @@ def test_an_unknown_latency_adds_its_variance_times_the_squared_velocity_and_lea
     np.testing.assert_array_equal(with_it.mean.position[0], without.mean.position[0])
 
 
-def test_a_latency_that_is_given_is_known():
-    tracker = _set(fix_tracker(), latency_std=0.1)
-    spread = "sensors.fixes.latency_std"
-    assert float(tunables(_set(tracker, latency=0.2))[spread].value) == 0.0
-    assert float(tunables(_set(tracker, sigma_vertical=0.2))[spread].value) == 0.1
-    assert float(tunables(_set(tracker, latency=0.2, latency_std=0.05))[spread].value) == 0.05
-    with pytest.raises(UnusableInput, match="a standard deviation is positive, or 0"):
-        _set(tracker, latency_std=-0.1)
-
-
 @pytest.mark.slow
 def test_a_fit_of_the_latency_ends_with_one_that_is_known():
     recording, tracker = _recording(), _set(fix_tracker(), latency_std=0.1)
@@ -229,17 +210,3 @@ def test_a_smoother_is_scored_at_the_times_of_the_filter():
         # Splines through rows at up to 0.3 s are off by less than a millimetre, the line before the first row by 5 cm.
         expected = np.sqrt(np.mean(np.sum(errors[later] ** 2, axis=1)))
         assert float(jnp.sqrt(sums[0][0] / sums[1][0])) == pytest.approx(expected, rel=0.05)
-
-
-def test_estimates_at_the_rows_times_have_no_age():
-    tracker = dataclasses.replace(fix_tracker(), latency_of=None)
-    assert isinstance(tracker, Tracker)
-    assert tracker.run(_recording()).age is None
-
-
-def test_of_rows_that_share_a_time_the_last_is_scored():
-    recording = _recording(6)
-    times = np.array([0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
-    batch = stack([dataclasses.replace(recording, times=times)], rows=8)
-    known = scored_truth(batch)["position"][1]
-    np.testing.assert_array_equal(known[:, 0], [False, True, True, False, False, True, False, False])

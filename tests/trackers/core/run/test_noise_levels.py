@@ -16,7 +16,6 @@ from trackwright.sim import worlds
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import stack
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run import noise_levels
 from trackwright.trackers.core.run.noise_levels import ERRORS, MOTION, Level, NoiseLevels, _smoothed, mixture_of
 from trackwright.trackers.core.run.smoother import Smoothed
@@ -24,7 +23,6 @@ from trackwright.trackers.core.run.tracker import filter_batch
 from trackwright.trackers.from_arrays import fix_recording, range_recording
 from trackwright.trackers.recordings.folder import write_recording
 from trackwright.trackers.uwb_imu.fusion import range_tracker
-from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
 
 ROWS = 12
 FACTORS, PRIOR = (1.0, 0.3, 0.1), np.array([0.8, 0.1, 0.1])
@@ -155,14 +153,6 @@ def test_a_member_without_a_track_has_no_share(outputs):
         np.testing.assert_allclose(a, b[0], rtol=1e-12)
 
 
-def test_a_first_member_without_a_share_keeps_its_means(outputs):
-    moved = outputs._replace(mean=jax.tree_util.tree_map(lambda x: x.at[1].add(3.0), outputs.mean))
-    weights = jnp.stack([jnp.zeros((ROWS, 1)), jnp.ones((ROWS, 1))])
-    mixed = mixture_of(moved, weights, about_first=True)
-    np.testing.assert_allclose(mixed.mean.position[0], outputs.mean.position[0][0], rtol=1e-12)
-    np.testing.assert_allclose(mixed.cov[0], outputs.cov[0][1] + 9.0, rtol=1e-9)
-
-
 def test_a_continued_run_has_the_numbers_of_the_whole(recording):
     faster = (Level(0.5), Level(0.5, readings=0.5))
     tracker = NoiseLevels(NoiseLevels(fix_tracker(planar=True), LEVELS), faster, about_first=True)
@@ -237,14 +227,6 @@ def _commanded(walk, folder, *options):
     return pl.read_parquet(folder / "run" / "tracks.parquet"), done.err, tw.read(folder / "hall")
 
 
-def test_the_command_tracks_as_python_does(walk, tmp_path):
-    written, _, read = _commanded(walk, tmp_path, "--motion", "auto", "--errors", "given")
-    named = tw.build("uwb", read)
-    expected = named.with_motion_levels().run(read).to_polars()
-    assert written.select("t_s", "x_m", "log_likelihood").equals(expected.select("t_s", "x_m", "log_likelihood"))
-    assert not written["x_m"].equals(named.run(read).to_polars()["x_m"])
-
-
 def test_without_a_calibration_covariances_are_those_of_levels_of_errors_for_the_same_estimates(walk, tmp_path):
     written, said, read = _commanded(walk, tmp_path / "levels")
     assert "--errors" in said
@@ -290,13 +272,3 @@ def test_an_estimated_height_has_levels_of_its_own():
     assert both["rmse_m"] < 1.02 * horizontal["rmse_m"]
     height = [np.sqrt(e["rmse_3d_m"] ** 2 - e["rmse_m"] ** 2) for e in (horizontal, both)]
     assert height[1] < 0.8 * height[0]
-
-
-def test_a_tracker_without_such_a_level_is_refused():
-    with pytest.raises(UnusableInput, match=r"no process noise of the horizontal motion.*--motion auto"):
-        NoiseLevels(multilateration_tracker())
-    folder = tw.simulate.ranges(n=1, rows=20).folder()
-    with pytest.raises(UnusableInput, match=r"fit the tracker without it, then use result.tracker.with_error_levels"):
-        tw.fit(tw.build("uwb", folder).with_error_levels(), folder)
-    with pytest.raises(UnusableInput, match="no biases that drift"):
-        NoiseLevels(fix_tracker(), ERRORS)

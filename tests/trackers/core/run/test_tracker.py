@@ -10,14 +10,11 @@ import pytest
 
 import trackwright as tw
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.data.recording import Recording, stack
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker, filter_batch
 
 
@@ -121,13 +118,6 @@ def test_an_error_is_a_function_of_a_noise_level_for_vmap_and_grad():
     np.testing.assert_allclose(together, [error(s) for s in sigmas], rtol=1e-9)
     difference = (error(0.4 + 1e-5) - error(0.4 - 1e-5)) / 2e-5
     assert float(jax.grad(error)(0.4)) == pytest.approx(float(difference), rel=1e-5)
-
-
-def test_values_are_set_by_name_on_every_tracker_and_refused_where_they_do_not_fit():
-    window = Smoothed(fix_tracker())
-    assert float(window.with_values({"*.sigma_a": 3.0}).tracker.motion.sigma_a.value) == pytest.approx(3.0)
-    with pytest.raises(UnusableInput, match="this tracker has no 'sigma_q'"):
-        fix_tracker().with_values({"sigma_q": 1.0})
 
 
 def test_a_trajectory_keeps_its_bits_where_others_alone_are_seen():

@@ -8,7 +8,6 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman
-from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
 from trackwright.trackers.core.filters.particle.resampling import effective_sample_size, running_sum, systematic
@@ -66,17 +65,6 @@ def test_the_effective_sample_size_is_the_corrected_printed_one():
     w = _weights(100)
     cv2 = np.var(w) / np.mean(w) ** 2
     np.testing.assert_allclose(effective_sample_size(jnp.asarray(w)), 100 / (1 + cv2), rtol=1e-12)
-
-
-def test_equal_weights_are_worth_all_particles_and_a_lone_one_is_worth_one():
-    assert effective_sample_size(jnp.full(7, 1 / 7)) == pytest.approx(7.0)
-    assert effective_sample_size(jnp.array([1.0, 0.0, 0.0])) == 1.0
-
-
-@pytest.mark.parametrize("n", [1, 2, 9, 10, 1000])
-def test_running_sums_of_whole_numbers_are_exact(n):
-    x = np.random.default_rng(n).integers(0, 2**14, n).astype(np.float32)
-    np.testing.assert_array_equal(running_sum(jnp.asarray(x)), np.cumsum(x.astype(np.int64)))
 
 
 def test_every_particle_has_offspring_as_many_as_its_share_rounded_down_or_up():
@@ -226,15 +214,3 @@ def test_the_likelihood_is_unbiased_over_200_keys(oracle):
 def test_the_nis_is_about_the_kalman_filters(oracle):
     # The NIS of a finite sample scatters by the mean's error in units of the noise: a few percent here.
     np.testing.assert_allclose(oracle.estimates.nis[:, 1:].mean(axis=0), oracle.nis, rtol=0.05, atol=0.04)
-
-
-def test_all_keys_differ_and_no_track_was_lost(oracle):
-    assert len(np.unique(oracle.estimates.log_likelihood[:, -1])) == KEYS
-    assert np.all(oracle.estimates.status == Status.OK)
-
-
-def test_another_fraction_only_says_when_particles_are_drawn():
-    filter = ParticleFilter(4, fraction=0.2)
-    belief = _still(np.log([0.97, 0.01, 0.01, 0.01]))
-    kept = filter.predict(belief, ConstantPosition(Constant(1.0), 2), {}, jnp.asarray(1.0))
-    np.testing.assert_array_equal(kept.log_weights, belief.log_weights)

@@ -1,6 +1,5 @@
 """The score form: values to the bit, derivatives of log-weights as given, inherited, discounted, or refused."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
 from trackwright.trackers.core.filters.particle.resampling import resample
-from trackwright.trackers.core.filters.particle.score import normal_log_density, resample_with_score, with_score
+from trackwright.trackers.core.filters.particle.score import resample_with_score, with_score
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.motion import ConstantPosition, ConstantVelocity, GroundMotion, Kinematic, Placed
@@ -123,13 +122,6 @@ def test_the_first_particles_owe_the_density_of_the_normal_belief():
     np.testing.assert_allclose(scores, np.stack(expected, axis=-1), rtol=1e-5, atol=1e-6)
 
 
-def test_a_direction_without_variance_owes_nothing():
-    zero = jnp.zeros(())
-    belief = Gaussian(Placed(Vector(zero, zero)), (zero + 4.0, zero, zero))
-    states = Placed(Vector(jnp.array([2.0]), jnp.array([0.0])))
-    np.testing.assert_allclose(normal_log_density(belief, states), -np.log(2.0) - 0.5)
-
-
 def _slope(motion, state, w, sizes):
     """d log_density by the logarithms of the motion's tunables, in their order."""
     raw, build = jax.tree_util.tree_flatten(motion)
@@ -149,8 +141,3 @@ def test_noise_in_proportion_to_a_sigma_owes_the_square_of_its_unit_draw_less_on
     np.testing.assert_allclose(_slope(ConstantVelocity(0.4, 2), planar, w[:4], 1), [square[:4].sum()])
     np.testing.assert_allclose(_slope(GroundMotion(0.4, 0.2), raised, w, 2), [square[:4].sum(), square[4]])
     np.testing.assert_allclose(_slope(GroundMotion(0.4, 0.2), planar, w, 2), [square[:4].sum(), 0.0])
-
-
-def test_the_filter_is_still_a_tree_of_numbers_alone():
-    arrays = jax.tree_util.tree_leaves(eqx.filter(ParticleFilter(10, discount=0.5), eqx.is_array))
-    assert arrays == []

@@ -1,0 +1,182 @@
+"""Mistakes at every door of the command line: exit code 2, one line with the expected phrases, nothing written."""
+
+from __future__ import annotations
+
+import shutil
+
+import polars as pl
+import pytest
+
+from tests.faulty import good_tables, write_good
+from tests.in_process import assert_refused_last, trackwright
+
+SWEEP = "sweep {fixes} --tracker fix-kf --out out --over sensors.fixes.sigma_horizontal="
+TUNE = "tune {simulated} --tracker beam --out out "
+POSES = "evaluate {tum} --truth {good} "
+
+MISTAKES = [
+    ("trak x", "no command trak (did you mean track?)"),
+    ("simulate-line", "did you mean simulate?"),
+    ("simulate lines", "simulate: no command lines (did you mean line?)"),
+    ("simulate walk", "no command walk; expected station, line, ranges, tdoa, fusion, body, tool or agv"),
+    ("track --out out", "no RECORDINGS given; expected recording folders"),
+    ("track x --out out --nose f", "no option --nose (did you mean --noise?)"),
+    ("track x --out /", "--out /: is the root of the file system"),
+    ("track x --out out --lag 0", "--lag 0: expected seconds above zero"),
+    ("track x --out out --seed -1", "--seed -1: expected a whole number from 0 to 2^64 - 1"),
+    ("track x --out out --set sigma", "--set sigma: expected NAME=VALUE"),
+    ("track x --out out --from 9 --to 3", "--from 9 --to 3: expected the first below"),
+    ("track x --out out --noise nowhere.toml", "nowhere.toml: cannot be read"),
+    ("track x --out out --format svg", "expected png or pdf"),
+    ("track {good} {copy} --out out", "both named 'good'", "rename"),
+    ("track {good} {tracked}/../good --out out", "given more than once"),
+    ("tune {good} {copy} --out out", "both named 'good'", "rename"),
+    ("track {good} --tracker kalman --out out", "tracker kalman: unknown", "direct, cascade, beam, das"),
+    ("track {good} --tracker MHK --out out", "tracker MHK: unknown (did you mean mhk?)"),
+    ("track {good} --tracker mhk, --out out", "a name is empty; expected names with commas, without blanks"),
+    ("track {good} --tracker uwb,uwb --out out", "twice"),
+    ("track {good} --tracker a.py:T,b.py:T --out out", "twice"),
+    ("track {good} --tracker trilateration --out out", "height_m in rig.toml for every tag, found none for T2"),
+    ("track {simulated} --tracker beam --out {simulated}", "--out", "is a recording folder"),
+    ("track {simulated} --tracker beam --out {file}", "choose another folder"),
+    ("track {simulated} --tracker bearings --out out", "'bearings' needs a bearings table", "phases, truth"),
+    ("track {simulated} --tracker cascade --smooth --out out", "Kalman filters"),
+    ("track {simulated} --tracker beam --out out --set sigma_q=1", "--set: this tracker has no 'sigma_q'"),
+    ("track {simulated} --tracker beam --out out --set *.sigma_p=-1", "is positive"),
+    ("track {fixes} --tracker floor-pf --out out", "floor-pf", "[floor]", "walls_m or outline_m"),
+    ("track {fixes} --tracker fix-mirror --out out", "fix-mirror", "at least 3 anchors"),
+    ("track {fixes} --calibration {file} --out out", "no `format`, expected `format = 1`"),
+    ("tune {good} --tracker mhk,imm --out out", "found 2 names; expected one; `track` compares several"),
+    ("tune {good} --tracker bearings --out out", "2 different 'bearings' trackers", "free_height"),
+    ("tune {simulated} --tracker das --out out", "no noise level of motion or sensors to tune", "no tunable"),
+    ("tune {blind} --tracker fix-kf --objective rmse --out out", "objective rmse needs truth", "nll"),
+    ("tune x --out out --force", "--force"),
+    (TUNE + "--steps 0", "--steps 0: expected at least 1"),
+    (TUNE + "--piece-rows 3", "--piece-rows 3: expected at least 10"),
+    (TUNE + "--optimiser adamm", "expected one of auto, lbfgs, adam (did you mean adam?)"),
+    (TUNE + "--tune motion.sigma_q", "matches no tunable (did you mean motion.sigma_a?); this tracker has: motion.s"),
+    (TUNE + "--tune motion.* tied:nothing.*", "'nothing.*' matches no tunable"),
+    (TUNE + "--tune tied:*", "ties tunables of different units or shapes"),
+    (TUNE + "--bound motion.sigma_a=low:high", "PATTERN=LOWEST:HIGHEST"),
+    (TUNE + "--bound nothing.*=1:2", "bound", "no tuned number matches"),
+    (TUNE + "--bound motion.sigma_a=2:1", "is not below"),
+    (TUNE + "--bound motion.sigma_a=100:200", "motion.sigma_a begins outside, at "),
+    (TUNE + "--bound motion.sigma_a=0.01:2 motion.sigma_a=0.1:1", "duplicate bound"),
+    (TUNE + "--intervals profile --objective rmse", "a profile is of a likelihood"),
+    (TUNE + "--prior motion.sigma_a=often", "is no prior"),
+    (TUNE + "--prior nothing.*=0.2x2", "matches nothing that is tuned"),
+    (TUNE + "--prior motion.sigma_a=0.2x2 --objective rmse", "weighed against a likelihood"),
+    (TUNE + "--freeze *", "nothing to tune"),
+    (TUNE + "--objective nll+best", "is no objective"),
+    ("sweep {fixes} --tracker fix-kf --out out --over no.such=0.1:1:5", "no.such", "matches no tunable"),
+    ("sweep {fixes} --tracker fix-kf --out out --over sigma", "expected PATTERN=START:STOP:COUNT"),
+    ("sweep x --out out --over a=0:1:5:log", "expected START above zero"),
+    (SWEEP + "0.1:1:1", "expected PATTERN", "COUNT at least 2"),
+    (SWEEP + "1:0.1:5", "expected PATTERN", "START below STOP"),
+    (SWEEP + "-0.1:1:5", "a Scale is positive", "-0.1", "small positive value"),
+    (SWEEP + "0:1:101", "a Scale is positive", "left out", "small positive value"),
+    (SWEEP + "0.1:inf:3", "expected PATTERN=START:STOP:COUNT"),
+    (SWEEP + "1:2:3 --over motion.sigma_a=1:2:3 --over a=1:2:3", "3 times", "once or"),
+    (SWEEP + "1:2:3 --over sensors.fixes.sigma_horizontal=1:2:3", "duplicate"),
+    (SWEEP + "1:2:3 --over sensors.*_horizontal=1:2:3", "match the same tunables"),
+    (SWEEP + "1:2:3 --repeats 0", "--repeats 0", "at least 1"),
+    (SWEEP + "1:2:3 --objective accuracy", "'accuracy' is no objective", "rmse"),
+    (SWEEP + "1:2:3 --path nowhere.csv", "nowhere.csv", "trace.csv"),
+    ("evaluate {tracked} --fail-if p95>0.5", "--fail-if", "no metric 'p95' (did you mean p95_m?)"),
+    ("evaluate {tracked} --every=nan", "--every"),
+    ("evaluate {tracked} --every=0", "--every 0: expected seconds above zero"),
+    ("evaluate {tracked} --from 99", "no estimate is of these tags and times"),
+    ("evaluate {good}", "tracks.parquet: no such file", "track"),
+    ("evaluate nowhere", "nowhere: no such file; expected a folder with tracks.parquet"),
+    ("evaluate {tracked} --truth {simulated}", "the tracks are of recording good, the truth is of simulated-hand-0"),
+    ("evaluate {tracked} --truth {blind}", "no truth table"),
+    (POSES, "names no tag", "T1, T2", "--tag"),
+    (POSES + "--tag T9", "no such tag", "T1, T2"),
+    (POSES + "--tag T1 --time-offset 900", "no pose lies within", "both begin together"),
+    (POSES + "--tag T1 --time-offset -0.17", "half of the poses have a true one within 0.03 s"),
+    (POSES + "--tag T1 --rpe 5km", "such as 1m"),
+    ("evaluate {tum}", "no --truth"),
+    ("evaluate {tum} --truth nowhere.tum", "--truth nowhere.tum: does not exist", "or a trajectory file"),
+    ("calibrate {good} --out {file}", "expected a file with the ending .toml"),
+    ("calibrate {good} --out {good}/c.toml", "is a recording folder"),
+    ("calibrate {blind} --out out/c.toml", "no truth table; expected truth to calibrate against"),
+    ("export {tracked} --format tum --tag x --out out", "found T1, T2"),
+    ("trackers uvb", "tracker uvb: unknown"),
+    ("trackers --free-height", "are of one tracker"),
+    ("simulate station --out out --masked-antenna 1 9", "--masked-antenna"),
+    ("simulate station --out {good}", "folder is not empty"),
+    (f"simulate station --out out --seed={2**70}", "--seed ", "expected "),
+    ("simulate station --out out --gauss-markov=inf", "--gauss-markov inf: ", "expected "),
+    ("simulate station --out out --drop-outs=nan", "--drop-outs nan: ", "expected "),
+    ("simulate station --out out --outliers=1.0", "--outliers 1.0: ", "expected "),
+    ("simulate station --out out --lost-station=4", "--lost-station 4: ", "expected "),
+    ("simulate line --out out --speed=0.0", "--speed 0.0: ", "expected "),
+    ("simulate tool --out out --rows=1", "--rows 1: ", "expected "),
+    ("simulate agv --out out --n=0", "--n 0: ", "expected "),
+    ("simulate tool --out out --gap 3 1", "--gap 3.0 1.0: expected two times in seconds"),
+    ("--install-completion --shell csh", "--shell csh: expected ", "zsh", "bash", "fish"),
+]
+
+
+@pytest.fixture(scope="module")
+def there(beginnings, simulated, tmp_path_factory):
+    """The places that the mistakes speak of, by name, in a folder that is left as it was."""
+    folder = tmp_path_factory.mktemp("mistakes")
+    write_good(folder / "copy")
+    (folder / "fixes").mkdir()
+    (folder / "fixes" / "rig.toml").write_text('format = 1\nname = "fixes"\n')
+    good_tables()["fixes"].write_csv(folder / "fixes" / "fixes.csv")
+    shutil.copytree(folder / "fixes", folder / "blind")
+    good_tables()["truth"].write_csv(folder / "fixes" / "truth.csv")
+    (folder / "file").write_text("[tunables]\n")
+    truth = good_tables()["truth"].filter(tag="T1").select("t_s", "x_m", "y_m", "z_m", qx=0.0, qy=0.0, qz=0.0, qw=1.0)
+    truth.write_csv(folder / "own.tum", include_header=False, separator=" ")
+    made = {name: folder / name for name in ("copy", "fixes", "blind", "file")}
+    given = {name: beginnings / name for name in ("good", "tracked")}
+    return made | given | {"simulated": simulated, "tum": folder / "own.tum"}
+
+
+def _contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake[0])
+def test_a_mistake_is_one_line_and_changes_no_file(there, tmp_path, monkeypatch, mistake):
+    monkeypatch.chdir(tmp_path)
+    before = [_contents(path.parent) for path in there.values()]
+    line, *phrases = mistake
+    assert_refused_last(trackwright(*line.format(**there).split()), *phrases)
+    assert [_contents(path.parent) for path in there.values()] == before
+    assert not list(tmp_path.iterdir())
+
+
+def _tracks(change):
+    def changed(folder):
+        change(pl.read_parquet(folder / "tracks.parquet")).write_parquet(folder / "tracks.parquet")
+
+    return changed
+
+
+def _file(name, content):
+    return lambda folder: (folder / name).write_bytes(content)
+
+
+BROKEN_RUNS = [
+    (_file("tracks.parquet", bytes(range(256))), "is not a complete Parquet file"),
+    (_file("tracks.parquet", b""), "tracks.parquet: has 0 bytes; expected the table of `trackwright track`"),
+    (_tracks(lambda table: table.clear()), "the table is empty"),
+    (_tracks(lambda table: table.drop("t_s")), "no column t_s"),
+    (_tracks(lambda table: table.drop("x_m")), "no column x_m; expected the table of `trackwright track`"),
+    (lambda folder: (folder / "recordings.txt").unlink(), "names no recording"),
+    (_file("recordings.txt", b"\xff\xfe\x80"), "names no recording"),
+    (_file("recordings.txt", b"/gone"), "gone does not exist; expected the recordings there; give --truth RECORDING"),
+]
+
+
+@pytest.mark.parametrize(("change", "word"), BROKEN_RUNS)
+def test_a_run_folder_that_is_broken_is_refused(tmp_path, beginnings, change, word):
+    shutil.copytree(beginnings / "tracked", tmp_path / "run")
+    change(tmp_path / "run")
+    before = _contents(tmp_path)
+    assert_refused_last(trackwright("evaluate", tmp_path / "run"), word)
+    assert _contents(tmp_path) == before
