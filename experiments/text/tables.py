@@ -59,7 +59,8 @@ def sections_text(sections: Sequence[Section], elsewhere: int, *lines: str) -> s
     parts: list[RenderableType] = []
     for one in sections:
         if one.rows:
-            parts += [ruled_table(one.title, one.head, one.n_text, one.rows), *([one.note] if one.note else [])]
+            gap = [""] if parts and isinstance(parts[-1], str) else []
+            parts += [*gap, ruled_table(one.title, one.head, one.n_text, one.rows), *([one.note] if one.note else [])]
     return rendered(terminal_width(elsewhere), *parts, *filter(None, lines))
 
 
