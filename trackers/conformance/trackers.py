@@ -33,6 +33,9 @@ ROWS, FEWEST, MOST = 64, 6, 8
 SPOILT, CUTS = 2, 3
 """The recording whose measurements are spoilt, and the cuts of one that is run in pieces."""
 
+STEPS = (3e-4, 1e-5)
+"""Steps of difference quotients, of the unconstrained value of a tunable."""
+
 LENGTHS, GROWTH = (64, 512), 1.2
 """Rows of two programs, and the factor by which the numbers that one row computes may grow."""
 
@@ -104,7 +107,7 @@ def tracker_checks(
             return np.where(np.expand_dims(hidden, tuple(range(1, x.ndim - 1))), other, x)
 
         readings = jax.tree_util.tree_map(filled, batch().readings)
-        # Other inputs are such as there are: numbers of anchors are checked before a run.
+        # Other inputs that occur: numbers of anchors are checked before a run.
         inputs = jax.tree_util.tree_map(lambda x: filled(x, x[::-1]), batch().inputs)
         dirty = run(batch()._replace(dt=filled(batch().dt), readings=readings, inputs=inputs))
         for k, one in enumerate(varied):
@@ -225,7 +228,7 @@ def tracker_checks(
     @check(run_)
     @jax.enable_x64(True)
     def accumulate() -> str:
-        found, of_scan = sums().at(0.0)[0], [float(jnp.sum(x)) for x in jax.vmap(_score, (0, None))(sums().output, {})]
+        found, of_scan = sums().here, [float(jnp.sum(x)) for x in jax.vmap(_score, (0, None))(sums().output, {})]
         for what, mine, other in zip(("log-likelihood", "estimates"), found, of_scan, strict=True):
             assert abs(mine - other) <= 1e-6 * max(abs(other), 1.0), (
                 f"the sum of the {what} over all rows is {mine:.8g} by `accumulate`, {other:.8g} by `scan`; usual fix: "
@@ -234,27 +237,24 @@ def tracker_checks(
         return f"log-likelihood {of_scan[0]:.6g} by both"
 
     @check(run_)
-    @jax.enable_x64(True)
     def gradient() -> str:
-        if not sums().labels:
+        if not tunables(tracker):
             raise NotApplicable("the tracker has no tunables")
-        other = run(batch()._replace(key=np.asarray(batch().key)[::-1].copy()))
-        if _difference(other, estimates(), EVERY, EVERY) is not None:
+        if _difference(run(batch()._replace(key=np.asarray(batch().key)[::-1].copy())), estimates(), EVERY, EVERY):
             raise NotApplicable("estimates depend on random numbers, whose derivative is no difference quotient")
-        slopes = np.asarray(jax.jit(jax.jacfwd(sums().sums))(jnp.asarray(sums().point)))
-        fits = np.zeros(slopes.shape, bool)
-        # Over the smaller interval for corners close together; a wrong derivative is wrong over both.
-        for step in (3e-4, 1e-5):
-            here, up, down = np.split(sums().at(step).T, [1, 1 + slopes.shape[1]], axis=1)
-            sides = np.stack([(up - here) / step, (here - down) / step])
-            near = 1e-3 * np.abs(sides).max(axis=0) + 1e-9 * np.maximum(np.abs(here), 1.0) / step
-            fits |= (slopes >= sides.min(axis=0) - near) & (slopes <= sides.max(axis=0) + near)
-            for figure, k in np.argwhere(~fits)[: int(step < 1e-4)]:
-                raise AssertionError(
-                    f"the derivative of the {('log-likelihood', 'estimates')[figure]} by {sums().labels[k]} is "
-                    f"{slopes[figure, k]:.6g}, by difference quotients {sides[:, figure, k].mean():.6g}; usual fix: no "
-                    "stop_gradient, rounding or NumPy on its way, and smooth = True for a start that reads it"
-                )
+        with jax.enable_x64(True):
+            slopes = np.asarray(jax.jit(jax.jacfwd(sums().sums))(jnp.asarray(sums().point)))
+            # The smaller step for corners close together; a wrong derivative is wrong over both.
+            sides = np.stack([sums().sides(step) for step in STEPS])
+        least, most = sides.min(axis=1), sides.max(axis=1)
+        near = 1e-3 * np.maximum(np.abs(least), np.abs(most)) + sums().rounding
+        fits = ((slopes >= least - near) & (slopes <= most + near)).any(axis=0)
+        for figure, k in np.argwhere(~fits)[:1]:
+            raise AssertionError(
+                f"the derivative of the {('log-likelihood', 'estimates')[figure]} by {sums().labels[k]} is "
+                f"{slopes[figure, k]:.6g}, by difference quotients {sides[0, :, figure, k].mean():.6g}; usual fix: no "
+                "stop_gradient, rounding or NumPy on its way, and smooth = True for a start that reads it"
+            )
         return f"{len(sums().point)} tunables"
 
     @cache
@@ -302,6 +302,9 @@ class _Sums:
         self.labels = [name for name, node in self.nodes.items() for _ in range(np.size(node.raw))]
         self.point = np.concatenate([np.ravel(np.asarray(x.raw)) for x in self.nodes.values()] or [np.zeros(0)])
         self.program = jax.jit(lambda vectors: jax.lax.map(self.sums, vectors))
+        self.here = np.asarray(self.program(jnp.asarray(self.point[None])))[0]
+        # An update of a diffuse prior loses digits to cancellation.
+        self.rounding = 1e-9 * np.maximum(np.abs(self.here), 1.0)[:, None] / STEPS[0]
         self.output: Output = called(filter_batch, self.model, self.batch)
 
     def sums(self, vector: Any) -> jax.Array:
@@ -311,11 +314,13 @@ class _Sums:
         nodes = {name: eqx.tree_at(lambda n: n.raw, x, jnp.reshape(v, np.shape(x.raw))) for (name, x), v in named}
         return jnp.stack([jnp.sum(x) for x in replaced(self.model, nodes).accumulate(self.batch, _score)])
 
-    def at(self, step: float) -> np.ndarray:
-        """The sums at the tunables, then with each a step up and down, (1 + 2p, 2)."""
+    def sides(self, step: float) -> np.ndarray:
+        """The slopes of the sums above and below the tunables, (2, 2, p)."""
         shifts = step * np.eye(len(self.point))
-        points = self.point + np.concatenate([np.zeros((1, len(shifts))), shifts, -shifts])
-        return np.asarray(self.program(jnp.asarray(points if step else points[:1])))
+        above, below = np.split(
+            np.asarray(self.program(jnp.asarray(self.point + np.concatenate([shifts, -shifts])))), 2
+        )
+        return np.stack([(above - self.here).T, (self.here - below).T]) / step
 
 
 def _score(output: Output, truth: Any) -> tuple[Any, Any]:

@@ -45,12 +45,15 @@ class World:
         given = (batch.dt, batch.readings, dict(batch.inputs))
         self.rows: Any = jax.tree_util.tree_map(lambda x: jnp.asarray(x[..., 0]), given)
         self.factor = np.linalg.cholesky(np.asarray(matrix(prior.cov)) + 1e-12 * np.eye(len(self.names)))
-        q, keys = self.model.motion.noise_dimension, jax.random.split(jax.random.key(seed), (n, 2))
+        q, keys = self.model.motion.noise_dimension, jax.random.split(jax.random.key(seed), (n, len(batch.dt) + 1))
         self.size = len(self.names) + q * len(batch.dt)
-        drawn = jax.vmap(lambda key: self.path(jax.random.normal(key, (self.size,))))
-        self.states = jax.jit(drawn)(keys[:, 0])
-        read = jax.jit(jax.vmap(lambda states, key: self._read(states, key)))
-        readings = read(self.states, keys[:, 1])
+
+        def drawn(keys: Any) -> tuple[Any, Any]:
+            noise = jax.vmap(lambda key: jax.random.normal(key, (q,)))(keys[1:])
+            states = self.path(jnp.concatenate([jax.random.normal(keys[0], (len(self.names),)), jnp.ravel(noise)]))
+            return states, self._read(states, keys[1:])
+
+        self.states, readings = jax.jit(jax.vmap(drawn))(keys)
         for name, (_, fits, _) in readings.items():
             if np.mean(fits) < 0.99:  # angles far out wrap
                 raise NotApplicable(f"the whitened residual of '{name}' is not linear in the reading")
@@ -100,7 +103,7 @@ class World:
         each = self.model.sensors.items()
         return {name: jax.vmap(partial(of, sensor))(states, self.rows[2], readings[name]) for name, sensor in each}
 
-    def _read(self, states: Any, key: Any) -> dict[str, tuple[Any, Any, Any]]:
+    def _read(self, states: Any, keys: Any) -> dict[str, tuple[Any, Any, Any]]:
         """Readings whose whitened residual is unit noise, whether it is, and whether that noise is normal."""
 
         def one(sensor: Any, key: Any, *given: Any) -> tuple[Any, Any, Any]:
@@ -114,8 +117,8 @@ class World:
 
         found = {}
         for k, (name, sensor) in enumerate(self.model.sensors.items()):
-            keys = jax.random.split(jax.random.fold_in(key, k), len(self.rows[0]))
-            found[name] = jax.vmap(partial(one, sensor))(keys, states, self.rows[2], self.rows[1][name])
+            own = jax.vmap(partial(jax.random.fold_in, data=k))(keys)
+            found[name] = jax.vmap(partial(one, sensor))(own, states, self.rows[2], self.rows[1][name])
         return found
 
 
