@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tests.known_start import KnownStart
+from tests.known_start import KnownStart, Still
 from trackwright.sim.stations import facing
 from trackwright.trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
 from trackwright.trackers.aoa.cascade import cascade_tracker
@@ -25,7 +25,6 @@ from trackwright.trackers.aoa.phases import InPlanePhases, PlanePhases, Spherica
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.baselines.switching import MirrorSensor
 from trackwright.trackers.catalogue import TRACKERS
-from trackwright.trackers.conformance.sensors import Still
 from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.imm import SwitchingMotion

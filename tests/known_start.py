@@ -1,4 +1,4 @@
-"""Trackers that begin from a belief the test knows, and recordings that carry it."""
+"""A motion that stays, trackers that begin from a belief the test knows, and recordings that carry it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,21 @@ import numpy as np
 from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.model.algebra import total
 from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 
 NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
+
+
+class Still(AbstractMotion):
+    """A motion that leaves the state unchanged."""
+
+    noise_dimension = 0
+
+    def step(self, state, inputs, dt, w):
+        return state
 
 
 class KnownStart(AbstractStart):

@@ -3,8 +3,7 @@
 import pytest
 
 from tests.catalogue import MOTIONS, SENSORS
-from trackwright.trackers.conformance.motions import motion_checks
-from trackwright.trackers.conformance.sensors import sensor_checks
+from trackwright.trackers.conformance.parts import motion_checks, sensor_checks
 
 SLOW = {
     *(name for name in MOTIONS if name.endswith(", no accelerometer")),

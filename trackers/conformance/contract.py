@@ -1,15 +1,15 @@
-"""A contract is a list of checks with names; each passes, fails with one sentence and the usual fix, or is skipped.
+"""A contract is a list of checks with names; each passes, fails with one sentence, or is skipped.
 
-`report` runs all of them for a reader; called one by one they raise, as pytest expects.
+A check is a function that asserts, as pytest expects; a `Report` runs all of them for a reader.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from functools import cached_property, wraps
+from typing import Any, Literal, NamedTuple, ParamSpec
 from unittest import SkipTest
 
 from trackwright.trackers.core.errors import one_line, require
@@ -17,6 +17,8 @@ from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.kinds import Kind
+
+P = ParamSpec("P")
 
 
 class BrokenContract(ValueError):  # noqa: N818 - public name
@@ -28,7 +30,7 @@ class NotApplicable(SkipTest):
 
 
 class Result(NamedTuple):
-    """What a check found: for a failure the sentence with the usual fix, `seconds` of processor time."""
+    """What a check found: a measurement in words, the fault or the reason to skip; `seconds` of processor time."""
 
     name: str
     outcome: Literal["pass", "fail", "skip"]
@@ -40,8 +42,7 @@ class Result(NamedTuple):
 class Check:
     """One check of a contract; it runs once. Called, it raises what it found: `BrokenContract`, or SkipTest.
 
-    `test`: returns what a passed check measured, in words, or None. `after`: the check that has to pass before this one
-    has a meaning.
+    `test`: returns what a passed check measured, in words, or None. `after`: the check that has to pass before.
     """
 
     name: str
@@ -50,33 +51,39 @@ class Check:
 
     @cached_property
     def _found(self) -> tuple[str, Exception | None, float]:
-        started, words, error = time.process_time(), "", None
+        started, words = time.process_time(), None
+        error: Exception | None = None
         try:
             if self.after is not None and self.after.result.outcome != "pass":
                 raise NotApplicable(f"needs '{self.after.name}', which does not pass")
-            words = self.test() or ""
+            if not __debug__:
+                raise NotApplicable("python -O leaves asserts out; run it without")
+            words = self.test()
+        except AssertionError as broken:
+            error = BrokenContract(one_line(broken))
         except Exception as raised:
             error = raised
-        return words, error, time.process_time() - started
+        return words or "", error, time.process_time() - started
 
     @property
     def result(self) -> Result:
         """What the check found."""
         words, error, seconds = self._found
-        if error is None:
-            return Result(self.name, "pass", words, seconds)
-        if isinstance(error, SkipTest):
-            return Result(self.name, "skip", str(error), seconds)
-        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        return Result(self.name, "fail", one_line(f"{kind}{error}"), seconds)
+        outcome: Any = "pass" if error is None else "skip" if isinstance(error, SkipTest) else "fail"
+        kind = "" if error is None or isinstance(error, (ValueError, SkipTest)) else f"{type(error).__name__}: "
+        return Result(self.name, outcome, words if error is None else one_line(f"{kind}{error}"), seconds)
 
     def __call__(self) -> None:
-        error = self._found[1]
-        if error is not None:
-            raise error
+        if self._found[1] is not None:
+            raise self._found[1]
 
     def __str__(self) -> str:
         return self.name
+
+
+def check(after: Check | None = None) -> Callable[[Callable[[], str | None]], Check]:
+    """Makes a check of a function, whose name is that of the check."""
+    return lambda test: Check(test.__name__.strip("_").replace("_", " "), test, after)
 
 
 class Report(tuple[Result, ...]):
@@ -90,32 +97,34 @@ class Report(tuple[Result, ...]):
     def __repr__(self) -> str:
         width = max(len(result.name) for result in self)
         lines = [f"{r.outcome}  {r.name:<{width}}  {r.seconds:5.1f} s  {r.sentence}".rstrip() for r in self]
-        counts = [f"{sum(r.outcome == outcome for r in self)} {word}" for outcome, word in _WORDS.items()]
-        return "\n".join([*lines, ", ".join(counts)])
+        counts = {"pass": "passed", "fail": "failed", "skip": "skipped"}
+        return "\n".join([*lines, ", ".join(f"{sum(r.outcome == o for r in self)} {w}" for o, w in counts.items())])
 
 
-_WORDS = {"pass": "passed", "fail": "failed", "skip": "skipped"}
+def reported(checks: Callable[P, list[Check]]) -> Callable[P, Report]:
+    """A function of the same arguments that runs all checks."""
+
+    @wraps(checks)
+    def run(*given: P.args, **named: P.kwargs) -> Report:
+        return Report(one.result for one in checks(*given, **named))
+
+    return run
 
 
-CHECKED: dict[str, tuple[Any, str]] = {
-    "check_motion": (AbstractMotion, "a motion, an AbstractMotion"),
-    "check_sensor": (AbstractSensor, "a sensor, an AbstractSensor"),
-    "check_tracker": (AbstractTracker, "a tracker, an AbstractTracker, as in `batches` of a NamedTracker"),
-    "check_kind": (Kind, "a kind of measurement, a Kind"),
-    "check_importer": (Callable, "an importer, a function of a path"),
+CHECKED: dict[str, Any] = {
+    "check_motion": AbstractMotion,
+    "check_sensor": AbstractSensor,
+    "check_tracker": AbstractTracker,
+    "check_kind": Kind,
+    "check_importer": Callable,
 }
 """The check functions, and what each is for."""
 
 
 def require_part(function: str, given: Any) -> None:
     """Raises UnusableInput unless the object is one that this check function is for, with the function that is."""
-    kind, expected = CHECKED[function]
-    of_class, others = isinstance(given, type), (name for name, (one, _) in CHECKED.items() if isinstance(given, one))
-    fix = "an object of the class" if of_class else next(others, None)
-    words = f"{expected}; usual fix: {fix}" if fix else expected
-    require(isinstance(given, kind) and not of_class, function, given.__name__ if of_class else given, words)
-
-
-def report(checks: Iterable[Check]) -> Report:
-    """The results of all checks."""
-    return Report(check.result for check in checks)
+    wanted, of_class = CHECKED[function], isinstance(given, type)
+    fix = next((name for name, one in CHECKED.items() if isinstance(given, one)), "")
+    fix = "an object of the class" if of_class else fix
+    words = f"an object of {wanted.__name__}" + f"; usual fix: {fix}" * bool(fix)
+    require(isinstance(given, wanted) and not of_class, function, given.__name__ if of_class else given, words)

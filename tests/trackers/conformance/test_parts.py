@@ -1,7 +1,7 @@
 """The checks of motions and sensors name what is wrong with parts that break their contracts."""
 
+import collections
 import re
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,18 +13,10 @@ import trackwright as tw
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.beam import Beam
 from trackwright.trackers.aoa.phases import PlanePhases
-from trackwright.trackers.conformance.contract import BrokenContract
-from trackwright.trackers.conformance.motions import check_motion, motion_checks
-from trackwright.trackers.conformance.sensors import check_sensor, sensor_checks
-from trackwright.trackers.conformance.traced import unlike
+from trackwright.trackers.conformance.parts import check_motion, check_sensor, sensor_checks
 from trackwright.trackers.core.model.algebra import Vector
-from trackwright.trackers.core.model.motion import (
-    AbstractMotion,
-    ConstantPosition,
-    Placed,
-)
+from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, Placed
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual, independent
-from trackwright.trackers.core.model.state import Heading
 from trackwright.trackers.recordings.kinds import KINDS
 
 
@@ -66,7 +58,7 @@ class Walk(AbstractMotion):
             r"dt = 0 changes position\.[01] by .*whatever the noise",
         ),
         (lambda p, dt, w: Placed(p * jnp.exp(dt) * 1.0000001), "zero interval", "dt = 0 changes"),
-        (lambda p, dt, w: p + w * dt, "state", "returns Vector with shapes .*expected a state like"),
+        (lambda p, dt, w: p + w * dt, "state", r"returns Vector\(.*expected a state like the given one: Placed"),
         (lambda p, dt, w: Placed(p + w * dt if p[0] > 0 else p), "state", "cannot be traced"),
         (
             lambda p, dt, w: Placed(p + w * (dt * np.random.default_rng().normal())),
@@ -88,22 +80,6 @@ class Walk(AbstractMotion):
 )
 def test_a_broken_motion_is_named_with_what_is_wrong(move, check, message):
     _fails(check_motion(Walk(move), Placed(Vector(0.4, 0.7))), check, message)
-
-
-def test_a_derivative_that_is_not_a_number_where_filters_linearise_is_named():
-    class Bent(Ruler):
-        def measure(self, view, inputs):
-            return [view.position[0] + jnp.sqrt(0.0 * view.position[0] ** 2), view.position[1]]
-
-    walk, here = Walk(lambda p, dt, w: Placed(p + w * (dt + dt * jnp.sqrt(w[0] ** 4)))), Placed(Vector(0.4, 0.7))
-    _fails(check_motion(walk, here), "finite", "derivative of Walk.step at dt = 0.0 s is not finite at pos")
-    for checks, message in (
-        (motion_checks(walk, here), "predicts by the derivatives of Walk is nan"),
-        (sensor_checks(Bent(lambda good, *_: good), here), r"whitened x by position\.0 is nan"),
-    ):
-        derivatives = next(check for check in checks if check.name == "derivatives")
-        with pytest.raises(BrokenContract, match=message):
-            derivatives.test()
 
 
 def test_stages_that_are_not_the_step_are_named():
@@ -178,7 +154,7 @@ def _root(good, reading, predicted):
         (
             lambda g, z, p: independent([v - jax.lax.stop_gradient(q) for v, q in zip(z.values, p, strict=True)], [0.1, 0.3], z.seen),
             "derivatives",
-            r"whitened x by position\.0 is 0, by difference quotients -10",
+            r"whitened x by position\.0 is -?0, by difference quotients -10",
         ),
     ],
     ids=[
@@ -219,7 +195,7 @@ def test_a_sensor_that_predicts_too_few_channels_is_named():
         (lambda p: [jnp.round(p[0]), jnp.round(p[1])], "Blind.measure by every component of the view is zero"),
         (
             lambda p: [p[0] * 0 + jax.lax.stop_gradient(p[0]), p[1]],
-            r"x by position\.0 is 0, by difference quotients -10",
+            r"x by position\.0 is -?0, by difference quotients -10",
         ),
         (lambda p: [(p[0] - 0.4) ** 2, (p[1] - 0.7) ** 2], ""),
     ],
@@ -264,19 +240,10 @@ def test_a_sensor_that_reads_a_field_that_the_view_lacks_is_named_with_those_it_
         sensor_checks(Broken(sound), here)[0]()
 
 
-class Turned(NamedTuple):
-    """A position with a heading."""
-
-    position: Vector
-    heading: Heading
-
-
-def test_a_state_of_another_kind_is_told_from_the_expected_one_though_its_numbers_are_as_many():
-    there = Turned(Vector(1.0, 2.0), Heading(0.5))
-    assert unlike(Turned(there.position, jnp.asarray(0.5)), there).endswith("(heading: ArrayImpl for Heading)")
-    again = NamedTuple("Turned", [("position", Vector)])(there.position)
-    assert unlike(again, there).endswith("of another class of that name, whose file was run twice")
-    assert unlike(Placed(there.position), there) == "Placed with shapes [(), ()]"
+def test_a_state_of_another_class_of_the_same_name_is_told():
+    again = collections.namedtuple("Placed", ["position"])
+    report = check_motion(Walk(lambda p, dt, w: again(p + w * dt)), Placed(Vector(0.4, 0.7)))
+    _fails(report, "state", "of another class of that name, whose file was run twice")
 
 
 PARTS = {
@@ -299,5 +266,5 @@ def test_a_part_of_another_kind_is_told_which_check_is_for_it(function):
                 check(part, argument)
     with pytest.raises(tw.UnusableInput, match=f"found '{type(mine).__name__}'; .* usual fix: an object of the class"):
         check(type(mine), argument)
-    with pytest.raises(tw.UnusableInput, match=f"{function}: found None; expected an? [a-z ]+, an? [A-Za-z ]+"):
+    with pytest.raises(tw.UnusableInput, match=f"{function}: found None; expected an object of [A-Za-z]+$"):
         check(None, argument)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -23,10 +22,7 @@ from tests.trackers.conformance.own_trackers import (
     kalman,
     recordings,
 )
-from trackwright.trackers.conformance.dense import conditioned
-from trackwright.trackers.conformance.trackers import _check_consistency, _compare_conditioned
-from trackwright.trackers.conformance.worlds import drawn_world
-from trackwright.trackers.recordings.trajectories import cut
+from trackwright.trackers.conformance.worlds import compare_conditioned, compare_errors, drawn_world
 
 
 def _and(add):
@@ -112,7 +108,6 @@ def test_a_fault_is_found_by_its_check(name):
     check = next(c for c in tw.tracker_checks(tracker(), recordings()) if str(c) == name)
     assert check.result.outcome == "fail", check.result
     assert re.search(message, check.result.sentence), check.result
-    assert "usual fix: " in check.result.sentence
     with pytest.raises(tw.BrokenContract):
         check()
 
@@ -125,56 +120,24 @@ def test_a_fault_fails_no_other_check(name):
     assert {one.name for one in report.failures} == failing, report
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"of_mean": 1e-3}, "the last estimate of .* is off the mean given all readings"),
-        ({"of_cov": 1.0 + 1e-3}, "the last covariance of .* given all readings"),
-    ],
-    ids=["mean", "covariance"],
-)
-def test_moments_that_are_not_those_of_conditioning_are_named(change, message):
-    checks = {str(c): c for c in tw.tracker_checks(kalman(Altered(**change)), recordings())}
-    found = checks["conditioning"].result
-    assert re.search(message, found.sentence), found
-
-
-@pytest.mark.parametrize(
-    ("size", "message"),
-    [
-        (
-            2.0,
-            "NEES of 9 tracks .* is 4.00 .* too small, whatever .* fix: the filter adds all noise .* counts no reading twice",
-        ),
-        (
-            0.5,
-            "NEES of 9 tracks .* is 0.25 .* too large, whatever .* fix: the filter adds the noise .* once, and uses every",
-        ),
-    ],
-)
-def test_covariances_too_small_and_too_large_have_a_fix_each(size, message):
-    world = SimpleNamespace(recordings=[range(1)], errors=lambda mean, row: np.full((9, 2), size), normal=True)
-    estimates = SimpleNamespace(mean=None, covariance=np.broadcast_to(np.eye(2), (9, 1, 2, 2)))
-    with pytest.raises(tw.BrokenContract, match=message):
-        _check_consistency(world, estimates)
-
-
-def test_moments_and_a_likelihood_that_are_not_numbers_are_named():
-    with jax.enable_x64(True):
-        tracker, of_run = kalman(), recordings()
-        world = drawn_world(tracker, of_run[0], tracker.run(of_run)[0], 1, 0)
-        estimates = world.tracker.run(world.recordings, initial=world.prior)
-        expected = conditioned(world, 0)
-        _compare_conditioned(world, estimates, expected)
-        for field, message in (
-            ("cov_upper", "the last covariance of .* is nan, given all readings"),
-            ("mean", "is off the mean given all readings by nan"),
-            ("log_likelihood", "the log-likelihood is nan, that of the joint"),
-        ):
-            gone = jax.tree_util.tree_map(lambda x: np.nan * x, getattr(estimates, field))
-            with pytest.raises(tw.BrokenContract, match=message):
-                _compare_conditioned(world, replace(estimates, **{field: gone}), expected)
+@jax.enable_x64(True)
+def test_moments_off_those_of_conditioning_and_errors_of_another_size_are_named():
+    tracker, of_run = kalman(), recordings()
+    world = drawn_world(tracker, of_run[0], tracker.run(of_run)[0], 0, n=8)
+    found = world.estimates
+    assert compare_conditioned(world, found)
+    for field, factor, message in (
+        ("cov_upper", 1.001, "the last covariance of .* given all readings"),
+        ("cov_upper", np.nan, "the last covariance of .* is nan, given all readings"),
+        ("mean", 1.001, "is off the mean given all readings by"),
+        ("log_likelihood", np.nan, "the log-likelihood is nan, of the joint"),
+    ):
+        off = jax.tree_util.tree_map(lambda x, by=factor: by * x, getattr(found, field))
+        with pytest.raises(AssertionError, match=message):
+            compare_conditioned(world, replace(found, **{field: off}))
+    for factor, message in ((0.1, "covariances are too small"), (10.0, "covariances are too large")):
+        with pytest.raises(AssertionError, match=message):
+            compare_errors(world, replace(found, cov_upper=factor * found.cov_upper))
 
 
 def test_values_that_are_not_finite_are_named_with_their_row():
@@ -225,24 +188,6 @@ def test_a_derivative_between_corners_that_lie_close_together_is_no_wrong_one():
     assert (found.outcome, found.sentence) == ("pass", "2 tunables"), found
 
 
-def test_recordings_that_are_too_short_to_be_cut_are_no_evidence_of_a_resumed_run():
-    short = [*recordings(), *(cut(r, 0, 3) for r in recordings(5))]
-    found = {str(c): c for c in tw.tracker_checks(averaged(forgets=True), short)}["cut and resume"].result
-    assert (found.outcome, found.sentence[:35]) == ("skip", "no recording but the longest has mo"), found
-
-
-def test_values_are_hidden_of_every_channel_or_their_influence_is_not_judged():
-    varied = [cut(r, 0, 40 - k) for k, r in enumerate(recordings(6))]
-    seen = np.ones((40, 2), bool)
-    seen[7, 1] = False
-    varied[0] = replace(varied[0], readings={"places": replace(varied[0].readings["places"], seen=seen)})
-    leaking = FAULTS["hidden values"][0]()
-    for given, outcome in ((varied, "fail"), (recordings(6, rows=1), "skip")):
-        found = {str(c): c for c in tw.tracker_checks(leaking, given)}["hidden values"].result
-        assert found.outcome == outcome, found
-    assert found.sentence.startswith("a channel of places is seen in every row"), found
-
-
 def test_a_tracker_that_reads_inputs_or_is_no_filter_needs_recordings():
     with pytest.raises(tw.UnusableInput, match="found a Averaged; expected recordings"):
         tw.check_tracker(averaged())
@@ -258,8 +203,3 @@ def test_recordings_without_what_a_tracker_reads_are_refused_in_the_first_check(
     assert first.outcome == "fail"
     assert "found readings of fixes; expected 'places'" in first.sentence
     assert {one.outcome for one in others} == {"skip"}
-
-
-@pytest.mark.parametrize("check", tw.tracker_checks(averaged(), recordings())[:3], ids=str)
-def test_checks_are_parameters_of_pytest(check):
-    check()

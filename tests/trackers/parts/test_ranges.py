@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student_t
 
-from trackwright.trackers.conformance.sensors import Still
+from tests.known_start import Still
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.model.algebra import Vector, diagonal
 from trackwright.trackers.core.model.covariance import Gaussian

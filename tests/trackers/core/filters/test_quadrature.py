@@ -7,7 +7,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 from scipy.stats import t as student_t
 
-from trackwright.trackers.conformance.sensors import Still
+from tests.known_start import Still
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.quadrature import AbstractPlaceSensor, AtPoints, QuadratureKalman
 from trackwright.trackers.core.model.algebra import Vector
