@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from trackwright.experiments.cli.import_source import import_source
 
+from trackwright.experiments.cli.import_source import import_source
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.line import THESIS_KNOTS, simulate_line
 from trackwright.trackers.line.truth import knot_times
