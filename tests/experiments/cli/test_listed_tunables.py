@@ -41,10 +41,8 @@ def test_tunables_are_listed_with_values_units_and_bounds():
     assert all(name in text.out for name in listed)
 
 
-def test_values_are_those_of_a_noise_file_and_of_the_recording(simulated, tmp_path):
-    (tmp_path / "tuned.toml").write_text('tracker = "beam"\n[tunables."motion.sigma_a"]\nvalue = 7.5\n')
-    done = trackwright("trackers", "beam", simulated, "--noise", tmp_path / "tuned.toml", "--json")
+def test_values_are_those_of_the_recording(simulated):
+    done = trackwright("trackers", "beam", simulated, "--json")
     assert done.err == ""
     found = {one["name"]: one["value"] for one in json.loads(done.out)["tunables"]}
-    assert found["motion.sigma_a"] == pytest.approx(7.5)
     assert np.shape(found["sensors.phases.offsets"]) == (8,)

@@ -340,11 +340,11 @@ def one_metre():
 @pytest.mark.parametrize(
     ("expression", "failure"),
     [
-        ("p95_m>0.5", "p95_m is 1 > 0.5"),
+        ("p95_m>0.5", "p95_m>0.5 (p95_m is 1)"),
         ("p95_m > 1", None),
-        ("n<1e1 and rmse_m==1", "n is 1 < 1e1 and rmse_m is 1 == 1"),
-        ("n>10 and rmse_m<1 or max_m<=.1e1", "max_m is 1 <= .1e1"),
-        ("bias_x_m > -3 or n == 1", "bias_x_m is 1 > -3; n is 1 == 1"),
+        ("n<1e1 and rmse_m==1", "n<1e1 and rmse_m==1 (n is 1, rmse_m is 1)"),
+        ("n>10 and rmse_m<1 or max_m<=.1e1", "n>10 and rmse_m<1 or max_m<=.1e1 (n is 1, rmse_m is 1, max_m is 1)"),
+        ("(n>10 or rmse_m=1) and max_m>1", None),
     ],
 )
 def test_a_condition_holds_or_does_not(one_metre, expression, failure):
@@ -353,7 +353,7 @@ def test_a_condition_holds_or_does_not(one_metre, expression, failure):
 
 @pytest.mark.parametrize(
     "expression",
-    ["", "p95_m", "p95_m>", "p95_m>>1", "p95_m>1 and", "1<p95_m", "p95_m>nan", "print('x')>1", "n>0x1", "n>1,n>2"],
+    ["", "p95_m", "p95_m>", "p95_m>>1", "p95_m>1 and", "p95_m>'a'", "1>0", "print('x')>1", "n>1,n>2", "rmse_m=>1"],
 )
 def test_a_condition_that_cannot_be_read_is_refused_with_the_names(one_metre, expression):
     with pytest.raises(UnusableInput, match=r"NAME OPERATOR NUMBER.*names: n, .*rmse_m"):

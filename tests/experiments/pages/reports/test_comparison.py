@@ -6,7 +6,7 @@ import pytest
 
 from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions
 from trackwright.experiments.cli.track import evaluate_tracks
-from trackwright.experiments.lab.papers.reproduce import part, tables
+from trackwright.experiments.lab.papers.reproduce import evidence, part, tables
 from trackwright.experiments.pages.reports.comparison import comparison, study_contrasts
 from trackwright.experiments.pages.reports.runs import StudyRun, read_runs
 from trackwright.experiments.text.expectations import Value
@@ -163,6 +163,7 @@ def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reac
     )
     assert f"**{counts}**" in text
     assert tables([{"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}], 12.0).count(counts) == 2
-    assert "The nearest is this." in text
-    assert "**Does not hold** (*derived*): A is better. 1 against 2" in text
-    assert "Holds (*predicted*): B is better. 2 against 1" in text
+    assert "**Does not hold** (*derived*): A is better." in text
+    assert "Holds (*predicted*): B is better." in text
+    rows = evidence([{"study": "some", "claims": claims}])
+    assert rows["evidence"].to_list() == ["", "The nearest is this.", "", "", "1 against 2", "2 against 1"]
