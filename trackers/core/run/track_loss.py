@@ -98,9 +98,6 @@ PRICE = 0.2
 BLUR = 3.0
 """Factor on the errors of readings at another place, which lags behind a tag that moves."""
 
-AWAY = 0.5
-"""Least distance of another place from the track, m, from which readings speak for it."""
-
 WILD, READINGS = (0.02, 0.5), 50.0
 """Least and largest share of wild readings, and the number of readings over which it is estimated."""
 
@@ -119,16 +116,19 @@ class TrackScorePolicy(AbstractTrackLoss):
     The other place is where a start in the latest row before would have been. Its evidence is the log-likelihood ratio
     of the readings, with the density 1/`width` on both sides for the share of them that is wild, so that readings which
     agree with neither decide nothing; it sums up from zero (Page's CUSUM test). The share is estimated from the latest
-    readings. Beyond `score_limit` nats the track is lost; it is also lost where its mean is more than `SIGMAS` standard
-    deviations outside the input `room`. `width`: in the unit of the measurements. `max_gap`: as in `AbstractTrackLoss`.
+    readings. A place nearer to the track than `away`, m, gains nothing. Beyond `score_limit` nats the track is lost; it
+    is also lost where its mean is more than `SIGMAS` standard deviations outside the input `room`. `width`: in the unit
+    of the measurements. `max_gap`: as in `AbstractTrackLoss`.
     """
 
     limit: ClassVar[str] = "score_limit"
     score_limit: Threshold
     width: Threshold
     max_gap: Threshold
+    away: float = eqx.field(static=True)
 
-    def __init__(self, width: float, unit: str, score_limit: float = 8.0, max_gap: float = 10.0):
+    def __init__(self, width: float, unit: str, score_limit: float = 8.0, max_gap: float = 10.0, away: float = 0.5):
+        self.away = away
         self.score_limit, self.width = Threshold(score_limit), Threshold(width, unit)
         self.max_gap = Threshold(max_gap, "s")
 
@@ -144,7 +144,7 @@ class TrackScorePolicy(AbstractTrackLoss):
         densities = innovation.log_likelihood, log_density_at(statistic.place, row, tracker)
         here, there = (x + innovation.nis_dof * jnp.log(self.width.value) for x in densities)
         track = tracker.filter.moments(before)[0].position
-        away = total((x - y) ** 2 for x, y in zip(track, statistic.place, strict=False)) > AWAY**2
+        away = total((x - y) ** 2 for x, y in zip(track, statistic.place, strict=False)) > self.away**2
         odds = jnp.log(statistic.wild) - jnp.log1p(-statistic.wild)
         gain = jnp.logaddexp(odds, there) - jnp.logaddexp(odds, here)
         gain = jnp.where(away, gain, jnp.minimum(gain, 0.0)) - PRICE

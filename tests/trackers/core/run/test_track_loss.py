@@ -10,7 +10,7 @@ import trackwright as tw
 from tests.kidnapped import detection
 from trackwright.trackers.core.model.rig import MARGIN, room_rows
 from trackwright.trackers.core.model.tunable import with_values
-from trackwright.trackers.core.run.track_loss import AWAY, BLUR, PRICE, READINGS, ROOM, SIGMAS, WILD
+from trackwright.trackers.core.run.track_loss import BLUR, PRICE, READINGS, ROOM, SIGMAS, WILD
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.start_nearby import NEARBY
 
@@ -93,7 +93,7 @@ def test_a_track_is_lost_where_the_evidence_for_another_place_passes_the_limit_a
     for row in range(first + 1, len(nearby)):
         odds = np.log(wild / (1 - wild))
         gain = np.logaddexp(odds, there[row]) - np.logaddexp(odds, here[row])
-        away = np.hypot(*(p[row - 1] - q for p, q in zip(free.mean.position, nearby[row - 1], strict=False))) > AWAY
+        away = np.hypot(*(p[row - 1] - q for p, q in zip(free.mean.position, nearby[row - 1], strict=False))) > 0.5
         evidence = max(evidence + (gain if away else min(gain, 0.0)) - PRICE, 0.0)
         if evidence > policy.score_limit.value:
             break
