@@ -190,6 +190,8 @@ def headline(rows: Sequence[dict[str, str]]) -> list[tuple[str, ...]]:
     lines = [("estimator", *(f"{g}: better, equal, worse" for g in GROUPS), "NEES/dof, unseen", "µs a reading")]
     for name in (OURS, SMOOTHED, *ESTIMATORS):
         mine, told = [row for row in rows if row["tracker"] == name], []
+        if not mine:
+            continue
         for group in GROUPS if name in ESTIMATORS else ():
             part = [row for row in mine if row["setting"] == group]
             better = sum(bool(r["error"]) or float(r["low"] or "nan") > 0 for r in part)
