@@ -4,8 +4,6 @@
 papers/kwon_2021/table_4, returns is written to `fitted/table_4.toml` beside it, where the study reads it.
 """
 
-from __future__ import annotations
-
 import importlib
 import tempfile
 import tomllib

@@ -3,8 +3,6 @@
 Every study is run into out/papers/NAME and resumes if interrupted; every number is read from a results.json.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -4,8 +4,6 @@ The distance to the route hides the lag; the error in time shows it, and time st
 it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """MH-K with and without its Markov chain, paired: what the chain adds, also where corners take 1.4 m/s²."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from functools import partial
 

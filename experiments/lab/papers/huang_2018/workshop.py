@@ -5,8 +5,6 @@ Not printed and fitted: size of the drift, frequency and size of outliers; Q and
 causal median of 9 is 0.4 s late.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import product

@@ -4,8 +4,6 @@ The anchors are 5 m apart; their positions are not printed. Right above the tags
 y; their square is therefore turned by 15°, the best of 0°, 15°, 30° and 45° for the heights of Table 3 (`robot`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 

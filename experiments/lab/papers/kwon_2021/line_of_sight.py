@@ -5,8 +5,6 @@ printed minimum and maximum are exchanged (289 is above −382). Assumed are thr
 x hidden. Fitted: the spread of the range errors, constant at each position, and the detour round the obstacle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 

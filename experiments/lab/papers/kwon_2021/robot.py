@@ -5,8 +5,6 @@ of the strokes and the true end. Two printed errors contradict their own rows (3
 error of 41 mm, 2,710 mm as 2,730 mm with 30 mm); the printed errors are used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 

@@ -5,8 +5,6 @@ accelerometer noise of 0.001 m/s²/√Hz, known to the proposed filter. The two 
 affect y more than x, so that filters improve y less, as printed. A tag at rest does not show a filter's lag.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise

@@ -4,8 +4,6 @@ The truth is fitted to the recording's own fixes, as in section 2.6; errors corr
 are therefore underestimated.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache

@@ -6,8 +6,6 @@ position beside the line for `AWAY_S` seconds, or never. A detection is a sum ab
 within `AFTER_S` seconds; a false alarm is one at any time in a recording, of about a minute, of a tag that stays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

@@ -5,8 +5,6 @@ The thesis expects that its filter "tends to overshoot such rest periods", and t
 dynamic noise: situation 2, with rests of 5 s at four joins, and situation 1, without rests, which shows the cost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

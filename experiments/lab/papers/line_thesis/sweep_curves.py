@@ -4,8 +4,6 @@ The noise is in m/s per √s (at 5 Hz 1 m/s per √s is 45 cm/s per step). Zero 
 speed; the sweep begins at a small value instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

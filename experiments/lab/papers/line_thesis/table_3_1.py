@@ -10,8 +10,6 @@ of the Kalman column, and the mean speed to its nine errors. A speed is allowed 
 most that of nine single draws of the fitted world; the middle one is taken. Time constant and rate are chosen.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple

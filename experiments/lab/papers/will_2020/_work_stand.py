@@ -4,8 +4,6 @@ Three antennas have several directions of equal power within ±30°; the paper's
 Antennas are therefore masked from the second row on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal

@@ -5,8 +5,6 @@ whose 28 × 28 matrix the paper inverts, are compressed to 2 channels with the s
 search by the beamformer, is not counted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

@@ -3,8 +3,6 @@
 Positions and numbers of the paper's stations are not printed; ours are numbered so that station 1 matters most.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ Fitted to the printed 3.18 cm: the stations' distance from the centre line, whic
 Not in the paper: one filter from phases to position, and a world with plane waves, in which (9) is exact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

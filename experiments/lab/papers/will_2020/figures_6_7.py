@@ -4,8 +4,6 @@ The EKF's errors were fitted (Table 1), so that its advantage rests on fitted nu
 second world has outliers of chosen number and size, which are not printed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

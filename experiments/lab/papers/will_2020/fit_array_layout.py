@@ -6,8 +6,6 @@ fill the box, the one with the lowest side lobes is chosen, so that a beamformer
 The printed errors are a filter's, not bounds: this is a fit, not a reconstruction of the array.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH, boresight_bounds

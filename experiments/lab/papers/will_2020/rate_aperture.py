@@ -5,8 +5,6 @@ the next between two rows. Waves are plane, so that only rate and aperture matte
 exceeds half the distance to the next ambiguous one, the wavelength over twice the array's largest extent.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -9,8 +9,6 @@ Tracks on a wrong direction, whose errors are not differentiable, are excluded. 
 are closest to the table on new noise is chosen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

@@ -122,9 +122,7 @@ def table(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_filters_stand_in_the_order_of_the_table(table):
-    raw, kalman, particle = (
-        table.average("error_m", [(name, t) for name in RECORDINGS]).value for t in COLUMNS
-    )
+    raw, kalman, particle = (table.average("error_m", [(name, t) for name in RECORDINGS]).value for t in COLUMNS)
     # By a quarter and more in the table; eighteen recordings scatter by a few per cent.
     assert particle < 0.9 * kalman < 0.81 * raw
     assert least(table, "Kalman") == table.study.grid[SIGMA][0]
