@@ -1,7 +1,5 @@
 """The laboratory: `python -m trackwright.experiments.lab TABLE` measures a table; without a name, the list of them."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """`trackwright demo`: the main workflow end to end on a simulated work station."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

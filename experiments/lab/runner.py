@@ -1,7 +1,5 @@
 """Measurements as cases: each is one row of a CSV, and a run goes on where the last one stopped."""
 
-from __future__ import annotations
-
 import csv
 import os
 import platform

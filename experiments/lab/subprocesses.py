@@ -1,7 +1,5 @@
 """Fresh processes: `trackwright` as a user types it, and a Python that may hang or fail."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import subprocess

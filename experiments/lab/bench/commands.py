@@ -1,7 +1,5 @@
 """Processor time that a user waits for whole commands, in fresh processes, with an empty and a filled cache."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Iterator

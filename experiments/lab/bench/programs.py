@@ -1,7 +1,5 @@
 """Processor time per row of compiled programs: filter, smoother and gradient of each tracker by size of the batch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from typing import Any, cast

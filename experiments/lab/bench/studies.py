@@ -1,7 +1,5 @@
 """A study's chunk and its parts beside the tracker alone, and a study on worker processes, in processor seconds."""
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """One timer, and one command in a process of its own: what every benchmark measures with."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,10 +1,4 @@
-"""The data sets of the comparison, and what estimators are given of each: recordings that are found, and five worlds.
-
-Worlds have paths of white acceleration and white normal readings from a known start, so that the filter with their
-levels and prior is the optimum.
-"""
-
-from __future__ import annotations
+"""What estimators are given: recordings that are found, and five worlds, of which the plain filter is the optimum."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,20 +18,16 @@ from trackwright.trackers.recordings.rig_file import mounted
 
 MOST_READINGS = 6_000
 """Readings of a recording that every estimator is given, from its beginning; bearings, which are averaged, whole."""
-
 INPUTS = {"ranges": ("anchors",), "tdoa": ("pairs",), "bearings": ("origin", "axes"), "fixes": ()}
 """The inputs of a row that are the geometry of its reading."""
-
 WORLDS = {
     "world-ranges-2d": ("ranges", 2, 0.02, 0.1), "world-ranges-3d": ("ranges", 3, 0.02, 0.1),
     "world-tdoa": ("tdoa", 3, 0.02, 0.1), "world-bearings": ("bearings", 2, 0.02, 0.1),
     "world-fixes": ("fixes", 3, 0.02, 0.2),
 }  # fmt: skip
 """Kind, coordinates, m/s² per √Hz, and m or rad."""
-
 ROWS, RATE_HZ, TAGS, MIDDLE, PRIOR = 600, 20.0, 3, np.array([5.0, 5.0, 1.2]), (0.3, 0.05)
 """PRIOR: standard deviations of the place about the middle and of the velocity at the start, m and m/s."""
-
 CORNERS = np.array([[0, 0, 0.2], [10, 0, 2.8], [10, 10, 0.2], [0, 10, 2.8],
                     [0, 5, 2.8], [10, 5, 0.2], [5, 0, 2.8], [5, 10, 0.2]], float)  # fmt: skip
 
@@ -56,10 +46,8 @@ def folder_of(name: str, most: int = MOST_READINGS) -> RecordingFolder:
     folder = replace(folder, rig=replace(folder.rig, path_knots=None))
     cut = [table["t_s"].sort()[most] for kind, table in folder.tables.items()
            if kind in CHANNELS and kind != "bearings" and len(table) > most]  # fmt: skip
-    if not cut:
-        return folder
-    tables = {k: t if k == "truth" else t.filter(pl.col("t_s") < min(cut)) for k, t in folder.tables.items()}
-    return replace(folder, tables=tables)
+    before = pl.col("t_s") < min(cut, default=np.inf)
+    return replace(folder, tables={k: t if k == "truth" else t.filter(before) for k, t in folder.tables.items()})
 
 
 def tracker_of(folder: RecordingFolder) -> NamedTracker:
@@ -86,18 +74,9 @@ def problems(folder: RecordingFolder) -> Iterator[tuple[str, Problem]]:
             some = seen.any(axis=1)
             height = float(recording.inputs["height"][0]) if batch.planar else np.nan
             prior = PRIOR if folder.name in WORLDS else (1.0, 1.0)
-            yield (
-                trajectory.tag,
-                Problem(
-                    kind,
-                    times[some],
-                    values[some].astype(float),
-                    seen[some],
-                    geometry[some].astype(float),
-                    height,
-                    prior,
-                ),
-            )
+            seen = seen & (np.arange(3) < 2) if kind == "fixes" and batch.planar else seen
+            rows = times[some], values[some].astype(float), seen[some], geometry[some].astype(float)
+            yield trajectory.tag, Problem(kind, *rows, height, prior)
 
 
 def world(name: str) -> RecordingFolder:

@@ -5,8 +5,6 @@ recordings, those on which our defaults were set, on a grid; then both are scale
 degree of freedom is 1 there. Peers run in processes that never import trackwright.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -16,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -38,35 +36,23 @@ SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_thresho
 """The options of XLA with which cuthbert and dynamax run fastest here."""
 
 
-class Peer(NamedTuple):
-    """An estimator: module and function in `peers`, and whether it uses later readings."""
-
-    run: str
-    later: bool = False
-
-
 ESTIMATORS = {
-    "numpy-ekf": Peer("plain:estimate"),
-    "filterpy": Peer("with_filterpy:estimate"),
-    "stonesoup": Peer("with_stonesoup:estimate"),
-    "cuthbert": Peer("with_cuthbert:prepared"),
-    "dynamax": Peer("with_dynamax:prepared", later=True),
-    "gtsam-lag": Peer("with_gtsam:fixed_lag"),
-    "gtsam": Peer("with_gtsam:batch", later=True),
-}
+    "numpy-ekf": "plain:estimate", "filterpy": "with_filterpy:estimate", "stonesoup": "with_stonesoup:estimate",
+    "cuthbert": "with_cuthbert:prepared", "dynamax": "with_dynamax:prepared", "gtsam-lag": "with_gtsam:fixed_lag",
+    "gtsam": "with_gtsam:batch",
+}  # fmt: skip
+"""Module and function in `peers`."""
+LATER = ("dynamax", "gtsam")
+"""Those that use later readings."""
 DEVELOPMENT = {
-    "ranges": TRACKERS["uwb"].recordings,
-    "bearings": TRACKERS["bearings"].recordings,
+    "ranges": TRACKERS["uwb"].recordings, "bearings": TRACKERS["bearings"].recordings, "fixes": ("tiers-1tag-01",),
     "tdoa": ("util-c1-t1-tdoa2", "util-c1-t1-tdoa3", "util-c4-t5-tdoa2"),
-    "fixes": ("tiers-1tag-01",),
-}
+}  # fmt: skip
 GRIDS = {"fixes": ((0.3, 2.4, 24.0), (0.013, 0.05, 0.2))}
 USUAL = ((0.033, 0.1, 0.3, 0.9), (0.1, 0.2, 0.4, 0.8))
 """m/s² per √Hz, and m or rad, of which all pairs are tried."""
-
-SEARCHED, LIMIT_S = 600, 900.0
+SEARCHED, LIMIT_S, GROUPS = 600, 900.0, ("development", "unseen", "worlds")
 """Readings of a tag of a development recording that the search uses; the longest run of a peer for a pair of levels."""
-
 Levels = tuple[float, float]
 
 
@@ -79,9 +65,8 @@ def peer(name: str, recording: str, levels: Sequence[Levels], most: int) -> Iter
         fields = ("times", "values", "seen", "geometry", "height")
         arrays = {f"{f}_{k}": getattr(p, f) for k, (_, p) in enumerate(given) for f in fields}
         np.savez(source, kind=given[0][1].kind, prior=given[0][1].prior, **arrays)
-        line = [sys.executable, str(PEERS / "run_peer.py"), ESTIMATORS[name].run, str(source), str(target)]
-        flags = {"XLA_FLAGS": SMALL_LOOPS} if name in ("cuthbert", "dynamax") else {}
-        environment = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "PYTHONPATH")} | flags
+        line = [sys.executable, str(PEERS / "run_peer.py"), ESTIMATORS[name], str(source), str(target)]
+        environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {"XLA_FLAGS": SMALL_LOOPS}
         done = subprocess.run(
             [*line, *(f"{a},{r}" for a, r in levels)], env=environment, capture_output=True, text=True, check=False,
             timeout=LIMIT_S * len(levels),
@@ -91,10 +76,9 @@ def peer(name: str, recording: str, levels: Sequence[Levels], most: int) -> Iter
         with np.load(target) as kept:
             cpu = 1e6 * float(kept["seconds"]) / sum(len(p.times) for _, p in given)
             for number in range(len(levels)):
-                tables = (
-                    _table(folder.name, *one, kept[f"positions_{number}_{k}"], kept.get(f"covariances_{number}_{k}"))
-                    for k, one in enumerate(given)
-                )
+                paths = [[kept.get(f"{what}_{number}_{k}") for what in ("positions", "covariances")]
+                         for k in range(len(given))]  # fmt: skip
+                tables = (_table(folder.name, *one, *path) for one, path in zip(given, paths, strict=True))
                 figures, errors = scored(pl.concat(tables), folder)
                 yield {**figures, "cpu_us": cpu}, errors
 
@@ -104,17 +88,17 @@ def _table(recording: str, tag: str, p: Any, positions: np.ndarray, P: np.ndarra
     last, d = np.flatnonzero(np.append(np.diff(p.times) > 0, True)), p.d
     P = np.full((len(last), d, d), np.nan) if P is None else P[last]
     columns: dict[str, Any] = {"recording": recording, "t_s": p.times[last], "tag": tag}
-    columns |= dict(zip(("x_m", "y_m", "z_m"), p.place(positions)[last].T, strict=True))
-    columns |= {f"std_{a}_m": np.sqrt(P[:, k, k]) if k < d else np.zeros(len(last)) for k, a in enumerate("xyz")}
-    pairs = (("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
-    columns |= {f"cov_{ab}_m2": P[:, i, j] if j < d else np.full(len(last), np.nan) for ab, i, j in pairs}
+    for i, a in enumerate("xyz"):
+        columns[f"{a}_m"] = p.place(positions)[last, i]
+        columns[f"std_{a}_m"] = np.sqrt(P[:, i, i]) if i < d else np.zeros(len(last))
+        columns |= {f"cov_{'xyz'[j]}{a}_m2": P[:, j, i] if i < d else np.full(len(last), np.nan) for j in range(i)}
     return pl.DataFrame(columns)
 
 
 def scored(table: pl.DataFrame, folder: Any) -> tuple[dict[str, Any], Any]:
     """RMSE and 95th percentile, m or rad, share inside 95 %, NEES/dof, rows with an estimate; errors by track."""
-    association = associate_truth(table, {folder.name: folder.tables["truth"]})
-    stations = {folder.name: folder.rig.stations}
+    stations, truth = {folder.name: folder.rig.stations}, {folder.name: folder.tables["truth"]}
+    association = associate_truth(table, truth)
     found = evaluate_association(association, stations).overall
     error = "rmse_m" if found.get("rmse_m") is not None else "rmse_direction_rad"
     figures = {"rmse": found[error], "p95": found.get(error.replace("rmse", "p95")), "inside": found["coverage_95"],
@@ -129,10 +113,8 @@ def ours(name: str, recording: str) -> tuple[Figures, Any]:
     tracker = data.tracker_of(folder)
     tracker = tracker.smoothing() if name == SMOOTHED else tracker
     tracker.run(folder)
-    began = time.process_time()
-    table = tracker.run(folder).to_polars()
-    seconds = time.process_time() - began
-    figures, errors = scored(table, folder)
+    began, table = time.process_time(), tracker.run(folder).to_polars()
+    seconds, (figures, errors) = time.process_time() - began, scored(table, folder)
     given = sum(len(p.times) for _, p in data.problems(folder)) or len(table)
     return {**figures, "cpu_us": 1e6 * seconds / given}, errors
 
@@ -141,14 +123,10 @@ def levels_of(name: str, kind: str) -> Figures:
     """The levels of an estimator by the search."""
     grid = list(product(*GRIDS.get(kind, USUAL)))
     names = [recording for recording in DEVELOPMENT[kind] if recording in data.places()]
-    logs = []
-    for recording in names:
-        runs = [figures for figures, _ in peer(name, recording, grid, SEARCHED)]
-        logs.append(np.log([[run["rmse"] or np.inf, run["nees"] or np.nan] for run in runs]))
-    mean = np.mean(logs, axis=0)
+    runs = [[figures for figures, _ in peer(name, recording, grid, SEARCHED)] for recording in names]
+    mean = np.mean(np.log([[[r["rmse"] or np.inf, r["nees"] or np.nan] for r in each] for each in runs]), axis=0)
     best = int(np.nanargmin(mean[:, 0]))
-    scale = float(np.exp(0.5 * mean[best, 1]))
-    acceleration, reading = grid[best]
+    scale, (acceleration, reading) = float(np.exp(0.5 * mean[best, 1])), grid[best]
     return {"acceleration": acceleration * scale, "reading": reading * scale, "scale": scale, "pairs": len(grid),
             "recordings": len(names)}  # fmt: skip
 
@@ -164,15 +142,9 @@ def beside(name: str, recording: str) -> Figures:
         row = next(r for r in read(EVIDENCE / "peer-levels.csv") if (r["recording"], r["tracker"]) == (kind, name))
         levels = float(row["acceleration"]), float(row["reading"])
     figures, errors = next(peer("numpy-ekf" if name == OPTIMUM else name, recording, [levels], data.MOST_READINGS))
-    mine = ours(SMOOTHED if name in ESTIMATORS and ESTIMATORS[name].later else OURS, recording)[1]
+    mine = ours(SMOOTHED if name in LATER else OURS, recording)[1]
     paired = paired_differences(mine, errors, ["rmse_m"]).get("rmse_m")
     return {**figures, "low": paired and paired.low, "high": paired and paired.high}
-
-
-def level_cases() -> Iterator[Case]:
-    """The levels of every estimator for every kind of readings."""
-    for kind, name in product(DEVELOPMENT, ESTIMATORS):
-        yield Case(kind, name, "development", partial(levels_of, name, kind))
 
 
 def cases() -> Iterator[Case]:
@@ -180,8 +152,8 @@ def cases() -> Iterator[Case]:
     seen = {recording for names in DEVELOPMENT.values() for recording in names}
     for recording in (*data.places(), *data.WORLDS):
         group = "worlds" if recording in data.WORLDS else "development" if recording in seen else "unseen"
-        others = () if recording.startswith("ble51-uca") else ESTIMATORS
-        for name in (OURS, SMOOTHED, *others, *((OPTIMUM,) if group == "worlds" else ())):
+        others = [] if recording.startswith("ble51-uca") else list(ESTIMATORS)
+        for name in (OURS, SMOOTHED, *others, *[OPTIMUM] * (group == "worlds")):
             yield Case(recording, name, group, partial(beside, name, recording))
 
 
@@ -198,13 +170,9 @@ def headline(rows: Sequence[dict[str, str]]) -> list[tuple[str, ...]]:
             worse = sum(float(r["high"] or "nan") < 0 for r in part)
             told.append(f"{better}, {len(part) - better - worse}, {worse}")
         logs = [np.log(float(r["nees"])) for r in mine if r["setting"] == "unseen" and r["nees"]]
-        times = [float(r["cpu_us"]) for r in mine if r["cpu_us"]]
-        nees = f"{np.exp(np.mean(logs)):.2f}" if logs else ""
+        times, nees = [float(r["cpu_us"]) for r in mine if r["cpu_us"]], f"{np.exp(np.mean(logs)):.2f}" if logs else ""
         lines.append((name, *(told or ("",) * 3), nees, f"{np.median(times):.1f}" if times else ""))
     return lines
-
-
-GROUPS = ("development", "unseen", "worlds")
 
 
 def main(*, page: Path = PAGE) -> int:
@@ -213,7 +181,9 @@ def main(*, page: Path = PAGE) -> int:
     Args:
         page: the page whose table is replaced.
     """
-    failed = measure(level_cases(), EVIDENCE / "peer-levels.csv", report=notice)
+    pairs = product(DEVELOPMENT, ESTIMATORS)
+    levels = (Case(kind, name, "development", partial(levels_of, name, kind)) for kind, name in pairs)
+    failed = measure(levels, EVIDENCE / "peer-levels.csv", report=notice)
     failed += measure(cases(), EVIDENCE / "side-by-side.csv", report=notice)
     replace_tables(page, "make benchmark", markdown(headline(read(EVIDENCE / "side-by-side.csv"))))
     print(f"wrote {page}; {failed} rows have an error")

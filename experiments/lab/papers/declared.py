@@ -1,7 +1,5 @@
 """What declarations of studies share: printed numbers as data, and trackers of several studies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from types import MappingProxyType

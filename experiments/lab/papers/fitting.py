@@ -1,12 +1,8 @@
 """Parameters that a paper does not print, fitted to what it does.
 
-`python -m trackwright.experiments.lab.papers.fitting NAME` writes those of a study.
-
-NAME is the path of a study's file below experiments/lab, such as papers/kwon_2021/table_4. What its `fit` returns is
-written to `fitted/table_4.toml` beside it, where the study reads it.
+`python -m trackwright.experiments.lab.papers.fitting NAME`: what `fit` of a study's file, such as
+papers/kwon_2021/table_4, returns is written to `fitted/table_4.toml` beside it, where the study reads it.
 """
-
-from __future__ import annotations
 
 import importlib
 import tempfile

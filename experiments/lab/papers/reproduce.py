@@ -1,10 +1,7 @@
 """All reproductions of the four papers: `python -m trackwright.experiments.lab.papers.reproduce` (`make papers`).
 
-Every study is run as `trackwright study NAME --out out/papers/NAME` and resumes if interrupted. The results are the
-tables of docs/results.md, and docs/evidence/papers.csv with the evidence; every number is read from a results.json.
+Every study is run into out/papers/NAME and resumes if interrupted; every number is read from a results.json.
 """
-
-from __future__ import annotations
 
 import json
 import os

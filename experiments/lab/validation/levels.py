@@ -5,8 +5,6 @@ minimised from the present levels by Nelder and Mead's simplex: that of Student'
 gradient ends. `real_recordings` runs each site with the levels of the others, as the setting `other sites`.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace

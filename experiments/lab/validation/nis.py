@@ -5,8 +5,6 @@ share of the means over `WINDOW` rows inside the 95 % band of `nis_band`. Rows c
 start is wider than a linearisation is exact, and that of phases is drawn within one lobe of the array.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial

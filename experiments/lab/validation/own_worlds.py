@@ -1,7 +1,5 @@
 """Worlds of a tracker's own model: states from its start and motion, readings from the densities of its sensors."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -4,8 +4,6 @@ No recording is judged on a calibration, tuning or levels that have seen it. It 
 its site with the same installation; where there is none, each half of it, in time, on the other half.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from functools import lru_cache, partial
 from typing import Any

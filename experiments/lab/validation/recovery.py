@@ -5,8 +5,6 @@ by the scatter of rows, and by the wider of both, which `tune` gives; its bias i
 many fits end worse than they began, none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial

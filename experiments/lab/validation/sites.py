@@ -1,7 +1,5 @@
 """Sites of real recordings, their trackers and limits, and where the recordings are."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from fnmatch import fnmatch
 from functools import cache

@@ -1,20 +1,14 @@
-"""What every estimator is given, and the model that it takes: constant velocity, white acceleration and readings.
-
-Nothing here imports trackwright: peers run in processes of their own.
-"""
-
-from __future__ import annotations
+"""What every estimator is given, and its model of constant velocity; peers never import trackwright."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.optimize import least_squares
 
 Path = tuple[np.ndarray, np.ndarray | None]
 """Positions (N, d), m, and covariances (N, d, d), m², at the times of the readings."""
-
 CHANNELS = {"ranges": 1, "tdoa": 1, "bearings": 2, "fixes": 3}
 EPOCH_S, LEAST = 5e-3, 6
 """Readings no farther apart are of one state of a batch; the fewest readings of a start."""
@@ -22,22 +16,21 @@ EPOCH_S, LEAST = 5e-3, 6
 
 @dataclass(frozen=True)
 class Problem:
-    """The N readings of one tag in the order of time.
+    """The N readings of one tag in the order of time; of fixes at a known height two channels are seen.
 
-    `kind`: a key of `CHANNELS`. `times` (N,) s; `values`, `seen` (N, m); `geometry` (N, g): the anchor, both anchors,
-    or origin and axes of the station; `height`: m, NaN where it is estimated; `prior`: standard deviations of the
-    start, m and m/s.
+    `geometry` (N, g): the anchor, both anchors, or origin and axes of the station; `height`: m, NaN where it is
+    estimated; `prior`: standard deviations of the start, m and m/s.
     """
 
-    kind: str
-    times: np.ndarray
-    values: np.ndarray
+    kind: str  # A key of CHANNELS.
+    times: np.ndarray  # (N,) s
+    values: np.ndarray  # (N, m), as `seen`
     seen: np.ndarray
     geometry: np.ndarray
     height: float
     prior: tuple[float, float] = (1.0, 1.0)
 
-    def first(self, most: int) -> Problem:
+    def first(self, most: int) -> Self:
         """The first readings."""
         return replace(self, **{f: getattr(self, f)[:most] for f in ("times", "values", "seen", "geometry")})
 
@@ -54,11 +47,10 @@ class Problem:
     @cached_property
     def epochs(self) -> tuple[np.ndarray, np.ndarray]:
         """The times (T,) of states, s, and the state (N,) of each reading."""
-        new, last = np.zeros(len(self.times), bool), -np.inf
-        for row, time in enumerate(self.times):
-            if time > last + EPOCH_S:
-                new[row], last = True, time
-        return self.times[new], np.cumsum(new) - 1
+        starts: list[float] = []
+        for time in self.times:
+            starts += [time] if not starts or time > starts[-1] + EPOCH_S else []
+        return np.array(starts), np.searchsorted(starts, self.times, "right") - 1
 
     @cached_property
     def beginning(self) -> tuple[np.ndarray, np.ndarray]:
@@ -70,9 +62,8 @@ class Problem:
             place = np.array([np.median(z[seen[:, k], k]) for k in range(self.d)])
         else:
             middle = np.mean(geometry[:, :3], axis=0) - [0.0, 0.0, 1.0]
-            place = least_squares(
-                lambda p: (z - self.predicted(p, geometry, z))[seen], middle[: self.d], loss="soft_l1", f_scale=0.3
-            ).x
+            off = lambda p: (z - self.predicted(p, geometry, z))[seen]  # noqa: E731
+            place = least_squares(off, middle[: self.d], loss="soft_l1", f_scale=0.3).x
         return np.append(place, np.zeros(self.d)), np.diag(np.repeat(np.square(self.prior), self.d))
 
     def place(self, x: Any, xp: Any = np) -> Any:
@@ -99,23 +90,20 @@ class Problem:
 
     def slopes(self, x: np.ndarray, geometry: np.ndarray) -> np.ndarray:
         """The gradients (m, 2d) of `predicted` with respect to a state."""
-        place, H = self.place(x), np.zeros((CHANNELS[self.kind], 2 * self.d))
         if self.kind == "fixes":
-            full = np.eye(3)
-        else:
-            ray = place - geometry[:3]
-            full = ray[None] / np.linalg.norm(ray)
-            if self.kind == "tdoa":
-                other = place - geometry[3:6]
-                full = full - other / np.linalg.norm(other)
-            if self.kind == "bearings":
-                x_, y, z = _turned(geometry, ray, np)
-                flat, square = np.hypot(x_, z), ray @ ray
-                of_u = [[z / flat**2, 0.0, -x_ / flat**2]]
-                of_u += [[-x_ * y / (flat * square), flat / square, -z * y / (flat * square)]]
-                full = np.array(of_u) @ geometry[3:12].reshape(3, 3)
-        H[:, : self.d] = full[:, : self.d]
-        return H
+            return np.eye(3)[:, : self.d] @ np.eye(self.d, 2 * self.d)
+        place = self.place(x)
+        ray = place - geometry[:3]
+        full = ray[None] / np.linalg.norm(ray)
+        if self.kind == "tdoa":
+            full = full - (place - geometry[3:6]) / np.linalg.norm(place - geometry[3:6])
+        if self.kind == "bearings":
+            x_, y, z = _turned(geometry, ray, np)
+            flat, square = np.hypot(x_, z), ray @ ray
+            of_u = [[z / flat**2, 0.0, -x_ / flat**2]]
+            of_u += [[-x_ * y / (flat * square), flat / square, -z * y / (flat * square)]]
+            full = np.array(of_u) @ geometry[3:12].reshape(3, 3)
+        return full[:, : self.d] @ np.eye(self.d, 2 * self.d)
 
 
 def _turned(geometry: Any, ray: Any, xp: Any) -> Any:

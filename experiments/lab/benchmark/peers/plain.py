@@ -1,7 +1,5 @@
 """The textbook's extended Kalman filter: NumPy, one row after another, scalar updates in Joseph form."""
 
-from __future__ import annotations
-
 import numpy as np
 from model import Path, Problem, diffusion, transition
 
@@ -15,7 +13,7 @@ def states(p: Problem, acceleration: float, reading: float) -> tuple[np.ndarray,
         x, P = F @ x, F @ P @ F.T + diffusion(p.d, dt, acceleration)
         z, H = p.values[row], p.slopes(x, p.geometry[row])
         off, step = z - p.predicted(x, p.geometry[row], z), np.zeros(len(x))
-        for k in np.flatnonzero(p.seen[row] & H.any(axis=1)):
+        for k in np.flatnonzero(p.seen[row]):
             gain = P @ H[k] / (H[k] @ P @ H[k] + reading**2)
             step = step + gain * (off[k] - H[k] @ step)
             rest = eye - np.outer(gain, H[k])

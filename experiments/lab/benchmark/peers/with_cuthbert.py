@@ -1,7 +1,5 @@
 """cuthbert's Kalman filter of linearised moments, in square-root form and double precision."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cuthbert
@@ -31,14 +29,11 @@ def prepared(p: Problem) -> Any:
         kalman = moments.build_filter(mean, root, dynamics, observation)
         return cuthbert.filter(kalman, rows, kalman.init_prepare())
 
-    seen = p.seen & (np.arange(m) < p.d) if p.kind == "fixes" else p.seen
-    rows = {"dt": p.steps, "geometry": p.geometry, "values": p.values, "seen": seen}
-    filtered = jax.jit(of_rows)
+    rows, filtered = {"dt": p.steps, "geometry": p.geometry, "values": p.values, "seen": p.seen}, jax.jit(of_rows)
 
     def run(acceleration: float, reading: float) -> Path:
-        result = filtered(
-            rows, mean, np.linalg.cholesky(P), np.linalg.cholesky(diffusion(p.d, 1.0, acceleration)), reading
-        )
+        unit = np.linalg.cholesky(diffusion(p.d, 1.0, acceleration))
+        result = filtered(rows, mean, np.linalg.cholesky(P), unit, reading)
         roots = np.asarray(result.chol_cov)[1:, : p.d]
         return np.asarray(result.mean)[1:, : p.d], roots @ roots.swapaxes(1, 2)
 

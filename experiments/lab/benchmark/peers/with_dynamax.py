@@ -1,7 +1,5 @@
 """dynamax's extended Kalman smoother, each update linearised three times, in double precision."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax
@@ -19,7 +17,6 @@ def prepared(p: Problem) -> Any:
     m, (mean, P), z = p.values.shape[1], map(jnp.asarray, p.beginning), jnp.asarray(p.values)
     # What dynamax calls the input of a row has the step to the next row, the geometry and the reading of its own.
     inputs = jnp.asarray(np.column_stack([np.append(p.steps[1:], 0.0), p.geometry, p.values]))
-    seen = p.seen & (np.arange(m) < p.d) if p.kind == "fixes" else p.seen
 
     def moved(x: Any, u: Any) -> Any:
         return x.at[: p.d].add(u[0] * x[p.d :])
@@ -35,7 +32,7 @@ def prepared(p: Problem) -> Any:
 
     def run(acceleration: float, reading: float) -> Path:
         Q = jnp.array([diffusion(p.d, dt, acceleration) for dt in np.append(p.steps[1:], 0.0)])
-        R = jnp.asarray(np.where(seen, reading, UNSEEN)[:, :, None] ** 2 * np.eye(m))
+        R = jnp.asarray(np.where(p.seen, reading, UNSEEN)[:, :, None] ** 2 * np.eye(m))
         means, covariances = smoothed(Q, R)
         return np.asarray(means)[:, : p.d], np.asarray(covariances)[:, : p.d, : p.d]
 

@@ -1,7 +1,5 @@
 """filterpy's extended Kalman filter with the usual gate of three standard deviations of each channel."""
 
-from __future__ import annotations
-
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from model import Path, Problem, diffusion, transition
@@ -20,15 +18,14 @@ def estimate(p: Problem, acceleration: float, reading: float) -> Path:
         kalman.predict()
         waited += dt
         z, H = p.values[row], p.slopes(kalman.x, p.geometry[row])
-        off, seen = z - p.predicted(kalman.x, p.geometry[row], z), p.seen[row] & H.any(axis=1)
+        off, seen = z - p.predicted(kalman.x, p.geometry[row], z), p.seen[row]
         variances = np.einsum("ki,ij,kj->k", H, kalman.P, H) + reading**2
         inside = seen & (off**2 <= GATE**2 * variances)
         if seen.any() and not inside.any() and waited > OPENED_S:
             kalman.P[: p.d, : p.d] += np.eye(p.d)
             inside = seen
         if inside.any():
-            waited, rows = 0.0, H[inside]
-            R = reading**2 * np.eye(len(rows))
-            kalman.update(off[inside], lambda x, rows=rows: rows, lambda x: 0.0, R=R)
+            waited, R = 0.0, reading**2 * np.eye(inside.sum())
+            kalman.update(off[inside], lambda x, rows=H[inside]: rows, lambda x: 0.0, R=R)
         means[row], covariances[row] = kalman.x[: p.d], kalman.P[: p.d, : p.d]
     return means, covariances

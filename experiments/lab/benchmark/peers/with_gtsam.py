@@ -1,9 +1,4 @@
-"""GTSAM with Huber's loss: the most probable path in batch, and the newest state of an incremental smoother.
-
-Factors are custom ones on one vector of place and velocity a state: GTSAM's own hold the anchors as variables, too.
-"""
-
-from __future__ import annotations
+"""GTSAM with Huber's loss: in batch, and incremental. GTSAM's own factors hold the anchors as variables, too."""
 
 from typing import Any
 
@@ -31,16 +26,15 @@ def factors(p: Problem, acceleration: float, reading: float, row: int) -> Any:
 
         graph.add(gtsam.CustomFactor(Gaussian.Covariance(diffusion(p.d, dt, acceleration)), [row - 1, row], motion))
     for k in range(*np.searchsorted(row_of, [row, row + 1])):
-        seen = p.seen[k] & (np.arange(p.seen.shape[1]) < p.d) if p.kind == "fixes" else p.seen[k]
 
-        def error(factor: Any, values: Any, jacobians: Any, k: int = k, seen: Any = seen) -> np.ndarray:
+        def error(factor: Any, values: Any, jacobians: Any, k: int = k) -> np.ndarray:
             x = values.atVector(row)
             if jacobians is not None:
-                jacobians[0] = p.slopes(x, p.geometry[k])[seen]
-            return (p.predicted(x, p.geometry[k], p.values[k]) - p.values[k])[seen]
+                jacobians[0] = p.slopes(x, p.geometry[k])[p.seen[k]]
+            return (p.predicted(x, p.geometry[k], p.values[k]) - p.values[k])[p.seen[k]]
 
-        huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER)
-        noise = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(int(seen.sum()), reading))
+        normal = gtsam.noiseModel.Isotropic.Sigma(int(p.seen[k].sum()), reading)
+        noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(HUBER), normal)
         graph.add(gtsam.CustomFactor(noise, [row], error))
     return graph
 
@@ -55,11 +49,10 @@ def batch(p: Problem, acceleration: float, reading: float) -> Path:
     result = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
     positions = np.array([result.atVector(row)[: p.d] for row in range(len(times))])
     try:
-        marginals = gtsam.Marginals(graph, result)
-        covariances = np.array([marginals.marginalCovariance(row)[: p.d, : p.d] for row in range(len(times))])
+        of = gtsam.Marginals(graph, result).marginalCovariance
+        return positions[row_of], np.array([of(row)[: p.d, : p.d] for row in range(len(times))])[row_of]
     except RuntimeError:  # By Cholesky alone.
         return positions[row_of], None
-    return positions[row_of], covariances[row_of]
 
 
 def fixed_lag(p: Problem, acceleration: float, reading: float) -> Path:

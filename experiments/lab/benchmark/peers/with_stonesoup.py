@@ -1,7 +1,5 @@
 """Stone Soup's extended Kalman filter; by Mahalanobis distance a reading is of the tag, or missed."""
 
-from __future__ import annotations
-
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -31,20 +29,14 @@ class Reading(MeasurementModel, GaussianModel):  # type: ignore[misc]
     row: int = Property()
     seen: Any = Property()
     sigma: float = Property()
-    ndim_state: int = Property(default=0)
-    mapping: Any = Property(default=())
-
-    @property
-    def ndim_meas(self) -> int:
-        """Channels."""
-        return len(self.seen)
+    ndim_state, mapping = 0, ()
+    rvs = pdf = None  # Nothing is drawn.
+    ndim_meas = property(lambda self: len(self.seen), doc="Channels.")
 
     def jacobian(self, state: Any, **kwargs: Any) -> Any:
         """The slopes (m, 2d)."""
         x, d = np.asarray(state.state_vector, float).ravel()[::2], self.p.d
-        H = np.zeros((self.ndim_meas, 2 * d))
-        H[:, ::2] = self.p.slopes(np.append(x, np.zeros(d)), self.p.geometry[self.row])[self.seen, :d]
-        return H
+        return np.kron(self.p.slopes(x, self.p.geometry[self.row])[self.seen, :d], [1.0, 0.0])
 
     def covar(self, **kwargs: Any) -> Any:
         """The covariance."""
@@ -56,8 +48,6 @@ class Reading(MeasurementModel, GaussianModel):  # type: ignore[misc]
         z = self.p.predicted(points, self.p.geometry[self.row], self.p.values[self.row]).T[self.seen]
         return StateVectors(z) if z.shape[1] > 1 else StateVector(z)
 
-    rvs = pdf = None  # Nothing is drawn.
-
 
 def estimate(p: Problem, acceleration: float, reading: float) -> Path:
     """The filtered path."""
@@ -68,12 +58,11 @@ def estimate(p: Problem, acceleration: float, reading: float) -> Path:
     state = GaussianState(mean[order, None], P[np.ix_(order, order)], at[0])
     positions, covariances = np.empty((len(at), p.d)), np.empty((len(at), p.d, p.d))
     for row, time in enumerate(at):
-        seen = np.flatnonzero(p.seen[row])[: p.d]
-        detection = Detection(
-            p.values[row, seen][:, None], time, measurement_model=Reading(p=p, row=row, seen=seen, sigma=reading)
-        )
-        hypotheses = DistanceHypothesiser(predictor, updater, Mahalanobis(), MISSED[len(seen)])
-        best = hypotheses.hypothesise(Track([state]), {detection}, time)[0]
+        seen = np.flatnonzero(p.seen[row])
+        model = Reading(p=p, row=row, seen=seen, sigma=reading)
+        found = {Detection(p.values[row, seen][:, None], time, measurement_model=model)}
+        gate = DistanceHypothesiser(predictor, updater, Mahalanobis(), MISSED[len(seen)])
+        best = gate.hypothesise(Track([state]), found, time)[0]
         state = updater.update(best) if best else best.prediction
         positions[row] = np.asarray(state.mean, float).ravel()[::2]
         covariances[row] = np.asarray(state.covar, float)[::2, ::2]

@@ -1,10 +1,8 @@
 """Smoothing against lag by the length of MH-K's median (Huang et al. 2018, section 4: "the size is 9").
 
-The world of `workshop` as fitted there, with windows of 1 to 21 fixes, at two speeds. The distance to the route hides
-the lag; the error in time shows it, and time stamps at the middle of the window remove it.
+The distance to the route hides the lag; the error in time shows it, and time stamps at the middle of the window remove
+it.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
@@ -34,25 +32,14 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
             for metric in ("route_max_m", "mean_m")
         )
         best = WINDOWS[int(np.argmin(in_time))]
-        yield mc.Conclusion(
-            f"at {world}: the larger the window, the better the smoothing",
-            bool(np.all(np.diff(longest) < 0)),
-            "largest distance to the route " + _listed(longest),
-            mc.PREDICTED,
-        )
-        yield mc.Conclusion(
-            f"at {world}: a window of 9 balances smoothing and lag best",
-            best == 9,
-            f"mean distance to the place at that time is least with {best}: " + _listed(in_time),
-            mc.PREDICTED,
-        )
+        says = f"at {world}: the larger the window, the better the smoothing"
+        how = "largest distance to the route " + _listed(longest)
+        yield mc.Conclusion(says, bool(np.all(np.diff(longest) < 0)), how, mc.PREDICTED)
+        how = f"mean distance to the place at that time is least with {best}: " + _listed(in_time)
+        yield mc.Conclusion(f"at {world}: a window of 9 balances smoothing and lag best", best == 9, how, mc.PREDICTED)
     stamped = results.difference("mean_m", "0.5 m/s", "median of 9, stamped", "median of 9").times(100)
-    yield mc.Conclusion(
-        "most of the error in time is lag that a stamp takes out",
-        stamped.high < 0,
-        f"a median of 9 at 0.5 m/s, stamped less unstamped: {stamped.value:.1f} cm",
-        mc.PREDICTED,
-    )
+    how = f"a median of 9 at 0.5 m/s, stamped less unstamped: {stamped.value:.1f} cm"
+    yield mc.Conclusion("most of the error in time is lag that a stamp takes out", stamped.high < 0, how, mc.PREDICTED)
 
 
 def _listed(values: Sequence[float]) -> str:

@@ -1,13 +1,8 @@
-"""Table 2 of Kwon et al. 2021: largest deviations of the estimates of a tag at rest in an anechoic chamber.
+"""Table 2 of Kwon et al. 2021: largest deviations of a tag at rest in an anechoic chamber, the mean over four corners.
 
-The mean over four tags in the corners of a square of 5 m. The anchors are 5 m apart; their positions are not printed.
-Anchors right above the tags would make z as accurate as x and y; their square is therefore turned by 15°, the best of
-0°, 15°, 30° and 45° for the heights of Table 3 (`robot`). The noise of a time stamp is that of `table-4`. Fitted to
-Table 2: the spread of the anchors' biases to x, the anchors' height to z. Derived: y, from x by the symmetry of the
-room.
+The anchors are 5 m apart; their positions are not printed. Right above the tags they would make z as accurate as x and
+y; their square is therefore turned by 15°, the best of 0°, 15°, 30° and 45° for the heights of Table 3 (`robot`).
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -48,14 +43,9 @@ def corner(
 ) -> RecordingFolder:
     """Tags at rest at `place`, m; anchors at `height`, m, with normal biases of `sigma_bias`, m."""
     world = simulate_ranges(
-        chamber(anchors(height)),
-        lambda keys, times: np.tile(np.asarray(place, float), (len(keys), len(times), 1)),
-        ids,
-        seed,
-        n_points=ROWS,
-        protocol=PROTOCOL,
-        corruptions={"biases": antenna_biases(sigma_bias)},
-    )
+        chamber(anchors(height)), lambda keys, times: np.tile(np.asarray(place, float), (len(keys), len(times), 1)),
+        ids, seed, n_points=ROWS, protocol=PROTOCOL, corruptions={"biases": antenna_biases(sigma_bias)},
+    )  # fmt: skip
     return world.folder("chamber")
 
 

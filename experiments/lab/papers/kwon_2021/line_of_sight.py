@@ -1,14 +1,9 @@
 """Table 1 of Kwon et al. 2021: errors of tags at rest with and without line of sight to three anchors.
 
-Largest and smallest error over sixteen positions with line of sight, and over four where an obstacle hides an anchor.
-The printed minimum and maximum of the latter are exchanged (289 is above −382) and taken in order here. Anchors,
-positions and obstacles are not printed; assumed are three anchors at a right angle, the one along x hidden. Fitted:
-the spread of the range errors, constant at each position, to the geometric mean of the two spans with line of sight,
-and the detour round the obstacle to the span in x without it, which another fit finds within 0.3 %. Predicted: the span
-in y without it. Four spans, two parameters.
+Largest and smallest error over sixteen positions in sight, and over four where an obstacle hides an anchor, whose
+printed minimum and maximum are exchanged (289 is above −382). Assumed are three anchors at a right angle, the one along
+x hidden. Fitted: the spread of the range errors, constant at each position, and the detour round the obstacle.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -49,14 +44,9 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
         # Obstructions last as long as a stop, on average.
         pieces["hidden"] = on_anchors(HIDDEN, obstruction(0.5, REPEATS / 10, detour, detour / 2))
     world = simulate_ranges(
-        chamber(HALL),
-        lambda keys, times: np.tile(stops, (len(keys), 1, 1)),
-        ids,
-        seed,
-        n_points=len(stops),
-        protocol=PROTOCOL,
-        corruptions=pieces,
-    )
+        chamber(HALL), lambda keys, times: np.tile(stops, (len(keys), 1, 1)), ids, seed, n_points=len(stops),
+        protocol=PROTOCOL, corruptions=pieces,
+    )  # fmt: skip
     return world.folder("hall")
 
 
@@ -75,18 +65,12 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
         {w: results.value(measure, w, TRACKER).times(1e3) for w in results.study.worlds}
         for measure in ("span_x_m", "largest_m")
     )
-    yield mc.Conclusion(
-        "errors without line of sight are slightly higher than with it",
-        spans["hidden"].low > spans["in sight"].high,
-        listed({f"{w}: x over": v for w, v in spans.items()}, "{:.0f} mm"),
-        mc.DERIVED,
-    )
-    yield mc.Conclusion(
-        "all errors indoors are within ±200 mm (Table 1 itself holds 289, −382 and −237)",
-        max(v.value for v in largest.values()) < 200,
-        listed({f"{w}: largest": v for w, v in largest.items()}, "{:.0f} mm"),
-        mc.DERIVED,
-    )
+    says = "errors without line of sight are slightly higher than with it"
+    how = listed({f"{w}: x over": v for w, v in spans.items()}, "{:.0f} mm")
+    yield mc.Conclusion(says, spans["hidden"].low > spans["in sight"].high, how, mc.DERIVED)
+    says = "all errors indoors are within ±200 mm (Table 1 itself holds 289, −382 and −237)"
+    how = listed({f"{w}: largest": v for w, v in largest.items()}, "{:.0f} mm")
+    yield mc.Conclusion(says, max(v.value for v in largest.values()) < 200, how, mc.DERIVED)
 
 
 NUMBERS = fitted("papers/kwon_2021/line_of_sight")

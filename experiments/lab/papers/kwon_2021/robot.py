@@ -1,13 +1,9 @@
 """Table 3 and Figure 9 of Kwon et al. 2021: a tag moved by a robot along x, y and z, with and without IMU.
 
-The chamber is that of `chamber`, with biases and height of the anchors as fitted to Table 2 and the time-stamp noise
-of `table-4`. The angle of the anchors' square was chosen for the heights here; x and y are predicted. Assumed: five
-strokes of 4 s along each axis, ten rows a second. An error is the distance between the mean estimated end of the
-strokes and the true end. Two printed errors contradict their own rows (3,190 mm estimated as 3,191 mm with an error of
-41 mm, 2,710 mm as 2,730 mm with 30 mm); the printed errors are used.
+Assumed: five strokes of 4 s along each axis, ten rows a second. An error is the distance between the mean estimated end
+of the strokes and the true end. Two printed errors contradict their own rows (3,190 mm estimated as 3,191 mm with an
+error of 41 mm, 2,710 mm as 2,730 mm with 30 mm); the printed errors are used.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -57,16 +53,9 @@ def strokes(keys: Keys, times: np.ndarray) -> np.ndarray:
 def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> RecordingFolder:
     """Tags with a level IMU on the robot, among the chamber's anchors."""
     world = simulate_uwb_imu(
-        chamber(anchors(height)),
-        strokes,
-        ids,
-        seed,
-        rate_hz=RATE_HZ,
-        n_points=round(3 * AXIS_S * RATE_HZ),
-        protocol=PROTOCOL,
-        corruptions={"biases": antenna_biases(sigma_bias)},
-        attitude=level,
-    )
+        chamber(anchors(height)), strokes, ids, seed, rate_hz=RATE_HZ, n_points=round(3 * AXIS_S * RATE_HZ),
+        protocol=PROTOCOL, corruptions={"biases": antenna_biases(sigma_bias)}, attitude=level,
+    )  # fmt: skip
     return world.folder("robot")
 
 
@@ -95,22 +84,15 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Table 3, and the benefit of the IMU."""
     yield from (figure.beside(results) for figure in PRINTED)
     means = {axis: results.value(f"least_{axis}_m", "robot", MEASURED).times(1e3) for axis in "xyz"}
-    yield mc.Conclusion(
-        "tracking is accurate in x and y, the error in z is larger",
-        means["z"].low > max(means["x"].high, means["y"].high),
-        listed(means, "{:.0f} mm"),
-        mc.DERIVED,
-    )
+    says = "tracking is accurate in x and y, the error in z is larger"
+    how = listed(means, "{:.0f} mm")
+    yield mc.Conclusion(says, means["z"].low > max(means["x"].high, means["y"].high), how, mc.DERIVED)
     without, raw = (
         results.difference("rmse_m", "robot", "with IMU", other).times(1e3) for other in ("without IMU", MEASURED)
     )
-    yield mc.Conclusion(
-        "with an IMU the horizontal error is smaller than without",
-        without.high < 0,
-        f"{fixed_interval(without, '+.1f', ' mm')} beside the filter of ranges, "
-        f"{raw.value:+.1f} mm beside least squares: the remaining errors are biases, which an IMU does not measure",
-        mc.PREDICTED,
-    )
+    how = f"{fixed_interval(without, '+.1f', ' mm')} beside the filter of ranges, "
+    how += f"{raw.value:+.1f} mm beside least squares: the remaining errors are biases, which an IMU does not measure"
+    yield mc.Conclusion("with an IMU the horizontal error is smaller than without", without.high < 0, how, mc.PREDICTED)
 
 
 STUDY = mc.Study(

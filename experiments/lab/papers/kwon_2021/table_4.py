@@ -1,14 +1,9 @@
-"""Table 4 and Figure 10 of Kwon et al. 2021: a tag at rest at (2.7 m, 2.7 m), about 380 fixes.
+"""Table 4 and Figure 10 of Kwon et al. 2021: the range of 380 estimates of a tag at rest, once filters have settled.
 
-The spread of an axis is the range of 380 estimates after the filters have settled. Anchors, rate, noise and the
-filters' parameters are not printed. Assumed: 40 rows a second, three anchors 0.7 m above the tag, two of them on one
-side 5 m from the third, and an accelerometer noise of 0.001 m/s²/√Hz, known to the proposed filter. Fitted
-(`fitted/table_4.toml`): five parameters and the window length. The two anchors on one side have slow errors, which
-affect y more than x, so that filters improve y less, as printed. Eight printed spreads, six parameters: two degrees of
-freedom are left. A tag at rest does not show a filter's lag.
+Assumed: 40 rows a second, three anchors 0.7 m above the tag, two of them on one side 5 m from the third, and an
+accelerometer noise of 0.001 m/s²/√Hz, known to the proposed filter. The two anchors on one side have slow errors, which
+affect y more than x, so that filters improve y less, as printed. A tag at rest does not show a filter's lag.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -54,18 +49,12 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
     """
     anchors = np.array([[0.0, 2.5 - base / 2, 2.5], [0.0, 2.5 + base / 2, 2.5], [5.0, 2.5, 2.5]])
     world = simulate_uwb_imu(
-        chamber(anchors),
-        lambda keys, times: np.tile(TAG, (len(keys), len(times), 1)),
-        ids,
-        seed,
-        rate_hz=RATE_HZ,
-        n_points=SETTLING + SCORED,
-        protocol=Protocol(sigma_stamp=sigma_stamp),
-        corruptions={"slow": on_anchors(ONE_SIDE, gauss_markov(slow, tau))},
+        chamber(anchors), lambda keys, times: np.tile(TAG, (len(keys), len(times), 1)), ids, seed, rate_hz=RATE_HZ,
+        n_points=SETTLING + SCORED, protocol=Protocol(sigma_stamp=sigma_stamp),
+        corruptions={"slow": on_anchors(ONE_SIDE, gauss_markov(slow, tau))}, attitude=level,
         accel={"bias": constant_bias(0.1), "noise": white_density(SIGMA_ACCEL)},
         gyro={"bias": constant_bias(0.01), "noise": white_density(0.002)},
-        attitude=level,
-    )
+    )  # fmt: skip
     return _with_fixes(world.folder("still tag"))
 
 

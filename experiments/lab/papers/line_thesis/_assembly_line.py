@@ -1,11 +1,8 @@
 """Shared by the studies of the assembly line: the nine recordings of Table 3.1 as worlds, and the thesis's filters.
 
-A world is a recording: its situation, the white noise that gives its measurement error, and the parameters common to
-all nine. The truth is fitted to the recording's own fixes by least squares, as in section 2.6; errors correlated along
-the path enter both, and are therefore underestimated.
+The truth is fitted to the recording's own fixes, as in section 2.6; errors correlated along the path enter both, and
+are therefore underestimated.
 """
-
-from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence

@@ -1,15 +1,10 @@
 """Leaving the line as a ROC: the second future work of chapter 4.
 
-The thesis would detect "events where a tracked object may leave an assembly line … by tracking the cumulative error
-between a standard Kalman filter and a map-constrained filter, identifying an event when they sufficiently diverge".
-No result is printed. Here: the cumulative sum of their distance beyond a slack (`trackers/line/leaving.py`). The free
-filter is the thesis's Kalman filter, the constrained one its particle filter or a grid filter with segments, in the
-world of Table 3.1. Tags of situation 1 are carried to a position beside the line for `AWAY_S` seconds, or never. A
-detection is a sum above the limit while the tag is away or within `AFTER_S` seconds; a false alarm is a sum above the
-limit at any time in a recording, of about a minute, of a tag that stays.
+The thesis would detect it "by tracking the cumulative error between a standard Kalman filter and a map-constrained
+filter". Here: the cumulative sum of their distance beyond a slack (`trackers/line/leaving.py`), for tags carried to a
+position beside the line for `AWAY_S` seconds, or never. A detection is a sum above the limit while the tag is away or
+within `AFTER_S` seconds; a false alarm is one at any time in a recording, of about a minute, of a tag that stays.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
@@ -122,12 +117,9 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     for tracker in results.study.trackers:
         areas = {world: area(results, world, tracker, SHOWN_SLACK) for world in SIZES}
         values = [a.value for a in areas.values()]
-        yield mc.Conclusion(
-            f"{tracker}: the growing difference tells tags that left, the better the farther they are",
-            values[-1] > 0.95 and values == sorted(values),
-            "area under the ROC: " + ", ".join(f"{w} {fixed_interval(a, '.3f')}" for w, a in areas.items()),
-            mc.PREDICTED,
-        )
+        says = f"{tracker}: the growing difference tells tags that left, the better the farther they are"
+        how = "area under the ROC: " + ", ".join(f"{w} {fixed_interval(a, '.3f')}" for w, a in areas.items())
+        yield mc.Conclusion(says, values[-1] > 0.95 and values == sorted(values), how, mc.PREDICTED)
         stay = results.numbers(f"at any time, slack {SHOWN_SLACK}", STAYS, tracker)
         limit = next((x for x in LIMITS if (stay >= x).mean() <= FALSE_ALARMS), LIMITS[-1])
         delays = {w: results.numbers(f"delay at {limit}", w, tracker) for w in SIZES}
@@ -137,21 +129,15 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
             for w, d in noticed.items()
         )
         false = (stay >= limit).mean()
-        yield mc.Conclusion(
-            f"{tracker}: at most {100 * FALSE_ALARMS:.0f} % of recordings with a false alarm, and 2 m are noticed",
-            bool(false <= FALSE_ALARMS and len(noticed["2 m"]) > 0.9 * len(stay)),
-            f"slack {SHOWN_SLACK} m, limit {limit} m·s, the least that these recordings allow, "
-            f"{100 * false:.1f} % false alarms; {told}",
-            mc.FITTED,
-        )
+        says = f"{tracker}: at most {100 * FALSE_ALARMS:.0f} % of recordings with a false alarm, and 2 m are noticed"
+        how = f"slack {SHOWN_SLACK} m, limit {limit} m·s, the least that these recordings allow, "
+        how += f"{100 * false:.1f} % false alarms; {told}"
+        yield mc.Conclusion(says, bool(false <= FALSE_ALARMS and len(noticed["2 m"]) > 0.9 * len(stay)), how, mc.FITTED)
     usual = {w: 100 * (_sums_of(results, w, "grid", LEFT_SLACK)[1] >= LEFT_LIMIT).mean() for w in SIZES}
     false = (_sums_of(results, STAYS, "grid", LEFT_SLACK)[0] >= LEFT_LIMIT).mean()
-    yield mc.Conclusion(
-        f"the slack and limit of `track`, {LEFT_SLACK:g} m and {LEFT_LIMIT:g} m·s, give next to no false alarms",
-        bool(false <= 0.01),
-        f"{100 * false:.1f} %; noticed: {listed(usual, '{:.0f} %')}",
-        mc.PREDICTED,
-    )
+    says = f"the slack and limit of `track`, {LEFT_SLACK:g} m and {LEFT_LIMIT:g} m·s, give next to no false alarms"
+    how = f"{100 * false:.1f} %; noticed: {listed(usual, '{:.0f} %')}"
+    yield mc.Conclusion(says, bool(false <= 0.01), how, mc.PREDICTED)
 
 
 STUDY = mc.Study(

@@ -1,14 +1,9 @@
 """Rests where segments meet, with and without a segment in the state: the first future work of chapter 4.
 
-The thesis expects that its filter "tends to overshoot such rest periods", and that a filter with the segment in its
-state "could recognize the transition at a junction and change to a piecewise function that is pure rest". No result is
-printed; the study checks the conclusion. The state of `HaltingMotion` includes whether the tag rests; the arclength
-identifies the join. Both motions run by particles and on a grid of arclength and speed, each with its own best dynamic
-noise, in the world of Table 3.1: situation 2, with rests of 5 s at four joins, and situation 1, without rests, which
-shows the cost of the extra state. Scored against the simulated truth.
+The thesis expects that its filter "tends to overshoot such rest periods", and that one with the segment in its state
+"could recognize the transition at a junction". Both motions run by particles and on a grid, each with its own best
+dynamic noise: situation 2, with rests of 5 s at four joins, and situation 1, without rests, which shows the cost.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator
 
@@ -62,24 +57,14 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
         rest = _gain(results, "rest_error_m", RESTS, without)
         whole = _gain(results, "error_m", RESTS, without)
         travel = _gain(results, "error_m", TRAVELS, without)
-        yield mc.Conclusion(
-            f"{without}: without the segment rests are overshot, with it less",
-            bool(past > 0 and abs(past_known) < past),
-            f"while the tag rests the estimate is {past:+.1f} cm past the join, with it {past_known:+.1f} cm",
-            mc.PREDICTED,
-        )
-        yield mc.Conclusion(
-            f"{without}: the segment in the state makes rests more accurate",
-            rest.high < 0,
-            f"{at_rest:.1f} cm, with the segment {_text(rest)}; over whole recordings {_text(whole)}",
-            mc.PREDICTED,
-        )
-        yield mc.Conclusion(
-            f"{without}: where no rests come, expecting them does no harm",
-            travel.low <= 0,
-            f"{_text(travel)} over whole recordings",
-            mc.PREDICTED,
-        )
+        says = f"{without}: without the segment rests are overshot, with it less"
+        how = f"while the tag rests the estimate is {past:+.1f} cm past the join, with it {past_known:+.1f} cm"
+        yield mc.Conclusion(says, bool(past > 0 and abs(past_known) < past), how, mc.PREDICTED)
+        says = f"{without}: the segment in the state makes rests more accurate"
+        how = f"{at_rest:.1f} cm, with the segment {_text(rest)}; over whole recordings {_text(whole)}"
+        yield mc.Conclusion(says, rest.high < 0, how, mc.PREDICTED)
+        says = f"{without}: where no rests come, expecting them does no harm"
+        yield mc.Conclusion(says, travel.low <= 0, f"{_text(travel)} over whole recordings", mc.PREDICTED)
 
 
 def _numbers(results: mc.Results, measure: str, world: str, tracker: str) -> np.ndarray:

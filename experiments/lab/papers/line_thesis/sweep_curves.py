@@ -1,14 +1,8 @@
 """The thesis's sweep: the error of both filters against their dynamic noise, 0 to 100 cm, over the three situations.
 
-Chapter 3 varies the dynamic noise "over a range of 0 to 100 cm" and takes the least error over all data. Neither curve
-nor value is printed, so that nothing is fitted or predicted in numbers. Here: one recording of each situation of the
-world of Table 3.1, noise in m/s per √s (at 5 Hz 1 m/s per √s is 45 cm/s per step). Zero noise would be another model, a
-constant speed; the sweep begins at a small value instead.
-
-The thesis's particle filter, whose path has no end (2.5), is compared with the same filter on a path that ends.
+The noise is in m/s per √s (at 5 Hz 1 m/s per √s is 45 cm/s per step). Zero noise would be another model, a constant
+speed; the sweep begins at a small value instead.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator
 
@@ -16,15 +10,7 @@ import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.fitting import fitted
-from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
-    KALMAN,
-    PARTICLE,
-    SIGMA,
-    STOPPING,
-    error,
-    least,
-    worlds,
-)
+from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
 from trackwright.experiments.pages.charts.style import BLUE, GREEN, VERMILION
 
 SWEPT = (0.01, 0.03, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.6, 1.0)
@@ -37,59 +23,41 @@ NEAR = 1.05
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """Positions of the minima, and the cost of a wrong noise."""
-    best = {tracker: least(results, tracker) for tracker in results.study.trackers}
+    best = {tracker: line.least(results, tracker) for tracker in results.study.trackers}
     cm = {tracker: 100 * _curve(results, tracker)[:, 0] for tracker in results.study.trackers}
     minima = ", ".join(f"{t} {cm[t].min():.1f} cm at {best[t]:.2f} m/s per √s" for t in best)
-    yield mc.Conclusion(
-        "both filters have a least error inside the range",
-        all(SWEPT[0] < x < SWEPT[-1] for x in best.values()),
-        minima,
-        mc.PREDICTED,
-    )
-    yield mc.Conclusion(
-        "the particle filter is better than the Kalman filter at the best noise of each",
-        cm["particle"].min() < cm["Kalman"].min(),
-        minima,
-        mc.DERIVED,
-    )
-    yield mc.Conclusion(
-        "too little noise costs more than too much",
-        all(cm[t][0] > cm[t][-1] for t in BOTH),
-        ", ".join(f"{t} {cm[t][0]:.0f} cm at {SWEPT[0]}, {cm[t][-1]:.0f} cm at {SWEPT[-1]}" for t in BOTH),
-        mc.PREDICTED,
-    )
+    says = "both filters have a least error inside the range"
+    yield mc.Conclusion(says, all(SWEPT[0] < x < SWEPT[-1] for x in best.values()), minima, mc.PREDICTED)
+    says = "the particle filter is better than the Kalman filter at the best noise of each"
+    yield mc.Conclusion(says, cm["particle"].min() < cm["Kalman"].min(), minima, mc.DERIVED)
+    says = "too little noise costs more than too much"
+    how = ", ".join(f"{t} {cm[t][0]:.0f} cm at {SWEPT[0]}, {cm[t][-1]:.0f} cm at {SWEPT[-1]}" for t in BOTH)
+    yield mc.Conclusion(says, all(cm[t][0] > cm[t][-1] for t in BOTH), how, mc.PREDICTED)
     # Between the values swept the curve is linear in the logarithm: a value just outside would cost a whole step.
     fine = np.geomspace(SWEPT[0], SWEPT[-1], 1000)
     widths = {t: fine[np.interp(np.log(fine), np.log(SWEPT), cm[t]) <= NEAR * cm[t].min()] for t in BOTH}
-    yield mc.Conclusion(
-        "both minima are flat: over a factor of two in noise either filter loses less than 5 %",
-        all(w.max() >= 2 * w.min() for w in widths.values()),
-        ", ".join(f"{t} within 5 % of its least from {w.min():.2f} to {w.max():.2f}" for t, w in widths.items()),
-        mc.PREDICTED,
-    )
+    says = "both minima are flat: over a factor of two in noise either filter loses less than 5 %"
+    how = ", ".join(f"{t} within 5 % of its least from {w.min():.2f} to {w.max():.2f}" for t, w in widths.items())
+    yield mc.Conclusion(says, all(w.max() >= 2 * w.min() for w in widths.values()), how, mc.PREDICTED)
     gain = cm["particle"].min() - cm["particle, path ends"].min()
-    yield mc.Conclusion(
-        "knowing where the path ends helps the particles",
-        gain > 0,
-        f"{gain:.1f} cm less at the best noise; the path was left open for Table 3.1 after this was seen",
-        mc.DERIVED,
-    )
+    how = f"{gain:.1f} cm less at the best noise; the path was left open for Table 3.1 after this was seen"
+    yield mc.Conclusion("knowing where the path ends helps the particles", gain > 0, how, mc.DERIVED)
 
 
 def _curve(results: mc.Results, tracker: str) -> np.ndarray:
     """Average error and its interval (values, 3), m."""
     pairs = [(world, tracker) for world in results.study.worlds]
-    return np.array([results.average("error_m", pairs, **{SIGMA: x}) for x in SWEPT])
+    return np.array([results.average("error_m", pairs, **{line.SIGMA: x}) for x in SWEPT])
 
 
 STUDY = mc.Study(
     name="sweep-curves",
     about="How do the errors of both filters depend on their dynamic noise?",
-    worlds=worlds(fitted("papers/line_thesis/table_3_1"), WORLDS),
-    trackers={"particle": PARTICLE, "Kalman": KALMAN, "particle, path ends": STOPPING},
+    worlds=line.worlds(fitted("papers/line_thesis/table_3_1"), WORLDS),
+    trackers={"particle": line.PARTICLE, "Kalman": line.KALMAN, "particle, path ends": line.STOPPING},
     runs=30,
-    grid={SIGMA: SWEPT},
-    measures={"error_m": error},
+    grid={line.SIGMA: SWEPT},
+    measures={"error_m": line.error},
     metrics=("mean_m", "rmse_m", "p95_m"),
     expected=expected,
 )

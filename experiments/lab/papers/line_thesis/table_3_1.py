@@ -1,28 +1,14 @@
 """Table 3.1 of the thesis: nine recordings of a cart on a known path, measured, by a Kalman filter and by particles.
 
-As in the thesis, the measurement noise of both filters is the average measurement error, the dynamic noise is that of
-least average error over all nine in a sweep, and the truth is fitted to the recordings themselves. (2.8) is garbled: by
-its text it is the mean distance, which is compared here, by its name the root mean square, which is listed beside it.
+As in the thesis, the measurement noise of both filters is the average measurement error, the dynamic noise that of
+least average error over all nine, and the truth is fitted to the recordings themselves. (2.8) is garbled: its text, the
+mean distance, is compared, its name, the root mean square, listed. A printed error is one draw; ours is the mean of
+many, and the note of each states the scatter of one. The particle filter's errors are no predictions (`LEFT_OPEN`).
 
-Fitted (11 parameters): the measurement column by the white noise of each recording, and the Kalman
-column by the level of the slow errors and, weakly, the mean speed; 7 of 18 degrees of freedom are left. The particle
-filter's nine errors are no predictions either. The path was left open, as (2.5) is printed, after both averages had
-been seen, 17 cm and with an end less than 14 cm (`sweep_curves`). The speed was chosen among those that the Kalman
-column allows with averages of prototypes in view. Averages and improvements follow from the nine and are not judged.
-
-A printed error is one draw, a recording made once; ours is the mean over many draws. The note of each error states the
-scatter of one draw, so that errors of single recordings may differ by more than a tenth in a correct world; averages
-over nine scatter by a third of that. The thesis averages ten runs of its particles per recording; here every draw has
-its own particles. The last case of (2.5) has no upper end; the particles may pass the last knot.
-
-The fit: neither errors, rate nor speeds of the nine recordings are printed. The white noise of each recording is fitted
-to its measurement error, the common level of the slow errors to the average of the Kalman column, and the mean speed to
-its nine errors. These hardly depend on the speed. A speed is allowed if its sum of squared residuals is at most that of
-nine single draws of the fitted world; the middle one is taken. The file lists the particle filter's average at each
-allowed speed. The time constant of the slow errors and the rate are chosen.
+The fit: the white noise of each recording to its measurement error, the common level of the slow errors to the average
+of the Kalman column, and the mean speed to its nine errors. A speed is allowed if its sum of squared residuals is at
+most that of nine single draws of the fitted world; the middle one is taken. Time constant and rate are chosen.
 """
-
-from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -33,15 +19,6 @@ import numpy as np
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.fitting import Fitted, fitted, unsaved
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
-from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
-    COLUMNS,
-    PRINTED,
-    RECORDINGS,
-    SIGMA,
-    SWEPT,
-    least,
-    noise_of,
-)
 
 LEFT_OPEN = (
     "the path was left open after seeing that an end gives less than 14 cm (`sweep-curves`), and the speed was chosen "
@@ -52,23 +29,23 @@ LEFT_OPEN = (
 
 def draws(results: mc.Results, tracker: str) -> np.ndarray:
     """Errors (9, n), m, of single recordings at the dynamic noise with the least error over all of them."""
-    at = {SIGMA: least(results, tracker)}
-    return np.array([results.numbers("error_m", name, tracker, **at) for name in RECORDINGS])
+    at = {line.SIGMA: line.least(results, tracker)}
+    return np.array([results.numbers("error_m", name, tracker, **at) for name in line.RECORDINGS])
 
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The 27 errors, their averages, and the thesis's conclusions."""
-    at = {tracker: {SIGMA: least(results, tracker)} for tracker in COLUMNS}
-    errors = {tracker: draws(results, tracker) for tracker in COLUMNS}
-    for row, name in enumerate(RECORDINGS):
-        for tracker, printed in zip(COLUMNS, PRINTED[name], strict=True):
+    at = {tracker: {line.SIGMA: line.least(results, tracker)} for tracker in line.COLUMNS}
+    errors = {tracker: draws(results, tracker) for tracker in line.COLUMNS}
+    for row, name in enumerate(line.RECORDINGS):
+        for tracker, printed in zip(line.COLUMNS, line.PRINTED[name], strict=True):
             ours = results.value("error_m", name, tracker, **at[tracker]).times(100)
             scatter = (100 * errors[tracker][row]).std(ddof=1)
             note = f"one recording scatters by ± {scatter:.1f} cm; the printed one lies "
             note += f"{(printed - ours.value) / scatter:+.1f} of that away"
             yield mc.ExpectedResult(f"Table 3.1, {name}, {tracker}", printed, ours, "cm", mc.FITTED, note=note)
-    for tracker, printed in zip(COLUMNS, line.AVERAGES, strict=True):
-        quantity, pairs = f"Table 3.1, average, {tracker}", [(name, tracker) for name in RECORDINGS]
+    for tracker, printed in zip(line.COLUMNS, line.AVERAGES, strict=True):
+        quantity, pairs = f"Table 3.1, average, {tracker}", [(name, tracker) for name in line.RECORDINGS]
         ours, square = (results.average(m, pairs, **at[tracker]).times(100) for m in ("error_m", "rms_m"))
         scatter = (100 * errors[tracker].mean(axis=0)).std(ddof=1)
         note = f"the mean of the nine above; that of one table scatters by ± {scatter:.1f} cm"
@@ -86,22 +63,15 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
         says, how = f"{better} is better than {worse} on every recording", f"by {gain.min():.1f} to {gain.max():.1f} cm"
         yield mc.Conclusion(says, bool((gain > 0).all()), how, mc.DERIVED)
     inside = {}
-    for k, tracker in enumerate(COLUMNS):
+    for k, tracker in enumerate(line.COLUMNS):
         low, high = _middle(errors[tracker])
-        inside[tracker] = sum(bool(low[r] <= PRINTED[n][k] <= high[r]) for r, n in enumerate(RECORDINGS))
-    yield mc.Conclusion(
-        "each printed figure could be a draw of this world",
-        min(inside.values()) >= 7,
-        "inside the middle 95 % of single recordings: " + ", ".join(f"{n} of 9 ({t})" for t, n in inside.items()),
-        mc.DERIVED,
-    )
-    swept, best = results.study.grid[SIGMA], {t: at[t][SIGMA] for t in COLUMNS[1:]}
-    yield mc.Conclusion(
-        "the dynamic noise of least error lies inside the sweep",
-        all(swept[0] < x < swept[-1] for x in best.values()),
-        ", ".join(f"{t} {x:.2f} m/s per √s" for t, x in best.items()),
-        mc.PREDICTED,
-    )
+        inside[tracker] = sum(bool(low[r] <= line.PRINTED[n][k] <= high[r]) for r, n in enumerate(line.RECORDINGS))
+    how = "inside the middle 95 % of single recordings: " + ", ".join(f"{n} of 9 ({t})" for t, n in inside.items())
+    yield mc.Conclusion("each printed figure could be a draw of this world", min(inside.values()) >= 7, how, mc.DERIVED)
+    swept, best = results.study.grid[line.SIGMA], {t: at[t][line.SIGMA] for t in line.COLUMNS[1:]}
+    says = "the dynamic noise of least error lies inside the sweep"
+    how = ", ".join(f"{t} {x:.2f} m/s per √s" for t, x in best.items())
+    yield mc.Conclusion(says, all(swept[0] < x < swept[-1] for x in best.values()), how, mc.PREDICTED)
 
 
 def _improvement(results: mc.Results, particle: np.ndarray, other: np.ndarray) -> mc.Value:
@@ -123,7 +93,7 @@ STUDY = mc.Study(
     worlds=line.worlds(fitted("papers/line_thesis/table_3_1")),
     trackers={"particle": line.PARTICLE, "Kalman": line.KALMAN, "raw": line.RAW},
     runs=40,
-    grid={SIGMA: SWEPT},
+    grid={line.SIGMA: line.SWEPT},
     measures={"error_m": line.error, "rms_m": line.root_mean_square},
     metrics=("mean_m",),
     expected=expected,
@@ -132,7 +102,7 @@ STUDY = mc.Study(
 TAU, RATE_HZ = 1.5, 5.0
 SPEEDS = (0.3, 0.45, 0.6)
 RUNS, ROUNDS, SEED, START = 16, 2, 7, 0.2
-MEASURED, FILTERED = (np.array([PRINTED[name][k] for name in RECORDINGS]) / 100 for k in (0, 1))
+MEASURED, FILTERED = (np.array([line.PRINTED[name][k] for name in line.RECORDINGS]) / 100 for k in (0, 1))
 
 
 class AtSpeed(NamedTuple):
@@ -159,7 +129,7 @@ def fit_at(speed: float, runs: int = RUNS, rounds: int = ROUNDS) -> AtSpeed:
     for turn in range(rounds + 1):
         white = np.sqrt(np.maximum(total**2 - slow**2, 0.02**2))
         numbers = {"slow": float(slow), "tau": TAU, "speed": speed, "rate_hz": RATE_HZ}
-        numbers |= dict(zip(map(noise_of, RECORDINGS), white.tolist(), strict=True))
+        numbers |= dict(zip(map(line.noise_of, line.RECORDINGS), white.tolist(), strict=True))
         results = swept(numbers, ("Kalman", "raw"), runs)
         raw, kalman = draws(results, "raw"), draws(results, "Kalman")
         means, scatter = kalman.mean(axis=1), kalman.std(axis=1, ddof=1)
@@ -185,7 +155,7 @@ def fit() -> tuple[str, dict[str, Fitted]]:
     by_speed = {trial.numbers["speed"]: swept(trial.numbers, ("particle", "Kalman"), RUNS) for trial in allowed}
     numbers = allowed[len(allowed) // 2].numbers
     ours = "no printed figure: the thesis's sweep over all nine recordings"
-    best = {tracker: least(by_speed[numbers["speed"]], tracker) for tracker in ("particle", "Kalman")}
+    best = {tracker: line.least(by_speed[numbers["speed"]], tracker) for tracker in ("particle", "Kalman")}
     told = {
         "sigma_kalman": Fitted(best["Kalman"], "m/s/sqrt(s)", ours),
         "sigma_particle": Fitted(best["particle"], "m/s/sqrt(s)", ours),
@@ -194,11 +164,9 @@ def fit() -> tuple[str, dict[str, Fitted]]:
         "tau": Fitted(TAU, "s", "chosen"),
         "rate_hz": Fitted(RATE_HZ, "Hz", "chosen"),
     }
-    for name in RECORDINGS:
-        told[noise_of(name)] = Fitted(numbers[noise_of(name)], "m", f"Table 3.1, Measurement, {name}")
+    for name in line.RECORDINGS:
+        told[line.noise_of(name)] = Fitted(numbers[line.noise_of(name)], "m", f"Table 3.1, Measurement, {name}")
     averages = {speed: 100 * draws(results, "particle").mean() for speed, results in by_speed.items()}
-    left = (
-        "7 of 18 printed figures, of Measurement and Kalman; the particle filter's 9 have no part in the fit. Speeds "
-        "that the Kalman column allows, and the particle filter's average at each: "
-    )
+    left = "7 of 18 printed figures, of Measurement and Kalman; the particle filter's 9 have no part in the fit. "
+    left += "Speeds that the Kalman column allows, and the particle filter's average at each: "
     return left + ", ".join(f"{speed} m/s {average:.1f} cm" for speed, average in averages.items()), told

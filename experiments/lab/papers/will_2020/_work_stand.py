@@ -1,11 +1,8 @@
 """Shared by the studies of the work stand: the paper's stand with the fitted array, its helix, trackers and failures.
 
-Table 1 of paper A lists errors with three of eight antennas. Three antennas that far apart have several directions of
-equal beamformer power within ±30°; a track started on them alone could start on any of them. The paper's tracks must
-therefore have started on all eight. Here antennas are masked from the second row on.
+Three antennas have several directions of equal power within ±30°; the paper's tracks must have started on all eight.
+Antennas are therefore masked from the second row on.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace

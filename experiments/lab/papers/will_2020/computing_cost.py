@@ -1,12 +1,9 @@
 """Computing cost of delay-and-sum and of the EKF: paper A, section 4.1.
 
-Costs are arithmetic operations and elementary functions of a row, as XLA counts them before it optimises: the same on
-every machine. Computing times, of a batch of trajectories on one machine, are in the study's report alone. The paper's
-filter inverts a 28 × 28 matrix. Here the 28 differences are compressed to 2 channels, which makes the EKF cheaper with
-the same estimates. The start of a track, one search by the beamformer, is not counted.
+Costs are operations of a row as XLA counts them before it optimises: the same on every machine. The 28 differences,
+whose 28 × 28 matrix the paper inverts, are compressed to 2 channels with the same estimates. The start of a track, one
+search by the beamformer, is not counted.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -81,25 +78,15 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     effort |= {name: search_operations(station, resolution) for name, resolution in RESOLUTIONS.items()}
     rmse = {t: np.rad2deg(results.value("rmse_direction_rad", "stand", t).value) for t in results.study.trackers}
     coarse, usual, fine = (effort[name] for name in RESOLUTIONS)
-    yield mc.Conclusion(
-        "the EKF costs less than a beamformer of 10,000 hypotheses",
-        effort["EKF"] < usual,
-        f"operations of a row: {listed(effort, '{:,}')}; {usual / effort['EKF']:.0f} times less",
-        mc.PREDICTED,
-    )
-    yield mc.Conclusion(
-        "the beamformer's effort grows with the resolution of its search space, the EKF has none",
-        3.5 * coarse < usual < fine / 3.5,
-        f"operations at half the step {fine / usual:.2f} times, at twice the step {usual / coarse:.2f} "
-        "times less: in proportion to the number of hypotheses",
-        mc.DERIVED,
-    )
-    yield mc.Conclusion(
-        "no finer search makes the beamformer as accurate as the EKF",
-        rmse["DAS, 0.3 deg"] > rmse["EKF"],
-        listed(rmse, "{:.2f} deg"),
-        mc.DERIVED,
-    )
+    says = "the EKF costs less than a beamformer of 10,000 hypotheses"
+    how = f"operations of a row: {listed(effort, '{:,}')}; {usual / effort['EKF']:.0f} times less"
+    yield mc.Conclusion(says, effort["EKF"] < usual, how, mc.PREDICTED)
+    says = "the beamformer's effort grows with the resolution of its search space, the EKF has none"
+    how = f"operations at half the step {fine / usual:.2f} times, at twice the step {usual / coarse:.2f} "
+    how += "times less: in proportion to the number of hypotheses"
+    yield mc.Conclusion(says, 3.5 * coarse < usual < fine / 3.5, how, mc.DERIVED)
+    says = "no finer search makes the beamformer as accurate as the EKF"
+    yield mc.Conclusion(says, rmse["DAS, 0.3 deg"] > rmse["EKF"], listed(rmse, "{:.2f} deg"), mc.DERIVED)
 
 
 STUDY = mc.Study(

@@ -1,11 +1,8 @@
 """Figures 6 and 7 of paper A: azimuth and elevation over the helix, by the EKF and by the delay-and-sum beamformer.
 
-The EKF's errors on this helix are those of the full array in Table 1, which were fitted, so that its advantage over the
-beamformer rests on fitted numbers in part. The curves of the figures are lost. The paper's recording has outliers,
-whose number and size are not printed; a second world has some of chosen number and size, to show their effect on both.
+The EKF's errors were fitted (Table 1), so that its advantage rests on fitted numbers in part. The curves are lost. A
+second world has outliers of chosen number and size, which are not printed.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
@@ -53,13 +50,10 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
                 mc.DERIVED if world == HELIX else mc.PREDICTED,
             )
     shares = {t: results.value("wild", OUTLYING, t).times(100) for t in ("EKF", "DAS")}
-    yield mc.Conclusion(
-        "outliers are smoothed out by the EKF",
-        shares["EKF"].high < 0.2 * shares["DAS"].low,
-        f"off by more than 5 deg: {shares['EKF'].value:.2f} % of its directions, of the beamformer's "
-        f"{shares['DAS'].value:.2f} %",
-        mc.PREDICTED,
-    )
+    says = "outliers are smoothed out by the EKF"
+    how = f"off by more than 5 deg: {shares['EKF'].value:.2f} % of its directions, of the beamformer's "
+    how += f"{shares['DAS'].value:.2f} %"
+    yield mc.Conclusion(says, shares["EKF"].high < 0.2 * shares["DAS"].low, how, mc.PREDICTED)
 
 
 STUDY = mc.Study(

@@ -1,13 +1,10 @@
 """Fit of the default array: positions of eight antennas whose Cramér–Rao bounds have the ratios of Table 1's errors.
 
 `python -m trackwright.experiments.lab.papers.will_2020.fit_array_layout` prints the layout of
-trackers/aoa/layout.py. Ten printed errors leave many layouts of sixteen coordinates. Gauss-Newton iterations, batched
-over seeded random starts, find some hundred exact ones; each is scaled to fill the box, and the one whose array
-factor has the lowest side lobes is chosen, so that a beamformer rarely starts a track on a wrong lobe. The printed
-errors are a filter's, not bounds: this is a fit, not a reconstruction of the array.
+trackers/aoa/layout.py. Gauss-Newton iterations over seeded starts find some hundred exact layouts; of these, scaled to
+fill the box, the one with the lowest side lobes is chosen, so that a beamformer rarely starts a track on a wrong lobe.
+The printed errors are a filter's, not bounds: this is a fit, not a reconstruction of the array.
 """
-
-from __future__ import annotations
 
 import numpy as np
 

@@ -1,15 +1,9 @@
 """Measurement rate x aperture x track loss: the trade-off that paper A's conclusion names.
 
-A larger aperture is more accurate, but its ambiguous directions are closer to the true one, and equally strong with few
-antennas. At a low rate a beacon can move from one to the next between two rows, and the track is lost. The waves are
-plane, so that (9) is exact and only rate and aperture matter. The array is Table 1's, scaled, with the same noise;
-nothing was fitted, and no numbers are printed.
-
-A direction is astray if its error exceeds half the distance to the next ambiguous direction, the wavelength over twice
-the array's largest extent.
+A larger aperture is more accurate, but its ambiguous directions are closer: at a low rate a beacon can move from one to
+the next between two rows. Waves are plane, so that only rate and aperture matter. A direction is astray if its error
+exceeds half the distance to the next ambiguous one, the wavelength over twice the array's largest extent.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator
 
@@ -44,33 +38,24 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
         w: ", ".join(f"{a:g} x at {r:g} Hz" for a, r in zip(apertures, RATES, strict=True))
         for w, apertures in sure.items()
     }
-    yield mc.Conclusion(
-        "a larger aperture is more accurate while the track holds",
-        usual == sorted(usual, reverse=True),
-        f"median at {fast:g} Hz, all antennas: "
-        + ", ".join(f"{a:g} x {m:.2f} deg" for a, m in zip(APERTURES, usual, strict=True)),
-        mc.PREDICTED,
+    says = "a larger aperture is more accurate while the track holds"
+    how = f"median at {fast:g} Hz, all antennas: " + ", ".join(
+        f"{a:g} x {m:.2f} deg" for a, m in zip(APERTURES, usual, strict=True)
     )
-    yield mc.Conclusion(
-        "a larger aperture needs a higher rate to keep track",
-        all(lost[w, slow, large] > 5 + lost[w, fast, large] for w in (ALL, THREE)),
-        f"antennas {THREE}, {large:g} times the aperture, astray: "
-        + ", ".join(f"{lost[THREE, r, large]:.1f} % at {r:g} Hz" for r in RATES),
-        mc.PREDICTED,
+    yield mc.Conclusion(says, usual == sorted(usual, reverse=True), how, mc.PREDICTED)
+    holds = all(lost[w, slow, large] > 5 + lost[w, fast, large] for w in (ALL, THREE))
+    how = f"antennas {THREE}, {large:g} times the aperture, astray: " + ", ".join(
+        f"{lost[THREE, r, large]:.1f} % at {r:g} Hz" for r in RATES
     )
-    yield mc.Conclusion(
-        "the largest aperture that keeps its track is the larger, the higher the rate",
-        all(apertures == sorted(apertures) and apertures[0] < apertures[-1] for apertures in sure.values()),
-        f"less than {HELD:g} % astray: " + "; ".join(f"{w} {told}" for w, told in largest.items()),
-        mc.PREDICTED,
-    )
-    yield mc.Conclusion(
-        "three antennas lose the track sooner than eight",
-        all(lost[THREE, r, a] >= lost[ALL, r, a] for r in RATES for a in APERTURES),
-        f"at {slow:g} Hz and {large:g} times the aperture {lost[THREE, slow, large]:.1f} against "
-        f"{lost[ALL, slow, large]:.1f} % astray",
-        mc.PREDICTED,
-    )
+    yield mc.Conclusion("a larger aperture needs a higher rate to keep track", holds, how, mc.PREDICTED)
+    says = "the largest aperture that keeps its track is the larger, the higher the rate"
+    holds = all(apertures == sorted(apertures) and apertures[0] < apertures[-1] for apertures in sure.values())
+    how = f"less than {HELD:g} % astray: " + "; ".join(f"{w} {told}" for w, told in largest.items())
+    yield mc.Conclusion(says, holds, how, mc.PREDICTED)
+    holds = all(lost[THREE, r, a] >= lost[ALL, r, a] for r in RATES for a in APERTURES)
+    how = f"at {slow:g} Hz and {large:g} times the aperture {lost[THREE, slow, large]:.1f} against "
+    how += f"{lost[ALL, slow, large]:.1f} % astray"
+    yield mc.Conclusion("three antennas lose the track sooner than eight", holds, how, mc.PREDICTED)
 
 
 def _degrees(results: mc.Results, world: str, rate: float, aperture: float, metric: str = "rmse") -> float:

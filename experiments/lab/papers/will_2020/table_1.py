@@ -1,20 +1,13 @@
 """Table 1 of paper A: errors of the beam tracker on the helix with five sets of antennas.
 
-Fitted: positions of the eight antennas and the phase noise, seventeen parameters to the table's ten errors; the
-filter's process noise and the rate are chosen. No degree of freedom is left: the table shows that the system can have
-these errors, not that it must. The simulated noise differs from the fit's. The order of the antenna sets follows from
-the ten errors and is no prediction either. Predictions: `figures_6_7`, `figure_8`, `figure_10`, `rate_aperture`.
-
+Seventeen parameters are fitted to ten errors: the table shows that the system can have these errors, not that it must.
 The filter runs in its default form and in the paper's, which wraps each of the 28 differences (8)-(17).
 
-The fit: the errors are those of a filter, not bounds: the beam tracker runs on the helix at all three stations with
-every antenna set, with the same seeded noise at every step. Minimum-norm Levenberg-Marquardt steps start at layouts
-whose bounds have the table's ratios (`fit_array_layout`). Antennas stay half a wavelength apart and inside ±4 cm ×
-±2 cm. Tracks on a wrong direction, whose errors are not differentiable, are excluded. The start whose errors, of all
-tracks, are closest to the table on new noise is chosen.
+The fit: the beam tracker runs on the helix at all stations with every antenna set, with the same noise at every step.
+Minimum-norm Levenberg-Marquardt steps start at layouts whose bounds have the table's ratios (`fit_array_layout`).
+Tracks on a wrong direction, whose errors are not differentiable, are excluded. The start whose errors, of all tracks,
+are closest to the table on new noise is chosen.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,21 +19,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fitted
 from trackwright.experiments.lab.papers.will_2020 import _work_stand as work
-from trackwright.experiments.lab.papers.will_2020._work_stand import (
-    ALL,
-    BEAM,
-    POINTS,
-    PRINTED_DEG,
-    RADIUS,
-    RATE_HZ,
-    SETS,
-)
-from trackwright.experiments.lab.papers.will_2020.fit_array_layout import (
-    HALF_BOX,
-    SMALLEST_SPACING,
-    exact_layouts,
-    side_lobe,
-)
+from trackwright.experiments.lab.papers.will_2020 import fit_array_layout as array
 from trackwright.sim.stations import simulate_phases
 from trackwright.trackers.aoa.beam import beam_tracker
 from trackwright.trackers.core.data.recording import Batch
@@ -49,8 +28,8 @@ from trackwright.trackers.core.model.sensor import Reading
 AXES = ("azimuth", "elevation")
 _of = partial(Printed, origin=mc.FITTED, unit="deg", tracker="EKF")
 PRINTED = {
-    (name, axis): _of(f"Table 1, {name}, {axis}", PRINTED_DEG[name][k], f"rmse_{axis}_rad", worlds=(name,))
-    for name in SETS
+    (name, axis): _of(f"Table 1, {name}, {axis}", work.PRINTED_DEG[name][k], f"rmse_{axis}_rad", worlds=(name,))
+    for name in work.SETS
     for k, axis in enumerate(AXES)
 }
 
@@ -60,35 +39,29 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     for figure in PRINTED.values():
         wrapped = replace(figure, tracker="EKF, each difference wrapped").ours(results).value
         yield figure.beside(results, f"with each of the 28 differences wrapped, as printed: {wrapped:.3f} deg")
-    ours = {axis: {name: PRINTED[name, axis].ours(results) for name in SETS} for axis in AXES}
+    ours = {axis: {name: PRINTED[name, axis].ours(results) for name in work.SETS} for axis in AXES}
     for k, axis in enumerate(AXES):
-        order = sorted(SETS, key=lambda name: ours[axis][name].value)
-        printed = sorted(SETS, key=lambda name: PRINTED_DEG[name][k])
+        order = sorted(work.SETS, key=lambda name: ours[axis][name].value)
+        printed = sorted(work.SETS, key=lambda name: work.PRINTED_DEG[name][k])
         told = ", ".join(f"{name} {ours[axis][name].value:.2f}" for name in order)
         text = f"{axis}: {printed[0]} is best and {printed[-1]} worst, with the others in the printed order between"
         yield mc.Conclusion(text, order == printed, f"{told} deg", mc.DERIVED)
-    worse = {name: max(ours[axis][name].value / ours[axis][ALL].value for axis in AXES) for name in SETS}
-    yield mc.Conclusion(
-        "the three outermost antennas alone are only slightly worse than all eight",
-        worse["2-3-6"] < 1.25,
-        f"at most {100 * (worse['2-3-6'] - 1):.0f} % worse in an angle, every small aperture "
-        f"{min(worse[name] for name in SETS[:3]):.1f} times and more",
-        mc.DERIVED,
-    )
-    azimuth, elevation = (ours[axis][ALL] for axis in AXES)
-    yield mc.Conclusion(
-        "with all antennas both errors are under one degree, the azimuth's smaller, whose aperture is larger",
-        azimuth.high < elevation.low and elevation.high < 1.0,
-        f"azimuth {azimuth.value:.2f} deg, elevation {elevation.value:.2f} deg",
-        mc.DERIVED,
-    )
+    worse = {name: max(ours[axis][name].value / ours[axis][work.ALL].value for axis in AXES) for name in work.SETS}
+    says = "the three outermost antennas alone are only slightly worse than all eight"
+    how = f"at most {100 * (worse['2-3-6'] - 1):.0f} % worse in an angle, every small aperture "
+    how += f"{min(worse[name] for name in work.SETS[:3]):.1f} times and more"
+    yield mc.Conclusion(says, worse["2-3-6"] < 1.25, how, mc.DERIVED)
+    azimuth, elevation = (ours[axis][work.ALL] for axis in AXES)
+    says = "with all antennas both errors are under one degree, the azimuth's smaller, whose aperture is larger"
+    how = f"azimuth {azimuth.value:.2f} deg, elevation {elevation.value:.2f} deg"
+    yield mc.Conclusion(says, azimuth.high < elevation.low and elevation.high < 1.0, how, mc.DERIVED)
 
 
 STUDY = mc.Study(
     name="table-1",
     about="How well do five sets of antennas follow azimuth and elevation of a beacon?",
-    worlds={name: mc.World(work.recorded, {"antennas": name, "radius": RADIUS}) for name in SETS},
-    trackers={"EKF": BEAM, "EKF, each difference wrapped": work.PRINTED_BEAM},
+    worlds={name: mc.World(work.recorded, {"antennas": name, "radius": work.RADIUS}) for name in work.SETS},
+    trackers={"EKF": work.BEAM, "EKF, each difference wrapped": work.PRINTED_BEAM},
     metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "p95_direction_rad", "diverged", "nis_ratio"),
     expected=expected,
 )
@@ -121,35 +94,37 @@ def numbers_of(free: np.ndarray) -> dict[str, float]:
 def errors(numbers: dict[str, float], runs: int, seed: int, all_tracks: bool, radius: float = RADIUS) -> np.ndarray:
     """RMSE (5, 2), degrees, of azimuth and elevation by antenna set, over all stations."""
     rig = work.stand(numbers, radius)
-    world = simulate_phases(rig, work.HELIX, runs, seed, rate_hz=RATE_HZ, n_points=POINTS, sigma_p=numbers["sigma_p"])
+    world = simulate_phases(
+        rig, work.HELIX, runs, seed, rate_hz=work.RATE_HZ, n_points=work.POINTS, sigma_p=numbers["sigma_p"]
+    )
     stations = list(rig.stations.values())
     truth = np.stack([s.angles(world.positions) for s in stations], axis=1)
-    trajectories, sets = runs * len(stations), len(SETS)
-    values = np.moveaxis(world.phases.swapaxes(1, 2).reshape(trajectories, POINTS, 8), 0, -1)
-    seen = np.repeat(np.stack([work.in_use(name) for name in SETS], axis=-1), trajectories, axis=-1)
-    seen = np.where(np.arange(POINTS)[:, None, None] > 0, seen, True)
-    dt = np.full((POINTS, sets * trajectories), 1 / RATE_HZ, np.float32)
+    trajectories, sets = runs * len(stations), len(work.SETS)
+    values = np.moveaxis(world.phases.swapaxes(1, 2).reshape(trajectories, work.POINTS, 8), 0, -1)
+    seen = np.repeat(np.stack([work.in_use(name) for name in work.SETS], axis=-1), trajectories, axis=-1)
+    seen = np.where(np.arange(work.POINTS)[:, None, None] > 0, seen, True)
+    dt = np.full((work.POINTS, sets * trajectories), 1 / work.RATE_HZ, np.float32)
     dt[0] = 0.0
     phases = np.where(seen, np.tile(values, sets), 0.0).astype(np.float32)
-    readings = {"phases": Reading(phases, seen, np.zeros((POINTS, 0, sets * trajectories), np.float32))}
+    readings = {"phases": Reading(phases, seen, np.zeros((work.POINTS, 0, sets * trajectories), np.float32))}
     batch = Batch(dt, np.ones(dt.shape, bool), readings, {}, {}, np.zeros((2, sets * trajectories), np.uint32))
     means = beam_tracker(stations[0], "phases", numbers["sigma_a"], numbers["sigma_p"]).run(batch).mean
     angles = np.stack([means.azimuth, means.elevation], axis=-1).reshape(sets, *truth.shape)
     squares = (np.rad2deg(angles - truth) ** 2).mean(axis=3).reshape(sets, trajectories, 2)
     if not all_tracks:
-        limits = LEFT * np.array(list(PRINTED_DEG.values()))
+        limits = LEFT * np.array(list(work.PRINTED_DEG.values()))
         squares[(np.sqrt(squares) > limits[:, None]).any(axis=-1)] = np.nan
     return np.asarray(np.sqrt(np.nanmean(squares, axis=1)))
 
 
 def residuals(free: np.ndarray) -> np.ndarray:
     """Log of simulated over printed errors (10,), then violations of spacing and box, mm."""
-    logs = np.log(errors(numbers_of(free), RUNS, SEED, False) / np.array(list(PRINTED_DEG.values())))
+    logs = np.log(errors(numbers_of(free), RUNS, SEED, False) / np.array(list(work.PRINTED_DEG.values())))
     places = free[:16].reshape(8, 2)
     distances = np.linalg.norm(places[:, None] - places, axis=-1)[np.triu_indices(8, 1)]
     # A margin of 0.1 mm, because penalties are never met exactly.
-    short = np.maximum(1000 * SMALLEST_SPACING + 0.1 - distances, 0)
-    beyond = np.maximum(np.abs(places) - 1000 * HALF_BOX + 0.1, 0)
+    short = np.maximum(1000 * array.SMALLEST_SPACING + 0.1 - distances, 0)
+    beyond = np.maximum(np.abs(places) - 1000 * array.HALF_BOX + 0.1, 0)
     return np.concatenate([logs.ravel(), short, beyond.ravel()])
 
 
@@ -174,14 +149,14 @@ def fitted_to(layout: np.ndarray) -> np.ndarray:
 
 def worst(numbers: dict[str, float], runs: int = FRESH) -> float:
     """Largest |log(simulated / printed error)| on new noise, over all tracks."""
-    ratios = errors(numbers, runs, FRESH_SEED, True) / np.array(list(PRINTED_DEG.values()))
+    ratios = errors(numbers, runs, FRESH_SEED, True) / np.array(list(work.PRINTED_DEG.values()))
     return float(np.abs(np.log(ratios)).max())
 
 
 def fit() -> tuple[str, dict[str, Fitted]]:
     """The best, on new noise, of the fits from several layouts."""
     fits: list[tuple[float, dict[str, float]]] = []
-    for layout in sorted(exact_layouts(), key=side_lobe)[:STARTS]:
+    for layout in sorted(array.exact_layouts(), key=array.side_lobe)[:STARTS]:
         # Rounded as they are written: positions to 0.01 mm.
         numbers = {name: float(f"{value:.4g}") for name, value in numbers_of(fitted_to(layout)).items()}
         fits.append((worst(numbers), numbers))

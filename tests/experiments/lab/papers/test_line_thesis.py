@@ -10,6 +10,7 @@ from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import leaving_line, rests_at_joins, table_3_1
 from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     AVERAGES,
+    COLUMNS,
     PRINTED,
     RECORDINGS,
     SIGMA,
@@ -121,9 +122,7 @@ def table(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_filters_stand_in_the_order_of_the_table(table):
-    raw, kalman, particle = (
-        table.average("error_m", [(name, t) for name in RECORDINGS]).value for t in table_3_1.COLUMNS
-    )
+    raw, kalman, particle = (table.average("error_m", [(name, t) for name in RECORDINGS]).value for t in COLUMNS)
     # By a quarter and more in the table; eighteen recordings scatter by a few per cent.
     assert particle < 0.9 * kalman < 0.81 * raw
     assert least(table, "Kalman") == table.study.grid[SIGMA][0]

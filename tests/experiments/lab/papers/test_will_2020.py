@@ -21,6 +21,7 @@ from trackwright.experiments.lab.papers.will_2020._work_stand import (
     recorded,
     stand,
 )
+from trackwright.experiments.lab.papers.will_2020.fit_array_layout import HALF_BOX
 from trackwright.experiments.monte_carlo import ExpectedResult
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.sim.stations import work_station
@@ -36,7 +37,7 @@ def table_1():
 def test_the_fitted_array_keeps_to_its_box_and_half_a_wavelength_apart():
     antennas = antennas_of(NUMBERS)
     # Written to 0.01 mm, fitted with a tenth of a millimetre to spare.
-    assert np.all(np.abs(antennas) <= of_table_1.HALF_BOX + 1e-5)
+    assert np.all(np.abs(antennas) <= HALF_BOX + 1e-5)
     apart = np.linalg.norm(antennas[:, None] - antennas, axis=-1)[np.triu_indices(8, 1)]
     assert apart.min() >= DEFAULT_WAVELENGTH / 2 - 1e-5
 
