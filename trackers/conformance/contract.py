@@ -114,7 +114,6 @@ CHECKED: dict[str, Any] = {
 def require_part(function: str, given: Any) -> None:
     """Raises UnusableInput unless the object is one that this check function is for, with the function that is."""
     wanted, of_class = CHECKED[function], isinstance(given, type)
-    fix = next((name for name, one in CHECKED.items() if isinstance(given, one)), "")
-    fix = "an object of the class" if of_class else fix
+    fix = "an object of the class" if of_class else "".join(n for n, one in CHECKED.items() if isinstance(given, one))
     words = f"an object of {wanted.__name__}" + f"; usual fix: {fix}" * bool(fix)
     require(isinstance(given, wanted) and not of_class, function, given.__name__ if of_class else given, words)

@@ -107,10 +107,11 @@ def motion_checks(
         found = np.asarray(jax.jit(lambda b: matrix(ExtendedKalman().predict(b, single, known, interval).cov))(belief))
         error, size = np.abs(found - expected), np.abs(expected).max()
         worst = np.unravel_index(int(np.argmax(error)), error.shape)
-        assert error.max() <= 1e-5 * size, (
-            f"the predicted covariance of {' and '.join(names[k] for k in worst)} is {found[worst]:.6g}, by difference "
-            f"quotients of {what} {expected[worst]:.6g}; usual fix: no stop_gradient, `stages` that together are `step`"
+        words = (
+            f"the predicted covariance of {' and '.join(names[k] for k in worst)} is {found[worst]:.6g}, by difference"
         )
+        fix = f"quotients {expected[worst]:.6g}; usual fix: no stop_gradient, `stages` that together are `step`"
+        assert error.max() <= 1e-5 * size, f"{words} {fix}"
         return f"equal to difference quotients within {error.max() / size:.0e}"
 
     return [state_, zero_interval, randomness, finite, derivatives]
@@ -175,9 +176,9 @@ def sensor_checks(
         exact = np.asarray(double.slopes(values, everything))
         error, size = np.abs(exact - numeric), max(np.abs(numeric).max(), 1e-9)
         k, j = np.unravel_index(int(np.argmax(error)), error.shape)
+        found = f"the derivative of whitened {names[k]} by {component_names(view)[j]} is {exact[k, j]:.6g}"
         assert error.max() <= 1e-4 * size, (
-            f"the derivative of whitened {names[k]} by {component_names(view)[j]} is {exact[k, j]:.6g}, by "
-            f"difference quotients {numeric[k, j]:.6g}; usual fix: no stop_gradient or rounding"
+            f"{found}, by difference quotients {numeric[k, j]:.6g}; usual fix: no stop_gradient"
         )
         return f"equal to difference quotients within {error.max() / size:.0e}"
 
@@ -189,8 +190,7 @@ def sensor_checks(
             values = np.tile(at.predicted(), (len(s), 1))
             if at.residual(0.0, seen)[2] == 0 or slope == 0:
                 continue  # of several channels with a part in common, one alone says nothing
-            offsets = np.sinh(s) / abs(slope)
-            values[:, j] += offsets
+            values[:, j] += (offsets := np.sinh(s) / abs(slope))
             weight = np.cosh(s) * (np.abs(offsets) <= (np.pi if sensor.channels[j].wraps else np.inf))
             mass = np.exp(np.asarray(at.densities(_arrays(values), seen), float)) @ weight * (s[1] - s[0]) / abs(slope)
             fix = "usual fix: log_scale is −½ log 2π − log sigma for each channel seen"

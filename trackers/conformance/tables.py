@@ -84,10 +84,7 @@ def kind_checks(kind: Kind, rig: Rig, seed: int = 0) -> list[contract.Check]:
 
 
 def importer_checks(
-    importer: Callable[[Path], Mapping[str, Any]],
-    path: Path | str,
-    rig: Rig | Path | str | None = None,
-    tag: str | None = None,
+    importer: Callable[[Path], Any], path: Path | str, rig: Rig | Path | str | None = None, tag: str | None = None
 ) -> list[contract.Check]:
     """The checks of a function that reads logs, with one log; `rig` and `tag` as of `import_frames`.
 

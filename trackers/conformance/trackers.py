@@ -90,8 +90,7 @@ def tracker_checks(
         inputs = jax.tree_util.tree_map(lambda x: filled(x, x[::-1]), batch().inputs)
         dirty = run(batch()._replace(dt=filled(batch().dt), readings=readings, inputs=inputs))
         for k, one in enumerate(varied):
-            fix = "jnp.where(row.valid, after, before) in what is kept"
-            same(dirty[k], k, "a number in rows of padding", fix, slice(len(one)))
+            same(dirty[k], k, "a number in rows of padding", "jnp.where(row.valid, after, before)", slice(len(one)))
 
     @check(run_)
     def later_rows() -> None:
@@ -101,8 +100,7 @@ def tracker_checks(
         ends = [int(rng.integers(max(len(r) // 8, 1), max(len(r) // 2, 2))) for r in varied]
         shorter = run(stacked([cut(r, 0, end) for r, end in zip(varied, ends, strict=True)]))
         for k, end in enumerate(ends):
-            fix = "no operation over the axis of rows, or causal=False for a smoother"
-            same(shorter[k], k, "leaving out later rows", fix, slice(end))
+            same(shorter[k], k, "leaving out later rows", "causal=False for a smoother", slice(end))
 
     @check(run_)
     def number_and_order() -> None:
@@ -244,8 +242,7 @@ class _Sums:
     def sides(self, step: float) -> np.ndarray:
         """The slopes of the sums above and below the tunables, (2, 2, p)."""
         shifts = step * np.eye(len(self.point))
-        points = jnp.asarray(self.point + np.concatenate([shifts, -shifts]))
-        above, below = np.split(np.asarray(self.program(points)), 2)
+        above, below = (np.asarray(self.program(jnp.asarray(self.point + by))) for by in (shifts, -shifts))
         return np.stack([(above - self.here).T, (self.here - below).T]) / step
 
 

@@ -144,7 +144,6 @@ def compare_errors(world: World, estimates: Estimates) -> str:
     true = jax.tree_util.tree_map(lambda x: x[:, last], world.states)
     errors = np.asarray(jax.vmap(lambda a, b: jnp.stack(local(a, b)))(estimated, true))
     ratio = float(np.mean(nees(errors, np.asarray(estimates.covariance)[:, last]))) / errors.shape[1]
-    words = f"the mean NEES of a component is {ratio:.2f}"
-    size = "small" if ratio > 1 else "large"
+    words, size = f"the mean NEES of a component is {ratio:.2f}", "small" if ratio > 1 else "large"
     assert 1 / SLACK < ratio < SLACK, f"{words}, expected 1 within a factor {SLACK:g}: covariances are too {size}"
     return words
