@@ -29,8 +29,7 @@ ROWS, FEWEST, MOST = 64, 6, 8  # rows and numbers of recordings: batches of 5 to
 SPOILT, CUTS = 2, 3  # the recording whose measurements are spoilt, and the cuts of one that is run in pieces
 STEPS = (3e-4, 1e-5)  # of difference quotients, of the unconstrained value of a tunable
 FIELDS = ("mean", "cov_upper", "log_likelihood", "nis", "nis_dof", "wrapped", "status")
-ALONE = "no mean, maximum or sort over the last axis, that of trajectories"
-EVERY = slice(None)
+ALONE, EVERY = "no mean, maximum or sort over the last axis, that of trajectories", slice(None)
 
 
 def tracker_checks(
@@ -156,8 +155,7 @@ def tracker_checks(
         estimates()
 
         def listen(event: str, duration_secs: float, **_: Any) -> None:
-            # Tracing comes before compiling, also of what the cache of an earlier process has.
-            traced.extend([event] * event.endswith("jaxpr_trace_duration"))
+            traced.extend([event] * event.endswith("jaxpr_trace_duration"))  # also of what a cache on disk has
 
         jax.monitoring.register_event_duration_secs_listener(listen)
         try:
@@ -175,15 +173,14 @@ def tracker_checks(
         alone = called(filter_batch, sums().model, sums().batch.columns(0, 1), for_few=True)
         numbers = ((x.mean, x.cov, x.log_likelihood, x.nis, x.nis_dof, x.wrapped) for x in (alone, sums().output))
         for a, b in zip(*map(jax.tree_util.tree_leaves, numbers), strict=True):
-            same = np.allclose(a[..., 0], b[..., 0], rtol=1e-7, atol=1e-9, equal_nan=True)
-            assert same, f"estimates of recording 0 alone and in a batch differ; usual fix: {ALONE}"
+            same = np.allclose(a[..., 0], b[..., 0], 1e-7, 1e-9, True)
+            assert same, f"alone and in a batch differ; usual fix: {ALONE}"
 
     @check(run_)
     @jax.enable_x64(True)
     def accumulate() -> None:
         of_scan = [float(jnp.sum(x)) for x in jax.vmap(_score, (0, None))(sums().output, {})]
-        same = np.allclose(sums().here, of_scan, rtol=1e-6, atol=1e-6)
-        assert same, f"log-likelihood and estimates add up to {sums().here} by `accumulate`, {of_scan} by `scan`"
+        assert np.allclose(sums().here, of_scan, 1e-6, 1e-6), f"{sums().here} by `accumulate`, {of_scan} by `scan`"
 
     @check(run_)
     def gradient() -> str:
