@@ -6,10 +6,10 @@ from tests.catalogue import CASES
 from trackwright.trackers.conformance.trackers import tracker_checks
 
 BITS = (
-    "run", "padding", "later rows", "number of tags", "order of tags", "other tags", "hidden values", "cut and resume",
+    "run", "padding", "later rows", "number and order", "other tags", "hidden values", "cut and resume",
     "one program",
 )  # fmt: skip
-NUMBERS = ("single and batch", "accumulate", "gradient", "conditioning", "consistency", "speed")
+NUMBERS = ("single and batch", "accumulate", "gradient", "consistency")
 """Further programs for each case: in the default suite `tests/trackers/conformance` has them for its own trackers."""
 
 RESUMED = ("fix-kf", "particles", "median", "das")

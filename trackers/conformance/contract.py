@@ -1,7 +1,4 @@
-"""A contract is a list of checks with names; each passes, fails with one sentence, or is skipped.
-
-A check is a function that asserts, as pytest expects; a `Report` runs all of them for a reader.
-"""
+"""A contract is a list of checks with names; each passes, fails with one sentence, or is skipped; and its report."""
 
 from __future__ import annotations
 
@@ -51,18 +48,15 @@ class Check:
 
     @cached_property
     def _found(self) -> tuple[str, Exception | None, float]:
-        started, words = time.process_time(), None
-        error: Exception | None = None
+        started, words, error = time.process_time(), None, None
         try:
             if self.after is not None and self.after.result.outcome != "pass":
                 raise NotApplicable(f"needs '{self.after.name}', which does not pass")
             if not __debug__:
                 raise NotApplicable("python -O leaves asserts out; run it without")
             words = self.test()
-        except AssertionError as broken:
-            error = BrokenContract(one_line(broken))
         except Exception as raised:
-            error = raised
+            error = BrokenContract(one_line(raised)) if isinstance(raised, AssertionError) else raised
         return words or "", error, time.process_time() - started
 
     @property
@@ -104,11 +98,7 @@ class Report(tuple[Result, ...]):
 def reported(checks: Callable[P, list[Check]]) -> Callable[P, Report]:
     """A function of the same arguments that runs all checks."""
 
-    @wraps(checks)
-    def run(*given: P.args, **named: P.kwargs) -> Report:
-        return Report(one.result for one in checks(*given, **named))
-
-    return run
+    return wraps(checks)(lambda *given, **named: Report(one.result for one in checks(*given, **named)))
 
 
 CHECKED: dict[str, Any] = {
@@ -124,7 +114,6 @@ CHECKED: dict[str, Any] = {
 def require_part(function: str, given: Any) -> None:
     """Raises UnusableInput unless the object is one that this check function is for, with the function that is."""
     wanted, of_class = CHECKED[function], isinstance(given, type)
-    fix = next((name for name, one in CHECKED.items() if isinstance(given, one)), "")
-    fix = "an object of the class" if of_class else fix
+    fix = "an object of the class" if of_class else "".join(n for n, one in CHECKED.items() if isinstance(given, one))
     words = f"an object of {wanted.__name__}" + f"; usual fix: {fix}" * bool(fix)
     require(isinstance(given, wanted) and not of_class, function, given.__name__ if of_class else given, words)

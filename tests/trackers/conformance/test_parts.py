@@ -1,6 +1,5 @@
 """The checks of motions and sensors name what is wrong with parts that break their contracts."""
 
-import collections
 import re
 
 import equinox as eqx
@@ -10,9 +9,6 @@ import numpy as np
 import pytest
 
 import trackwright as tw
-from trackwright.sim.stations import work_station
-from trackwright.trackers.aoa.beam import Beam
-from trackwright.trackers.aoa.phases import PlanePhases
 from trackwright.trackers.conformance.parts import check_motion, check_sensor, sensor_checks
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, Placed
@@ -24,13 +20,6 @@ def _fails(report, check, message):
     """Whether the check of this name fails with the message, and no other one fails."""
     assert [one.name for one in report.failures] == [check]
     assert re.search(message, report.failures[0].sentence), report.failures[0].sentence
-
-
-def test_the_papers_form_is_no_density_over_all_phases_of_three_antennas():
-    # Phases a third of a turn apart all wrap and average to zero: their whitened residual is zero.
-    station = next(iter(work_station(work_station().stations["1"].antennas[:4]).stations.values()))
-    report = check_sensor(PlanePhases(station, 0.3, paper_form=True), Beam(0.1, 0.2, 0.3, 0.4))
-    _fails(report, "density", "integrates to 1.8")
 
 
 class Walk(AbstractMotion):
@@ -55,7 +44,7 @@ class Walk(AbstractMotion):
         (
             lambda p, dt, w: Placed(p + w * 0.1),
             "zero interval",
-            r"dt = 0 changes position\.[01] by .*whatever the noise",
+            "dt = 0 changes the state; usual fix",
         ),
         (lambda p, dt, w: Placed(p * jnp.exp(dt) * 1.0000001), "zero interval", "dt = 0 changes"),
         (lambda p, dt, w: p + w * dt, "state", r"returns Vector\(.*expected a state like the given one: Placed"),
@@ -92,17 +81,6 @@ def test_stages_that_are_not_the_step_are_named():
     _fails(check_motion(walk, Placed(Vector(0.4, 0.7))), "derivatives", "`stages` that together are `step`")
 
 
-def test_a_log_density_without_its_normalisation_is_named():
-    class Scored(ConstantPosition):
-        def log_density(self, state, inputs, dt, w):
-            held = w[0] * jax.lax.stop_gradient(self.sigma_v.value)
-            return -0.5 * (held / self.sigma_v.value) ** 2
-
-    report = check_motion(Scored(0.5, 2), Placed(Vector(0.4, 0.7)))
-    _fails(report, "log density", r"by sigma_v has the mean 1\.\d+ ± .* expected zero")
-    assert not check_motion(ConstantPosition(0.5, 2), Placed(Vector(0.4, 0.7))).failures
-
-
 class Ruler(AbstractSensor):
     """Both coordinates with sigmas of 0.1 and 0.3 m, whose residual a test breaks."""
 
@@ -135,22 +113,22 @@ def _root(good, reading, predicted):
 @pytest.mark.parametrize(
     ("change", "check", "message"),
     [
-        (lambda g, z, p: g._replace(log_scale=0.0 * g.log_scale), "density", "integrates to .* usual fix: log_scale"),
-        (lambda g, z, p: g._replace(dof=jnp.asarray(4.0)), "density", "integrates to"),
-        (lambda g, z, p: g._replace(whitened=[w * 2.0 for w in g.whitened]), "density", "integrates to 0.5 over x"),
-        (_unmasked, "mask", "expected 0 for a masked channel"),
-        (lambda g, z, p: g._replace(log_scale=g.log_scale + 0.1), "mask", "no channel seen has nis_dof 0 and log_scale 0.1"),
+        (lambda g, z, p: g._replace(log_scale=0.0 * g.log_scale), "density", "density of x integrates to .* usual fix: log_scale"),
+        (lambda g, z, p: g._replace(dof=jnp.asarray(4.0)), "density", "density of x integrates to"),
+        (lambda g, z, p: g._replace(whitened=[w * 2.0 for w in g.whitened]), "density", "density of x integrates to"),
+        (_unmasked, "mask", "reads a masked channel: whitened"),
+        (lambda g, z, p: g._replace(log_scale=g.log_scale + 0.1), "mask", "nis_dof 0, log_scale 0.1 of seen"),
         (
             lambda g, z, p: g._replace(log_scale=g.log_scale + 0.1 * z.values[1]),
             "mask",
-            "expected 0 and 0|changes with the value",
+            "reads a masked channel",
         ),
-        (lambda g, z, p: g._replace(nis_dof=g.nis_dof + 1.0), "residual", "counts 3 numbers"),
+        (lambda g, z, p: g._replace(nis_dof=g.nis_dof + 1.0), "residual", "has nis_dof 3, expected at most"),
         (lambda g, z, p: g._replace(whitened=g.whitened[:1]), "residual", "has 1 whitened numbers, expected one per channel, 2"),
         (lambda g, z, p: g._replace(whitened=[w + 1.0 for w in g.whitened]), "residual", "equal to the prediction"),
         (_root, "finite", "derivative of Ruler.residual of a reading off by 0 is not finite at x"),
         (lambda g, z, p: g._replace(whitened=[jnp.sinh(w) for w in g.whitened]), "finite", r"off by 1e\+06 is not finite at x"),
-        (lambda g, z, p: Residual(g.whitened, g.log_scale, 2.0), "mask", "counts 2 numbers where|nis_dof 2"),
+        (lambda g, z, p: Residual(g.whitened, g.log_scale, 2.0), "mask", "nis_dof 2"),
         (
             lambda g, z, p: independent([v - jax.lax.stop_gradient(q) for v, q in zip(z.values, p, strict=True)], [0.1, 0.3], z.seen),
             "derivatives",
@@ -176,7 +154,7 @@ def test_a_motion_that_reads_a_field_that_the_state_lacks_is_named_with_those_it
             return Placed(state.pos + w * dt)
 
     report = check_motion(Typing(None), Placed(Vector(0.4, 0.7)))
-    _fails(report, "state", r"Typing\.step reads 'pos' of the state, a Placed, which has position")
+    _fails(report, "state", r"Typing\.step reads 'pos' of the state, Placed\(position=")
 
 
 def test_a_sensor_that_predicts_too_few_channels_is_named():
@@ -185,7 +163,7 @@ def test_a_sensor_that_predicts_too_few_channels_is_named():
             return [view.position[0]]
 
     report = check_sensor(Short(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7)))
-    _fails(report, "measure", r"Short\.measure returns numbers of shapes \[\(\)\], expected 2 scalars: x, y")
+    _fails(report, "measure", r"Short\.measure returns shapes \[\(\)\], expected scalars: \['x', 'y'\]")
 
 
 @pytest.mark.parametrize(
@@ -230,20 +208,13 @@ def test_a_sensor_that_reads_a_field_that_the_view_lacks_is_named_with_those_it_
             return [view.position.x, view.position.y]
 
     here = Placed(Vector(0.4, 0.7))
-    reads = r"Typing\.measure reads 'pos' of the view, a Placed, which has .*position"
+    reads = r"Typing\.measure reads 'pos' of the view, Placed\(position="
     _fails(check_sensor(Typing(sound), here), "measure", reads)
-    by_number = r"expected its components by number, \[0\] to \[1\]"
-    _fails(check_sensor(Lettered(sound), here), "measure", rf"Lettered\.measure reads 'x' of a vector; {by_number}")
+    _fails(check_sensor(Lettered(sound), here), "measure", r"Lettered\.measure reads 'x' of a vector; expected comp")
     # A slip of the sensor's own stays what it is.
     _fails(check_sensor(Broken(sound), here), "measure", "AttributeError: .*pie")
     with pytest.raises(AttributeError, match="pie"):
         sensor_checks(Broken(sound), here)[0]()
-
-
-def test_a_state_of_another_class_of_the_same_name_is_told():
-    again = collections.namedtuple("Placed", ["position"])
-    report = check_motion(Walk(lambda p, dt, w: again(p + w * dt)), Placed(Vector(0.4, 0.7)))
-    _fails(report, "state", "of another class of that name, whose file was run twice")
 
 
 PARTS = {

@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 import trackwright as tw
@@ -16,13 +14,12 @@ from tests.trackers.conformance.own_trackers import (
     Altered,
     AtTheFirst,
     CountedTwice,
-    Places,
     Unsettled,
     averaged,
     kalman,
     recordings,
 )
-from trackwright.trackers.conformance.worlds import compare_conditioned, compare_errors, drawn_world
+from trackwright.trackers.conformance.worlds import compare_errors, drawn_world
 
 
 def _and(add):
@@ -48,11 +45,6 @@ def _of_the_number(output, batch):
     return jnp.mean(jnp.asarray(batch.valid)[0].astype(output.nis.dtype))
 
 
-def _of_all_pairs_of_rows(output, batch):
-    times = jnp.cumsum(batch.dt, axis=0)
-    return 0.0 * jnp.sum(jnp.sin(times[:, None] - times[None]), axis=1)
-
-
 class Unsure(tw.AbstractStart):
     """Starts nowhere."""
 
@@ -65,11 +57,13 @@ class Unsure(tw.AbstractStart):
 FAULTS = {
     "padding": (lambda: averaged(_and(_of_padding)), {"padding"}, "in rows of padding.*changes nis"),
     "later rows": (lambda: averaged(_and(_of_later_rows)), {"later rows", "cut and resume"}, "leaving out later rows"),
-    "number of tags": (lambda: averaged(_and(_of_the_number)), {"number of tags"}, "recordings but the first 5 changes nis"),
-    "order of tags": (
+    "number and order": (
+        lambda: averaged(_and(_of_the_number)), {"number and order"}, r"a batch of the recordings \[0, 1, 2, 3, 4\] changes nis"
+    ),
+    "number and order: order": (
         lambda: averaged(_and(lambda output, batch: jnp.arange(batch.size, dtype=output.nis.dtype)[None])),
-        {"order of tags"},
-        r"the order \[.*\] of the recordings changes nis",
+        {"number and order"},
+        r"a batch of the recordings \[.*\] changes nis",
     ),
     "other tags": (lambda: averaged(_and(_of_garbage)), {"other tags"}, "a reading of 1e\\+30 in recording 2 changes nis"),
     "hidden values": (
@@ -84,17 +78,11 @@ FAULTS = {
     "single and batch": (
         lambda: averaged(lambda output, batch: output._replace(nis=output.nis * (1.0 + 1e-3 * batch.size))),
         {"single and batch"},
-        "alone and in a batch differ by",
+        "alone and in a batch differ",
     ),
-    "accumulate": (lambda: CountedTwice(averaged()), {"accumulate"}, "by `accumulate`, .* by `scan`; usual fix"),
+    "accumulate": (lambda: CountedTwice(averaged()), {"accumulate"}, "by `accumulate`, .* by `scan`"),
     "gradient": (lambda: averaged(held=True), {"gradient"}, "by sigma is 0, by difference quotients"),
-    "conditioning": (
-        lambda: kalman(change=lambda r, z: r._replace(log_scale=r.log_scale + 0.919 * r.nis_dof)),
-        {"conditioning"},
-        "log-likelihood is .* off by 0.919 for each number; usual fix: log_scale",
-    ),
-    "consistency": (lambda: kalman(Altered(of_cov=0.25)), {"conditioning", "consistency"}, "NEES .* are too small"),
-    "speed": (lambda: averaged(_and(_of_all_pairs_of_rows)), {"speed"}, "each of 512 rows computes .* not linear in the rows"),
+    "consistency": (lambda: kalman(Altered(of_cov=0.25)), {"consistency"}, "NEES .* are too small"),
     "run": (lambda: kalman(start=Unsure()), {"run"}, "a track runs in 0% of the rows"),
 }  # fmt: skip
 """By the check that finds it: a tracker with a fault, all checks that fail with it, and what the sentence says."""
@@ -105,7 +93,7 @@ FAULTS = {
 )
 def test_a_fault_is_found_by_its_check(name):
     tracker, _, message = FAULTS[name]
-    check = next(c for c in tw.tracker_checks(tracker(), recordings()) if str(c) == name)
+    check = next(c for c in tw.tracker_checks(tracker(), recordings()) if str(c) == name.partition(":")[0])
     assert check.result.outcome == "fail", check.result
     assert re.search(message, check.result.sentence), check.result
     with pytest.raises(tw.BrokenContract):
@@ -121,61 +109,30 @@ def test_a_fault_fails_no_other_check(name):
 
 
 @jax.enable_x64(True)
-def test_moments_off_those_of_conditioning_and_errors_of_another_size_are_named():
+def test_errors_of_another_size_are_named():
     tracker, of_run = kalman(), recordings()
     world = drawn_world(tracker, of_run[0], tracker.run(of_run)[0], 0, n=8)
-    found = world.estimates
-    assert compare_conditioned(world, found)
-    for field, factor, message in (
-        ("cov_upper", 1.001, "the last covariance of .* given all readings"),
-        ("cov_upper", np.nan, "the last covariance of .* is nan, given all readings"),
-        ("mean", 1.001, "is off the mean given all readings by"),
-        ("log_likelihood", np.nan, "the log-likelihood is nan, of the joint"),
-    ):
-        off = jax.tree_util.tree_map(lambda x, by=factor: by * x, getattr(found, field))
-        with pytest.raises(AssertionError, match=message):
-            compare_conditioned(world, replace(found, **{field: off}))
     for factor, message in ((0.1, "covariances are too small"), (10.0, "covariances are too large")):
         with pytest.raises(AssertionError, match=message):
-            compare_errors(world, replace(found, cov_upper=factor * found.cov_upper))
+            compare_errors(world, replace(world.estimates, cov_upper=factor * world.estimates.cov_upper))
 
 
 def test_values_that_are_not_finite_are_named_with_their_row():
     broken = kalman(change=lambda r, z: r._replace(log_scale=r.log_scale / (z.values[0] - z.values[0])))
     found = tw.tracker_checks(broken, recordings())[0].result
-    assert re.search(
-        "the log-likelihood of row .* of recording 0 is not finite; usual fix: check_motion", found.sentence
-    ), found
+    assert re.search("row .* of recording 0 is not finite; usual fix: check_motion", found.sentence), found
 
 
 @pytest.mark.slow
 def test_a_linear_tracker_passes_all_checks():
     report = tw.check_tracker(kalman())
     assert {one.outcome for one in report} == {"pass"}, report
-    assert "joint distribution" in repr(report)
 
 
 def test_a_tracker_that_is_no_filter_passes_all_checks_that_apply():
     report = tw.check_tracker(averaged(), recordings(3))
     assert not report.failures, report
-    assert {one.name for one in report if one.outcome == "skip"} == {"conditioning", "consistency"}
-
-
-def test_a_tunable_that_a_sensor_has_copied_into_a_constant_is_named():
-    class Copied(Places):
-        constant: float = eqx.field(static=True, default=0.2)
-
-        def residual(self, reading, predicted):
-            off = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-            return tw.independent(off, [self.constant] * 2, reading.seen)
-
-    sound = kalman()
-    for tracker, names in (
-        (sound, ""),
-        (replace(sound, sensors={"places": Copied(sound.sensors["places"].sigma)}), "sensors.places.sigma, "),
-    ):
-        found = {str(c): c for c in tw.tracker_checks(tracker, recordings())}["one program"].result
-        assert f"5 tunables; no estimate depends on {names}track_loss." in found.sentence, found
+    assert {one.name for one in report if one.outcome == "skip"} == {"consistency"}
 
 
 def test_a_derivative_between_corners_that_lie_close_together_is_no_wrong_one():
@@ -192,7 +149,7 @@ def test_a_tracker_that_reads_inputs_or_is_no_filter_needs_recordings():
     with pytest.raises(tw.UnusableInput, match="found a Averaged; expected recordings"):
         tw.check_tracker(averaged())
     with pytest.raises(
-        tw.UnusableInput, match=r"reads the inputs height.*; usual fix: check_tracker\(mine, recordings\)"
+        tw.UnusableInput, match=r"found a Tracker of the inputs height.*; usual fix: check_tracker\(mine"
     ):
         tw.check_tracker(tw.fix_tracker(planar=True))
 
