@@ -52,8 +52,7 @@ from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
 
-LISTED = 20
-"""The most refusals that are printed; the table of results has all."""
+LISTED = 20  # the most refusals that are printed; the table of results has all
 
 
 def track_archive(
@@ -63,11 +62,8 @@ def track_archive(
     begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
 ) -> int:
-    """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code.
-
-    `options`, `started`, `begin`, `put` as of `tracking.track_folders`. Raises UnusableInput where no recording can be
-    tracked.
-    """
+    """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code. `options`,
+    `started`, `begin`, `put` as of `tracking.track_folders`. Raises UnusableInput where no recording can be tracked."""
     tracking = _tracking(options, paths)
     store = RecordingStore(output_folder(options.out), TRACKED)
     with held(options.out):
@@ -127,10 +123,8 @@ def _run(
     cluster: str | None,
     advance: Callable[[int], None],
 ) -> tuple[set[Path], Refusals]:
-    """Runs the part of each recording that is not stored; the finished recordings, and a line for each refusal.
-
-    Raises UnusableInput where no recording is finished.
-    """
+    """Runs the part of each recording that is not stored; the finished recordings, and a line for each refusal. Raises
+    UnusableInput where no recording is finished."""
     done: set[Path] = set()
     refused: Refusals = {}
     settings = part.settings()
@@ -237,10 +231,8 @@ def _ended(verb: str, out: Path, noticed: int, refused: Sequence[Sequence[str]],
 
 
 def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
-    """Scores the estimates of an archive again, recording by recording; returns the exit code.
-
-    Raises UnusableInput where no recording can be scored.
-    """
+    """Scores the estimates of an archive again, recording by recording; returns the exit code. Raises UnusableInput
+    where no recording can be scored."""
     fail_if = options.fail_if
     tracked, store = RecordingStore(out, TRACKED), RecordingStore(out, SCORED)
     known = read_results(out)

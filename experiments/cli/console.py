@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 @contextmanager
 def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
     """With `wanted`, the result on standard output is JSON alone, and what a command prints goes to standard error.
-
-    Yields a function that adds to the result.
-    """
+    Yields a function that adds to the result."""
     result: dict[str, Any] = {}
     with redirect_stdout(sys.stderr) if wanted else nullcontext():
         yield result.update
@@ -35,9 +33,8 @@ def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
 
 def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> tuple[list[RecordingFolder], list[str]]:
     """The recordings that can be tracked, and a line for each other one; with `force` those with errors, too.
-
-    `calibrated`: as of `quick_check`. Raises UnusableInput as `read_recordings`, and where no recording can be tracked.
-    """
+    `calibrated`: as of `quick_check`. Raises UnusableInput as `read_recordings`, and where no recording can be
+    tracked."""
     refused: list[str] = []
     usable = list[RecordingFolder]()
     for recording in read_recordings(paths, refused):
@@ -74,10 +71,7 @@ def checked(recordings: list[RecordingFolder], force: bool | None, calibrated: b
 
 
 def read_with_notices(paths: Sequence[Path], used: ReadingOptions | None = None) -> list[RecordingFolder]:
-    """The recordings in several folders with these options; prints their notices.
-
-    Raises UnusableInput as `read_recordings` and `read_calibration`.
-    """
+    """The recordings in several folders with these options; prints their notices."""
     return prepared(read_recordings(paths), used or ReadingOptions())
 
 

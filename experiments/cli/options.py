@@ -31,8 +31,7 @@ Pattern = Annotated[str, Parameter(metavar="PATTERN")]
 Setting = Annotated[str, Parameter(metavar="NAME=VALUE")]
 Address = Annotated[str, Parameter(metavar="ADDRESS")]
 
-FigureFormat = Literal["png", "pdf"]
-"""The kinds of figures in files, by their endings."""
+FigureFormat = Literal["png", "pdf"]  # the kinds of figures in files, by their endings
 
 
 def _names_of_trackers(context: Any) -> list[str]:
@@ -48,8 +47,7 @@ Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 
 FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100', with ':log' at the end for equal ratios"
 
-OPTIONS = Parameter(name="*")
-"""Decorates a dataclass whose fields are options, each explained in its docstring."""
+OPTIONS = Parameter(name="*")  # decorates a dataclass whose fields are options, each explained in its docstring
 
 
 @OPTIONS

@@ -18,8 +18,7 @@ from typing import Any
 COLLECT_AFTER = 500_000
 """Allocations between garbage collections: imports and tracing make many lasting objects, 300,000 before a track."""
 
-PACKAGES = ("jax", "jaxlib", "numpy")
-"""Those whose versions a manifest names, beside our own."""
+PACKAGES = ("jax", "jaxlib", "numpy")  # those whose versions a manifest names, beside our own
 
 
 def settle_memory() -> None:
@@ -58,11 +57,9 @@ def write_manifest(
     chunk: int | None = None,
     extra: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Writes `manifest.json` at the end of a run and returns its path.
-
-    `started`: with its time zone. `chunk`: trajectories per chunk, on which bit-identity depends. `extra`: further
-    entries. Raises UnusableInput if the folder cannot be written to.
-    """
+    """Writes `manifest.json` at the end of a run and returns its path. `started`: with its time zone. `chunk`:
+    trajectories per chunk, on which bit-identity depends. `extra`: further entries. Raises UnusableInput if the folder
+    cannot be written to."""
     import jax
 
     from trackwright import __version__

@@ -48,9 +48,7 @@ if TYPE_CHECKING:
     from trackwright.experiments.jobs.held_parts import FitWorkers
     from trackwright.trackers.recordings.calibration import Calibration
 
-PARTS = ".tune-parts"
-"""The folder of the rows, in that of the results, while the command runs."""
-
+PARTS = ".tune-parts"  # the folder of the rows, in that of the results, while the command runs
 OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
     "auto": lambda steps: None,
     "lbfgs": lambda steps: LBFGS(),
@@ -60,11 +58,9 @@ OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
 
 @dataclass(frozen=True)
 class Fitted:
-    """A finished fit: the options with the tracker's name, the tracker, what was fitted to, and the result.
-
-    `reported`: what the report is made of, on a cluster a part of the data. `shown`: the recordings whose errors are
-    shown before and after: those held out, or else those fitted to; `others`: those fitted to if some were held out.
-    """
+    """A finished fit: the options with the tracker's name, the tracker, what was fitted to, and the result. `reported`:
+    what the report is made of, on a cluster a part of the data. `shown`: the recordings whose errors are shown before
+    and after: those held out, or else those fitted to; `others`: those fitted to if some were held out."""
 
     options: TuneOptions
     named: NamedTracker
@@ -82,10 +78,8 @@ def fit_folders(
     begin: Begin,
     workers: FitWorkers | None = None,
 ) -> Fitted:
-    """Fits the tracker to the first `count` recordings, the others held out; `begin` begins a stage.
-
-    `workers`: that hold the rows of folders read in turn.
-    """
+    """Fits the tracker to the first `count` recordings, the others held out; `begin` begins a stage. `workers`: that
+    hold the rows of folders read in turn."""
     first = folders if workers is None else folders[:1]
     named = tracker_for_folders(first, options)
     for line in mirror_lines(named, first):
@@ -153,10 +147,8 @@ def checked_options(
 
 @contextmanager
 def fit_workers(cluster: str | None, out: Path) -> Iterator[FitWorkers | None]:
-    """The workers of a cluster, as of `cluster_client`, with the folder of their files; None for no cluster.
-
-    What an earlier command that was killed left in that folder is removed.
-    """
+    """The workers of a cluster, as of `cluster_client`, with the folder of their files; None for no cluster. What an
+    earlier command that was killed left in that folder is removed."""
     if cluster is None:
         yield None
         return
@@ -185,10 +177,8 @@ def data_in_turn(
     weigh: Weigh,
 ) -> FitData:
     """As `fit_data` of the first `count` recordings, the others held out; the rows are in files in the folder `place`.
-
     `dimensions`: None for those of the first recording. Raises UnusableInput as `fit_data`, and where the recordings
-    need several trackers.
-    """
+    need several trackers."""
     names, trajectories = list[str](), list[Trajectory]()
     batch: TrackerBatch | None = None
 
@@ -216,10 +206,8 @@ def reported(data: FitData) -> FitData:
 
 def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[list[RecordingFolder]]:
     """For each recording, itself, or what a fit takes in its place where it is one of those of the calibration `file`.
-
     These are calibrated on the others among them, or, if there are none, each half on the other half: a fit with the
-    file's calibration would see errors smaller than those of new recordings.
-    """
+    file's calibration would see errors smaller than those of new recordings."""
     from trackwright.trackers.recordings.calibration import read_calibration
 
     whole = read_calibration(file)
@@ -233,10 +221,8 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the file's spreads and quality of ranges, from which `track` has the noise levels.
-
-    Without a map of bearings where the file has none.
-    """
+    """The recording with the file's spreads and quality of ranges, from which `track` has the noise levels. Without a
+    map of bearings where the file has none."""
     if part.calibration is None:
         return part
     differences = replace(part.calibration.differences, spread=whole.differences.spread)
@@ -281,9 +267,7 @@ def _fitted(
     keep: Keep,
 ) -> FitResult:
     """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite.
-
-    `by_default`: whether the objective was chosen by the data. `keep`: takes the rows to where they are computed.
-    """
+    `by_default`: whether the objective was chosen by the data. `keep`: takes the rows to where they are computed."""
     training, held_out = data.batches(), data.batches(held_out=True)
     # Intervals are computed from the result and don't change the fit, nor does the place where it is computed.
     config = {

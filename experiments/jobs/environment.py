@@ -22,10 +22,8 @@ SET = ("x64", "programs kept")
 
 
 def environment() -> dict[str, Any]:
-    """What the bits of a result depend on beside its arguments: versions, flags, number format, kind of device.
-
-    The `SET` ones are set in a worker for each part: the number format, and whether compiled programs are kept.
-    """
+    """What the bits of a result depend on beside its arguments: versions, flags, number format, kind of device. The
+    `SET` ones are set in a worker for each part: the number format, and whether compiled programs are kept."""
     import jax
 
     return {

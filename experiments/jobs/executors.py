@@ -36,9 +36,7 @@ AT_ONCE = 256
 LEAVE_SIGINT = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
 """Run by local workers, which the caller ends: Ctrl-C on a terminal reaches them, too."""
 
-CONNECT_S = 10
-"""Seconds to wait for a scheduler."""
-
+CONNECT_S = 10  # seconds to wait for a scheduler
 SILENT_S = 60
 """Seconds without a sign of life after which a local worker hangs: it is ended, and its part runs elsewhere."""
 
@@ -48,9 +46,7 @@ GONE_S = 15.0
 
 class Threads(ThreadPoolExecutor):
     """As many threads of this process as the host computes in parallel; `at_once`: parts that they are given at a time.
-
-    `devices`: each part is computed on one of these that computes no other; none: where jax would.
-    """
+    `devices`: each part is computed on one of these that computes no other; none: where jax would."""
 
     def __init__(self, devices: Sequence[Any] = ()) -> None:
         import jax
@@ -87,12 +83,9 @@ def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
 
 @contextmanager
 def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Dask's client of `local:N`, N processes on this machine, or of the scheduler at `tcp://HOST:PORT`.
-
-    Second: the environment that `computed` expects of a worker. A scheduler without workers is waited for. Raises
-    UnusableInput for another text, where no scheduler answers, for workers with other versions, and where the cluster
-    is lost.
-    """
+    """Dask's client of `local:N`, N processes on this machine, or of the scheduler at `tcp://HOST:PORT`. Second: the
+    environment that `computed` expects of a worker. A scheduler without workers is waited for. Raises UnusableInput for
+    another text, where no scheduler answers, for workers with other versions, and where the cluster is lost."""
     local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
     if not local and not re.fullmatch(r"[a-z]+://\S+", cluster):
         raise UnusableInput(f"--cluster {cluster}: expected local:N, as local:4, or an address, as tcp://HOST:8786")
@@ -214,10 +207,8 @@ def _watching(look: Callable[[], None]) -> Iterator[None]:
 
 
 class WorkerExecutor(Executor):
-    """An executor of other processes that computes only where the environment is `expected`.
-
-    `at_once`: parts that it is given at a time, so that every worker has one.
-    """
+    """An executor of other processes that computes only where the environment is `expected`. `at_once`: parts that it
+    is given at a time, so that every worker has one."""
 
     def __init__(self, executor: Executor, expected: Mapping[str, Any], at_once: int = AT_ONCE) -> None:
         self.executor, self.expected, self.at_once = executor, dict(expected), at_once
@@ -231,10 +222,8 @@ class WorkerExecutor(Executor):
 
 
 def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
-    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs.
-
-    `held`: its first arguments, which the worker has already: of types that do not import jax.
-    """
+    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs. `held`: its first
+    arguments, which the worker has already: of types that do not import jax."""
     require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
     import jax
 

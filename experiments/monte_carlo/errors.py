@@ -17,12 +17,10 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 
 class TrackedRuns(NamedTuple):
     """A tracker's estimates of n trajectories of T rows beside their truth: the argument of a study's measures.
-
     Positions: `times` (n, T) s, `estimates` and `truth` (n, T, 3) m, `covariance` (n, T, d, d) of the d estimated axes;
     NaN without an estimate, and a known height filled in. Bearings have an axis of S stations: `estimates` and `truth`
     (n, T, S, 2) rad, azimuth and elevation, `covariance` (n, T, S, 2, 2). `known`: rows with both truth and a usable
-    estimate. `status` (codes of `Status`), `nis`, `dof`: per row, and per station for bearings.
-    """
+    estimate. `status` (codes of `Status`), `nis`, `dof`: per row, and per station for bearings."""
 
     times: np.ndarray
     estimates: np.ndarray
@@ -95,10 +93,8 @@ def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
-    """Arrays of n trajectories by name: each `sum` and `largest` (n,) of `Scores`, and of each kind a histogram.
-
-    The histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`.
-    """
+    """Arrays of n trajectories by name: each `sum` and `largest` (n,) of `Scores`, and of each kind a histogram. The
+    histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`."""
     n = len(tracked.estimates)
     bearing = tracked.estimates.ndim == 4
     # The rows of all stations count as rows of their trajectory.

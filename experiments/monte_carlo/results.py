@@ -24,10 +24,8 @@ BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 
 class Totals:
     """The totals of a condition and tracker over the chunks that are added in order, in blocks of trajectories.
-
     `measures`: name -> (n,) of all trajectories, `bounds` (2,) m, `us_per_row`. `seconds`: computing time of the chunks
-    for all trackers, compiling included; only in the totals of a condition's first tracker.
-    """
+    for all trackers, compiling included; only in the totals of a condition's first tracker."""
 
     def __init__(self, runs: int):
         self.blocks, self.runs = min(runs, BLOCKS), runs

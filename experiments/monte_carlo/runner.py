@@ -23,9 +23,7 @@ from trackwright.experiments.monte_carlo.sources import PortableStudy
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.programs.process_settings import keep
 
-CHUNKS_PER_DEVICE = 4
-"""Chunks for which another device is used: every device compiles the trackers again."""
-
+CHUNKS_PER_DEVICE = 4  # chunks for which another device is used: every device compiles the trackers again
 Advance = Callable[..., None]
 """Progress: called with the number of finished chunks, and optionally the label of a condition."""
 
@@ -67,12 +65,10 @@ def run_study(
     advance: Advance = _no_progress,
     executor: Executor | None = None,
 ) -> Results | None:
-    """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing.
-
-    `until` is tested after 1, 2, 4, 8 … chunks of a condition, whatever the number of devices. `executor`: runs chunks
-    in other processes, of a study loaded by name or from a file; default: threads. Raises UnusableInput for a folder of
-    another study, and for `until` with more than one shard.
-    """
+    """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing. `until`
+    is tested after 1, 2, 4, 8 … chunks of a condition, whatever the number of devices. `executor`: runs chunks in other
+    processes, of a study loaded by name or from a file; default: threads. Raises UnusableInput for a folder of another
+    study, and for `until` with more than one shard."""
     if until is not None and shard != (1, 1):
         raise UnusableInput(
             "--until with --shard: a shard has only its own chunks; expected one of the two options; remove the other"

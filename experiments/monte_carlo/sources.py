@@ -19,9 +19,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.user_file import fault_of, run_file, split_name
 from trackwright.trackers.recordings.input_file import read_toml
 
-PAPERS = "trackwright.experiments.lab.papers"
-"""In whose folders studies are looked for by name."""
-
+PAPERS = "trackwright.experiments.lab.papers"  # in whose folders studies are looked for by name
 KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}
 STUDY_KEYS = {
     "name": str, "about": str, "runs": int, "seed": int, "metrics": list,
@@ -53,9 +51,7 @@ def _modules_in(package: str) -> Iterator[pkgutil.ModuleInfo]:
 
 def load_study(what: str, tracker_files: Mapping[str, str] | None = None) -> Study:
     """The study of a name or file; raises UnusableInput where there is none, and for one that cannot be run.
-
-    `tracker_files`: the places of users' files of trackers, by their paths in the declaration; default: these paths.
-    """
+    `tracker_files`: the places of users' files of trackers, by their paths in the declaration; default: these paths."""
     study = dataclasses.replace(_declared(what), declared_in=what)
     return checked(_with_trackers_from(tracker_files, study) if tracker_files else study)
 
@@ -155,11 +151,8 @@ def _check_keys(path: Path, where: str, table: Any, keys: Mapping[str, type]) ->
 
 
 class PortableStudy(NamedTuple):
-    """The declaration of a study as it travels.
-
-    `what`: the name of a study of the package, or of its file. `files`: that file and those of users' trackers. `runs`
-    and `seed` may be others than declared.
-    """
+    """The declaration of a study as it travels. `what`: the name of a study of the package, or of its file. `files`:
+    that file and those of users' trackers. `runs` and `seed` may be others than declared."""
 
     what: str
     files: Files
@@ -168,10 +161,8 @@ class PortableStudy(NamedTuple):
 
     @classmethod
     def of(cls, study: Study) -> PortableStudy:
-        """The declaration of a study that was loaded by name or from a file.
-
-        Raises UnusableInput for any other study, and for one that was changed since, except in `runs` and `seed`.
-        """
+        """The declaration of a study that was loaded by name or from a file. Raises UnusableInput for any other study,
+        and for one that was changed since, except in `runs` and `seed`."""
         where = f"study '{study.name}'"
         if not study.declared_in:
             raise UnusableInput(

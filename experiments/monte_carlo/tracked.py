@@ -16,17 +16,14 @@ from trackwright.trackers.recordings.tracks import angles
 from trackwright.trackers.recordings.trajectories import Trajectories
 from trackwright.trackers.recordings.truth import TruthStatus
 
-ROWS_AT_ONCE = 65_536
-"""Rows that are scored together: their numbers fit the processor's cache."""
+ROWS_AT_ONCE = 65_536  # rows that are scored together: their numbers fit the processor's cache
 
 
 class Group(NamedTuple):
-    """Estimates of trajectories that one tracker ran, beside their rows.
-
-    `number`, `station` (n,): of each trajectory, the place of its id in the chunk and of its station among the chunk's.
-    `rows` (n, T) s: the times of the rows; `truth` (n, T, 3) m or (n, T, 2) rad and `known` (n, T), whether there is
-    one, at the times for which the estimates are valid.
-    """
+    """Estimates of trajectories that one tracker ran, beside their rows. `number`, `station` (n,): of each trajectory,
+    the place of its id in the chunk and of its station among the chunk's. `rows` (n, T) s: the times of the rows;
+    `truth` (n, T, 3) m or (n, T, 2) rad and `known` (n, T), whether there is one, at the times for which the estimates
+    are valid."""
 
     trajectories: Trajectories
     estimates: Estimates
@@ -38,10 +35,8 @@ class Group(NamedTuple):
 
 
 class TrackedChunk:
-    """The estimates of all trajectories of a chunk.
-
-    `planar`: whether all positions are. `every`: the interval, s, in which only a trajectory's last row is scored.
-    """
+    """The estimates of all trajectories of a chunk. `planar`: whether all positions are. `every`: the interval, s, in
+    which only a trajectory's last row is scored."""
 
     def __init__(self, ids: np.ndarray, tracked: Sequence[tuple[Trajectories, Estimates]], planar: bool, every: Any):
         if not tracked:
@@ -148,9 +143,7 @@ def _covariance(bearing: bool, estimates: Estimates) -> list[list[np.ndarray]]:
 
 def _truth(trajectories: Trajectories, estimates: Estimates, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The truth where the estimates of `rows` (n, T) are valid, (n, T, 3) m or (n, T, 2) rad, and where there is one.
-
-    Heights may be NaN.
-    """
+    Heights may be NaN."""
     columns = trajectories.columns
     if trajectories.stations[0]:
         values, known = columns.truth["direction"]
@@ -165,9 +158,7 @@ def _truth(trajectories: Trajectories, estimates: Estimates, rows: np.ndarray) -
 
 def _scored_rows(estimates: Estimates, rows: np.ndarray, known: np.ndarray, every: float | None) -> np.ndarray:
     """The rows (n, T) that are scored, of the `known` ones: the last of each time `rows` (n, T) and of `every` seconds.
-
-    A time counts where it has an estimate: see `Estimates.status_per_time`.
-    """
+    A time counts where it has an estimate: see `Estimates.status_per_time`."""
     last = estimates.last_rows(rows)
     usable = np.zeros(last.shape, bool)
     if np.array_equal(last, estimates.status != Status.PADDING):

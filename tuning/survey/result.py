@@ -29,14 +29,12 @@ DELAY_DETERMINED = 0.7 * NORMAL * np.hypot(COMMON_DELAY, OWN_DELAY)
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Survey:
-    """Anchors with their positions and delays.
-
-    `names` (A,); `positions` (A, 3) m; `delays` (A,) m; `covariance` (4A, 4A), m²: of x, y, z and delay of each anchor
-    in turn, zero where the frame or exact values fix them. `mirrored` (A,): whether the mirror image of the anchor on
-    the other side of the walk's plane fits as well. `rms`, m, and `readings` (A,): of errors. `effect`: by how much
-    errors that last widen variances. `paths`: positions (n, 3), m, of the tag in each walk. `rig`: that of the first
-    recording with these anchors, rounded to 0.1 mm. `notes`: what was assumed, a line each.
-    """
+    """Anchors with their positions and delays. `names` (A,); `positions` (A, 3) m; `delays` (A,) m; `covariance` (4A,
+    4A), m²: of x, y, z and delay of each anchor in turn, zero where the frame or exact values fix them. `mirrored`
+    (A,): whether the mirror image of the anchor on the other side of the walk's plane fits as well. `rms`, m, and
+    `readings` (A,): of errors. `effect`: by how much errors that last widen variances. `paths`: positions (n, 3), m, of
+    the tag in each walk. `rig`: that of the first recording with these anchors, rounded to 0.1 mm. `notes`: what was
+    assumed, a line each."""
 
     names: tuple[str, ...]
     positions: Float[np.ndarray, "A 3"]
