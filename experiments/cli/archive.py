@@ -76,7 +76,6 @@ def track_archive(
             out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
             evaluation, count = run.write(out), run.write_table(out, TRACKS)
             run.write_table(out, EVENTS)
-            run.write_sources(out)
             tracks = counted(sum(run.endings.values()), "track")
             print(f"{run.short}: {tracks} of {counted(len(run.paths), 'recording')}: {endings(run.endings)}")
             put(_shown(run, evaluation))
@@ -161,8 +160,7 @@ def _run(
 
 def _compare(runs: Sequence[Run]) -> list[Section]:
     """Prints the comparison of several trackers; its tables."""
-    tables = compared(runs)
-    if tables:
+    if tables := compared(runs):
         print(comparison_text(tables), end="")
     return tables
 

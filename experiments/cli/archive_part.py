@@ -232,11 +232,7 @@ class Tracking:
         happened = events_of(tracks.table, named.spec, tracks.batches)
         association, lines = with_truth(tracks.table, named, [folder])
         scored = TrackScores.of(association, {folder.name: folder.rig.stations})
-        about = {
-            "tracker": name,
-            "short": split_name(name)[1] or name,
-            "endings": tracks.summaries,
-        }
+        about = {"tracker": name, "short": split_name(name)[1] or name, "endings": tracks.summaries}
         tables = {TRACKS: tracks.table, EVENTS: happened}
         return outcome_of(about, scored, residual_ratios(tracks), tables), [*tracks.notices, *lines]
 

@@ -107,22 +107,13 @@ def notice_other_calibration(noise: Path | None, tuned: Tuned, given: Path | Non
     """A notice where the file `noise` was fitted with a calibration, or without, and another, or none, is `given`."""
     from trackwright.trackers.recordings.input_file import identity
 
-    fitted = tuned.calibration
-    if fitted is None:
-        # A file that names no tracker is not of `tune`.
-        if given is not None and tuned.tracker is not None:
-            notice(
-                f"notice: {noise}: fitted to recordings without a calibration, and {given} is given; leave "
-                "--calibration out, or tune again with it"
-            )
-        return
-    if given is not None and identity(given)["fingerprint"] == fitted["fingerprint"]:
-        return
-    now = "none is given" if given is None else f"{given} is another"
-    notice(
-        f"notice: {noise}: fitted to recordings with the calibration {fitted['name']} ({fitted['fingerprint']}), and "
-        f"{now}; give --calibration {fitted['name']}, or tune again"
-    )
+    fitted, begin = tuned.calibration, f"notice: {noise}: fitted to recordings with"
+    # A file that names no tracker is not of `tune`.
+    if fitted is None and given is not None and tuned.tracker is not None:
+        notice(f"{begin}out a calibration, and {given} is given; leave it out, or tune again with it")
+    elif fitted is not None and (given is None or identity(given)["fingerprint"] != fitted["fingerprint"]):
+        name, now = fitted["name"], "none is given" if given is None else f"{given} is another"
+        notice(f"{begin} the calibration {name} ({fitted['fingerprint']}), and {now}; give --calibration {name}")
 
 
 def notice_unused_calibration(folders: Sequence[RecordingFolder], tracker: str, table: str) -> None:

@@ -103,14 +103,11 @@ def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int
 def sources(folder: Path) -> tuple[Path, ...]:
     """The recordings tracked into an output folder; raises UnusableInput if it does not list them."""
     paths = source_paths(folder)
+    where, fix = folder / SOURCES, "give --truth RECORDING"
     if not paths:
-        raise UnusableInput(
-            f"{folder / SOURCES}: names no recording; expected a folder written by `track`; give --truth RECORDING"
-        )
+        raise UnusableInput(f"{where}: names no recording; expected a folder written by `track`; {fix}")
     if moved := [path for path in paths if not path.exists()]:
-        raise UnusableInput(
-            f"{folder / SOURCES}: {moved[0]} does not exist; expected the recordings there; give --truth RECORDING"
-        )
+        raise UnusableInput(f"{where}: {moved[0]} does not exist; expected the recordings there; {fix}")
     return tuple(paths)
 
 

@@ -96,9 +96,7 @@ def _table(run: Path, format: Format) -> tuple[pl.DataFrame, dict[str, Rig], lis
         return read_tracks(run), {folder.name: folder.rig for folder in known}, truths
     recording = read_recording(run)
     if "truth" not in recording.tables:
-        raise UnusableInput(
-            f"{run}: has no truth table; expected the output folder of `track`, or a recording with truth"
-        )
+        raise UnusableInput(f"{run}: has no truth table; expected a folder of `track`, or a recording with truth")
     return _truth(recording), {recording.name: recording.rig}, []
 
 

@@ -117,10 +117,8 @@ def import_source(
     mappings = _mappings(source, own_tables, given, asked)
     there = (out / RIG_FILE).is_file()
     if origin == "start" and there:
-        raise UnusableInput(
-            f"--origin start: {out} has tables already; expected their origin, as its first import printed it: "
-            "--origin SECONDS, or none where that had none"
-        )
+        words = "expected their origin, as its first import printed it: --origin SECONDS, or none where that had none"
+        raise UnusableInput(f"--origin start: {out} has tables already; {words}")
     if there and rig is not None:
         raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
     try:
@@ -171,7 +169,7 @@ def _mappings(
             raise UnusableInput("--mapping: a file of this format has its tables; leave it out")
         if given.table or not plain:
             raise UnusableInput(
-                "--mapping and --table, --columns, --topic, --separator or --decimal; expected one or the other"
+                "--mapping and --table, --columns, --topic, --separator or --decimal; give one or the other"
             )
         return [m if m.tag else replace(m, tag=given.tag) for m in tables]
     if own_tables:

@@ -58,7 +58,10 @@ def _list_tunables(tracker: str, folder: Path | None, json: bool) -> int:
     # jax takes a second to import, which the help and a refused recording need not wait for.
     from trackwright.trackers.catalogue import build, spec_of
 
-    recording = folders[0] if folders else _simulated(tracker, spec_of(tracker).missing)
+    missing = spec_of(tracker).missing
+    recording = next((x for x in (folders or _simulated_folders()) if folders or missing(x) is None), None)
+    if recording is None:
+        raise UnusableInput(f"trackers {tracker}: no simulated recording has what it reads; give a recording FOLDER")
     listed = _rows(build(tracker, recording))
     if json:
         print(json_text({"tracker": tracker, "recording": recording.name, "tunables": listed}))
@@ -67,14 +70,6 @@ def _list_tunables(tracker: str, folder: Path | None, json: bool) -> int:
         notice(f"values: of the simulated recording {recording.name}; give a recording FOLDER for those of its own")
     print(_table(listed, terminal_width()), end="")
     return 0
-
-
-def _simulated(tracker: str, missing: Any) -> RecordingFolder:
-    """A simulated recording that has what the tracker needs; raises UnusableInput where there is none."""
-    for folder in _simulated_folders():
-        if missing(folder) is None:
-            return folder
-    raise UnusableInput(f"trackers {tracker}: no simulated recording has what it reads; give a recording FOLDER")
 
 
 def _simulated_folders() -> Iterator[RecordingFolder]:
@@ -95,14 +90,10 @@ def _simulated_folders() -> Iterator[RecordingFolder]:
         tags = {tag: Tag(float(z[0])) for tag in truth["tag"].unique()}
         yield replace(folder, rig=replace(folder.rig, outline=outline, tags=tags))
         angles = {name: s.angles(np.stack([x, y, z], axis=1)).T for name, s in folder.rig.stations.items()}
-        bearings = [
-            truth.select(
-                "t_s", "tag", pl.lit(name).alias("station"), azimuth_rad=pl.Series(a), elevation_rad=pl.Series(e)
-            )
-            for name, (a, e) in angles.items()
-        ]
-        if bearings:
-            yield replace(folder, tables={"bearings": pl.concat(bearings).sort("t_s"), "truth": truth})
+        at = truth.select("t_s", "tag")
+        seen = [at.with_columns(station=pl.lit(k), azimuth_rad=a, elevation_rad=e) for k, (a, e) in angles.items()]
+        if seen:
+            yield replace(folder, tables={"bearings": pl.concat(seen).sort("t_s"), "truth": truth})
     yield tdoa(1, imu=True).folder()
 
 

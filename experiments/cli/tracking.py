@@ -74,9 +74,7 @@ def tracker_names(trackers: str | None, noise: Path | None = None) -> list[str]:
     if repeated is not None:
         raise UnusableInput(f"--tracker {trackers}: '{repeated}' twice; expected different names; remove one")
     if len(names) > 1 and noise is not None:
-        raise UnusableInput(
-            f"--noise {noise}: belongs to one tracker, found {', '.join(names)}; name one with --tracker"
-        )
+        raise UnusableInput(f"--noise {noise}: belongs to one tracker, found {trackers}; name one with --tracker")
     return names
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -31,7 +31,7 @@ from trackwright.tuning.guessing import first_guess
 from trackwright.tuning.identifiability import cautions
 from trackwright.tuning.intervals import require_possible
 from trackwright.tuning.optimisation import FitState
-from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
+from trackwright.tuning.optimisers import LBFGS, Adam
 from trackwright.tuning.parameters import (
     Parameter,
     flatten,
@@ -49,11 +49,6 @@ if TYPE_CHECKING:
     from trackwright.trackers.recordings.calibration import Calibration
 
 PARTS = ".tune-parts"  # the folder of the rows, in that of the results, while the command runs
-OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
-    "auto": lambda steps: None,
-    "lbfgs": lambda steps: LBFGS(),
-    "adam": Adam,
-}
 
 
 @dataclass(frozen=True)
@@ -228,14 +223,8 @@ def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
     differences = replace(part.calibration.differences, spread=whole.differences.spread)
     spread, quality = whole.range_spread, whole.range_quality
     by_place = None if whole.bearing_map is None else part.calibration.bearing_map
-    own = replace(
-        part.calibration,
-        range_spread=spread,
-        range_quality=quality,
-        differences=differences,
-        bearing_map=by_place,
-    )
-    return replace(part, calibration=own)
+    own = replace(part.calibration, range_spread=spread, range_quality=quality, differences=differences)
+    return replace(part, calibration=replace(own, bearing_map=by_place))
 
 
 def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], file: Path) -> list[RecordingFolder]:
@@ -280,10 +269,8 @@ def _fitted(
     if options.resume and saved is None:
         notice(f"notice: {options.out}: no checkpoint found; the fit starts from the beginning")
     if by_default:
-        why = (
-            "there is truth" if data.objective.needs_truth else "there is no truth that the estimates can be judged by"
-        )
-        notice(f"objective: {data.named}, since {why}; choose another with --objective")
+        why = "" if data.objective.needs_truth else "no "
+        notice(f"objective: {data.named}, since there is {why}truth; choose another with --objective")
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
     steps, starts = options.steps, options.starts
@@ -311,7 +298,7 @@ def _fitted(
             FitOptions(
                 frozen=options.freeze,
                 bounds=bounds,
-                optimiser=OPTIMISERS[options.optimiser](steps),
+                optimiser={"auto": None, "lbfgs": LBFGS(), "adam": Adam(steps)}[options.optimiser],
                 steps=steps,
                 starts=starts,
                 priors=priors,
@@ -322,13 +309,9 @@ def _fitted(
     except FloatingPointError as error:
         raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
     if result.n_excluded == len(data.training):
-        raise UnusableInput(
-            f"at the best point ({options.objective} {result.value:.4g}) no segment of the recordings has finite "
-            "gradients: repeated identical readings drive the noise to zero; give --bound or --prior"
-        )
+        words = "has finite gradients: repeated identical readings drive the noise to zero; give --bound or --prior"
+        raise UnusableInput(f"at the best point ({options.objective} {result.value:.4g}) no segment {words}")
     if result.n_excluded:
-        notice(
-            f"notice: {result.n_excluded} of {len(data.training)} segments were excluded: non-finite likelihood, or "
-            "gradients over 1000 x the median"
-        )
+        why = "non-finite likelihood, or gradients over 1000 x the median"
+        notice(f"notice: {result.n_excluded} of {len(data.training)} segments were excluded: {why}")
     return result

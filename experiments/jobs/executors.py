@@ -100,24 +100,20 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
                 require_same(expected, actual, f"worker {address}")
             yield client, expected
     except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
-        raise UnusableInput(
-            f"--cluster {cluster}: the scheduler was lost, or the network to it; see that it runs, then run the "
-            "command again"
-        ) from error
+        fix = "see that it runs, then run the command again"
+        raise UnusableInput(f"--cluster {cluster}: the scheduler was lost, or the network to it; {fix}") from error
     except distributed.KilledWorker as error:
-        raise UnusableInput(
-            f"--cluster {cluster}: {error.allowed_failures + 1} workers ended while they computed the same part; "
-            "expected enough memory for one part a worker; see the workers' logs"
-        ) from error
+        fix = "expected enough memory for one part a worker; see the workers' logs"
+        count = f"{error.allowed_failures + 1} workers"
+        raise UnusableInput(f"--cluster {cluster}: {count} ended while they computed the same part; {fix}") from error
 
 
 def _distributed() -> Any:
     try:
         import distributed
     except ImportError as error:
-        raise UnusableInput(
-            "--cluster: the package 'distributed' is not installed; install the extra: pip install trackwright[cluster]"
-        ) from error
+        fix = "install the extra: pip install trackwright[cluster]"
+        raise UnusableInput(f"--cluster: the package 'distributed' is not installed; {fix}") from error
     # The deaths and reconnections that Dask reports are handled: their parts run elsewhere.
     for name in ("distributed", "distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -131,10 +127,8 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
         try:
             client = distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
-            raise UnusableInput(
-                f"--cluster {cluster}: no scheduler answers within {CONNECT_S} s; expected one at this address; start "
-                "one with `dask scheduler`"
-            ) from error
+            fix = "expected one at this address; start one with `dask scheduler`"
+            raise UnusableInput(f"--cluster {cluster}: no scheduler answers within {CONNECT_S} s; {fix}") from error
         with client, _watching(_notice_empty(client, cluster)):
             yield client
         return

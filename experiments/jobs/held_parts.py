@@ -48,9 +48,9 @@ class HeldParts(Parts):
         try:
             model = pickle.dumps(point)
         except (pickle.PicklingError, TypeError, AttributeError) as error:
+            fix = "expected classes and functions of a module; define them at the top of its file"
             raise UnusableInput(
-                f"--cluster: tracker '{named.name}' cannot be sent to workers ({error}); expected classes and "
-                "functions of a module; define them at the top of its file"
+                f"--cluster: tracker '{named.name}' cannot be sent to workers ({error}); {fix}"
             ) from error
         for piece in pieces:
             path = workers.folder / f"{uuid.uuid4().hex}.npz"
@@ -85,10 +85,8 @@ def loaded(name: str, text: str, model: bytes, structure: bytes, path: Path) -> 
         with np.load(path) as arrays:
             return name, text, model, structure, [arrays[f"arr_{k}"] for k in range(len(arrays.files))]
     except OSError as error:
-        raise UnusableInput(
-            f"worker on {platform.node()}: cannot read {path} ({error.strerror}); expected a folder that all workers "
-            "see under the same name; choose another --out"
-        ) from error
+        fix = "expected a folder that all workers see under the same name; choose another --out"
+        raise UnusableInput(f"worker on {platform.node()}: cannot read {path} ({error.strerror}); {fix}") from error
 
 
 def evaluated(held: HeldChunk, computation: Computation) -> list[Any]:

@@ -110,9 +110,9 @@ def _require_grid_is_used(study: Study, condition: Condition, untuned: Mapping[s
     names = {name for batches in untuned.values() for batch in batches for name in tunables(batch.tracker)}
     for pattern in condition.numbers:
         if not pattern.startswith(WORLD) and not fnmatch.filter(names, pattern):
+            known = f"'world.' and a parameter of the worlds, or one of {', '.join(sorted(names))}"
             raise UnusableInput(
-                f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; expected 'world.' and a "
-                f"parameter of the worlds, or one of {', '.join(sorted(names))}"
+                f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; expected {known}"
             )
 
 
@@ -138,10 +138,8 @@ def _track(
 def _measured(study: Study, name: str, returned: Any, n: int) -> np.ndarray:
     values = np.asarray(returned, float)
     if values.shape != (n,):
-        raise UnusableInput(
-            f"study '{study.name}': measure '{name}' returns shape {values.shape}; expected ({n},), one number "
-            "for each trajectory"
-        )
+        found = f"measure '{name}' returns shape {values.shape}"
+        raise UnusableInput(f"study '{study.name}': {found}; expected ({n},), one number for each trajectory")
     return values
 
 

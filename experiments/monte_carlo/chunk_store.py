@@ -80,10 +80,8 @@ class ChunkStore(Store[Part, bytes, Path]):
         if path.exists():
             difference = first_difference(_stored(path), current)
             if difference:
-                raise UnusableInput(
-                    f"{path}: the folder holds another study ({difference}); expected the same study; choose another "
-                    "--out, or remove the folder"
-                )
+                fix = "expected the same study; choose another --out, or remove the folder"
+                raise UnusableInput(f"{path}: the folder holds another study ({difference}); {fix}")
         else:
             written(self.folder, {IDENTITY: _text(current)})
         # Also where no chunk is missing, and none will be written.
@@ -202,9 +200,8 @@ def merge_shards(parts: Sequence[Path], out: Path) -> int:
     for part, stored in zip(parts, identities, strict=True):
         difference = first_difference(identities[0], stored)
         if difference:
-            raise UnusableInput(
-                f"{part}: holds another study than {parts[0]} ({difference}); expected shards of one study; remove it"
-            )
+            words = f"holds another study than {parts[0]} ({difference})"
+            raise UnusableInput(f"{part}: {words}; expected shards of one study; remove it")
     chunks = {path.name: path for part in parts for path in sorted((part / CHUNKS).glob("[0-9]*.npz"))}
     for name, path in chunks.items():
         if path.parent != out / CHUNKS:

@@ -68,12 +68,10 @@ class Masked:
     def histograms(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A sparse (n, BINS) histogram of values (n, T): flat indices and their counts."""
         first = BINS * np.arange(len(values))[:, None]
-        at = (
-            (first + bins(values)).ravel()
-            if self.all
-            else np.broadcast_to(first, values.shape)[self.valid] + bins(values[self.valid])
-        )
-        cells = np.bincount(at, minlength=0)
+        if self.all:
+            cells = np.bincount((first + bins(values)).ravel())
+        else:
+            cells = np.bincount(np.broadcast_to(first, values.shape)[self.valid] + bins(values[self.valid]))
         filled = np.flatnonzero(cells)
         return filled, cells[filled]
 

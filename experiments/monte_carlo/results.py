@@ -109,10 +109,8 @@ class Results:
 
     def average(self, metric: str, pairs: Sequence[tuple[str, str]], **point: Any) -> Value:
         """The mean of a metric over pairs of world and tracker, all resampled together."""
-        replicates = [
-            self._replicated(metric, self.study.condition(world, **point), tracker) for world, tracker in pairs
-        ]
-        return _interval(np.mean([d[0] for d in replicates]), np.mean([d[1] for d in replicates], axis=0))
+        of = [self._replicated(metric, self.study.condition(world, **point), tracker) for world, tracker in pairs]
+        return _interval(np.mean([d[0] for d in of]), np.mean([d[1] for d in of], axis=0))
 
     def main_metrics(self) -> dict[str, dict[tuple[int, str], Value]]:
         """The metrics of the study's tables, each by condition and tracker."""
@@ -126,11 +124,8 @@ class Results:
 
     def without_bound(self) -> str:
         """Which trackers have no Cramér–Rao bound, and why; empty where none is asked for or all have one."""
-        without = [
-            tracker
-            for tracker in self.study.trackers
-            if all(np.isnan(self.totals[c.index, tracker].bounds[0]) for c in self.study.conditions)
-        ]
+        conditions, trackers = self.study.conditions, self.study.trackers
+        without = [t for t in trackers if all(np.isnan(self.totals[c.index, t].bounds[0]) for c in conditions)]
         if not without or not any(metric.startswith("bound") for metric in self.study.metrics):
             return ""
         return (

@@ -41,9 +41,8 @@ class StopRule:
         match = re.fullmatch(r"\s*(\w+)\s*(?:±|\+-|\+/-)\s*([0-9.]+)\s*%\s*", text)
         known = (*NAMES, *study.measures)
         if match is None or match[1] not in known or not 0 < float(match[2]) < 100:
-            raise UnusableInput(
-                f'--until "{text}": expected a metric and a width, as "rmse_m±1%"; metrics: {", ".join(known)}'
-            )
+            fix = f'expected a metric and a width, as "rmse_m±1%"; metrics: {", ".join(known)}'
+            raise UnusableInput(f'--until "{text}": {fix}')
         return cls(match[1], float(match[2]) / 100)
 
     def reached(self, results: Results, condition: Condition) -> bool:
@@ -53,16 +52,12 @@ class StopRule:
         return bool(known) and all(v.high - v.low <= 2 * self.half_width * abs(v.value) for v in known)
 
 
-def _no_progress(done: int, now: str = "") -> None:
-    """Ignore progress."""
-
-
 def run_study(
     study: Study,
     folder: Path,
     shard: tuple[int, int] = (1, 1),
     until: StopRule | None = None,
-    advance: Advance = _no_progress,
+    advance: Advance = lambda *_: None,
     executor: Executor | None = None,
 ) -> Results | None:
     """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing. `until`
@@ -71,7 +66,7 @@ def run_study(
     study, and for `until` with more than one shard."""
     if until is not None and shard != (1, 1):
         raise UnusableInput(
-            "--until with --shard: a shard has only its own chunks; expected one of the two options; remove the other"
+            "--until with --shard: a shard has only its own chunks; expected one option; remove the other"
         )
     if not (folder / IDENTITY).exists():
         require_fitting_parts(study)
@@ -102,7 +97,7 @@ def _run_until(
 
 
 def run_missing(
-    store: ChunkStore, parts: Sequence[Part], advance: Advance = _no_progress, executor: Executor | None = None
+    store: ChunkStore, parts: Sequence[Part], advance: Advance = lambda *_: None, executor: Executor | None = None
 ) -> None:
     """Run those of the chunks that are not in the store, on the executor or as many in parallel as the host allows."""
     study, missing = store.study, [part for part in parts if store.kept(part) is None]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import importlib
 import importlib.util
 import pkgutil
@@ -15,7 +14,7 @@ from trackwright.experiments.jobs.portable import Files, copied
 from trackwright.experiments.monte_carlo.chunk_store import first_difference, identity
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
 from trackwright.sim.worlds import WORLDS
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.core.user_file import fault_of, run_file, split_name
 from trackwright.trackers.recordings.input_file import read_toml
 
@@ -35,14 +34,9 @@ def available_studies() -> list[str]:
 
 def _modules() -> dict[str, str]:
     """Module names by study: each module of a paper's folder, except fits and private ones."""
-    folders = [m.name for m in _modules_in(PAPERS) if m.ispkg]
-    modules = {}
-    for folder in folders:
-        for module in _modules_in(folder):
-            name = module.name.rpartition(".")[2]
-            if not name.startswith(("fit_", "_")):
-                modules[name.replace("_", "-")] = module.name
-    return modules
+    found = (m.name for folder in _modules_in(PAPERS) if folder.ispkg for m in _modules_in(folder.name))
+    named = ((module.rpartition(".")[2], module) for module in found)
+    return {name.replace("_", "-"): module for name, module in named if not name.startswith(("fit_", "_"))}
 
 
 def _modules_in(package: str) -> Iterator[pkgutil.ModuleInfo]:
@@ -74,11 +68,8 @@ def _declared(what: str) -> Study:
         return _from_python(path)
     modules = _modules()
     if what not in modules:
-        near = difflib.get_close_matches(what, sorted(modules), 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise UnusableInput(
-            f"study '{what}': unknown{hint}; expected a .toml or .py file or one of {', '.join(sorted(modules))}"
-        )
+        known = f"expected a .toml or .py file or one of {', '.join(sorted(modules))}"
+        raise UnusableInput(f"study '{what}': unknown{near(what, sorted(modules))}; {known}")
     module = importlib.import_module(modules[what])
     return _with_source(module, Path(str(module.__file__)))
 
@@ -86,9 +77,7 @@ def _declared(what: str) -> Study:
 def _with_source(module: Any, path: Path) -> Study:
     study = getattr(module, "STUDY", None)
     if not isinstance(study, Study):
-        raise UnusableInput(
-            f"{path}: no STUDY found; expected `STUDY = Study(...)` of trackwright.experiments.monte_carlo"
-        )
+        raise UnusableInput(f"{path}: no STUDY found; expected `STUDY = Study(...)` of experiments.monte_carlo")
     return dataclasses.replace(study, source=path.read_text("utf-8"))
 
 
@@ -165,17 +154,13 @@ class PortableStudy(NamedTuple):
         and for one that was changed since, except in `runs` and `seed`."""
         where = f"study '{study.name}'"
         if not study.declared_in:
-            raise UnusableInput(
-                f"{where}: was built in memory; expected one by name or from a file, which other processes can build "
-                "too; write it to a file and load it with load_study"
-            )
+            fix = "expected one that other processes can build; write it to a file and load it with load_study"
+            raise UnusableInput(f"{where}: was built in memory; {fix}")
         again = _numbered(load_study(study.declared_in), study.runs, study.seed)
         difference = first_difference(identity(again), identity(study))
         if difference:
-            raise UnusableInput(
-                f"{where}: differs from its declaration {study.declared_in} ({difference}); expected the same, since "
-                "other processes build it from there; write the change to the file"
-            )
+            fix = "expected the same, since other processes build it from there; write the change to the file"
+            raise UnusableInput(f"{where}: differs from its declaration {study.declared_in} ({difference}); {fix}")
         names = [config.tracker for config in study.trackers.values() if isinstance(config.tracker, str)]
         trackers = sorted({file for file, _ in map(split_name, names) if file})
         files = {file: Path(file).read_text("utf-8") for file in trackers}
