@@ -62,8 +62,7 @@ def track_archive(
     begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
 ) -> int:
-    """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code. `options`,
-    `started`, `begin`, `put` as of `tracking.track_folders`. Raises UnusableInput where no recording can be tracked."""
+    """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code."""
     tracking = _tracking(options, paths)
     store = RecordingStore(output_folder(options.out), TRACKED)
     with held(options.out):
@@ -122,8 +121,7 @@ def _run(
     cluster: str | None,
     advance: Callable[[int], None],
 ) -> tuple[set[Path], Refusals]:
-    """Runs the part of each recording that is not stored; the finished recordings, and a line for each refusal. Raises
-    UnusableInput where no recording is finished."""
+    """Runs the part of each recording that is not stored; the finished recordings, and a line for each refusal."""
     done: set[Path] = set()
     refused: Refusals = {}
     settings = part.settings()
@@ -229,8 +227,7 @@ def _ended(verb: str, out: Path, noticed: int, refused: Sequence[Sequence[str]],
 
 
 def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
-    """Scores the estimates of an archive again, recording by recording; returns the exit code. Raises UnusableInput
-    where no recording can be scored."""
+    """Scores the estimates of an archive again, recording by recording; returns the exit code."""
     fail_if = options.fail_if
     tracked, store = RecordingStore(out, TRACKED), RecordingStore(out, SCORED)
     known = read_results(out)

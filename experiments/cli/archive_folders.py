@@ -27,8 +27,7 @@ def is_archive(out: Path) -> bool:
 
 
 def archive_of(paths: Sequence[Path], keep_going: bool) -> list[Path] | None:
-    """The recordings in these folders, None where they are few and none is a folder of folders. `keep_going`: few are
-    an archive, too. Raises UnusableInput for an empty list and for a folder found twice."""
+    """The recordings in these folders, None where they are few and none is a folder of folders, unless `keep_going`."""
     groups = [recordings_under(path) for path in paths]
     recordings = [path for group in groups for path in group]
     if not keep_going and len(recordings) <= MANY and groups == [[path] for path in paths]:
@@ -38,8 +37,7 @@ def archive_of(paths: Sequence[Path], keep_going: bool) -> list[Path] | None:
 
 
 def recordings_under(path: Path) -> list[Path]:
-    """The recordings at or below a folder, sorted: folders with a rig.toml or a table, and those that cannot be read.
-    Nothing is looked for inside a recording and in hidden folders. The folder itself where there is none."""
+    """The recordings at or below a folder, sorted, also those that cannot be read; itself where there is none."""
     recordings: list[Path] = []
     seen: set[str] = set()
     for root, folders, files in os.walk(

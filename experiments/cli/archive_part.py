@@ -48,9 +48,8 @@ TRACKED, SCORED = "tracked.json", "scored.json"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one tracker found in one recording. `summary`: plain values: `tracker`, `short`, its name as that of a
-    folder, `recording`, `bearing`, `endings`, how many trajectories ended how, the metrics of the `recording` and of
-    its `tracks`, and its `scores`. `tables`: by file name."""
+    """What one tracker found in one recording: `summary` in plain values, as `outcome_of` makes it, and `tables` by
+    file name."""
 
     summary: dict[str, Any]
     evaluation: Evaluation
@@ -176,8 +175,7 @@ def _naming(path: Path | None, problem: UnusableInput) -> str:
 @dataclass(frozen=True)
 class Tracking:
     """How the recordings of an archive are tracked, as it travels. `names`: of the trackers, with the texts of the
-    users' files; none for the one that fits each recording. `options`: with the values that were read from files.
-    `calibration`: the one that they name. `renamed`: names of recordings."""
+    users' files; none for the one that fits each recording. `renamed`: names of recordings."""
 
     names: tuple[tuple[str, str], ...]
     options: TrackOptions

@@ -90,8 +90,7 @@ def by_name(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def gathered(
     store: RecordingStore, paths: Sequence[Path], done: Container[Path], refused: Refusals
 ) -> tuple[list[Run], list[dict[str, Any]], int]:
-    """The runs by tracker, the rows of the table of results, and how many recordings have notices. Of what is stored of
-    the recordings at `paths`, in this order."""
+    """The runs by tracker, the rows of the table of results, and how many recordings have notices."""
     runs: dict[str, Run] = {}
     rows: list[dict[str, Any]] = []
     noticed = 0
@@ -123,8 +122,7 @@ def write_results(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def read_results(out: Path) -> Refusals:
-    """The recordings in the table of results, with the lines of those that were refused. Raises UnusableInput for a
-    file that `write_results` did not write."""
+    """The recordings in the table of results, with the lines of those that were refused; raises UnusableInput."""
     path = out / RESULTS
     columns = {"path": pl.String, "refused": pl.String}
     try:

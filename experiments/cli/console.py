@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-    """With `wanted`, the result on standard output is JSON alone, and what a command prints goes to standard error.
-    Yields a function that adds to the result."""
+    """With `wanted`, standard output is JSON alone: what the yielded function is given, at the end."""
     result: dict[str, Any] = {}
     with redirect_stdout(sys.stderr) if wanted else nullcontext():
         yield result.update
@@ -32,9 +31,8 @@ def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
 
 
 def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> tuple[list[RecordingFolder], list[str]]:
-    """The recordings that can be tracked, and a line for each other one; with `force` those with errors, too.
-    `calibrated`: as of `quick_check`. Raises UnusableInput as `read_recordings`, and where no recording can be
-    tracked."""
+    """The recordings that can be tracked, and a line for each other one; with `force` those with errors, too. Raises
+    UnusableInput as `read_recordings`, and where no recording can be tracked."""
     refused: list[str] = []
     usable = list[RecordingFolder]()
     for recording in read_recordings(paths, refused):

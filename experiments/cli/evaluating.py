@@ -59,8 +59,7 @@ def print_comparison(
     playback: str | None = None,
 ) -> None:
     """Prints the comparison of the runs in these folders, and writes its page and figures into the folder `out`.
-    `kind`: the ending of the figures, png or pdf; None for none. `page`: whether it is written. `playback`: another
-    page beside it, which it names."""
+    `kind`: the ending of the figures, None for none. `playback`: another page beside it, which it names."""
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
     from trackwright.experiments.pages.charts.comparison import comparison_charts, plot_comparison
     from trackwright.experiments.pages.reports.comparison import (
@@ -214,8 +213,7 @@ def _write(
 
 
 def condition_of(expression: str, names: Sequence[str]) -> pl.Expr:
-    """The condition of an expression of SQL, as `p95_m>0.5 or lost_s>0`; raises UnusableInput for no such one. `names`:
-    of the metrics that there are."""
+    """The condition of an expression of SQL on metrics of these names; raises UnusableInput for no such one."""
     where, used, problem = f"--fail-if '{expression}'", list[str](), "is no condition on metrics"
     try:
         condition = pl.sql_expr(expression)
@@ -232,8 +230,7 @@ def condition_of(expression: str, names: Sequence[str]) -> pl.Expr:
 
 
 def violation(evaluation: Evaluation, expression: str) -> str | None:
-    """The condition and the metrics in it, None if it is false of the overall metrics. Raises UnusableInput as
-    `condition_of`, and for a metric without a value, which must not pass."""
+    """The condition and its metrics, None where it is false; raises UnusableInput for a metric without a value, too."""
     condition, overall = condition_of(expression, list(evaluation.overall)), evaluation.overall
     values = {name: overall[name] for name in condition.meta.root_names()}
     if lacking := [name for name, value in values.items() if value is None]:

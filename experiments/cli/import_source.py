@@ -161,8 +161,7 @@ def import_source(
 def _mappings(
     source: Path, own_tables: bool, given: TableMapping, tables: Sequence[TableMapping]
 ) -> list[TableMapping]:
-    """The mappings of the tables of a source, by the options `given` or the `tables` of the file of --mapping.
-    `own_tables`: whether the source says itself which tables it holds."""
+    """The mappings of the tables of a source, by the options `given`, or the `tables` of the file of --mapping."""
     plain = not given.columns and given.topic is None and given.separator is None and given.decimal == "."
     if tables:
         if own_tables:

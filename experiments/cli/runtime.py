@@ -57,9 +57,8 @@ def write_manifest(
     chunk: int | None = None,
     extra: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Writes `manifest.json` at the end of a run and returns its path. `started`: with its time zone. `chunk`:
-    trajectories per chunk, on which bit-identity depends. `extra`: further entries. Raises UnusableInput if the folder
-    cannot be written to."""
+    """Writes `manifest.json` at the end of a run and returns its path; raises UnusableInput where it cannot. `chunk`:
+    trajectories per chunk, on which bit-identity depends."""
     import jax
 
     from trackwright import __version__

@@ -34,8 +34,7 @@ def sweep_folders(
     clock: float,
     begin: Begin,
 ) -> dict[str, Any]:
-    """Evaluates the objective on the grid, writes all files and prints the best point; returns it and the counts.
-    `started`, `clock`: when the command began. `begin`: of a stage."""
+    """Evaluates the objective on the grid, writes all files and prints the best point; returns it and the counts."""
     objective, grids, out = options.objective, options.grids, options.out
     named = tracker_for_folders(folders, options)
     group = named.only_batch(folders)

@@ -63,8 +63,7 @@ class TrackedBy(NamedTuple):
 
 
 def tracker_names(trackers: str | None, noise: Path | None = None) -> list[str]:
-    """The names in a text with commas, none for None. Raises UnusableInput for a repeated name, and for several with a
-    file of one tracker's values, `noise`."""
+    """The names in a text with commas; raises UnusableInput for a repeated one, and several with `noise` of one."""
     names = [] if trackers is None else [name.strip() for name in trackers.split(",")]
     # By which the folder of each is named.
     shorts = [split_name(name)[1] or name for name in names]
@@ -81,10 +80,8 @@ def tracker_names(trackers: str | None, noise: Path | None = None) -> list[str]:
 def tracked_by(
     folders: Sequence[RecordingFolder], trackers: str | None, noise: Path | None = None
 ) -> tuple[list[TrackedBy], list[str]]:
-    """The runs, and a line for each recording that a tracker does not fit. `trackers`: names separated by commas, each
-    of which runs on all recordings that it fits; None: each recording is run by the tracker that fits it. `noise`: a
-    file of one tracker's values. Raises UnusableInput where nothing can be run, and for unknown, repeated or too many
-    names."""
+    """The runs, and a line for each recording that a tracker does not fit. `trackers`: names separated by commas; None:
+    each recording is run by the tracker that fits it. Raises UnusableInput where nothing can be run."""
     names = tracker_names(trackers, noise)
     runs: dict[str, list[RecordingFolder]] = {}
     refused: list[str] = []
@@ -116,9 +113,8 @@ def track_folders(
     begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
 ) -> int:
-    """Tracks the recordings, writes all files and prints the metrics. Returns the exit code, 1 if some were `refused`.
-    Several trackers get a folder each, by their names; those that the user named are compared. `begin`: of a stage.
-    `put`: of the metrics, by tracker."""
+    """Tracks the recordings, writes all files and prints the metrics; the exit code, 1 if some were `refused`. Several
+    trackers get a folder each; those that the user named are compared. `put`: of the metrics, by tracker."""
     of_file = None if options.tuned is None else options.tuned.tracker
     runs, unfit = tracked_by(folders, options.tracker or of_file, options.noise)
     for name, chosen in runs if options.tracker is None else ():
@@ -168,8 +164,7 @@ def track_folders(
 def _track(
     run: TrackedBy, options: TrackOptions, out: Path, started: datetime, begin: Begin, of: int
 ) -> tuple[Any, dict[str, Any] | None]:
-    """Tracks recordings with one tracker into the folder `out`; returns its evaluation.json and its page. `of`: how
-    many trackers are compared; the only one has a table of errors, figures and its page in its folder."""
+    """Tracks recordings with one of `of` trackers into the folder `out`; returns its evaluation.json and its page."""
     name, folders = run
     named = build(name, folders, options.free_height, options.side)
     notice_unused_calibration(folders, name, named.spec.table)

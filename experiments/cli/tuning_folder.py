@@ -54,8 +54,7 @@ def tune_folders(
     clock: float,
     begin: Begin,
 ) -> tuple[int, dict[str, Any]]:
-    """Fits to the first folders, those of `recordings`, writes all files and prints the table. Returns the exit code
-    and the content of tuned.toml. `started`, `clock`: when it began. `begin`: of a stage."""
+    """Fits to the first folders, writes all files and prints the table; exit code and content of tuned.toml."""
     count = len(recordings)
     if options.used.calibration is not None and not isinstance(folders, FoldersInTurn):
         parts = cross_calibrated(folders, options.used.calibration)
@@ -129,8 +128,7 @@ def _write_run(
     compared: Compared,
     plans: TrackChanges | None,
 ) -> dict[str, Any]:
-    """Writes all files to the folder, prints what they show, and returns the content of tuned.toml. `seconds`: that the
-    command took. `plans`: the tracks before and after."""
+    """Writes all files to the folder, prints what they show, and returns the content of tuned.toml."""
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
     objective, unit = str(options.objective), "rad" if data.training[0].station else "m"
     if options.prior:

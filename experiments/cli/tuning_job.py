@@ -53,9 +53,8 @@ PARTS = ".tune-parts"  # the folder of the rows, in that of the results, while t
 
 @dataclass(frozen=True)
 class Fitted:
-    """A finished fit: the options with the tracker's name, the tracker, what was fitted to, and the result. `reported`:
-    what the report is made of, on a cluster a part of the data. `shown`: the recordings whose errors are shown before
-    and after: those held out, or else those fitted to; `others`: those fitted to if some were held out."""
+    """A finished fit. `reported`: what the report is made of, on a cluster a part of the data. `shown`: the recordings
+    whose errors are shown: those held out, or else those fitted to; `others`: those fitted to if some were held out."""
 
     options: TuneOptions
     named: NamedTracker
@@ -73,8 +72,7 @@ def fit_folders(
     begin: Begin,
     workers: FitWorkers | None = None,
 ) -> Fitted:
-    """Fits the tracker to the first `count` recordings, the others held out; `begin` begins a stage. `workers`: that
-    hold the rows of folders read in turn."""
+    """Fits the tracker to the first `count` recordings, the others held out; with `workers`, which hold the rows."""
     first = folders if workers is None else folders[:1]
     named = tracker_for_folders(first, options)
     for line in mirror_lines(named, first):
@@ -142,8 +140,7 @@ def checked_options(
 
 @contextmanager
 def fit_workers(cluster: str | None, out: Path) -> Iterator[FitWorkers | None]:
-    """The workers of a cluster, as of `cluster_client`, with the folder of their files; None for no cluster. What an
-    earlier command that was killed left in that folder is removed."""
+    """The workers of a cluster with the folder of their files, emptied first; None for no cluster."""
     if cluster is None:
         yield None
         return
@@ -172,8 +169,7 @@ def data_in_turn(
     weigh: Weigh,
 ) -> FitData:
     """As `fit_data` of the first `count` recordings, the others held out; the rows are in files in the folder `place`.
-    `dimensions`: None for those of the first recording. Raises UnusableInput as `fit_data`, and where the recordings
-    need several trackers."""
+    Raises UnusableInput as that, and where the recordings need several trackers."""
     names, trajectories = list[str](), list[Trajectory]()
     batch: TrackerBatch | None = None
 
@@ -216,8 +212,7 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the file's spreads and quality of ranges, from which `track` has the noise levels. Without a
-    map of bearings where the file has none."""
+    """The recording with the file's spreads and quality of ranges; without a map of bearings as the file."""
     if part.calibration is None:
         return part
     differences = replace(part.calibration.differences, spread=whole.differences.spread)

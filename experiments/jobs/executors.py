@@ -83,9 +83,9 @@ def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
 
 @contextmanager
 def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Dask's client of `local:N`, N processes on this machine, or of the scheduler at `tcp://HOST:PORT`. Second: the
-    environment that `computed` expects of a worker. A scheduler without workers is waited for. Raises UnusableInput for
-    another text, where no scheduler answers, for workers with other versions, and where the cluster is lost."""
+    """Dask's client of `local:N`, or of the scheduler at `tcp://HOST:PORT`, and the environment expected of its
+    workers. Raises UnusableInput for another text, where no scheduler answers, for workers with other versions, and
+    where the cluster is lost."""
     local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
     if not local and not re.fullmatch(r"[a-z]+://\S+", cluster):
         raise UnusableInput(f"--cluster {cluster}: expected local:N, as local:4, or an address, as tcp://HOST:8786")
@@ -201,8 +201,7 @@ def _watching(look: Callable[[], None]) -> Iterator[None]:
 
 
 class WorkerExecutor(Executor):
-    """An executor of other processes that computes only where the environment is `expected`. `at_once`: parts that it
-    is given at a time, so that every worker has one."""
+    """An executor of other processes that computes only where the environment is `expected`."""
 
     def __init__(self, executor: Executor, expected: Mapping[str, Any], at_once: int = AT_ONCE) -> None:
         self.executor, self.expected, self.at_once = executor, dict(expected), at_once

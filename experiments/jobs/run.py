@@ -25,9 +25,8 @@ Kept = TypeVar("Kept")
 
 
 class Store(ABC, Generic[Item, Result, Kept]):
-    """The finished parts of a job in a folder, each of one or several files. Files are written under a temporary name
-    and renamed, the last one of a part when the others are there: where it is missing, of other inputs, or damaged, the
-    part is computed again."""
+    """The finished parts of a job in a folder. Files are written under a temporary name and renamed, the last one of a
+    part when the others are there: where it is missing, of other inputs, or damaged, the part is computed again."""
 
     @abstractmethod
     def kept(self, item: Item) -> Kept | None:
@@ -39,8 +38,7 @@ class Store(ABC, Generic[Item, Result, Kept]):
 
 
 def written(folder: Path, files: Mapping[str, Callable[[Path], object]]) -> None:
-    """Writes the files of a part by their names in the folder, the last one last, which says that the part is whole.
-    Raises UnusableInput where the disk is full or may not be written to."""
+    """Writes the files of a part, the last one last, which says that it is whole; raises UnusableInput."""
     *others, last = files
     try:
         for name in files:
@@ -65,8 +63,7 @@ def run(
 ) -> None:
     """Computes the parts that the store lacks, and calls `each` with every item and what is kept of it. `function`: of
     an item, or of what `read`, which runs here, returns of it. `failed`: the result of a part that could not be read or
-    computed, or whose workers ended again and again; without it such a part ends the run. What has finished is kept,
-    whatever ends the run."""
+    computed; without it such a part ends the run."""
 
     def missing() -> Iterator[Item]:
         for item in items:

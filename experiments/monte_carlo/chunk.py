@@ -24,9 +24,8 @@ from trackwright.trackers.recordings.trajectories import Trajectories
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
-    """The sums, histograms and measures of the trajectories with these ids, one dictionary per tracker. `first`:
-    whether this is a condition's first chunk, which also gives bounds and computing times. Raises UnusableInput where
-    world, trackers and values do not fit each other."""
+    """The sums, histograms and measures of these trajectories by tracker; of the `first` chunk bounds and times, too.
+    Raises UnusableInput where world, trackers and values do not fit each other."""
     folder, prepared = _prepared(study, condition, ids)
     results = []
     for name, config in study.trackers.items():
@@ -55,8 +54,7 @@ def tracked_runs(study: Study, world: str, ids: np.ndarray, **point: float) -> d
 
 
 def require_fitting_parts(study: Study) -> None:
-    """Refuse a study whose worlds, trackers and values do not fit each other, by one trajectory of every world. Raises
-    UnusableInput. Values of the grid beyond the first of each world are checked when their chunks run."""
+    """Refuse a study whose worlds, trackers and values do not fit, by one trajectory of every world."""
     for world in study.worlds:
         _prepared(study, next(c for c in study.conditions if c.world == world), np.zeros(1, int))
 

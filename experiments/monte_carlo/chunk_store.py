@@ -30,8 +30,7 @@ Part = tuple[int, int]  # a chunk: the index of its condition, and its number am
 
 
 def identity(study: Study) -> dict[str, Any]:
-    """Everything that the numbers of a study depend on: declaration, source file, chunk size, jaxlib and device. As
-    study.json holds it: numbers, texts, lists and tables alone."""
+    """Everything that the numbers of a study depend on: declaration, source file, chunk size, jaxlib and device."""
     content = {
         "study": study.name,
         "format": FORMAT,
@@ -121,8 +120,7 @@ class ChunkStore(Store[Part, bytes, Path]):
 
 
 def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
-    """The content of a chunk's file: its arrays, by the trackers' order. Whoever computes a chunk packs it, since the
-    caller stores the chunks of all workers."""
+    """The content of a chunk's file, packed where it is computed: the caller stores the chunks of all workers."""
     file = io.BytesIO()
     # NumPy's level, 6, takes seven times as long, into files that are a tenth smaller.
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:

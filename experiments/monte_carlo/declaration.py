@@ -122,8 +122,7 @@ class Study:
         return math.ceil(self.runs / self.chunk)
 
     def condition(self, world: str, **point: Any) -> Condition:
-        """The condition of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
-        Raises KeyError where no condition or more than one agrees with it."""
+        """The condition of a world at a point of the grid, as `**{"world.rate_hz": 5}`; raises KeyError."""
         matches = [c for c in self.conditions if c.world == world and point.items() <= c.point.items()]
         if len(matches) != 1:
             raise KeyError(f"{len(matches)} conditions have world '{world}' and {point}; expected one")

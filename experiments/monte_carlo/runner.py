@@ -61,9 +61,8 @@ def run_study(
     executor: Executor | None = None,
 ) -> Results | None:
     """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing. `until`
-    is tested after 1, 2, 4, 8 … chunks of a condition, whatever the number of devices. `executor`: runs chunks in other
-    processes, of a study loaded by name or from a file; default: threads. Raises UnusableInput for a folder of another
-    study, and for `until` with more than one shard."""
+    is tested after 1, 2, 4, 8 … chunks of a condition. `executor`: default: threads. Raises UnusableInput for a folder
+    of another study, and for `until` with more than one shard."""
     if until is not None and shard != (1, 1):
         raise UnusableInput(
             "--until with --shard: a shard has only its own chunks; expected one option; remove the other"

@@ -44,8 +44,7 @@ def _modules_in(package: str) -> Iterator[pkgutil.ModuleInfo]:
 
 
 def load_study(what: str, tracker_files: Mapping[str, str] | None = None) -> Study:
-    """The study of a name or file; raises UnusableInput where there is none, and for one that cannot be run.
-    `tracker_files`: the places of users' files of trackers, by their paths in the declaration; default: these paths."""
+    """The study of a name or file; raises UnusableInput. `tracker_files`: other places of users' files."""
     study = dataclasses.replace(_declared(what), declared_in=what)
     return checked(_with_trackers_from(tracker_files, study) if tracker_files else study)
 
@@ -140,8 +139,7 @@ def _check_keys(path: Path, where: str, table: Any, keys: Mapping[str, type]) ->
 
 
 class PortableStudy(NamedTuple):
-    """The declaration of a study as it travels. `what`: the name of a study of the package, or of its file. `files`:
-    that file and those of users' trackers. `runs` and `seed` may be others than declared."""
+    """The declaration of a study as loaded by name or file; raises UnusableInput for any other one."""
 
     what: str
     files: Files
@@ -150,8 +148,7 @@ class PortableStudy(NamedTuple):
 
     @classmethod
     def of(cls, study: Study) -> PortableStudy:
-        """The declaration of a study that was loaded by name or from a file. Raises UnusableInput for any other study,
-        and for one that was changed since, except in `runs` and `seed`."""
+        """The declaration of a study as it travels: its name or file, the users' files, runs and seed."""
         where = f"study '{study.name}'"
         if not study.declared_in:
             fix = "expected one that other processes can build; write it to a file and load it with load_study"

@@ -136,8 +136,7 @@ def _covariance(bearing: bool, estimates: Estimates) -> list[list[np.ndarray]]:
 
 
 def _truth(trajectories: Trajectories, estimates: Estimates, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The truth where the estimates of `rows` (n, T) are valid, (n, T, 3) m or (n, T, 2) rad, and where there is one.
-    Heights may be NaN."""
+    """The truth (n, T, 3) m or (n, T, 2) rad where the estimates of `rows` (n, T) are valid, and where it is known."""
     columns = trajectories.columns
     if trajectories.stations[0]:
         values, known = columns.truth["direction"]

@@ -31,9 +31,8 @@ RIDGE = 1e-6  # information, m⁻², of each coefficient of a path: for directio
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Positions and delays of anchors, m, the coefficients (knots, d) of each walk's path, m, and noise levels.
-    `scales`: of errors, m. `densities`: of accelerations, m²/s³. `cost`: the negative log-likelihood, marginal over the
-    paths, linearised."""
+    """Positions and delays of anchors, m, the coefficients (knots, d) of each walk's path, m, scales of errors, m,
+    densities of accelerations, m²/s³, and `cost`: the negative log-likelihood, marginal over the paths, linearised."""
 
     anchors: Float[np.ndarray, "A 4"]
     paths: Sequence[np.ndarray]
