@@ -56,12 +56,9 @@ LISTED = 20  # the most refusals that are printed; the table of results has all
 
 
 def track_archive(
-    paths: Sequence[Path],
-    options: TrackOptions,
-    started: datetime,
-    begin: Begin,
+    paths: Sequence[Path], options: TrackOptions, started: datetime, begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
-) -> int:
+) -> int:  # fmt: skip
     """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code."""
     tracking = _tracking(options, paths)
     store = RecordingStore(output_folder(options.out), TRACKED)
@@ -114,13 +111,9 @@ def _renamed(paths: Sequence[Path]) -> dict[Path, str]:
 
 
 def _run(
-    verb: str,
-    store: RecordingStore,
-    paths: Sequence[Path],
-    part: Tracking | Scoring,
-    cluster: str | None,
+    verb: str, store: RecordingStore, paths: Sequence[Path], part: Tracking | Scoring, cluster: str | None,
     advance: Callable[[int], None],
-) -> tuple[set[Path], Refusals]:
+) -> tuple[set[Path], Refusals]:  # fmt: skip
     """Runs the part of each recording that is not stored; the finished recordings, and a line for each refusal."""
     done: set[Path] = set()
     refused: Refusals = {}

@@ -51,13 +51,9 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
 
 
 def print_comparison(
-    folders: Sequence[Path],
-    out: Path | None,
-    kind: str | None = "png",
-    json: bool = False,
-    page: bool = True,
+    folders: Sequence[Path], out: Path | None, kind: str | None = "png", json: bool = False, page: bool = True,
     playback: str | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Prints the comparison of the runs in these folders, and writes its page and figures into the folder `out`.
     `kind`: the ending of the figures, None for none. `playback`: another page beside it, which it names."""
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
@@ -186,14 +182,9 @@ def _read_truth(paths: Sequence[Path], tag: str | None, name: str | None) -> lis
 
 
 def _write(
-    out: Path,
-    text: str,
-    evaluation: Evaluation,
-    tracks: pl.DataFrame,
-    folders: Sequence[RecordingFolder],
-    truth: Sequence[Path],
-    source: str,
-) -> str:
+    out: Path, text: str, evaluation: Evaluation, tracks: pl.DataFrame, folders: Sequence[RecordingFolder],
+    truth: Sequence[Path], source: str,
+) -> str:  # fmt: skip
     """Writes the files of `--out`; returns in words which."""
     from trackwright.experiments.pages.charts.figures import plot_tracks
     from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page

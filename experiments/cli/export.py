@@ -23,14 +23,9 @@ Format = Literal["tum", "kitti", "csv", "ros2", "rrd"]
 
 
 def export(
-    run: Path,
-    /,
-    *,
-    format: Format,
-    out: Annotated[Path, Parameter(metavar="PATH")],
-    tag: str | None = None,
+    run: Path, /, *, format: Format, out: Annotated[Path, Parameter(metavar="PATH")], tag: str | None = None,
     force: bool = False,
-) -> int:
+) -> int:  # fmt: skip
     """Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun.
 
     csv has every column of tracks.parquet; ros2 and rrd have the covariances of the positions. tum and kitti have

@@ -36,27 +36,15 @@ FormatName = Annotated[
 
 
 def import_source(
-    source: Path,
-    /,
-    *,
-    out: Folder,
-    table: Table | None = None,
-    columns: tuple[Annotated[str, Parameter(metavar="TARGET=COLUMN")], ...] = (),
-    mapping: File | None = None,
-    topic: str | None = None,
-    tag: str | None = None,
-    rig: File | None = None,
-    format: FormatName | None = None,
-    separator: str | None = None,
-    decimal: Literal[".", ","] = ".",
+    source: Path, /, *, out: Folder, table: Table | None = None,
+    columns: tuple[Annotated[str, Parameter(metavar="TARGET=COLUMN")], ...] = (), mapping: File | None = None,
+    topic: str | None = None, tag: str | None = None, rig: File | None = None, format: FormatName | None = None,
+    separator: str | None = None, decimal: Literal[".", ","] = ".",
     origin: Annotated[str, Parameter(metavar="start|S|DATE")] | None = None,
     transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
-    align_truth: bool = False,
-    path: bool = False,
-    interval: Seconds | None = None,
-    skip_bad_lines: bool = False,
+    align_truth: bool = False, path: bool = False, interval: Seconds | None = None, skip_bad_lines: bool = False,
     messages: tuple[File, ...] = (),
-) -> int:
+) -> int:  # fmt: skip
     """Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
 
     Nothing is guessed: unmapped columns and topics are skipped with a notice; an unreadable line stops the import.

@@ -49,14 +49,9 @@ def keep_programs() -> None:
 
 
 def write_manifest(
-    out_dir: Path | str,
-    command: Sequence[str],
-    config: Mapping[str, Any],
-    started: datetime,
-    seeds: Sequence[int] = (),
-    chunk: int | None = None,
-    extra: Mapping[str, Any] | None = None,
-) -> Path:
+    out_dir: Path | str, command: Sequence[str], config: Mapping[str, Any], started: datetime,
+    seeds: Sequence[int] = (), chunk: int | None = None, extra: Mapping[str, Any] | None = None,
+) -> Path:  # fmt: skip
     """Writes `manifest.json` at the end of a run and returns its path; raises UnusableInput where it cannot. `chunk`:
     trajectories per chunk, on which bit-identity depends."""
     import jax

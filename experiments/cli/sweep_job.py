@@ -27,13 +27,9 @@ from trackwright.tuning.sweeping import Sweep, grid_vectors, sweep, swept_parame
 
 
 def sweep_folders(
-    folders: Sequence[RecordingFolder],
-    recordings: Sequence[Path],
-    options: SweepOptions,
-    started: datetime,
-    clock: float,
-    begin: Begin,
-) -> dict[str, Any]:
+    folders: Sequence[RecordingFolder], recordings: Sequence[Path], options: SweepOptions, started: datetime,
+    clock: float, begin: Begin,
+) -> dict[str, Any]:  # fmt: skip
     """Evaluates the objective on the grid, writes all files and prints the best point; returns it and the counts."""
     objective, grids, out = options.objective, options.grids, options.out
     named = tracker_for_folders(folders, options)

@@ -106,13 +106,9 @@ def tracked_by(
 
 
 def track_folders(
-    folders: Sequence[RecordingFolder],
-    refused: Sequence[str],
-    options: TrackOptions,
-    started: datetime,
-    begin: Begin,
+    folders: Sequence[RecordingFolder], refused: Sequence[str], options: TrackOptions, started: datetime, begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
-) -> int:
+) -> int:  # fmt: skip
     """Tracks the recordings, writes all files and prints the metrics; the exit code, 1 if some were `refused`. Several
     trackers get a folder each; those that the user named are compared. `put`: of the metrics, by tracker."""
     of_file = None if options.tuned is None else options.tuned.tracker

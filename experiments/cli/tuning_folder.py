@@ -47,13 +47,9 @@ INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells hav
 
 
 def tune_folders(
-    folders: list[RecordingFolder] | FoldersInTurn,
-    recordings: Sequence[Path],
-    options: TuneOptions,
-    started: datetime,
-    clock: float,
-    begin: Begin,
-) -> tuple[int, dict[str, Any]]:
+    folders: list[RecordingFolder] | FoldersInTurn, recordings: Sequence[Path], options: TuneOptions,
+    started: datetime, clock: float, begin: Begin,
+) -> tuple[int, dict[str, Any]]:  # fmt: skip
     """Fits to the first folders, writes all files and prints the table; exit code and content of tuned.toml."""
     count = len(recordings)
     if options.used.calibration is not None and not isinstance(folders, FoldersInTurn):
@@ -121,13 +117,9 @@ def _with(fitted: Fitted, values: Mapping[str, np.ndarray]) -> NamedTracker:
 
 
 def _write_run(
-    fitted: Fitted,
-    recordings: Sequence[Path],
-    seconds: float,
-    started: datetime,
-    compared: Compared,
+    fitted: Fitted, recordings: Sequence[Path], seconds: float, started: datetime, compared: Compared,
     plans: TrackChanges | None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Writes all files to the folder, prints what they show, and returns the content of tuned.toml."""
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
     objective, unit = str(options.objective), "rad" if data.training[0].station else "m"

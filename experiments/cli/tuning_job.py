@@ -66,12 +66,9 @@ class Fitted:
 
 
 def fit_folders(
-    folders: list[RecordingFolder] | FoldersInTurn,
-    count: int,
-    options: TuneOptions,
-    begin: Begin,
+    folders: list[RecordingFolder] | FoldersInTurn, count: int, options: TuneOptions, begin: Begin,
     workers: FitWorkers | None = None,
-) -> Fitted:
+) -> Fitted:  # fmt: skip
     """Fits the tracker to the first `count` recordings, the others held out; with `workers`, which hold the rows."""
     first = folders if workers is None else folders[:1]
     named = tracker_for_folders(first, options)
@@ -159,15 +156,9 @@ def fit_workers(cluster: str | None, out: Path) -> Iterator[FitWorkers | None]:
 
 
 def data_in_turn(
-    named: NamedTracker,
-    folders: Sequence[RecordingFolder],
-    count: int,
-    place: Path,
-    objective: str | None,
-    segment_rows: int,
-    dimensions: int | None,
-    weigh: Weigh,
-) -> FitData:
+    named: NamedTracker, folders: Sequence[RecordingFolder], count: int, place: Path, objective: str | None,
+    segment_rows: int, dimensions: int | None, weigh: Weigh,
+) -> FitData:  # fmt: skip
     """As `fit_data` of the first `count` recordings, the others held out; the rows are in files in the folder `place`.
     Raises UnusableInput as that, and where the recordings need several trackers."""
     names, trajectories = list[str](), list[Trajectory]()
@@ -241,15 +232,9 @@ def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], fi
 
 
 def _fitted(
-    data: FitData,
-    parameters: Sequence[Parameter],
-    options: TuneOptions,
-    bounds: Mapping[str, tuple[float, float]],
-    priors: Sequence[Prior],
-    begin: Begin,
-    by_default: bool,
-    keep: Keep,
-) -> FitResult:
+    data: FitData, parameters: Sequence[Parameter], options: TuneOptions, bounds: Mapping[str, tuple[float, float]],
+    priors: Sequence[Prior], begin: Begin, by_default: bool, keep: Keep,
+) -> FitResult:  # fmt: skip
     """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite.
     `by_default`: whether the objective was chosen by the data. `keep`: takes the rows to where they are computed."""
     training, held_out = data.batches(), data.batches(held_out=True)

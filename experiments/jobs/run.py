@@ -53,14 +53,10 @@ def written(folder: Path, files: Mapping[str, Callable[[Path], object]]) -> None
 
 
 def run(
-    items: Iterable[Item],
-    function: Callable[[Any], Result],
-    store: Store[Item, Result, Kept],
-    executor: Executor,
-    each: Callable[[Item, Kept], None],
-    read: Callable[[Item], Any] | None = None,
+    items: Iterable[Item], function: Callable[[Any], Result], store: Store[Item, Result, Kept], executor: Executor,
+    each: Callable[[Item, Kept], None], read: Callable[[Item], Any] | None = None,
     failed: Callable[[Item, Exception], Result] | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Computes the parts that the store lacks, and calls `each` with every item and what is kept of it. `function`: of
     an item, or of what `read`, which runs here, returns of it. `failed`: the result of a part that could not be read or
     computed; without it such a part ends the run."""
@@ -104,11 +100,9 @@ def attempted(
 
 
 def finished(
-    submit: Callable[[Item], Future[Any]],
-    items: Iterable[Item],
-    at_once: int = AT_ONCE,
+    submit: Callable[[Item], Future[Any]], items: Iterable[Item], at_once: int = AT_ONCE,
     lost: Callable[[Item, Exception], Any] | None = None,
-) -> Iterator[tuple[Item, Any]]:
+) -> Iterator[tuple[Item, Any]]:  # fmt: skip
     """Each item with the result of its submitted part, as parts finish; at most `at_once` are submitted at a time.
     `lost`: the result of a part whose workers ended again and again; without it, that is a failure. Parts that have not
     begun are cancelled where one fails, and where the caller stops."""

@@ -53,13 +53,9 @@ class StopRule:
 
 
 def run_study(
-    study: Study,
-    folder: Path,
-    shard: tuple[int, int] = (1, 1),
-    until: StopRule | None = None,
-    advance: Advance = lambda *_: None,
-    executor: Executor | None = None,
-) -> Results | None:
+    study: Study, folder: Path, shard: tuple[int, int] = (1, 1), until: StopRule | None = None,
+    advance: Advance = lambda *_: None, executor: Executor | None = None,
+) -> Results | None:  # fmt: skip
     """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing. `until`
     is tested after 1, 2, 4, 8 … chunks of a condition. `executor`: default: threads. Raises UnusableInput for a folder
     of another study, and for `until` with more than one shard."""

@@ -62,8 +62,7 @@ class Survey:
     def verdict(self, name: str) -> str:
         """Whether an anchor is determined, and otherwise what walk would determine it; raises UnusableInput."""
         if name not in self.names:
-            words = f"expected one of {listed(self.names, 12)}; correct its id"
-            raise UnusableInput(f"{name!r}: no anchor of the survey; {words}")
+            raise UnusableInput(f"{name!r}: no anchor of the survey; expected one of {listed(self.names, 12)}")
         k = self.names.index(name)
         what = ("x, y", "above or below the walk" if self.mirrored[k] else "height")
         unknown, weak = ([x for x, at in zip(what, self._extents(k), strict=True) if low < at <= high]
@@ -99,10 +98,8 @@ class Survey:
     @property
     def reading(self) -> str:
         """How to read the rows."""
-        return (
-            "± half the 95 % interval; in parentheses: not determined. As errors are correlated in time, intervals are "
-            f"{self.effect**0.5:.1f} times as wide as with independent ones."
-        )
+        wide = f"intervals are {self.effect**0.5:.1f} times as wide as with independent ones."
+        return f"± half the 95 % interval; in parentheses: not determined. As errors are correlated in time, {wide}"
 
     def __str__(self) -> str:
         rows = [list(self.head), *self.rows()]

@@ -160,9 +160,8 @@ def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
     # Draws from the density of the paths at these anchors.
     noise = found.along.T @ (np.sqrt(found.weights)[:, None] * random.standard_normal((len(number), PROBES)))
     bending = [walk.bending / np.sqrt(q) for walk, q in zip(walks, solution.densities, strict=True)]
-    drawn = found.factor.solve(
-        noise + np.concatenate([b @ random.standard_normal((b.shape[1], PROBES)) for b in bending])
-    )
+    shaken = np.concatenate([b @ random.standard_normal((b.shape[1], PROBES)) for b in bending])
+    drawn = found.factor.solve(noise + shaken)
     leverage = found.weights * ((found.along @ drawn) ** 2).mean(axis=1)
     squares = np.bincount(number, found.weights * found.residuals**2, len(solution.scales))
     # Four unknowns of each anchor are fitted to its ranges, too.
