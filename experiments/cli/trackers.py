@@ -58,10 +58,7 @@ def _list_tunables(tracker: str, folder: Path | None, json: bool) -> int:
     # jax takes a second to import, which the help and a refused recording need not wait for.
     from trackwright.trackers.catalogue import build, spec_of
 
-    missing = spec_of(tracker).missing
-    recording = next((x for x in (folders or _simulated_folders()) if folders or missing(x) is None), None)
-    if recording is None:
-        raise UnusableInput(f"trackers {tracker}: no simulated recording has what it reads; give a recording FOLDER")
+    recording = folders[0] if folders else _simulated(tracker, spec_of(tracker).missing)
     listed = _rows(build(tracker, recording))
     if json:
         print(json_text({"tracker": tracker, "recording": recording.name, "tunables": listed}))
@@ -70,6 +67,14 @@ def _list_tunables(tracker: str, folder: Path | None, json: bool) -> int:
         notice(f"values: of the simulated recording {recording.name}; give a recording FOLDER for those of its own")
     print(_table(listed, terminal_width()), end="")
     return 0
+
+
+def _simulated(tracker: str, missing: Any) -> RecordingFolder:
+    """A simulated recording that has what the tracker needs; raises UnusableInput where there is none."""
+    for folder in _simulated_folders():
+        if missing(folder) is None:
+            return folder
+    raise UnusableInput(f"trackers {tracker}: no simulated recording has what it reads; give a recording FOLDER")
 
 
 def _simulated_folders() -> Iterator[RecordingFolder]:
