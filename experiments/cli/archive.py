@@ -72,6 +72,7 @@ def track_archive(
             out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
             evaluation, count = run.write(out), run.write_table(out, TRACKS)
             run.write_table(out, EVENTS)
+            run.write_sources(out)
             tracks = counted(sum(run.endings.values()), "track")
             print(f"{run.short}: {tracks} of {counted(len(run.paths), 'recording')}: {endings(run.endings)}")
             put(_shown(run, evaluation))

@@ -60,14 +60,17 @@ class Run:
         self.endings.update(summary["endings"])
 
     def write(self, out: Path) -> Evaluation:
-        """Writes the metrics and the paths of the recordings into the folder `out`; returns the metrics by name."""
+        """Writes the metrics, of recordings and tracks by name, into the folder `out` and returns them."""
         assert self.scores is not None
         overall = MetricRows(self.scores)[0]
         evaluation = Evaluation(self.bearing, overall, by_name(self.recordings), by_name(self.tracks))
         atomic_write(out / EVALUATION, lambda path: path.write_text(to_json(evaluation), encoding="utf-8"))
+        return evaluation
+
+    def write_sources(self, out: Path) -> None:
+        """Writes the paths of the recordings into the folder `out`."""
         text = "".join(f"{self.paths[name].resolve()}\n" for name in sorted(self.paths))
         atomic_write(out / SOURCES, lambda path: path.write_text(text, encoding="utf-8"))
-        return evaluation
 
     def write_table(self, out: Path, name: str) -> int:
         """Writes the tables `name` of all recordings as one, without holding them in memory; returns its rows."""
