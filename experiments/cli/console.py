@@ -108,10 +108,10 @@ def notice_other_calibration(noise: Path | None, tuned: Tuned, given: Path | Non
     fitted, begin = tuned.calibration, f"notice: {noise}: fitted to recordings with"
     # A file that names no tracker is not of `tune`.
     if fitted is None and given is not None and tuned.tracker is not None:
-        notice(f"{begin}out a calibration, and {given} is given; leave it out, or tune again with it")
+        notice(f"{begin}out a calibration, and {given} is given; leave --calibration out, or tune again")
     elif fitted is not None and (given is None or identity(given)["fingerprint"] != fitted["fingerprint"]):
         name, now = fitted["name"], "none is given" if given is None else f"{given} is another"
-        notice(f"{begin} the calibration {name} ({fitted['fingerprint']}), and {now}; give --calibration {name}")
+        notice(f"{begin} the calibration {name} ({fitted['fingerprint']}), and {now}; give it, or tune again")
 
 
 def notice_unused_calibration(folders: Sequence[RecordingFolder], tracker: str, table: str) -> None:

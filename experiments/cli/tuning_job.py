@@ -203,7 +203,7 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the file's spreads and quality of ranges; without a map of bearings as the file."""
+    """The recording with the file's spreads and quality of ranges; a map of bearings only where it has one."""
     if part.calibration is None:
         return part
     differences = replace(part.calibration.differences, spread=whole.differences.spread)
@@ -249,8 +249,8 @@ def _fitted(
     if options.resume and saved is None:
         notice(f"notice: {options.out}: no checkpoint found; the fit starts from the beginning")
     if by_default:
-        why = "" if data.objective.needs_truth else "no "
-        notice(f"objective: {data.named}, since there is {why}truth; choose another with --objective")
+        why = "truth" if data.objective.needs_truth else "no truth that the estimates can be judged by"
+        notice(f"objective: {data.named}, since there is {why}; choose another with --objective")
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
     steps, starts = options.steps, options.starts

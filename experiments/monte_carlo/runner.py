@@ -60,9 +60,7 @@ def run_study(
     is tested after 1, 2, 4, 8 … chunks of a condition. `executor`: default: threads. Raises UnusableInput for a folder
     of another study, and for `until` with more than one shard."""
     if until is not None and shard != (1, 1):
-        raise UnusableInput(
-            "--until with --shard: a shard has only its own chunks; expected one option; remove the other"
-        )
+        raise UnusableInput("--until with --shard: a shard has only its own chunks; expected one of the two options")
     if not (folder / IDENTITY).exists():
         require_fitting_parts(study)
     store = ChunkStore(folder, study).open()

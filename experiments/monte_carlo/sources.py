@@ -76,7 +76,8 @@ def _declared(what: str) -> Study:
 def _with_source(module: Any, path: Path) -> Study:
     study = getattr(module, "STUDY", None)
     if not isinstance(study, Study):
-        raise UnusableInput(f"{path}: no STUDY found; expected `STUDY = Study(...)` of experiments.monte_carlo")
+        words = "expected `STUDY = Study(...)` of trackwright.experiments.monte_carlo"
+        raise UnusableInput(f"{path}: no STUDY found; {words}")
     return dataclasses.replace(study, source=path.read_text("utf-8"))
 
 

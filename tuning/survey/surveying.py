@@ -25,10 +25,14 @@ def survey(
     recordings: RecordingFolder | Sequence[RecordingFolder], given: Sequence[str] = (), sigma: float = 0.0,
     frame: Sequence[str] = (), height: float | None = None,
 ) -> Survey:  # fmt: skip
-    """The positions and delays of the anchors of recordings with ranges, without their truth. `given`: anchors whose
-    positions in the rigs are known with standard deviation `sigma`, m; 0: exactly; or "all". `frame`: without any
-    given, the anchor of the origin, one on the x axis, one to the left of it. `height`: of all tags, m, else those of
-    the rigs, else estimated. Raises UnusableInput where no frame or arrangement fits."""
+    """The positions and delays of the anchors of recordings with ranges, without their truth.
+
+    `given`: anchors whose positions in the rigs are known with standard deviation `sigma`, m; 0: exactly; or "all".
+    Without any given, `frame` names three anchors: the origin, one on the x axis, one to the left of it and, where
+    heights are not known, in the plane z = 0; by default the first two and the next aside. `height`: of all tags,
+    m, else those that the rigs give; without either, heights are estimated. Raises UnusableInput where that does not
+    fix the frame, for fewer than four anchors, and for walks to which no arrangement of them fits.
+    """
     folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
     given, frame = (tuple(x.split(",") if isinstance(x, str) else x) for x in (given, frame))
     names, given, walks = _prepared(folders, given, sigma, frame, height)
