@@ -52,22 +52,14 @@ from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
 
-LISTED = 20
-"""The most refusals that are printed; the table of results has all."""
+LISTED = 20  # the most refusals that are printed; the table of results has all
 
 
 def track_archive(
-    paths: Sequence[Path],
-    options: TrackOptions,
-    started: datetime,
-    begin: Begin,
+    paths: Sequence[Path], options: TrackOptions, started: datetime, begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
-) -> int:
-    """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code.
-
-    `options`, `started`, `begin`, `put` as of `tracking.track_folders`. Raises UnusableInput where no recording can be
-    tracked.
-    """
+) -> int:  # fmt: skip
+    """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code."""
     tracking = _tracking(options, paths)
     store = RecordingStore(output_folder(options.out), TRACKED)
     with held(options.out):
@@ -120,17 +112,10 @@ def _renamed(paths: Sequence[Path]) -> dict[Path, str]:
 
 
 def _run(
-    verb: str,
-    store: RecordingStore,
-    paths: Sequence[Path],
-    part: Tracking | Scoring,
-    cluster: str | None,
+    verb: str, store: RecordingStore, paths: Sequence[Path], part: Tracking | Scoring, cluster: str | None,
     advance: Callable[[int], None],
-) -> tuple[set[Path], Refusals]:
-    """Runs the part of each recording that is not stored; the finished recordings, and a line for each refusal.
-
-    Raises UnusableInput where no recording is finished.
-    """
+) -> tuple[set[Path], Refusals]:  # fmt: skip
+    """Runs the part of each recording that is not stored; the finished recordings, and a line for each refusal."""
     done: set[Path] = set()
     refused: Refusals = {}
     settings = part.settings()
@@ -167,8 +152,7 @@ def _run(
 
 def _compare(runs: Sequence[Run]) -> list[Section]:
     """Prints the comparison of several trackers; its tables."""
-    tables = compared(runs)
-    if tables:
+    if tables := compared(runs):
         print(comparison_text(tables), end="")
     return tables
 
@@ -237,10 +221,7 @@ def _ended(verb: str, out: Path, noticed: int, refused: Sequence[Sequence[str]],
 
 
 def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
-    """Scores the estimates of an archive again, recording by recording; returns the exit code.
-
-    Raises UnusableInput where no recording can be scored.
-    """
+    """Scores the estimates of an archive again, recording by recording; returns the exit code."""
     fail_if = options.fail_if
     tracked, store = RecordingStore(out, TRACKED), RecordingStore(out, SCORED)
     known = read_results(out)

@@ -11,8 +11,7 @@ from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.table_file import SUFFIXES
 
-MANY = 60
-"""The most recordings that are tracked together: as many as a page shows."""
+MANY = 60  # the most recordings that are tracked together: as many as a page shows
 
 
 RECORDINGS, RESULTS = "recordings", "results.csv"
@@ -28,10 +27,7 @@ def is_archive(out: Path) -> bool:
 
 
 def archive_of(paths: Sequence[Path], keep_going: bool) -> list[Path] | None:
-    """The recordings in these folders, None where they are few and none is a folder of folders.
-
-    `keep_going`: few are an archive, too. Raises UnusableInput for an empty list and for a folder found twice.
-    """
+    """The recordings in these folders, None where they are few and none is a folder of folders, unless `keep_going`."""
     groups = [recordings_under(path) for path in paths]
     recordings = [path for group in groups for path in group]
     if not keep_going and len(recordings) <= MANY and groups == [[path] for path in paths]:
@@ -41,10 +37,7 @@ def archive_of(paths: Sequence[Path], keep_going: bool) -> list[Path] | None:
 
 
 def recordings_under(path: Path) -> list[Path]:
-    """The recordings at or below a folder, sorted: folders with a rig.toml or a table, and those that cannot be read.
-
-    Nothing is looked for inside a recording and in hidden folders. The folder itself where there is none.
-    """
+    """The recordings at or below a folder, sorted, also those that cannot be read; itself where there is none."""
     recordings: list[Path] = []
     seen: set[str] = set()
     for root, folders, files in os.walk(

@@ -48,12 +48,8 @@ TRACKED, SCORED = "tracked.json", "scored.json"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one tracker found in one recording.
-
-    `summary`: plain values: `tracker`, `short`, its name as that of a folder, `recording`, `bearing`, `endings`, how
-    many trajectories ended how, the metrics of the `recording` and of its `tracks`, and its `scores`. `tables`: by
-    file name.
-    """
+    """What one tracker found in one recording: `summary` in plain values, as `outcome_of` makes it, and `tables` by
+    file name."""
 
     summary: dict[str, Any]
     evaluation: Evaluation
@@ -178,11 +174,8 @@ def _naming(path: Path | None, problem: UnusableInput) -> str:
 
 @dataclass(frozen=True)
 class Tracking:
-    """How the recordings of an archive are tracked, as it travels.
-
-    `names`: of the trackers, with the texts of the users' files; none for the one that fits each recording. `options`:
-    with the values that were read from files. `calibration`: the one that they name. `renamed`: names of recordings.
-    """
+    """How the recordings of an archive are tracked, as it travels. `names`: of the trackers, with the texts of the
+    users' files; none for the one that fits each recording. `renamed`: names of recordings."""
 
     names: tuple[tuple[str, str], ...]
     options: TrackOptions
@@ -237,11 +230,7 @@ class Tracking:
         happened = events_of(tracks.table, named.spec, tracks.batches)
         association, lines = with_truth(tracks.table, named, [folder])
         scored = TrackScores.of(association, {folder.name: folder.rig.stations})
-        about = {
-            "tracker": name,
-            "short": split_name(name)[1] or name,
-            "endings": tracks.summaries,
-        }
+        about = {"tracker": name, "short": split_name(name)[1] or name, "endings": tracks.summaries}
         tables = {TRACKS: tracks.table, EVENTS: happened}
         return outcome_of(about, scored, residual_ratios(tracks), tables), [*tracks.notices, *lines]
 

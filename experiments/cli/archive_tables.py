@@ -31,19 +31,14 @@ from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES
 NAMES, TEXTS = ("recording", "path", "tracker", "tracks", "endings"), ("notices", "refused")
 """The columns of the table of results before and after the metrics."""
 
-Refusals = dict[Path, list[str]]
-"""A line for each refusal, by the path of the recording."""
-
-SHOWN = tuple(name for name in METRICS if "3d" not in name)
-"""The metrics that are compared, those of the error first."""
+Refusals = dict[Path, list[str]]  # a line for each refusal, by the path of the recording
+SHOWN = tuple(name for name in METRICS if "3d" not in name)  # the metrics that are compared, those of the error first
 
 
 @dataclass
 class Run:
     """The recordings of one tracker and their tracks, with their metrics; `endings`: how many tracks ended how.
-
-    `paths`, `folders`: of the recordings and of their tables, by name.
-    """
+    `paths`, `folders`: of the recordings and of their tables, by name."""
 
     tracker: str
     short: str
@@ -64,16 +59,11 @@ class Run:
         self.tracks += summary["tracks"]
         self.endings.update(summary["endings"])
 
-    @property
-    def evaluation(self) -> Evaluation:
-        """The metrics over all rows, of each recording and of each track, both by name."""
+    def write(self, out: Path) -> Evaluation:
+        """Writes the metrics, of recordings and tracks by name, into the folder `out` and returns them."""
         assert self.scores is not None
         overall = MetricRows(self.scores)[0]
-        return Evaluation(self.bearing, overall, by_name(self.recordings), by_name(self.tracks))
-
-    def write(self, out: Path) -> Evaluation:
-        """Writes the metrics into the folder `out` and returns them."""
-        evaluation = self.evaluation
+        evaluation = Evaluation(self.bearing, overall, by_name(self.recordings), by_name(self.tracks))
         atomic_write(out / EVALUATION, lambda path: path.write_text(to_json(evaluation), encoding="utf-8"))
         return evaluation
 
@@ -103,10 +93,7 @@ def by_name(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def gathered(
     store: RecordingStore, paths: Sequence[Path], done: Container[Path], refused: Refusals
 ) -> tuple[list[Run], list[dict[str, Any]], int]:
-    """The runs by tracker, the rows of the table of results, and how many recordings have notices.
-
-    Of what is stored of the recordings at `paths`, in this order.
-    """
+    """The runs by tracker, the rows of the table of results, and how many recordings have notices."""
     runs: dict[str, Run] = {}
     rows: list[dict[str, Any]] = []
     noticed = 0
@@ -138,10 +125,7 @@ def write_results(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def read_results(out: Path) -> Refusals:
-    """The recordings in the table of results, with the lines of those that were refused.
-
-    Raises UnusableInput for a file that `write_results` did not write.
-    """
+    """The recordings in the table of results, with the lines of those that were refused; raises UnusableInput."""
     path = out / RESULTS
     columns = {"path": pl.String, "refused": pl.String}
     try:
@@ -156,10 +140,8 @@ def read_results(out: Path) -> Refusals:
 
 
 def compared(runs: Sequence[Run]) -> list[Section]:
-    """The trackers over the recordings that all have scored, of which each counts once; empty without one.
-
-    The intervals are those of `paired_differences`, with recordings for pieces.
-    """
+    """The trackers over the recordings that all have scored, of which each counts once; empty without one. The
+    intervals are those of `paired_differences`, with recordings for pieces."""
     if len(runs) < 2 or len({run.bearing for run in runs}) > 1:
         return []
     bearing, names = runs[0].bearing, [run.short for run in runs]

@@ -39,8 +39,7 @@ EXPECTED: Mapping[Any, str] = {int: "a whole number", float: "a number", bool: "
 
 WIDTH = 80
 
-COLUMNS = {"command": 16, "parameter": 24}
-"""Where the texts on names begin."""
+COLUMNS = {"command": 16, "parameter": 24}  # where the texts on names begin
 
 
 def _read(kind: Any, tokens: Sequence[Token]) -> Any:

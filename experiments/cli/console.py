@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-    """With `wanted`, the result on standard output is JSON alone, and what a command prints goes to standard error.
-
-    Yields a function that adds to the result.
-    """
+    """With `wanted`, standard output is JSON alone: what the yielded function is given, at the end."""
     result: dict[str, Any] = {}
     with redirect_stdout(sys.stderr) if wanted else nullcontext():
         yield result.update
@@ -34,10 +31,8 @@ def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
 
 
 def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> tuple[list[RecordingFolder], list[str]]:
-    """The recordings that can be tracked, and a line for each other one; with `force` those with errors, too.
-
-    `calibrated`: as of `quick_check`. Raises UnusableInput as `read_recordings`, and where no recording can be tracked.
-    """
+    """The recordings that can be tracked, and a line for each other one; with `force` those with errors, too. Raises
+    UnusableInput as `read_recordings`, and where no recording can be tracked."""
     refused: list[str] = []
     usable = list[RecordingFolder]()
     for recording in read_recordings(paths, refused):
@@ -74,10 +69,7 @@ def checked(recordings: list[RecordingFolder], force: bool | None, calibrated: b
 
 
 def read_with_notices(paths: Sequence[Path], used: ReadingOptions | None = None) -> list[RecordingFolder]:
-    """The recordings in several folders with these options; prints their notices.
-
-    Raises UnusableInput as `read_recordings` and `read_calibration`.
-    """
+    """The recordings in several folders with these options; prints their notices."""
     return prepared(read_recordings(paths), used or ReadingOptions())
 
 
@@ -113,22 +105,13 @@ def notice_other_calibration(noise: Path | None, tuned: Tuned, given: Path | Non
     """A notice where the file `noise` was fitted with a calibration, or without, and another, or none, is `given`."""
     from trackwright.trackers.recordings.input_file import identity
 
-    fitted = tuned.calibration
-    if fitted is None:
-        # A file that names no tracker is not of `tune`.
-        if given is not None and tuned.tracker is not None:
-            notice(
-                f"notice: {noise}: fitted to recordings without a calibration, and {given} is given; leave "
-                "--calibration out, or tune again with it"
-            )
-        return
-    if given is not None and identity(given)["fingerprint"] == fitted["fingerprint"]:
-        return
-    now = "none is given" if given is None else f"{given} is another"
-    notice(
-        f"notice: {noise}: fitted to recordings with the calibration {fitted['name']} ({fitted['fingerprint']}), and "
-        f"{now}; give --calibration {fitted['name']}, or tune again"
-    )
+    fitted, begin = tuned.calibration, f"notice: {noise}: fitted to recordings with"
+    # A file that names no tracker is not of `tune`.
+    if fitted is None and given is not None and tuned.tracker is not None:
+        notice(f"{begin}out a calibration, and {given} is given; leave --calibration out, or tune again")
+    elif fitted is not None and (given is None or identity(given)["fingerprint"] != fitted["fingerprint"]):
+        name, now = fitted["name"], "none is given" if given is None else f"{given} is another"
+        notice(f"{begin} the calibration {name} ({fitted['fingerprint']}), and {now}; give it, or tune again")
 
 
 def notice_unused_calibration(folders: Sequence[RecordingFolder], tracker: str, table: str) -> None:

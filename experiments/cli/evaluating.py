@@ -30,13 +30,10 @@ from trackwright.trackers.recordings.tracks_table import (
     write_tracks,
 )
 
-COMPARISON = "comparison.html"
-"""The page that compares runs."""
-
+COMPARISON = "comparison.html"  # the page that compares runs
 DEFAULT_STEPS = ("1m", "1s")
 DEFAULT_TOLERANCE = 0.01
-FILE_TAG = "1"
-"""Tag of a truth in a file that names none."""
+FILE_TAG = "1"  # tag of a truth in a file that names none
 
 
 def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
@@ -54,18 +51,11 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
 
 
 def print_comparison(
-    folders: Sequence[Path],
-    out: Path | None,
-    kind: str | None = "png",
-    json: bool = False,
-    page: bool = True,
+    folders: Sequence[Path], out: Path | None, kind: str | None = "png", json: bool = False, page: bool = True,
     playback: str | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Prints the comparison of the runs in these folders, and writes its page and figures into the folder `out`.
-
-    `kind`: the ending of the figures, png or pdf; None for none. `page`: whether it is written. `playback`: another
-    page beside it, which it names.
-    """
+    `kind`: the ending of the figures, None for none. `playback`: another page beside it, which it names."""
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
     from trackwright.experiments.pages.charts.comparison import comparison_charts, plot_comparison
     from trackwright.experiments.pages.reports.comparison import (
@@ -108,14 +98,11 @@ def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int
 def sources(folder: Path) -> tuple[Path, ...]:
     """The recordings tracked into an output folder; raises UnusableInput if it does not list them."""
     paths = source_paths(folder)
+    where, fix = folder / SOURCES, "give --truth RECORDING"
     if not paths:
-        raise UnusableInput(
-            f"{folder / SOURCES}: names no recording; expected a folder written by `track`; give --truth RECORDING"
-        )
+        raise UnusableInput(f"{where}: names no recording; expected a folder written by `track`; {fix}")
     if moved := [path for path in paths if not path.exists()]:
-        raise UnusableInput(
-            f"{folder / SOURCES}: {moved[0]} does not exist; expected the recordings there; give --truth RECORDING"
-        )
+        raise UnusableInput(f"{where}: {moved[0]} does not exist; expected the recordings there; {fix}")
     return tuple(paths)
 
 
@@ -195,14 +182,9 @@ def _read_truth(paths: Sequence[Path], tag: str | None, name: str | None) -> lis
 
 
 def _write(
-    out: Path,
-    text: str,
-    evaluation: Evaluation,
-    tracks: pl.DataFrame,
-    folders: Sequence[RecordingFolder],
-    truth: Sequence[Path],
-    source: str,
-) -> str:
+    out: Path, text: str, evaluation: Evaluation, tracks: pl.DataFrame, folders: Sequence[RecordingFolder],
+    truth: Sequence[Path], source: str,
+) -> str:  # fmt: skip
     """Writes the files of `--out`; returns in words which."""
     from trackwright.experiments.pages.charts.figures import plot_tracks
     from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
@@ -222,10 +204,7 @@ def _write(
 
 
 def condition_of(expression: str, names: Sequence[str]) -> pl.Expr:
-    """The condition of an expression of SQL, as `p95_m>0.5 or lost_s>0`; raises UnusableInput for no such one.
-
-    `names`: of the metrics that there are.
-    """
+    """The condition of an expression of SQL on metrics of these names; raises UnusableInput for no such one."""
     where, used, problem = f"--fail-if '{expression}'", list[str](), "is no condition on metrics"
     try:
         condition = pl.sql_expr(expression)
@@ -242,10 +221,7 @@ def condition_of(expression: str, names: Sequence[str]) -> pl.Expr:
 
 
 def violation(evaluation: Evaluation, expression: str) -> str | None:
-    """The condition and the metrics in it, None if it is false of the overall metrics.
-
-    Raises UnusableInput as `condition_of`, and for a metric without a value, which must not pass.
-    """
+    """The condition and its metrics, None where it is false; raises UnusableInput for a metric without a value, too."""
     condition, overall = condition_of(expression, list(evaluation.overall)), evaluation.overall
     values = {name: overall[name] for name in condition.meta.root_names()}
     if lacking := [name for name, value in values.items() if value is None]:

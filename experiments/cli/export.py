@@ -23,14 +23,9 @@ Format = Literal["tum", "kitti", "csv", "ros2", "rrd"]
 
 
 def export(
-    run: Path,
-    /,
-    *,
-    format: Format,
-    out: Annotated[Path, Parameter(metavar="PATH")],
-    tag: str | None = None,
+    run: Path, /, *, format: Format, out: Annotated[Path, Parameter(metavar="PATH")], tag: str | None = None,
     force: bool = False,
-) -> int:
+) -> int:  # fmt: skip
     """Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun.
 
     csv has every column of tracks.parquet; ros2 and rrd have the covariances of the positions. tum and kitti have
@@ -96,9 +91,7 @@ def _table(run: Path, format: Format) -> tuple[pl.DataFrame, dict[str, Rig], lis
         return read_tracks(run), {folder.name: folder.rig for folder in known}, truths
     recording = read_recording(run)
     if "truth" not in recording.tables:
-        raise UnusableInput(
-            f"{run}: has no truth table; expected the output folder of `track`, or a recording with truth"
-        )
+        raise UnusableInput(f"{run}: has no truth table; expected a folder of `track`, or a recording with truth")
     return _truth(recording), {recording.name: recording.rig}, []
 
 

@@ -36,27 +36,15 @@ FormatName = Annotated[
 
 
 def import_source(
-    source: Path,
-    /,
-    *,
-    out: Folder,
-    table: Table | None = None,
-    columns: tuple[Annotated[str, Parameter(metavar="TARGET=COLUMN")], ...] = (),
-    mapping: File | None = None,
-    topic: str | None = None,
-    tag: str | None = None,
-    rig: File | None = None,
-    format: FormatName | None = None,
-    separator: str | None = None,
-    decimal: Literal[".", ","] = ".",
+    source: Path, /, *, out: Folder, table: Table | None = None,
+    columns: tuple[Annotated[str, Parameter(metavar="TARGET=COLUMN")], ...] = (), mapping: File | None = None,
+    topic: str | None = None, tag: str | None = None, rig: File | None = None, format: FormatName | None = None,
+    separator: str | None = None, decimal: Literal[".", ","] = ".",
     origin: Annotated[str, Parameter(metavar="start|S|DATE")] | None = None,
     transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
-    align_truth: bool = False,
-    path: bool = False,
-    interval: Seconds | None = None,
-    skip_bad_lines: bool = False,
+    align_truth: bool = False, path: bool = False, interval: Seconds | None = None, skip_bad_lines: bool = False,
     messages: tuple[File, ...] = (),
-) -> int:
+) -> int:  # fmt: skip
     """Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
 
     Nothing is guessed: unmapped columns and topics are skipped with a notice; an unreadable line stops the import.
@@ -117,10 +105,8 @@ def import_source(
     mappings = _mappings(source, own_tables, given, asked)
     there = (out / RIG_FILE).is_file()
     if origin == "start" and there:
-        raise UnusableInput(
-            f"--origin start: {out} has tables already; expected their origin, as its first import printed it: "
-            "--origin SECONDS, or none where that had none"
-        )
+        words = "expected their origin, as its first import printed it: --origin SECONDS, or none where that had none"
+        raise UnusableInput(f"--origin start: {out} has tables already; {words}")
     if there and rig is not None:
         raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
     try:
@@ -163,17 +149,14 @@ def import_source(
 def _mappings(
     source: Path, own_tables: bool, given: TableMapping, tables: Sequence[TableMapping]
 ) -> list[TableMapping]:
-    """The mappings of the tables of a source, by the options `given` or the `tables` of the file of --mapping.
-
-    `own_tables`: whether the source says itself which tables it holds.
-    """
+    """The mappings of the tables of a source, by the options `given`, or the `tables` of the file of --mapping."""
     plain = not given.columns and given.topic is None and given.separator is None and given.decimal == "."
     if tables:
         if own_tables:
             raise UnusableInput("--mapping: a file of this format has its tables; leave it out")
         if given.table or not plain:
             raise UnusableInput(
-                "--mapping and --table, --columns, --topic, --separator or --decimal; expected one or the other"
+                "--mapping and --table, --columns, --topic, --separator or --decimal; give one or the other"
             )
         return [m if m.tag else replace(m, tag=given.tag) for m in tables]
     if own_tables:

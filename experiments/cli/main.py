@@ -25,8 +25,7 @@ PLAIN = {
 }  # fmt: skip
 """Plain text for characters that an encoding may lack and that have no decomposition into ASCII ones."""
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
-"""Errors of a standard output that takes no more."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # errors of a standard output that takes no more
 
 
 def main() -> None:

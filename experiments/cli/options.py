@@ -31,8 +31,7 @@ Pattern = Annotated[str, Parameter(metavar="PATTERN")]
 Setting = Annotated[str, Parameter(metavar="NAME=VALUE")]
 Address = Annotated[str, Parameter(metavar="ADDRESS")]
 
-FigureFormat = Literal["png", "pdf"]
-"""The kinds of figures in files, by their endings."""
+FigureFormat = Literal["png", "pdf"]  # the kinds of figures in files, by their endings
 
 
 def _names_of_trackers(context: Any) -> list[str]:
@@ -48,8 +47,7 @@ Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 
 FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100', with ':log' at the end for equal ratios"
 
-OPTIONS = Parameter(name="*")
-"""Decorates a dataclass whose fields are options, each explained in its docstring."""
+OPTIONS = Parameter(name="*")  # decorates a dataclass whose fields are options, each explained in its docstring
 
 
 @OPTIONS
@@ -142,8 +140,9 @@ class TrackerOptions:
 
     @property
     def file(self) -> Path | None:
-        """A tuned.toml, whose values are used."""
-        raise NotImplementedError
+        """A tuned.toml, whose values are used: that of `--noise` or `--start`."""
+        file: Path | None = getattr(self, "noise", None) or getattr(self, "start", None)
+        return file
 
     @cached_property
     def tuned(self) -> Tuned | None:
@@ -226,15 +225,10 @@ class TrackOptions(TrackerOptions):
         super().__post_init__()
         if self.lag is not None and not 0 < self.lag < 1e6:
             raise UnusableInput(
-                f"--lag {self.lag:g}: expected seconds above zero; leave it out to use the whole recording"
+                f"--lag {self.lag:g}: expected seconds above zero; without it the whole recording is used"
             )
         if not 0 <= self.seed < 2**64:
             raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
-
-    @property
-    def file(self) -> Path | None:
-        """The noise file."""
-        return self.noise
 
     def applied(self, named: NamedTracker) -> NamedTracker:
         """The tracker as `valued`, smoothed, and with several levels, where that is asked for."""
@@ -312,11 +306,6 @@ class TuneOptions(TrackerOptions):
         require_least(steps=(self.steps, 1), starts=(self.starts, 1), piece_rows=(self.piece_rows, 10))
         super().__post_init__()
 
-    @property
-    def file(self) -> Path | None:
-        """The file to start from."""
-        return self.start
-
 
 @OPTIONS
 @dataclass(frozen=True, kw_only=True)
@@ -349,20 +338,13 @@ class SweepOptions(TrackerOptions):
         require_least(piece_rows=(self.piece_rows, 10), repeats=(self.repeats, 1))
         super().__post_init__()
 
-    @property
-    def file(self) -> Path | None:
-        """The noise file."""
-        return self.noise
-
     @cached_property
     def grids(self) -> Mapping[str, np.ndarray]:
         """The grids of `--over` by pattern; raises UnusableInput."""
         import numpy as np
 
         if not 1 <= len(self.over) <= 2:
-            raise UnusableInput(
-                f"--over given {len(self.over)} times: expected once or twice; sweep further parameters separately"
-            )
+            raise UnusableInput(f"--over given {len(self.over)} times: expected once or twice; sweep others separately")
         grids = {}
         for text in self.over:
             pattern, _, span = text.rpartition("=")
@@ -371,9 +353,7 @@ class SweepOptions(TrackerOptions):
                 start, stop, count = (kind(x) for kind, x in zip((float, float, int), span.split(":"), strict=True))
             except ValueError as error:
                 raise UnusableInput(f"--over {text}: expected {FORM}") from error
-            if not pattern or not (np.isfinite(start) and np.isfinite(stop)):
-                raise UnusableInput(f"--over {text}: expected {FORM}")
-            if count < 2 or start >= stop:
+            if not pattern or not -np.inf < start < stop < np.inf or count < 2:
                 raise UnusableInput(f"--over {text}: expected {FORM}, START below STOP and COUNT at least 2")
             if pattern in grids:
                 raise UnusableInput(f"--over {pattern}: duplicate, expected two different patterns")

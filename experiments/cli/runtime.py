@@ -18,8 +18,7 @@ from typing import Any
 COLLECT_AFTER = 500_000
 """Allocations between garbage collections: imports and tracing make many lasting objects, 300,000 before a track."""
 
-PACKAGES = ("jax", "jaxlib", "numpy")
-"""Those whose versions a manifest names, beside our own."""
+PACKAGES = ("jax", "jaxlib", "numpy")  # those whose versions a manifest names, beside our own
 
 
 def settle_memory() -> None:
@@ -50,19 +49,11 @@ def keep_programs() -> None:
 
 
 def write_manifest(
-    out_dir: Path | str,
-    command: Sequence[str],
-    config: Mapping[str, Any],
-    started: datetime,
-    seeds: Sequence[int] = (),
-    chunk: int | None = None,
-    extra: Mapping[str, Any] | None = None,
-) -> Path:
-    """Writes `manifest.json` at the end of a run and returns its path.
-
-    `started`: with its time zone. `chunk`: trajectories per chunk, on which bit-identity depends. `extra`: further
-    entries. Raises UnusableInput if the folder cannot be written to.
-    """
+    out_dir: Path | str, command: Sequence[str], config: Mapping[str, Any], started: datetime,
+    seeds: Sequence[int] = (), chunk: int | None = None, extra: Mapping[str, Any] | None = None,
+) -> Path:  # fmt: skip
+    """Writes `manifest.json` at the end of a run and returns its path; raises UnusableInput where it cannot. `chunk`:
+    trajectories per chunk, on which bit-identity depends."""
     import jax
 
     from trackwright import __version__

@@ -38,7 +38,9 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
         try:
             folder = world(**numbers).folder()
         except ParameterError as error:
-            raise UnusableInput(_refusal(error)) from error
+            words = error.value if isinstance(error.value, (tuple, list)) else [error.value]
+            option = f"--{error.name.replace('_', '-')} {' '.join(map(str, words))}"
+            raise UnusableInput(f"{option}: expected {error.expected}") from error
         write_recording(folder, out)
         config = {name: value for name, value in numbers.items() if name != "seed"}
         write_manifest(out, sys.argv, config, started, seeds=(numbers["seed"],))
@@ -57,15 +59,9 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
     # From Python 3.13 on docstrings have no indentation of their own.
     summary, _, arguments = inspect.cleandoc(world.__doc__ or "").partition("\n")
     before, head, after = arguments.partition("Args:")
-    simulate.__doc__ = (
-        f"{summary}\n\nWrites one recording folder, its tables in Parquet.\n{before}{head}{COMMON}{after}"
-    )
+    text = f"{summary}\n\nWrites one recording folder, its tables in Parquet.\n{before}"
+    simulate.__doc__ = f"{text}{head}{COMMON}{after}"
     return simulate
-
-
-def _refusal(error: ParameterError) -> str:
-    words = error.value if isinstance(error.value, (tuple, list)) else [error.value]
-    return f"--{error.name.replace('_', '-')} {' '.join(map(str, words))}: expected {error.expected}"
 
 
 _WORLDS = "station", "line", "ranges", "tdoa", "fusion", "body", "tool", "agv"

@@ -20,18 +20,11 @@ RESULTS = "results.json"
 
 
 def study(
-    *what: Annotated[str, Parameter(name="STUDY")],
-    out: Folder | None = None,
-    runs: int | None = None,
-    seed: int | None = None,
-    until: Annotated[str, Parameter(metavar="METRIC±WIDTH")] | None = None,
-    shard: Annotated[str, Parameter(metavar="I/N")] = "1/1",
-    cluster: Address | None = None,
-    list: bool = False,
-    no_figures: bool = False,
-    no_report: bool = False,
-    format: FigureFormat = "png",
-) -> int:
+    *what: Annotated[str, Parameter(name="STUDY")], out: Folder | None = None, runs: int | None = None,
+    seed: int | None = None, until: Annotated[str, Parameter(metavar="METRIC±WIDTH")] | None = None,
+    shard: Annotated[str, Parameter(metavar="I/N")] = "1/1", cluster: Address | None = None, list: bool = False,
+    no_figures: bool = False, no_report: bool = False, format: FigureFormat = "png",
+) -> int:  # fmt: skip
     """Run a Monte Carlo study: worlds × trackers × a grid × runs.
 
     Writes report.html, results.json and figures. `trackwright study NAME`, `FILE.toml` or `FILE.py` runs a study, or

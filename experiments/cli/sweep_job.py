@@ -27,17 +27,10 @@ from trackwright.tuning.sweeping import Sweep, grid_vectors, sweep, swept_parame
 
 
 def sweep_folders(
-    folders: Sequence[RecordingFolder],
-    recordings: Sequence[Path],
-    options: SweepOptions,
-    started: datetime,
-    clock: float,
-    begin: Begin,
-) -> dict[str, Any]:
-    """Evaluates the objective on the grid, writes all files and prints the best point; returns it and the counts.
-
-    `started`, `clock`: when the command began. `begin`: of a stage.
-    """
+    folders: Sequence[RecordingFolder], recordings: Sequence[Path], options: SweepOptions, started: datetime,
+    clock: float, begin: Begin,
+) -> dict[str, Any]:  # fmt: skip
+    """Evaluates the objective on the grid, writes all files and prints the best point; returns it and the counts."""
     objective, grids, out = options.objective, options.grids, options.out
     named = tracker_for_folders(folders, options)
     group = named.only_batch(folders)
@@ -47,7 +40,8 @@ def sweep_folders(
         parameters = swept_parameters(model, list(grids))
         points = grid_vectors(parameters, list(grids.values()))
     except ValueError as error:
-        raise UnusableInput(f"--over {' --over '.join(options.over)}: {_with_hint(str(error))}") from error
+        hint = "; start the grid at a small positive value" if "is positive" in str(error) else ""
+        raise UnusableInput(f"--over {' --over '.join(options.over)}: {error}{hint}") from error
     output_folder(out)
     runs = options.repeats if is_stochastic(model) else 1
     advance = begin("grid point", len(points) * runs)
@@ -60,21 +54,13 @@ def sweep_folders(
     unit = "rad" if group.trajectories[0].station else "m"
     drawn = out / f"sweep.{options.format}"
     sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective)
-    result = {
-        "best": swept.best,
-        "least": float(swept.mean[swept.best_index]),
-        "filter_runs": swept.filter_runs,
-        "seconds": seconds,
-    }
+    least = float(swept.mean[swept.best_index])
+    result = {"best": swept.best, "least": least, "filter_runs": swept.filter_runs, "seconds": seconds}
     extra = {"recordings": [str(p) for p in recordings]} | result
     write_manifest(out, sys.argv, options.config() | {"tracker": named.name}, started, extra=extra)
     print(_summary(swept, objective, unit if objective == "rmse" else "", seconds))
     print(f"wrote {out / 'sweep.csv'}, {drawn.name} and manifest.json")
     return result
-
-
-def _with_hint(problem: str) -> str:
-    return f"{problem}; start the grid at a small positive value" if "is positive" in problem else problem
 
 
 def _write(path: Path, swept: Sweep, objective: str) -> None:
@@ -92,8 +78,7 @@ def _summary(swept: Sweep, objective: str, unit: str, seconds: float) -> str:
     at, repeats = swept.best_index, len(swept.values)
     lines = []
     for parameter, grid, k in zip(swept.parameters, swept.grids, at, strict=True):
-        edge = len(grid) > 2 and k in (0, len(grid) - 1)
-        end = "; at the end of the grid: widen it" if edge else ""
+        end = "; at the end of the grid: widen it" if len(grid) > 2 and k in (0, len(grid) - 1) else ""
         shown = "" if parameter.example.unit == "1" else f" {parameter.example.unit}"
         lines.append(f"best {parameter.label} = {grid[k]:.6g}{shown}{end}")
     spread = f" ± {swept.spread[at]:.2g} over {repeats} repeats" if repeats > 1 else ""

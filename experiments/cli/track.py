@@ -70,19 +70,15 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
     (folder,) = runs
     poses, truth = options.poses, options.truth
     if not folder.exists():
-        raise UnusableInput(
-            f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"
-        )
+        raise UnusableInput(f"{folder}: no such file; expected a folder with tracks.parquet, or a file of estimates")
     from trackwright.experiments.cli.archive_folders import RECORDINGS, is_archive
     from trackwright.experiments.cli.evaluating import evaluate_folder, evaluate_poses, sources
     from trackwright.trackers.recordings.tracks_table import TRACKS
 
     if is_archive(folder):
         if poses.given or truth:
-            raise UnusableInput(
-                f"{folder}: is an archive; expected no --truth and trajectory options; "
-                f"evaluate one of {folder / RECORDINGS}/*/*"
-            )
+            fix = f"expected no --truth and trajectory options; evaluate one of {folder / RECORDINGS}/*/*"
+            raise UnusableInput(f"{folder}: is an archive; {fix}")
         # jax takes a second to import, which the help and a refused folder need not wait for.
         from trackwright.experiments.cli.archive import evaluate_archive
 

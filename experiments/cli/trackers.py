@@ -95,14 +95,10 @@ def _simulated_folders() -> Iterator[RecordingFolder]:
         tags = {tag: Tag(float(z[0])) for tag in truth["tag"].unique()}
         yield replace(folder, rig=replace(folder.rig, outline=outline, tags=tags))
         angles = {name: s.angles(np.stack([x, y, z], axis=1)).T for name, s in folder.rig.stations.items()}
-        bearings = [
-            truth.select(
-                "t_s", "tag", pl.lit(name).alias("station"), azimuth_rad=pl.Series(a), elevation_rad=pl.Series(e)
-            )
-            for name, (a, e) in angles.items()
-        ]
-        if bearings:
-            yield replace(folder, tables={"bearings": pl.concat(bearings).sort("t_s"), "truth": truth})
+        at = truth.select("t_s", "tag")
+        seen = [at.with_columns(station=pl.lit(k), azimuth_rad=a, elevation_rad=e) for k, (a, e) in angles.items()]
+        if seen:
+            yield replace(folder, tables={"bearings": pl.concat(seen).sort("t_s"), "truth": truth})
     yield tdoa(1, imu=True).folder()
 
 

@@ -44,9 +44,7 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackwright.trackers.recordings.trajectories import known_height
 
-LATE_S = 0.1
-"""Delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice."""
-
+LATE_S = 0.1  # delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice
 APART_M, MIRRORED_SHARE = 0.5, 0.1
 """Distance of true heights from the anchors' plane, m, from which on their side counts; share of estimates on the other
 side that is worth a notice."""
@@ -65,10 +63,7 @@ class TrackedBy(NamedTuple):
 
 
 def tracker_names(trackers: str | None, noise: Path | None = None) -> list[str]:
-    """The names in a text with commas, none for None.
-
-    Raises UnusableInput for a repeated name, and for several with a file of one tracker's values, `noise`.
-    """
+    """The names in a text with commas; raises UnusableInput for a repeated one, and several with `noise` of one."""
     names = [] if trackers is None else [name.strip() for name in trackers.split(",")]
     # By which the folder of each is named.
     shorts = [split_name(name)[1] or name for name in names]
@@ -78,21 +73,15 @@ def tracker_names(trackers: str | None, noise: Path | None = None) -> list[str]:
     if repeated is not None:
         raise UnusableInput(f"--tracker {trackers}: '{repeated}' twice; expected different names; remove one")
     if len(names) > 1 and noise is not None:
-        raise UnusableInput(
-            f"--noise {noise}: belongs to one tracker, found {', '.join(names)}; name one with --tracker"
-        )
+        raise UnusableInput(f"--noise {noise}: belongs to one tracker, found {trackers}; name one with --tracker")
     return names
 
 
 def tracked_by(
     folders: Sequence[RecordingFolder], trackers: str | None, noise: Path | None = None
 ) -> tuple[list[TrackedBy], list[str]]:
-    """The runs, and a line for each recording that a tracker does not fit.
-
-    `trackers`: names separated by commas, each of which runs on all recordings that it fits; None: each recording is
-    run by the tracker that fits it. `noise`: a file of one tracker's values. Raises UnusableInput where nothing can be
-    run, and for unknown, repeated or too many names.
-    """
+    """The runs, and a line for each recording that a tracker does not fit. `trackers`: names separated by commas; None:
+    each recording is run by the tracker that fits it. Raises UnusableInput where nothing can be run."""
     names = tracker_names(trackers, noise)
     runs: dict[str, list[RecordingFolder]] = {}
     refused: list[str] = []
@@ -117,18 +106,11 @@ def tracked_by(
 
 
 def track_folders(
-    folders: Sequence[RecordingFolder],
-    refused: Sequence[str],
-    options: TrackOptions,
-    started: datetime,
-    begin: Begin,
+    folders: Sequence[RecordingFolder], refused: Sequence[str], options: TrackOptions, started: datetime, begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
-) -> int:
-    """Tracks the recordings, writes all files and prints the metrics.
-
-    Returns the exit code, 1 if some were `refused`. Several trackers get a folder each, by
-    their names; those that the user named are compared. `begin`: of a stage. `put`: of the metrics, by tracker.
-    """
+) -> int:  # fmt: skip
+    """Tracks the recordings, writes all files and prints the metrics; the exit code, 1 if some were `refused`. Several
+    trackers get a folder each; those that the user named are compared. `put`: of the metrics, by tracker."""
     of_file = None if options.tuned is None else options.tuned.tracker
     runs, unfit = tracked_by(folders, options.tracker or of_file, options.noise)
     for name, chosen in runs if options.tracker is None else ():
@@ -178,10 +160,7 @@ def track_folders(
 def _track(
     run: TrackedBy, options: TrackOptions, out: Path, started: datetime, begin: Begin, of: int
 ) -> tuple[Any, dict[str, Any] | None]:
-    """Tracks recordings with one tracker into the folder `out`; returns its evaluation.json and its page.
-
-    `of`: how many trackers are compared; the only one has a table of errors, figures and its page in its folder.
-    """
+    """Tracks recordings with one of `of` trackers into the folder `out`; returns its evaluation.json and its page."""
     name, folders = run
     named = build(name, folders, options.free_height, options.side)
     notice_unused_calibration(folders, name, named.spec.table)

@@ -43,22 +43,14 @@ from trackwright.tuning.identifiability import IdentifiabilityIssue, identifiabi
 from trackwright.tuning.intervals import Interval, intervals_of, left_out_blocks, left_out_values, without_intervals
 from trackwright.tuning.tuned_file import tuned_content, write_tuned
 
-INTERRUPTED = 130
-"""The exit code of a command that Ctrl-C ended, as shells have it."""
+INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells have it
 
 
 def tune_folders(
-    folders: list[RecordingFolder] | FoldersInTurn,
-    recordings: Sequence[Path],
-    options: TuneOptions,
-    started: datetime,
-    clock: float,
-    begin: Begin,
-) -> tuple[int, dict[str, Any]]:
-    """Fits to the first folders, those of `recordings`, writes all files and prints the table.
-
-    Returns the exit code and the content of tuned.toml. `started`, `clock`: when it began. `begin`: of a stage.
-    """
+    folders: list[RecordingFolder] | FoldersInTurn, recordings: Sequence[Path], options: TuneOptions,
+    started: datetime, clock: float, begin: Begin,
+) -> tuple[int, dict[str, Any]]:  # fmt: skip
+    """Fits to the first folders, writes all files and prints the table; exit code and content of tuned.toml."""
     count = len(recordings)
     if options.used.calibration is not None and not isinstance(folders, FoldersInTurn):
         parts = cross_calibrated(folders, options.used.calibration)
@@ -125,17 +117,10 @@ def _with(fitted: Fitted, values: Mapping[str, np.ndarray]) -> NamedTracker:
 
 
 def _write_run(
-    fitted: Fitted,
-    recordings: Sequence[Path],
-    seconds: float,
-    started: datetime,
-    compared: Compared,
+    fitted: Fitted, recordings: Sequence[Path], seconds: float, started: datetime, compared: Compared,
     plans: TrackChanges | None,
-) -> dict[str, Any]:
-    """Writes all files to the folder, prints what they show, and returns the content of tuned.toml.
-
-    `seconds`: that the command took. `plans`: the tracks before and after.
-    """
+) -> dict[str, Any]:  # fmt: skip
+    """Writes all files to the folder, prints what they show, and returns the content of tuned.toml."""
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
     objective, unit = str(options.objective), "rad" if data.training[0].station else "m"
     if options.prior:

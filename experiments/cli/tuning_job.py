@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -31,7 +31,7 @@ from trackwright.tuning.guessing import first_guess
 from trackwright.tuning.identifiability import cautions
 from trackwright.tuning.intervals import require_possible
 from trackwright.tuning.optimisation import FitState
-from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
+from trackwright.tuning.optimisers import LBFGS, Adam
 from trackwright.tuning.parameters import (
     Parameter,
     flatten,
@@ -48,23 +48,13 @@ if TYPE_CHECKING:
     from trackwright.experiments.jobs.held_parts import FitWorkers
     from trackwright.trackers.recordings.calibration import Calibration
 
-PARTS = ".tune-parts"
-"""The folder of the rows, in that of the results, while the command runs."""
-
-OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
-    "auto": lambda steps: None,
-    "lbfgs": lambda steps: LBFGS(),
-    "adam": Adam,
-}
+PARTS = ".tune-parts"  # the folder of the rows, in that of the results, while the command runs
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A finished fit: the options with the tracker's name, the tracker, what was fitted to, and the result.
-
-    `reported`: what the report is made of, on a cluster a part of the data. `shown`: the recordings whose errors are
-    shown before and after: those held out, or else those fitted to; `others`: those fitted to if some were held out.
-    """
+    """A finished fit. `reported`: what the report is made of, on a cluster a part of the data. `shown`: the recordings
+    whose errors are shown: those held out, or else those fitted to; `others`: those fitted to if some were held out."""
 
     options: TuneOptions
     named: NamedTracker
@@ -76,16 +66,10 @@ class Fitted:
 
 
 def fit_folders(
-    folders: list[RecordingFolder] | FoldersInTurn,
-    count: int,
-    options: TuneOptions,
-    begin: Begin,
+    folders: list[RecordingFolder] | FoldersInTurn, count: int, options: TuneOptions, begin: Begin,
     workers: FitWorkers | None = None,
-) -> Fitted:
-    """Fits the tracker to the first `count` recordings, the others held out; `begin` begins a stage.
-
-    `workers`: that hold the rows of folders read in turn.
-    """
+) -> Fitted:  # fmt: skip
+    """Fits the tracker to the first `count` recordings, the others held out; with `workers`, which hold the rows."""
     first = folders if workers is None else folders[:1]
     named = tracker_for_folders(first, options)
     for line in mirror_lines(named, first):
@@ -153,10 +137,7 @@ def checked_options(
 
 @contextmanager
 def fit_workers(cluster: str | None, out: Path) -> Iterator[FitWorkers | None]:
-    """The workers of a cluster, as of `cluster_client`, with the folder of their files; None for no cluster.
-
-    What an earlier command that was killed left in that folder is removed.
-    """
+    """The workers of a cluster with the folder of their files, emptied first; None for no cluster."""
     if cluster is None:
         yield None
         return
@@ -175,20 +156,11 @@ def fit_workers(cluster: str | None, out: Path) -> Iterator[FitWorkers | None]:
 
 
 def data_in_turn(
-    named: NamedTracker,
-    folders: Sequence[RecordingFolder],
-    count: int,
-    place: Path,
-    objective: str | None,
-    segment_rows: int,
-    dimensions: int | None,
-    weigh: Weigh,
-) -> FitData:
+    named: NamedTracker, folders: Sequence[RecordingFolder], count: int, place: Path, objective: str | None,
+    segment_rows: int, dimensions: int | None, weigh: Weigh,
+) -> FitData:  # fmt: skip
     """As `fit_data` of the first `count` recordings, the others held out; the rows are in files in the folder `place`.
-
-    `dimensions`: None for those of the first recording. Raises UnusableInput as `fit_data`, and where the recordings
-    need several trackers.
-    """
+    Raises UnusableInput as that, and where the recordings need several trackers."""
     names, trajectories = list[str](), list[Trajectory]()
     batch: TrackerBatch | None = None
 
@@ -216,10 +188,8 @@ def reported(data: FitData) -> FitData:
 
 def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[list[RecordingFolder]]:
     """For each recording, itself, or what a fit takes in its place where it is one of those of the calibration `file`.
-
     These are calibrated on the others among them, or, if there are none, each half on the other half: a fit with the
-    file's calibration would see errors smaller than those of new recordings.
-    """
+    file's calibration would see errors smaller than those of new recordings."""
     from trackwright.trackers.recordings.calibration import read_calibration
 
     whole = read_calibration(file)
@@ -233,23 +203,14 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the file's spreads and quality of ranges, from which `track` has the noise levels.
-
-    Without a map of bearings where the file has none.
-    """
+    """The recording with the file's spreads and quality of ranges; a map of bearings only where it has one."""
     if part.calibration is None:
         return part
     differences = replace(part.calibration.differences, spread=whole.differences.spread)
     spread, quality = whole.range_spread, whole.range_quality
     by_place = None if whole.bearing_map is None else part.calibration.bearing_map
-    own = replace(
-        part.calibration,
-        range_spread=spread,
-        range_quality=quality,
-        differences=differences,
-        bearing_map=by_place,
-    )
-    return replace(part, calibration=own)
+    own = replace(part.calibration, range_spread=spread, range_quality=quality, differences=differences)
+    return replace(part, calibration=replace(own, bearing_map=by_place))
 
 
 def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], file: Path) -> list[RecordingFolder]:
@@ -271,19 +232,11 @@ def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], fi
 
 
 def _fitted(
-    data: FitData,
-    parameters: Sequence[Parameter],
-    options: TuneOptions,
-    bounds: Mapping[str, tuple[float, float]],
-    priors: Sequence[Prior],
-    begin: Begin,
-    by_default: bool,
-    keep: Keep,
-) -> FitResult:
+    data: FitData, parameters: Sequence[Parameter], options: TuneOptions, bounds: Mapping[str, tuple[float, float]],
+    priors: Sequence[Prior], begin: Begin, by_default: bool, keep: Keep,
+) -> FitResult:  # fmt: skip
     """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite.
-
-    `by_default`: whether the objective was chosen by the data. `keep`: takes the rows to where they are computed.
-    """
+    `by_default`: whether the objective was chosen by the data. `keep`: takes the rows to where they are computed."""
     training, held_out = data.batches(), data.batches(held_out=True)
     # Intervals are computed from the result and don't change the fit, nor does the place where it is computed.
     config = {
@@ -296,10 +249,8 @@ def _fitted(
     if options.resume and saved is None:
         notice(f"notice: {options.out}: no checkpoint found; the fit starts from the beginning")
     if by_default:
-        why = (
-            "there is truth" if data.objective.needs_truth else "there is no truth that the estimates can be judged by"
-        )
-        notice(f"objective: {data.named}, since {why}; choose another with --objective")
+        why = "truth" if data.objective.needs_truth else "no truth that the estimates can be judged by"
+        notice(f"objective: {data.named}, since there is {why}; choose another with --objective")
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
     steps, starts = options.steps, options.starts
@@ -327,7 +278,7 @@ def _fitted(
             FitOptions(
                 frozen=options.freeze,
                 bounds=bounds,
-                optimiser=OPTIMISERS[options.optimiser](steps),
+                optimiser={"auto": None, "lbfgs": LBFGS(), "adam": Adam(steps)}[options.optimiser],
                 steps=steps,
                 starts=starts,
                 priors=priors,
@@ -338,13 +289,9 @@ def _fitted(
     except FloatingPointError as error:
         raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
     if result.n_excluded == len(data.training):
-        raise UnusableInput(
-            f"at the best point ({options.objective} {result.value:.4g}) no segment of the recordings has finite "
-            "gradients: repeated identical readings drive the noise to zero; give --bound or --prior"
-        )
+        words = "has finite gradients: repeated identical readings drive the noise to zero; give --bound or --prior"
+        raise UnusableInput(f"at the best point ({options.objective} {result.value:.4g}) no segment {words}")
     if result.n_excluded:
-        notice(
-            f"notice: {result.n_excluded} of {len(data.training)} segments were excluded: non-finite likelihood, or "
-            "gradients over 1000 x the median"
-        )
+        why = "non-finite likelihood, or gradients over 1000 x the median"
+        notice(f"notice: {result.n_excluded} of {len(data.training)} segments were excluded: {why}")
     return result

@@ -22,10 +22,8 @@ SET = ("x64", "programs kept")
 
 
 def environment() -> dict[str, Any]:
-    """What the bits of a result depend on beside its arguments: versions, flags, number format, kind of device.
-
-    The `SET` ones are set in a worker for each part: the number format, and whether compiled programs are kept.
-    """
+    """What the bits of a result depend on beside its arguments: versions, flags, number format, kind of device. The
+    `SET` ones are set in a worker for each part: the number format, and whether compiled programs are kept."""
     import jax
 
     return {
@@ -42,16 +40,13 @@ def environment() -> dict[str, Any]:
 def require_same(expected: Mapping[str, Any], actual: Any, worker: str) -> None:
     """Refuse a worker whose environment differs from the caller's."""
     if isinstance(actual, BaseException):
-        raise UnusableInput(
-            f"{worker}: cannot import trackwright ({type(actual).__name__}: {actual}); expected the caller's packages; "
-            "install them there"
-        )
+        why = f"{type(actual).__name__}: {actual}"
+        raise UnusableInput(f"{worker}: cannot import trackwright ({why}); install the caller's packages there")
     for key in expected:
         if key not in SET and actual.get(key) != expected[key]:
-            raise UnusableInput(
-                f"{worker}: {key}: {actual.get(key) or 'none'}; expected as here: {expected[key] or 'none'}; the bits "
-                "would differ; give the worker the caller's environment, and start it anew"
-            )
+            here = f"expected as here: {expected[key] or 'none'}; the bits would differ"
+            fix = "give the worker the caller's environment, and start it anew"
+            raise UnusableInput(f"{worker}: {key}: {actual.get(key) or 'none'}; {here}; {fix}")
 
 
 @functools.cache

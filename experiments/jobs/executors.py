@@ -36,9 +36,7 @@ AT_ONCE = 256
 LEAVE_SIGINT = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
 """Run by local workers, which the caller ends: Ctrl-C on a terminal reaches them, too."""
 
-CONNECT_S = 10
-"""Seconds to wait for a scheduler."""
-
+CONNECT_S = 10  # seconds to wait for a scheduler
 SILENT_S = 60
 """Seconds without a sign of life after which a local worker hangs: it is ended, and its part runs elsewhere."""
 
@@ -48,9 +46,7 @@ GONE_S = 15.0
 
 class Threads(ThreadPoolExecutor):
     """As many threads of this process as the host computes in parallel; `at_once`: parts that they are given at a time.
-
-    `devices`: each part is computed on one of these that computes no other; none: where jax would.
-    """
+    `devices`: each part is computed on one of these that computes no other; none: where jax would."""
 
     def __init__(self, devices: Sequence[Any] = ()) -> None:
         import jax
@@ -87,12 +83,9 @@ def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
 
 @contextmanager
 def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Dask's client of `local:N`, N processes on this machine, or of the scheduler at `tcp://HOST:PORT`.
-
-    Second: the environment that `computed` expects of a worker. A scheduler without workers is waited for. Raises
-    UnusableInput for another text, where no scheduler answers, for workers with other versions, and where the cluster
-    is lost.
-    """
+    """Dask's client of `local:N`, or of the scheduler at `tcp://HOST:PORT`, and the environment expected of its
+    workers. Raises UnusableInput for another text, where no scheduler answers, for workers with other versions, and
+    where the cluster is lost."""
     local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
     if not local and not re.fullmatch(r"[a-z]+://\S+", cluster):
         raise UnusableInput(f"--cluster {cluster}: expected local:N, as local:4, or an address, as tcp://HOST:8786")
@@ -107,24 +100,20 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
                 require_same(expected, actual, f"worker {address}")
             yield client, expected
     except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
-        raise UnusableInput(
-            f"--cluster {cluster}: the scheduler was lost, or the network to it; see that it runs, then run the "
-            "command again"
-        ) from error
+        fix = "see that it runs, then run the command again"
+        raise UnusableInput(f"--cluster {cluster}: the scheduler was lost, or the network to it; {fix}") from error
     except distributed.KilledWorker as error:
-        raise UnusableInput(
-            f"--cluster {cluster}: {error.allowed_failures + 1} workers ended while they computed the same part; "
-            "expected enough memory for one part a worker; see the workers' logs"
-        ) from error
+        fix = "expected enough memory for one part a worker; see the workers' logs"
+        count = f"{error.allowed_failures + 1} workers"
+        raise UnusableInput(f"--cluster {cluster}: {count} ended while they computed the same part; {fix}") from error
 
 
 def _distributed() -> Any:
     try:
         import distributed
     except ImportError as error:
-        raise UnusableInput(
-            "--cluster: the package 'distributed' is not installed; install the extra: pip install trackwright[cluster]"
-        ) from error
+        fix = "install the extra: pip install trackwright[cluster]"
+        raise UnusableInput(f"--cluster: the package 'distributed' is not installed; {fix}") from error
     # The deaths and reconnections that Dask reports are handled: their parts run elsewhere.
     for name in ("distributed", "distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -138,10 +127,8 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
         try:
             client = distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
-            raise UnusableInput(
-                f"--cluster {cluster}: no scheduler answers within {CONNECT_S} s; expected one at this address; start "
-                "one with `dask scheduler`"
-            ) from error
+            fix = "expected one at this address; start one with `dask scheduler`"
+            raise UnusableInput(f"--cluster {cluster}: no scheduler answers within {CONNECT_S} s; {fix}") from error
         with client, _watching(_notice_empty(client, cluster)):
             yield client
         return
@@ -214,10 +201,7 @@ def _watching(look: Callable[[], None]) -> Iterator[None]:
 
 
 class WorkerExecutor(Executor):
-    """An executor of other processes that computes only where the environment is `expected`.
-
-    `at_once`: parts that it is given at a time, so that every worker has one.
-    """
+    """An executor of other processes that computes only where the environment is `expected`."""
 
     def __init__(self, executor: Executor, expected: Mapping[str, Any], at_once: int = AT_ONCE) -> None:
         self.executor, self.expected, self.at_once = executor, dict(expected), at_once
@@ -231,10 +215,8 @@ class WorkerExecutor(Executor):
 
 
 def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
-    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs.
-
-    `held`: its first arguments, which the worker has already: of types that do not import jax.
-    """
+    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs. `held`: its first
+    arguments, which the worker has already: of types that do not import jax."""
     require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
     import jax
 

@@ -37,11 +37,8 @@ class FitWorkers(NamedTuple):
 
 
 class HeldParts(Parts):
-    """The chunks of a problem with workers, each of which loads its own from files.
-
-    Dask computes with a chunk where it is, and has it loaded again elsewhere if its worker is lost. The bits are those
-    of `LocalParts`: of each chunk the same program, and the results in the order of the chunks.
-    """
+    """The chunks of a problem with workers, each of which loads its own from files, again elsewhere if a worker is
+    lost. The bits are those of `LocalParts`: the same programs, and the results in the order of the chunks."""
 
     def __init__(self, workers: FitWorkers, named: NamedTracker, point: Point, pieces: Iterable[Batch]) -> None:
         self.workers, self.rows, self.held = workers, list[Any](), list[Any]()
@@ -50,9 +47,9 @@ class HeldParts(Parts):
         try:
             model = pickle.dumps(point)
         except (pickle.PicklingError, TypeError, AttributeError) as error:
+            fix = "expected classes and functions of a module; define them at the top of its file"
             raise UnusableInput(
-                f"--cluster: tracker '{named.name}' cannot be sent to workers ({error}); expected classes and "
-                "functions of a module; define them at the top of its file"
+                f"--cluster: tracker '{named.name}' cannot be sent to workers ({error}); {fix}"
             ) from error
         for piece in pieces:
             path = workers.folder / f"{uuid.uuid4().hex}.npz"
@@ -87,10 +84,8 @@ def loaded(name: str, text: str, model: bytes, structure: bytes, path: Path) -> 
         with np.load(path) as arrays:
             return name, text, model, structure, [arrays[f"arr_{k}"] for k in range(len(arrays.files))]
     except OSError as error:
-        raise UnusableInput(
-            f"worker on {platform.node()}: cannot read {path} ({error.strerror}); expected a folder that all workers "
-            "see under the same name; choose another --out"
-        ) from error
+        fix = "expected a folder that all workers see under the same name; choose another --out"
+        raise UnusableInput(f"worker on {platform.node()}: cannot read {path} ({error.strerror}); {fix}") from error
 
 
 def evaluated(held: HeldChunk, computation: Computation) -> list[Any]:

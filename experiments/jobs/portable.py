@@ -12,8 +12,7 @@ from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 
-Files = tuple[tuple[str, str], ...]
-"""Users' files: the path of each, as it was given, and its text."""
+Files = tuple[tuple[str, str], ...]  # users' files: the path of each, as it was given, and its text
 
 
 @contextmanager

@@ -18,20 +18,15 @@ from trackwright.trackers.recordings.atomic import atomic_write
 WAKE_S = 0.25
 """Seconds after which a wait for parts looks for Ctrl-C: Polars lets system calls go on after it (SA_RESTART)."""
 
-BLOCK = 256
-"""Parts after which memory is freed, which otherwise grows with their number."""
-
+BLOCK = 256  # parts after which memory is freed, which otherwise grows with their number
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Kept = TypeVar("Kept")
 
 
 class Store(ABC, Generic[Item, Result, Kept]):
-    """The finished parts of a job in a folder, each of one or several files.
-
-    Files are written under a temporary name and renamed, the last one of a part when the others are there: where it is
-    missing, of other inputs, or damaged, the part is computed again.
-    """
+    """The finished parts of a job in a folder. Files are written under a temporary name and renamed, the last one of a
+    part when the others are there: where it is missing, of other inputs, or damaged, the part is computed again."""
 
     @abstractmethod
     def kept(self, item: Item) -> Kept | None:
@@ -43,10 +38,7 @@ class Store(ABC, Generic[Item, Result, Kept]):
 
 
 def written(folder: Path, files: Mapping[str, Callable[[Path], object]]) -> None:
-    """Writes the files of a part by their names in the folder, the last one last, which says that the part is whole.
-
-    Raises UnusableInput where the disk is full or may not be written to.
-    """
+    """Writes the files of a part, the last one last, which says that it is whole; raises UnusableInput."""
     *others, last = files
     try:
         for name in files:
@@ -61,20 +53,13 @@ def written(folder: Path, files: Mapping[str, Callable[[Path], object]]) -> None
 
 
 def run(
-    items: Iterable[Item],
-    function: Callable[[Any], Result],
-    store: Store[Item, Result, Kept],
-    executor: Executor,
-    each: Callable[[Item, Kept], None],
-    read: Callable[[Item], Any] | None = None,
+    items: Iterable[Item], function: Callable[[Any], Result], store: Store[Item, Result, Kept], executor: Executor,
+    each: Callable[[Item, Kept], None], read: Callable[[Item], Any] | None = None,
     failed: Callable[[Item, Exception], Result] | None = None,
-) -> None:
-    """Computes the parts that the store lacks, and calls `each` with every item and what is kept of it.
-
-    `function`: of an item, or of what `read`, which runs here, returns of it. `failed`: the result of a part that could
-    not be read or computed, or whose workers ended again and again; without it such a part ends the run. What has
-    finished is kept, whatever ends the run.
-    """
+) -> None:  # fmt: skip
+    """Computes the parts that the store lacks, and calls `each` with every item and what is kept of it. `function`: of
+    an item, or of what `read`, which runs here, returns of it. `failed`: the result of a part that could not be read or
+    computed; without it such a part ends the run."""
 
     def missing() -> Iterator[Item]:
         for item in items:
@@ -115,16 +100,12 @@ def attempted(
 
 
 def finished(
-    submit: Callable[[Item], Future[Any]],
-    items: Iterable[Item],
-    at_once: int = AT_ONCE,
+    submit: Callable[[Item], Future[Any]], items: Iterable[Item], at_once: int = AT_ONCE,
     lost: Callable[[Item, Exception], Any] | None = None,
-) -> Iterator[tuple[Item, Any]]:
+) -> Iterator[tuple[Item, Any]]:  # fmt: skip
     """Each item with the result of its submitted part, as parts finish; at most `at_once` are submitted at a time.
-
     `lost`: the result of a part whose workers ended again and again; without it, that is a failure. Parts that have not
-    begun are cancelled where one fails, and where the caller stops.
-    """
+    begun are cancelled where one fails, and where the caller stops."""
     waiting: dict[Future[Any], Item] = {}
     remaining = iter(items)
     try:

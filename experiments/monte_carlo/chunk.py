@@ -24,11 +24,8 @@ from trackwright.trackers.recordings.trajectories import Trajectories
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
-    """The sums, histograms and measures of the trajectories with these ids, one dictionary per tracker.
-
-    `first`: whether this is a condition's first chunk, which also gives bounds and computing times. Raises
-    UnusableInput where world, trackers and values do not fit each other.
-    """
+    """The sums, histograms and measures of these trajectories by tracker; of the `first` chunk bounds and times, too.
+    Raises UnusableInput where world, trackers and values do not fit each other."""
     folder, prepared = _prepared(study, condition, ids)
     results = []
     for name, config in study.trackers.items():
@@ -57,10 +54,7 @@ def tracked_runs(study: Study, world: str, ids: np.ndarray, **point: float) -> d
 
 
 def require_fitting_parts(study: Study) -> None:
-    """Refuse a study whose worlds, trackers and values do not fit each other, by one trajectory of every world.
-
-    Raises UnusableInput. Values of the grid beyond the first of each world are checked when their chunks run.
-    """
+    """Refuse a study whose worlds, trackers and values do not fit, by one trajectory of every world."""
     for world in study.worlds:
         _prepared(study, next(c for c in study.conditions if c.world == world), np.zeros(1, int))
 
@@ -114,9 +108,9 @@ def _require_grid_is_used(study: Study, condition: Condition, untuned: Mapping[s
     names = {name for batches in untuned.values() for batch in batches for name in tunables(batch.tracker)}
     for pattern in condition.numbers:
         if not pattern.startswith(WORLD) and not fnmatch.filter(names, pattern):
+            known = f"'world.' and a parameter of the worlds, or one of {', '.join(sorted(names))}"
             raise UnusableInput(
-                f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; expected 'world.' and a "
-                f"parameter of the worlds, or one of {', '.join(sorted(names))}"
+                f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; expected {known}"
             )
 
 
@@ -142,18 +136,14 @@ def _track(
 def _measured(study: Study, name: str, returned: Any, n: int) -> np.ndarray:
     values = np.asarray(returned, float)
     if values.shape != (n,):
-        raise UnusableInput(
-            f"study '{study.name}': measure '{name}' returns shape {values.shape}; expected ({n},), one number "
-            "for each trajectory"
-        )
+        found = f"measure '{name}' returns shape {values.shape}"
+        raise UnusableInput(f"study '{study.name}': {found}; expected ({n},), one number for each trajectory")
     return values
 
 
 def _bounds(folder: RecordingFolder, batches: list[TrackerBatch]) -> np.ndarray:
     """The Cramér–Rao bound, m, horizontal and 3-D: root mean square over the second half of the rows; NaN without one.
-
-    The first half is left out, since the bound of the first rows is the prior of the tracker's start.
-    """
+    The first half is left out, since the bound of the first rows is the prior of the tracker's start."""
     bounds = bounds_of(folder, batches)
     if bounds is None:
         return np.full(2, np.nan)

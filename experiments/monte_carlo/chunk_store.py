@@ -25,18 +25,12 @@ from trackwright.trackers.recordings.atomic import json_text, remove_abandoned
 from trackwright.trackers.recordings.input_file import file_bytes, read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"
-FORMAT = 2
-"""Of the files of chunks; a folder with those of another format holds another study."""
-
-Part = tuple[int, int]
-"""A chunk: the index of its condition, and its number among the chunks of that."""
+FORMAT = 2  # of the files of chunks; a folder with those of another format holds another study
+Part = tuple[int, int]  # a chunk: the index of its condition, and its number among the chunks of that
 
 
 def identity(study: Study) -> dict[str, Any]:
-    """Everything that the numbers of a study depend on: declaration, source file, chunk size, jaxlib and device.
-
-    As study.json holds it: numbers, texts, lists and tables alone.
-    """
+    """Everything that the numbers of a study depend on: declaration, source file, chunk size, jaxlib and device."""
     content = {
         "study": study.name,
         "format": FORMAT,
@@ -85,10 +79,8 @@ class ChunkStore(Store[Part, bytes, Path]):
         if path.exists():
             difference = first_difference(_stored(path), current)
             if difference:
-                raise UnusableInput(
-                    f"{path}: the folder holds another study ({difference}); expected the same study; choose another "
-                    "--out, or remove the folder"
-                )
+                fix = "expected the same study; choose another --out, or remove the folder"
+                raise UnusableInput(f"{path}: the folder holds another study ({difference}); {fix}")
         else:
             written(self.folder, {IDENTITY: _text(current)})
         # Also where no chunk is missing, and none will be written.
@@ -128,10 +120,7 @@ class ChunkStore(Store[Part, bytes, Path]):
 
 
 def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
-    """The content of a chunk's file: its arrays, by the trackers' order.
-
-    Whoever computes a chunk packs it, since the caller stores the chunks of all workers.
-    """
+    """The content of a chunk's file, packed where it is computed: the caller stores the chunks of all workers."""
     file = io.BytesIO()
     # NumPy's level, 6, takes seven times as long, into files that are a tenth smaller.
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:
@@ -144,9 +133,7 @@ def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
 
 def compact(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The arrays of a chunk as files hold them: histograms as the distances of their cells and the counts, in few bits.
-
-    Equal histograms are there once, under the names of all their kinds. All sums are one array.
-    """
+    Equal histograms are there once, under the names of all their kinds. All sums are one array."""
     result = {name: x for name, x in arrays.items() if not name.startswith(("cells ", "counts ", "sum ", "largest "))}
     columns = [name for name in arrays if name.startswith(("sum ", "largest "))]
     if columns:
@@ -211,9 +198,8 @@ def merge_shards(parts: Sequence[Path], out: Path) -> int:
     for part, stored in zip(parts, identities, strict=True):
         difference = first_difference(identities[0], stored)
         if difference:
-            raise UnusableInput(
-                f"{part}: holds another study than {parts[0]} ({difference}); expected shards of one study; remove it"
-            )
+            words = f"holds another study than {parts[0]} ({difference})"
+            raise UnusableInput(f"{part}: {words}; expected shards of one study; remove it")
     chunks = {path.name: path for part in parts for path in sorted((part / CHUNKS).glob("[0-9]*.npz"))}
     for name, path in chunks.items():
         if path.parent != out / CHUNKS:

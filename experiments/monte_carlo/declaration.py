@@ -34,9 +34,7 @@ DEFAULT_METRICS = ("rmse_m", "median_m", "p95_m", "bound_m", "nees_mean", "nis_r
 @dataclass(frozen=True)
 class World:
     """A simulated world: `make(ids, seed, **numbers)` returns a folder with truth and a tag named after each id (n,).
-
-    Further tags, as of one body, are not scored.
-    """
+    Further tags, as of one body, are not scored."""
 
     make: Callable[..., RecordingFolder]
     numbers: Mapping[str, Any] = field(default_factory=dict)
@@ -45,10 +43,8 @@ class World:
 @dataclass(frozen=True)
 class TrackerConfig:
     """A tracker of a study: its name in the catalogue, `FILE.py:NAME`, or its specification; and its settings.
-
     `tunables`: values by name or pattern, in physical units. `smooth`: RTS smoothing over the whole recording.
-    `free_height`: as the option of `track`. `every`: s, score only the last estimate of each such interval.
-    """
+    `free_height`: as the option of `track`. `every`: s, score only the last estimate of each such interval."""
 
     tracker: str | TrackerSpec
     tunables: Mapping[str, Any] = field(default_factory=dict)
@@ -89,13 +85,11 @@ def short(name: str) -> str:
 @dataclass(frozen=True)
 class Study:
     """Worlds × trackers × grid × runs. Trajectory ids are 0 … runs − 1 in all conditions, so differences are paired.
-
     The first tracker is the reference of comparisons. `grid`: names -> values; all combinations are run. A name is
     `world.` and a parameter of the worlds, a tunable's name or pattern, or several of these separated by commas.
     `measures`: the study's own metrics, functions that return one number per trajectory (n,), NaN for none. `metrics`:
     those in the report's tables. `expected(results)`: printed numbers beside ours, and conclusions. `source`: text of
-    the file that declares the study. `declared_in`: the name or file by which it was loaded.
-    """
+    the file that declares the study. `declared_in`: the name or file by which it was loaded."""
 
     name: str
     about: str
@@ -128,10 +122,7 @@ class Study:
         return math.ceil(self.runs / self.chunk)
 
     def condition(self, world: str, **point: Any) -> Condition:
-        """The condition of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
-
-        Raises KeyError where no condition or more than one agrees with it.
-        """
+        """The condition of a world at a point of the grid, as `**{"world.rate_hz": 5}`; raises KeyError."""
         matches = [c for c in self.conditions if c.world == world and point.items() <= c.point.items()]
         if len(matches) != 1:
             raise KeyError(f"{len(matches)} conditions have world '{world}' and {point}; expected one")

@@ -17,12 +17,10 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 
 class TrackedRuns(NamedTuple):
     """A tracker's estimates of n trajectories of T rows beside their truth: the argument of a study's measures.
-
     Positions: `times` (n, T) s, `estimates` and `truth` (n, T, 3) m, `covariance` (n, T, d, d) of the d estimated axes;
     NaN without an estimate, and a known height filled in. Bearings have an axis of S stations: `estimates` and `truth`
     (n, T, S, 2) rad, azimuth and elevation, `covariance` (n, T, S, 2, 2). `known`: rows with both truth and a usable
-    estimate. `status` (codes of `Status`), `nis`, `dof`: per row, and per station for bearings.
-    """
+    estimate. `status` (codes of `Status`), `nis`, `dof`: per row, and per station for bearings."""
 
     times: np.ndarray
     estimates: np.ndarray
@@ -70,12 +68,10 @@ class Masked:
     def histograms(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A sparse (n, BINS) histogram of values (n, T): flat indices and their counts."""
         first = BINS * np.arange(len(values))[:, None]
-        at = (
-            (first + bins(values)).ravel()
-            if self.all
-            else np.broadcast_to(first, values.shape)[self.valid] + bins(values[self.valid])
-        )
-        cells = np.bincount(at, minlength=0)
+        if self.all:
+            cells = np.bincount((first + bins(values)).ravel())
+        else:
+            cells = np.bincount(np.broadcast_to(first, values.shape)[self.valid] + bins(values[self.valid]))
         filled = np.flatnonzero(cells)
         return filled, cells[filled]
 
@@ -95,10 +91,8 @@ def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
-    """Arrays of n trajectories by name: each `sum` and `largest` (n,) of `Scores`, and of each kind a histogram.
-
-    The histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`.
-    """
+    """Arrays of n trajectories by name: each `sum` and `largest` (n,) of `Scores`, and of each kind a histogram. The
+    histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`."""
     n = len(tracked.estimates)
     bearing = tracked.estimates.ndim == 4
     # The rows of all stations count as rows of their trajectory.

@@ -24,10 +24,8 @@ BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 
 class Totals:
     """The totals of a condition and tracker over the chunks that are added in order, in blocks of trajectories.
-
     `measures`: name -> (n,) of all trajectories, `bounds` (2,) m, `us_per_row`. `seconds`: computing time of the chunks
-    for all trackers, compiling included; only in the totals of a condition's first tracker.
-    """
+    for all trackers, compiling included; only in the totals of a condition's first tracker."""
 
     def __init__(self, runs: int):
         self.blocks, self.runs = min(runs, BLOCKS), runs
@@ -111,10 +109,8 @@ class Results:
 
     def average(self, metric: str, pairs: Sequence[tuple[str, str]], **point: Any) -> Value:
         """The mean of a metric over pairs of world and tracker, all resampled together."""
-        replicates = [
-            self._replicated(metric, self.study.condition(world, **point), tracker) for world, tracker in pairs
-        ]
-        return _interval(np.mean([d[0] for d in replicates]), np.mean([d[1] for d in replicates], axis=0))
+        of = [self._replicated(metric, self.study.condition(world, **point), tracker) for world, tracker in pairs]
+        return _interval(np.mean([d[0] for d in of]), np.mean([d[1] for d in of], axis=0))
 
     def main_metrics(self) -> dict[str, dict[tuple[int, str], Value]]:
         """The metrics of the study's tables, each by condition and tracker."""
@@ -128,11 +124,8 @@ class Results:
 
     def without_bound(self) -> str:
         """Which trackers have no Cramér–Rao bound, and why; empty where none is asked for or all have one."""
-        without = [
-            tracker
-            for tracker in self.study.trackers
-            if all(np.isnan(self.totals[c.index, tracker].bounds[0]) for c in self.study.conditions)
-        ]
+        conditions, trackers = self.study.conditions, self.study.trackers
+        without = [t for t in trackers if all(np.isnan(self.totals[c.index, t].bounds[0]) for c in conditions)]
         if not without or not any(metric.startswith("bound") for metric in self.study.metrics):
             return ""
         return (

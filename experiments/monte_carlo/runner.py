@@ -23,9 +23,7 @@ from trackwright.experiments.monte_carlo.sources import PortableStudy
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.programs.process_settings import keep
 
-CHUNKS_PER_DEVICE = 4
-"""Chunks for which another device is used: every device compiles the trackers again."""
-
+CHUNKS_PER_DEVICE = 4  # chunks for which another device is used: every device compiles the trackers again
 Advance = Callable[..., None]
 """Progress: called with the number of finished chunks, and optionally the label of a condition."""
 
@@ -43,9 +41,8 @@ class StopRule:
         match = re.fullmatch(r"\s*(\w+)\s*(?:±|\+-|\+/-)\s*([0-9.]+)\s*%\s*", text)
         known = (*NAMES, *study.measures)
         if match is None or match[1] not in known or not 0 < float(match[2]) < 100:
-            raise UnusableInput(
-                f'--until "{text}": expected a metric and a width, as "rmse_m±1%"; metrics: {", ".join(known)}'
-            )
+            fix = f'expected a metric and a width, as "rmse_m±1%"; metrics: {", ".join(known)}'
+            raise UnusableInput(f'--until "{text}": {fix}')
         return cls(match[1], float(match[2]) / 100)
 
     def reached(self, results: Results, condition: Condition) -> bool:
@@ -55,28 +52,15 @@ class StopRule:
         return bool(known) and all(v.high - v.low <= 2 * self.half_width * abs(v.value) for v in known)
 
 
-def _no_progress(done: int, now: str = "") -> None:
-    """Ignore progress."""
-
-
 def run_study(
-    study: Study,
-    folder: Path,
-    shard: tuple[int, int] = (1, 1),
-    until: StopRule | None = None,
-    advance: Advance = _no_progress,
-    executor: Executor | None = None,
-) -> Results | None:
-    """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing.
-
-    `until` is tested after 1, 2, 4, 8 … chunks of a condition, whatever the number of devices. `executor`: runs chunks
-    in other processes, of a study loaded by name or from a file; default: threads. Raises UnusableInput for a folder of
-    another study, and for `until` with more than one shard.
-    """
+    study: Study, folder: Path, shard: tuple[int, int] = (1, 1), until: StopRule | None = None,
+    advance: Advance = lambda *_: None, executor: Executor | None = None,
+) -> Results | None:  # fmt: skip
+    """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing. `until`
+    is tested after 1, 2, 4, 8 … chunks of a condition. `executor`: default: threads. Raises UnusableInput for a folder
+    of another study, and for `until` with more than one shard."""
     if until is not None and shard != (1, 1):
-        raise UnusableInput(
-            "--until with --shard: a shard has only its own chunks; expected one of the two options; remove the other"
-        )
+        raise UnusableInput("--until with --shard: a shard has only its own chunks; expected one of the two options")
     if not (folder / IDENTITY).exists():
         require_fitting_parts(study)
     store = ChunkStore(folder, study).open()
@@ -106,7 +90,7 @@ def _run_until(
 
 
 def run_missing(
-    store: ChunkStore, parts: Sequence[Part], advance: Advance = _no_progress, executor: Executor | None = None
+    store: ChunkStore, parts: Sequence[Part], advance: Advance = lambda *_: None, executor: Executor | None = None
 ) -> None:
     """Run those of the chunks that are not in the store, on the executor or as many in parallel as the host allows."""
     study, missing = store.study, [part for part in parts if store.kept(part) is None]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import importlib
 import importlib.util
 import pkgutil
@@ -15,13 +14,11 @@ from trackwright.experiments.jobs.portable import Files, copied
 from trackwright.experiments.monte_carlo.chunk_store import first_difference, identity
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
 from trackwright.sim.worlds import WORLDS
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.core.user_file import fault_of, run_file, split_name
 from trackwright.trackers.recordings.input_file import read_toml
 
-PAPERS = "trackwright.experiments.lab.papers"
-"""In whose folders studies are looked for by name."""
-
+PAPERS = "trackwright.experiments.lab.papers"  # in whose folders studies are looked for by name
 KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}
 STUDY_KEYS = {
     "name": str, "about": str, "runs": int, "seed": int, "metrics": list,
@@ -37,14 +34,9 @@ def available_studies() -> list[str]:
 
 def _modules() -> dict[str, str]:
     """Module names by study: each module of a paper's folder, except fits and private ones."""
-    folders = [m.name for m in _modules_in(PAPERS) if m.ispkg]
-    modules = {}
-    for folder in folders:
-        for module in _modules_in(folder):
-            name = module.name.rpartition(".")[2]
-            if not name.startswith(("fit_", "_")):
-                modules[name.replace("_", "-")] = module.name
-    return modules
+    found = (m.name for folder in _modules_in(PAPERS) if folder.ispkg for m in _modules_in(folder.name))
+    named = ((module.rpartition(".")[2], module) for module in found)
+    return {name.replace("_", "-"): module for name, module in named if not name.startswith(("fit_", "_"))}
 
 
 def _modules_in(package: str) -> Iterator[pkgutil.ModuleInfo]:
@@ -52,10 +44,7 @@ def _modules_in(package: str) -> Iterator[pkgutil.ModuleInfo]:
 
 
 def load_study(what: str, tracker_files: Mapping[str, str] | None = None) -> Study:
-    """The study of a name or file; raises UnusableInput where there is none, and for one that cannot be run.
-
-    `tracker_files`: the places of users' files of trackers, by their paths in the declaration; default: these paths.
-    """
+    """The study of a name or file; raises UnusableInput. `tracker_files`: other places of users' files."""
     study = dataclasses.replace(_declared(what), declared_in=what)
     return checked(_with_trackers_from(tracker_files, study) if tracker_files else study)
 
@@ -78,11 +67,8 @@ def _declared(what: str) -> Study:
         return _from_python(path)
     modules = _modules()
     if what not in modules:
-        near = difflib.get_close_matches(what, sorted(modules), 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise UnusableInput(
-            f"study '{what}': unknown{hint}; expected a .toml or .py file or one of {', '.join(sorted(modules))}"
-        )
+        known = f"expected a .toml or .py file or one of {', '.join(sorted(modules))}"
+        raise UnusableInput(f"study '{what}': unknown{near(what, sorted(modules))}; {known}")
     module = importlib.import_module(modules[what])
     return _with_source(module, Path(str(module.__file__)))
 
@@ -90,9 +76,8 @@ def _declared(what: str) -> Study:
 def _with_source(module: Any, path: Path) -> Study:
     study = getattr(module, "STUDY", None)
     if not isinstance(study, Study):
-        raise UnusableInput(
-            f"{path}: no STUDY found; expected `STUDY = Study(...)` of trackwright.experiments.monte_carlo"
-        )
+        words = "expected `STUDY = Study(...)` of trackwright.experiments.monte_carlo"
+        raise UnusableInput(f"{path}: no STUDY found; {words}")
     return dataclasses.replace(study, source=path.read_text("utf-8"))
 
 
@@ -155,11 +140,7 @@ def _check_keys(path: Path, where: str, table: Any, keys: Mapping[str, type]) ->
 
 
 class PortableStudy(NamedTuple):
-    """The declaration of a study as it travels.
-
-    `what`: the name of a study of the package, or of its file. `files`: that file and those of users' trackers. `runs`
-    and `seed` may be others than declared.
-    """
+    """The declaration of a study as loaded by name or file; raises UnusableInput for any other one."""
 
     what: str
     files: Files
@@ -168,23 +149,16 @@ class PortableStudy(NamedTuple):
 
     @classmethod
     def of(cls, study: Study) -> PortableStudy:
-        """The declaration of a study that was loaded by name or from a file.
-
-        Raises UnusableInput for any other study, and for one that was changed since, except in `runs` and `seed`.
-        """
+        """The declaration of a study as it travels: its name or file, the users' files, runs and seed."""
         where = f"study '{study.name}'"
         if not study.declared_in:
-            raise UnusableInput(
-                f"{where}: was built in memory; expected one by name or from a file, which other processes can build "
-                "too; write it to a file and load it with load_study"
-            )
+            fix = "expected one that other processes can build; write it to a file and load it with load_study"
+            raise UnusableInput(f"{where}: was built in memory; {fix}")
         again = _numbered(load_study(study.declared_in), study.runs, study.seed)
         difference = first_difference(identity(again), identity(study))
         if difference:
-            raise UnusableInput(
-                f"{where}: differs from its declaration {study.declared_in} ({difference}); expected the same, since "
-                "other processes build it from there; write the change to the file"
-            )
+            fix = "expected the same, since other processes build it from there; write the change to the file"
+            raise UnusableInput(f"{where}: differs from its declaration {study.declared_in} ({difference}); {fix}")
         names = [config.tracker for config in study.trackers.values() if isinstance(config.tracker, str)]
         trackers = sorted({file for file, _ in map(split_name, names) if file})
         files = {file: Path(file).read_text("utf-8") for file in trackers}

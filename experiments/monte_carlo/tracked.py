@@ -16,17 +16,14 @@ from trackwright.trackers.recordings.tracks import angles
 from trackwright.trackers.recordings.trajectories import Trajectories
 from trackwright.trackers.recordings.truth import TruthStatus
 
-ROWS_AT_ONCE = 65_536
-"""Rows that are scored together: their numbers fit the processor's cache."""
+ROWS_AT_ONCE = 65_536  # rows that are scored together: their numbers fit the processor's cache
 
 
 class Group(NamedTuple):
-    """Estimates of trajectories that one tracker ran, beside their rows.
-
-    `number`, `station` (n,): of each trajectory, the place of its id in the chunk and of its station among the chunk's.
-    `rows` (n, T) s: the times of the rows; `truth` (n, T, 3) m or (n, T, 2) rad and `known` (n, T), whether there is
-    one, at the times for which the estimates are valid.
-    """
+    """Estimates of trajectories that one tracker ran, beside their rows. `number`, `station` (n,): of each trajectory,
+    the place of its id in the chunk and of its station among the chunk's. `rows` (n, T) s: the times of the rows;
+    `truth` (n, T, 3) m or (n, T, 2) rad and `known` (n, T), whether there is one, at the times for which the estimates
+    are valid."""
 
     trajectories: Trajectories
     estimates: Estimates
@@ -38,10 +35,8 @@ class Group(NamedTuple):
 
 
 class TrackedChunk:
-    """The estimates of all trajectories of a chunk.
-
-    `planar`: whether all positions are. `every`: the interval, s, in which only a trajectory's last row is scored.
-    """
+    """The estimates of all trajectories of a chunk. `planar`: whether all positions are. `every`: the interval, s, in
+    which only a trajectory's last row is scored."""
 
     def __init__(self, ids: np.ndarray, tracked: Sequence[tuple[Trajectories, Estimates]], planar: bool, every: Any):
         if not tracked:
@@ -52,11 +47,10 @@ class TrackedChunk:
         for trajectories, estimates in tracked:
             rows = trajectories.columns.padded(trajectories.columns.times)
             estimates = estimates[: len(trajectories)].rows(slice(0, rows.shape[1]))
-            at = (
-                np.array([number[tag] for tag in trajectories.tags]),
-                np.array([stations.index(s) for s in trajectories.stations]),
-            )
-            self.groups.append(Group(trajectories, estimates, *at, rows, *_truth(trajectories, estimates, rows)))
+            both = zip(trajectories.tags, trajectories.stations, strict=True)
+            tag, station = np.array([(number[tag], stations.index(station)) for tag, station in both]).T
+            truth = _truth(trajectories, estimates, rows)
+            self.groups.append(Group(trajectories, estimates, tag, station, rows, *truth))
         self.folder, self.every = self.groups[0].trajectories.folders[0], every
         self.bearing, self.size, self.stations = bool(stations[0]), len(ids), len(stations)
         self.axes = 2 if self.bearing or planar else 3
@@ -90,13 +84,9 @@ class TrackedChunk:
             which = _slice_of(which)
             group_estimates, rows = group.estimates[which], group.rows[which]
             group_estimates = replace(group_estimates, status=np.ascontiguousarray(group_estimates.status))
-            one_station = (station == station[0]).all()
             # Slices where they do: an index for each trajectory takes five times as long.
-            at: Any = (
-                (_slice_of(tag), slice(0, rows.shape[1]), station[0])
-                if one_station
-                else (tag, slice(0, rows.shape[1]), station)
-            )
+            own = (_slice_of(tag), station[0]) if (station == station[0]).all() else (tag, station)
+            at: Any = (own[0], slice(0, rows.shape[1]), own[1])
             times[at[:2]] = group_estimates.valid_times(rows)
             status[at], nis[at], dof[at] = group_estimates.status, group_estimates.nis, group_estimates.nis_dof
             usable = group_estimates.usable
@@ -132,9 +122,8 @@ def _position(trajectories: Trajectories, estimates: Estimates, which: Any) -> l
         angle = angles(estimates)
         return [angle["azimuth_rad"], angle["elevation_rad"]]
     axes = [np.asarray(x) for x in estimates.mean.position]
-    return (
-        axes if len(axes) == 3 else [*axes, np.broadcast_to(trajectories.heights[which, None], estimates.status.shape)]
-    )
+    height = [np.broadcast_to(trajectories.heights[which, None], estimates.status.shape)] if len(axes) < 3 else []
+    return axes + height
 
 
 def _covariance(bearing: bool, estimates: Estimates) -> list[list[np.ndarray]]:
@@ -147,10 +136,7 @@ def _covariance(bearing: bool, estimates: Estimates) -> list[list[np.ndarray]]:
 
 
 def _truth(trajectories: Trajectories, estimates: Estimates, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The truth where the estimates of `rows` (n, T) are valid, (n, T, 3) m or (n, T, 2) rad, and where there is one.
-
-    Heights may be NaN.
-    """
+    """The truth (n, T, 3) m or (n, T, 2) rad where the estimates of `rows` (n, T) are valid, and where it is known."""
     columns = trajectories.columns
     if trajectories.stations[0]:
         values, known = columns.truth["direction"]
@@ -165,14 +151,10 @@ def _truth(trajectories: Trajectories, estimates: Estimates, rows: np.ndarray) -
 
 def _scored_rows(estimates: Estimates, rows: np.ndarray, known: np.ndarray, every: float | None) -> np.ndarray:
     """The rows (n, T) that are scored, of the `known` ones: the last of each time `rows` (n, T) and of `every` seconds.
-
-    A time counts where it has an estimate: see `Estimates.status_per_time`.
-    """
-    last = estimates.last_rows(rows)
-    usable = np.zeros(last.shape, bool)
-    if np.array_equal(last, estimates.status != Status.PADDING):
-        usable = estimates.usable
-    else:
+    A time counts where it has an estimate: see `Estimates.status_per_time`."""
+    last, usable = estimates.last_rows(rows), estimates.usable
+    if not np.array_equal(last, estimates.status != Status.PADDING):
+        usable = np.zeros(last.shape, bool)
         usable[last] = is_usable(estimates.status_per_time(last))
     known = known & usable
     if every is None:

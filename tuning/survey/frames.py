@@ -18,10 +18,8 @@ EXACT, ASIDE, UNLIKELY = 1e-3, 0.1, 4.0
 
 
 def aligned(points: np.ndarray, onto: np.ndarray, d: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The rotation or reflection (3, 3) and shift (3,) of d coordinates of points (k, 3) onto others (Kabsch 1976).
-
-    Two of them where the points are in a plane, which its mirror image fits as well.
-    """
+    """The rotation or reflection (3, 3) and shift (3,) of d coordinates of points (k, 3) onto others (Kabsch 1976), two
+    of a plane."""
     a, b = points[:, :d], onto[:, :d]
     left, sizes, right = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
     moves = []
@@ -51,9 +49,7 @@ def framed(
     given: Sequence[str], sigma: float, frame: Sequence[str],
 ) -> tuple[Solution, Prior, list[str]]:  # fmt: skip
     """The solution among the given anchors or in the frame of three, the prior with what that fixes, and assumptions.
-
-    `known` (A, 3): positions, m, of the given ones, of standard deviation `sigma`, m.
-    """
+    `known` (A, 3): positions, m, of the given ones, of standard deviation `sigma`, m."""
     flat, anchors = any(walk.height is not None for walk in walks), solution.anchors[:, :3]
     d, free, mean, precision = 2 if flat else 3, prior.free.reshape(-1, 4).copy(), prior.mean.copy(), prior.precision
     target, notes = known.copy(), []
@@ -91,11 +87,8 @@ def framed(
 def sided(
     walks: Sequence[Walk], solution: Solution, known: np.ndarray, free: Bool[np.ndarray, "A 4"], effect: float
 ) -> tuple[Solution, Bool[np.ndarray, " A"]]:
-    """The solution with anchors on the likely side of the walk's plane, and of which the other side fits as well.
-
-    That side is where the rig has an anchor, `known` (A, 3), NaN where it does not, and otherwise above. Anchors whose
-    heights are not `free` have no other side.
-    """
+    """The solution with anchors on the likely side of the walk's plane, that of `known` (A, 3), else above, and for
+    which the other side fits as well. Anchors whose heights are not `free` have no other side."""
     at = tags(walks, solution)
     centre = at.mean(axis=0)
     normal = np.linalg.svd(at[:: max(1, len(at) // 2000)] - centre, full_matrices=False)[2][-1]
@@ -132,9 +125,7 @@ def covariance_of(walks: Sequence[Walk], solution: Solution, prior: Prior, effec
 
 def between(minima: Sequence[Solution], effect: float, d: int) -> Float[np.ndarray, " U"]:
     """The variances, m², of the unknowns by the distances between minima of the cost that are about equally likely.
-
-    `d`: the coordinates of the frame; images above and below a known height of tags `mirrored` states.
-    """
+    `d`: the coordinates of the frame; images above and below a known height of tags `mirrored` states."""
     best, variances = minima[0].anchors, np.zeros_like(minima[0].anchors)
     for other in (x.anchors for x in minima if (x.cost - minima[0].cost) / effect < UNLIKELY):
         moves = aligned(other[:, :3], best[:, :3], d)

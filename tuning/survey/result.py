@@ -29,14 +29,12 @@ DELAY_DETERMINED = 0.7 * NORMAL * np.hypot(COMMON_DELAY, OWN_DELAY)
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Survey:
-    """Anchors with their positions and delays.
-
-    `names` (A,); `positions` (A, 3) m; `delays` (A,) m; `covariance` (4A, 4A), m²: of x, y, z and delay of each anchor
-    in turn, zero where the frame or exact values fix them. `mirrored` (A,): whether the mirror image of the anchor on
-    the other side of the walk's plane fits as well. `rms`, m, and `readings` (A,): of errors. `effect`: by how much
-    errors that last widen variances. `paths`: positions (n, 3), m, of the tag in each walk. `rig`: that of the first
-    recording with these anchors, rounded to 0.1 mm. `notes`: what was assumed, a line each.
-    """
+    """Anchors with their positions and delays. `names` (A,); `positions` (A, 3) m; `delays` (A,) m; `covariance` (4A,
+    4A), m²: of x, y, z and delay of each anchor in turn, zero where the frame or exact values fix them. `mirrored`
+    (A,): whether the mirror image of the anchor on the other side of the walk's plane fits as well. `rms`, m, and
+    `readings` (A,): of errors. `effect`: by how much errors that last widen variances. `paths`: positions (n, 3), m, of
+    the tag in each walk. `rig`: that of the first recording with these anchors, rounded to 0.1 mm. `notes`: what was
+    assumed, a line each."""
 
     names: tuple[str, ...]
     positions: Float[np.ndarray, "A 3"]
@@ -64,8 +62,7 @@ class Survey:
     def verdict(self, name: str) -> str:
         """Whether an anchor is determined, and otherwise what walk would determine it; raises UnusableInput."""
         if name not in self.names:
-            words = f"expected one of {listed(self.names, 12)}; correct its id"
-            raise UnusableInput(f"{name!r}: no anchor of the survey; {words}")
+            raise UnusableInput(f"{name!r}: no anchor of the survey; expected one of {listed(self.names, 12)}")
         k = self.names.index(name)
         what = ("x, y", "above or below the walk" if self.mirrored[k] else "height")
         unknown, weak = ([x for x, at in zip(what, self._extents(k), strict=True) if low < at <= high]
@@ -101,10 +98,8 @@ class Survey:
     @property
     def reading(self) -> str:
         """How to read the rows."""
-        return (
-            "± half the 95 % interval; in parentheses: not determined. As errors are correlated in time, intervals are "
-            f"{self.effect**0.5:.1f} times as wide as with independent ones."
-        )
+        wide = f"intervals are {self.effect**0.5:.1f} times as wide as with independent ones."
+        return f"± half the 95 % interval; in parentheses: not determined. As errors are correlated in time, {wide}"
 
     def __str__(self) -> str:
         rows = [list(self.head), *self.rows()]

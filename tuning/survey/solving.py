@@ -18,9 +18,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from trackwright.tuning.survey.walks import LEAST_SCALE, Walk
 
-DOF = 4.0
-"""Degrees of freedom of Student's t of the errors."""
-
+DOF = 4.0  # degrees of freedom of Student's t of the errors
 FISHER = (DOF + 1.0) / (DOF + 3.0)
 """The information of a range with errors of Student's t, in that of a normal one of the same scale."""
 
@@ -28,17 +26,13 @@ LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
 """Pieces of time, s, and edges of cubes, m, over which errors may be the same."""
 
 PROBES, STEPS, CONVERGED = 12, 60, 1e-4
-RIDGE = 1e-6
-"""Information, m⁻², of each coefficient of a path: for directions that no range determines."""
+RIDGE = 1e-6  # information, m⁻², of each coefficient of a path: for directions that no range determines
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Positions and delays of anchors, m, the coefficients (knots, d) of each walk's path, m, and noise levels.
-
-    `scales`: of errors, m. `densities`: of accelerations, m²/s³. `cost`: the negative log-likelihood, marginal over the
-    paths, linearised.
-    """
+    """Positions and delays of anchors, m, the coefficients (knots, d) of each walk's path, m, scales of errors, m,
+    densities of accelerations, m²/s³, and `cost`: the negative log-likelihood, marginal over the paths, linearised."""
 
     anchors: Float[np.ndarray, "A 4"]
     paths: Sequence[np.ndarray]
@@ -57,11 +51,9 @@ class Prior:
 
 
 class Equations(NamedTuple):
-    """All n ranges at a solution: residuals (n,), m, their weights, and derivatives by anchors and by paths.
-
-    `factor`: of the paths' information. `slopes` (M, U) and `step` (M,): how far paths move with anchors, and without.
-    `system` (U, U), `gradient` (U,): the information of anchors with the paths eliminated, without the prior.
-    """
+    """All n ranges at a solution: residuals (n,), m, their weights, and derivatives by anchors and by paths. `factor`:
+    of the paths' information. `slopes` (M, U) and `step` (M,): how far paths move with anchors, and without. `system`
+    (U, U), `gradient` (U,): the information of anchors with the paths eliminated, without the prior."""
 
     residuals: np.ndarray
     weights: np.ndarray
@@ -81,9 +73,7 @@ def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
 
 def equations(walks: Sequence[Walk], solution: Solution, damping: float = 0.0, expected: bool = False) -> Equations:
     """The equations at a solution; `damping`: the share by which the diagonal of the paths' information grows.
-
-    `expected`: with the weights that errors of the solution's scales have on average.
-    """
+    `expected`: with the weights that errors of the solution's scales have on average."""
     parts = [walk.linearised(solution.anchors, path) for walk, path in zip(walks, solution.paths, strict=True)]
     residuals, partial = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
     scales = solution.scales[anchors_of(walks)]
@@ -170,9 +160,8 @@ def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
     # Draws from the density of the paths at these anchors.
     noise = found.along.T @ (np.sqrt(found.weights)[:, None] * random.standard_normal((len(number), PROBES)))
     bending = [walk.bending / np.sqrt(q) for walk, q in zip(walks, solution.densities, strict=True)]
-    drawn = found.factor.solve(
-        noise + np.concatenate([b @ random.standard_normal((b.shape[1], PROBES)) for b in bending])
-    )
+    shaken = np.concatenate([b @ random.standard_normal((b.shape[1], PROBES)) for b in bending])
+    drawn = found.factor.solve(noise + shaken)
     leverage = found.weights * ((found.along @ drawn) ** 2).mean(axis=1)
     squares = np.bincount(number, found.weights * found.residuals**2, len(solution.scales))
     # Four unknowns of each anchor are fitted to its ranges, too.
@@ -188,11 +177,9 @@ def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
 
 
 def design_effect(walks: Sequence[Walk], solution: Solution, free: Bool[np.ndarray, " U"]) -> float:
-    """By how much the scatter of the scores exceeds that of independent errors; at least 1.
-
-    Errors last: scores are summed over pieces of time and over cubes, each of one anchor (Cameron and
-    Miller 2015), and the largest scatter counts. Paths take up the errors that all anchors could share with a motion.
-    """
+    """By how much the scatter of the scores exceeds that of independent errors; at least 1. Errors last: scores are
+    summed over pieces of time and over cubes, each of one anchor (Cameron and Miller 2015), and the largest scatter
+    counts. Paths take up the errors that all anchors could share with a motion."""
     found = equations(walks, solution)
     values, vectors = np.linalg.eigh(found.system[np.ix_(free, free)])
     kept = values > 1e-6 * values[-1]

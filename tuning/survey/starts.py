@@ -169,10 +169,7 @@ def polished(walks: Sequence[Walk], solution: Solution, prior: Prior, random: np
 
 
 def multistart(walks: Sequence[Walk], known: np.ndarray, prior: Prior, random: np.random.Generator) -> list[Solution]:
-    """The best solutions from many starts, in any frame, that of least cost first; none where there is no start.
-
-    `known` (A, 3): positions, m, that are one more start where all are there.
-    """
+    """The best solutions from many starts, of least cost first; `known` (A, 3), m, is one more, where all are there."""
     # A walk of known height gives the vertical.
     longest = sorted(range(len(walks)), key=lambda k: (walks[k].height is None, -len(walks[k].values)))[:2]
     starts = [(first, places) for first in longest for places in distance_geometry(walks[first], len(known), random)]

@@ -93,10 +93,12 @@ def _prepared(
     where, rig, of_frame = _where(folders), folders[0].rig, f"frame {','.join(frame)}"
     _require(0 <= sigma < np.inf, f"sigma {sigma:g}: expected metres above zero, or 0 for exact positions")
     _require(given or not sigma, f"sigma {sigma:g}: is that of given positions; expected some; name them as given")
-    words = f"expected metres, {HIGHEST:g} at most; correct the height of the tags"
-    _require(height is None or abs(height) <= HIGHEST, f"height {height}: {words}")
-    words = "expected three different anchors, as A1,A2,A3; name three"
-    _require(not frame or len(frame) == len(set(frame)) == 3, f"{of_frame}: {words}")
+    _require(
+        height is None or abs(height) <= HIGHEST, f"height {height}: expected metres, {HIGHEST:g} at most; correct it"
+    )
+    _require(
+        not frame or len({*frame}) == len(frame) == 3, f"{of_frame}: expected three different anchors, as A1,A2,A3"
+    )
     _require(not frame or not given, f"{of_frame}: given anchors are a frame; expected one of the two; leave one out")
     ranged = [folder for folder in folders if "ranges" in folder.tables]
     _require(ranged, f"{where}: no table ranges; expected ranges of a tag to anchors; give such a recording")
@@ -104,11 +106,10 @@ def _prepared(
     _require(len(names) >= 4, f"{where}: ranges of {len(names)} anchors; expected 4 at least; survey more")
     given = tuple(names) if given == ("all",) else given
     for name in (*given, *frame):
-        words = f"has no readings; expected some of {listed(names, 12)}; correct its id"
-        _require(name in names, f"anchor {name!r} {words}")
+        known = listed(names, 12)
+        _require(name in names, f"anchor {name!r} has no readings; expected some of {known}; correct its id")
     for name in given:
-        words = f"rig.toml has no anchor {name}; expected those given; add its position"
-        _require(name in rig.anchors, f"{rig.name}: {words}")
+        _require(name in rig.anchors, f"{rig.name}: rig.toml has no anchor {name}; add the position of what is given")
     walks = walks_of(ranged, names, height)
     seen = np.bincount(anchors_of(walks), minlength=len(names)) if walks else np.zeros(len(names), int)
     words = f"{seen.min()} readings of {names[int(np.argmin(seen))]} without gaps; expected {LEAST_RANGES} at least"

@@ -25,10 +25,7 @@ LEVEL, LEAST_SCALE, LEAST_RANGES = 0.1, 0.01, 20
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """n ranges of a tag between gaps: `times` s, `values` m, and the numbers of the `anchor` of each (n,).
-
-    `height`: of the tag, m, where it is known and constant; its path then has two coordinates instead of three.
-    """
+    """n ranges of a tag between gaps: `times` s, `values` m, `anchor` numbers (n,); the `height` that is known, m."""
 
     recording: str
     tag: str
