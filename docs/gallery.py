@@ -41,8 +41,8 @@ study noise.toml --out study
 """
 
 MADE = {
-    "track": ("track/report.html", "track/consistency.png"),
-    "calibrate": ("calibrate/calibration.html", "calibrate/calibration-stations-floor.png"),
+    "track": ("track/report.html", "track/nees-over-time.png"),
+    "calibrate": ("calibrate/calibration.html", "calibrate/calibration-stations-floor-1-azimuth.png"),
     "study": ("study/report.html", "study/rmse_m.png"),
 }
 """The page of each command, and the figure that stands for it where no page can be shown."""

@@ -61,12 +61,14 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
 
     folders = prepared(checked(read_recordings(recordings), force, calibrated=True), ReadingOptions())
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
+    from trackwright.experiments.pages.charts.style import write_charts
     from trackwright.experiments.pages.reports.calibration import (
-        draw_report,
+        calibration_charts,
         report_on,
         report_text,
         write_calibration_report,
     )
+    from trackwright.experiments.text.wording import figures_drawn
     from trackwright.trackers.recordings.calibration import write_calibration
     from trackwright.tuning.calibrating import calibrate
 
@@ -74,10 +76,13 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
     output_folder(out.parent)
     report = report_on(calibration, folders)
     write_calibration(calibration, out)
-    drawn = draw_report(out, calibration, report)
-    page = write_calibration_report(out, calibration, report, sys.argv)
+    charts = calibration_charts(calibration, report)
+    drawn = write_charts(
+        out.parent, [one for pair in charts.values() for of in pair for one in of], "png", f"{out.stem}-"
+    )
+    page = write_calibration_report(out, calibration, report, charts, sys.argv)
     with json_alone(json) as put:
         print(report_text(report), end="")
-        print(f"wrote {out}, {page.name} and {', '.join(drawn)}")
+        print(f"wrote {out}, {page.name} and {figures_drawn(drawn)}")
         put(tomllib.loads(out.read_text("utf-8")))
     return 0

@@ -57,7 +57,8 @@ def print_comparison(
     """Prints the comparison of the runs in these folders, and writes its page and figures into the folder `out`.
     `kind`: the ending of the figures, None for none. `playback`: another page beside it, which it names."""
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
-    from trackwright.experiments.pages.charts.comparison import comparison_charts, plot_comparison
+    from trackwright.experiments.pages.charts.comparison import comparison_charts
+    from trackwright.experiments.pages.charts.style import write_charts
     from trackwright.experiments.pages.reports.comparison import (
         comparison,
         comparison_text,
@@ -79,12 +80,12 @@ def print_comparison(
     if out is None:
         return
     path = output_folder(out) / COMPARISON
-    written = [] if kind is None else plot_comparison(path, runs, contrasts, kind)
+    charts = comparison_charts(runs, contrasts)
+    written = [] if kind is None else write_charts(out, charts, kind, f"{path.stem}-")
     if page:
-        charts = comparison_charts(runs, contrasts)
-        written.insert(0, write_comparison(path, [run.name for run in runs], tables, charts, sys.argv, playback))
+        written.insert(0, write_comparison(path, [run.name for run in runs], tables, charts, sys.argv, playback).name)
     if written and not json:
-        print(f"wrote {', '.join([str(written[0]), *(path.name for path in written[1:])])}")
+        print(f"wrote {', '.join([str(out / written[0]), *written[1:]])}")
 
 
 def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int:

@@ -276,7 +276,7 @@ class TuneOptions(TrackerOptions):
         check: exit code 1 where the verdict is worse: the log density of true positions of left-out recordings fell.
         no_figures: draw no figure.
         no_report: write no report.html.
-        format: of the figure, tuning.png or tuning.pdf.
+        format: of the figures, png or pdf.
         json: print the content of tuned.toml as JSON instead of tables.
     """
 

@@ -53,7 +53,7 @@ def study(
     from trackwright.experiments.monte_carlo.declaration import checked
     from trackwright.experiments.monte_carlo.runner import StopRule, run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
-    from trackwright.experiments.pages.charts.study import write_charts
+    from trackwright.experiments.pages.charts.style import write_charts
     from trackwright.experiments.pages.reports.study import study_charts, write_study_report
     from trackwright.experiments.pages.reports.study_text import study_names, to_json, to_text
     from trackwright.experiments.text.terminal import notice, progress

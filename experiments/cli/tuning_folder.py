@@ -18,7 +18,7 @@ from trackwright.experiments.cli.console import FoldersInTurn
 from trackwright.experiments.cli.options import TuneOptions
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
-from trackwright.experiments.pages.charts.tuning import tuning_trace
+from trackwright.experiments.pages.charts.tuning import write_trace
 from trackwright.experiments.pages.reports.before_after import (
     MOST_PLANS,
     Compared,
@@ -135,7 +135,7 @@ def _write_run(
     content = compared.content() | tuned_content(fitted.named.name, objective, result, intervals, calibration_id)
     write_tuned(out / "tuned.toml", content)
     figures = None if options.no_figures else options.format
-    _write_trace(out, result, objective, unit, figures)
+    drawn = _write_trace(out, result, objective, unit, figures)
     issues, cautions = list[IdentifiabilityIssue](), without_intervals(result.uncertainty, intervals)
     if result.uncertainty is not None:
         gradients, cautions = result.evaluation.term_gradients, [*result.cautions, *cautions]
@@ -144,9 +144,7 @@ def _write_run(
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
     use += "" if calibration is None else f" --calibration {calibration}"
     use += "" if average is None else f" --average {average:g}"
-    written = ["trace.csv", "manifest.json"]
-    if figures is not None:
-        written.insert(1, f"tuning.{figures}")
+    written = ["trace.csv", *drawn, "manifest.json"]
     if not options.no_report:
         written.insert(0, "report.html")
         known = collect(result, fitted.reported, objective, intervals, issues)
@@ -186,7 +184,8 @@ def _notes(data: FitData, result: FitResult, reported: FitData) -> Iterator[str]
         yield f"{result.n_excluded} of {len(data.training)} segments were excluded."
 
 
-def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure: str | None) -> None:
+def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure: str | None) -> list[str]:
+    """Writes the table of the steps and, where asked for, its figures; returns the names of these."""
     trace = result.trace
     columns: dict[str, list[float]] = {
         objective: [s.value for s in trace],
@@ -203,9 +202,9 @@ def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure
             drawn[label], units[label] = parts[:, k], parameter.example.unit
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
     if figure is None:
-        return
+        return []
     names = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
-    tuning_trace(out / f"tuning.{figure}", np.array(columns[objective]), drawn, units, names.get(objective, objective))
+    return write_trace(out, figure, np.array(columns[objective]), drawn, units, names.get(objective, objective))
 
 
 def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:

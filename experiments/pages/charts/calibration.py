@@ -1,36 +1,29 @@
-"""Charts of a calibration: measured against true values of each station or anchor, and errors over the floor.
-
-Those with a path write one PNG, whole or not at all, and raise UnusableInput where it can't be written.
-"""
+"""Charts of a calibration: measured against true values of each station or anchor, and errors over the floor."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 
 from trackwright.experiments.pages.charts.style import (
     BEFORE,
     BLACK,
     BLUE,
     GREY,
+    NARROW,
     VERMILION,
     Chart,
-    figure_file,
     legend_above,
     literal,
-    svg_address,
-    write_panels,
 )
 
-POINTS, PAGE_POINTS = 1500, 500
-"""The most rows drawn of a source, before and after each, in a file and on a page: evenly spaced ones."""
+POINTS = 500
+"""The most rows drawn of a source, before and after each: evenly spaced ones."""
 
 DEGREES = float(np.rad2deg(1.0))
 
@@ -58,26 +51,19 @@ class Panel(NamedTuple):
     sigma: np.ndarray
 
 
-def measured_against_true(path: Path, panels: Sequence[Panel], columns: int, title: str) -> None:
+def reading_chart(panel: Panel, kind: str) -> Chart:
     """Readings before and after calibration against true values, with the fit and its 95 % interval."""
-    size = 3.3 * columns + 0.4, 2.7 * -(-len(panels) // columns) + 0.9
-    drawings = [partial(_readings, panel=panel, most=POINTS) for panel in panels]
-    write_panels(path, drawings, size, title, columns, legend=5)
-
-
-def reading_chart(panel: Panel) -> Chart:
-    """A panel of `measured_against_true` for a page."""
 
     def draw(axes: Axes) -> None:
-        _readings(axes, panel, PAGE_POINTS)
+        _readings(axes, panel)
         axes.set_title(axes.get_title("left"), pad=30)
         legend_above(axes, 3)
 
-    return Chart("readings", f"{panel.name}: {panel.quantity}", draw)
+    return Chart(f"{kind}-{panel.name}-{panel.quantity}", f"{panel.name}: {panel.quantity}", draw)
 
 
-def _readings(axes: Axes, panel: Panel, most: int) -> None:
-    part = slice(None, None, -(-len(panel.true) // most))
+def _readings(axes: Axes, panel: Panel) -> None:
+    part = slice(None, None, -(-len(panel.true) // POINTS))
     factor, unit = (DEGREES, "°") if panel.is_angle else (1.0, "m")
     true, at = factor * panel.true[part], factor * panel.at
     # Errors of a few centimetres of ranges of metres are visible only by themselves.
@@ -96,44 +82,25 @@ def _readings(axes: Axes, panel: Panel, most: int) -> None:
     axes.set_title(literal(f"{panel.name}: {panel.quantity}"))
 
 
-def errors_over_floor(path: Path, panels: Sequence[Panel], columns: int, title: str) -> None:
-    """Median errors after calibration over the floor, in squares."""
-    with figure_file(path, *_floor_size(panels, columns), title) as figure:
-        _draw_floor(figure, panels, columns)
-
-
-def floor_image(panels: Sequence[Panel], columns: int) -> str:
-    """The address of the figure of `errors_over_floor` as an image."""
-    return svg_address(lambda figure: _draw_floor(figure, panels, columns), *_floor_size(panels, columns))
-
-
-def _floor_size(panels: Sequence[Panel], columns: int) -> tuple[float, float]:
-    """Width and height in inches."""
-    width, height = np.ptp(np.concatenate([panel.positions for panel in panels]), axis=0)
-    tall = 3.3 * float(np.clip(height / max(width, 1e-3), 0.35, 1.5))
-    return 3.3 * columns + 1.0, (tall + 0.5) * -(-len(panels) // columns) + 0.6
-
-
-def _draw_floor(figure: Figure, panels: Sequence[Panel], columns: int) -> None:
+def floor_charts(panels: Sequence[Panel], kind: str) -> list[Chart]:
+    """Median errors after calibration over the floor, in squares, a chart for each panel, all with one scale."""
     squares = np.floor(np.concatenate([panel.positions for panel in panels]) / SQUARE).astype(int)
     edges = [np.arange(x.min(), x.max() + 2) * SQUARE for x in squares.T]
     medians = [_medians(panel, edges) for panel in panels]
     largest = float(np.nanquantile(np.abs(np.concatenate([m.ravel() for m in medians])), 0.97)) or 1.0
-    grid = figure.subplots(-(-len(panels) // columns), columns, squeeze=False, sharex=True, sharey=True)
-    norm, mesh = Normalize(-largest, largest), None
-    for axes, panel, values in zip(grid.flat, panels, medians, strict=False):
-        mesh = axes.pcolormesh(*edges, values.T, cmap="RdBu_r", norm=norm)
-        axes.set_aspect("equal")
+
+    def draw(axes: Axes, panel: Panel, values: np.ndarray) -> None:
+        mesh = axes.pcolormesh(*edges, values.T, cmap="RdBu_r", norm=Normalize(-largest, largest))
+        axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
         axes.set_title(literal(f"{panel.name}: {panel.quantity}"))
-    for axes in grid.flat[len(panels) :]:
-        axes.set_axis_off()
-    for axes in grid[-1]:
-        axes.set_xlabel("x (m)")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("y (m)")
-    assert mesh is not None
-    bar = figure.colorbar(mesh, ax=grid, shrink=0.6, extend="both")
-    bar.set_label(f"median error after calibration ({'°' if panels[0].is_angle else 'm'})", color=GREY)
+        bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8, extend="both")
+        bar.set_label(f"median error ({'°' if panel.is_angle else 'm'})", color=GREY)
+
+    return [
+        Chart(f"{kind}-floor-{panel.name}-{panel.quantity}", f"{panel.name}: {panel.quantity}",
+              partial(draw, panel=panel, values=values), NARROW, None)
+        for panel, values in zip(panels, medians, strict=True)
+    ]  # fmt: skip
 
 
 def _medians(panel: Panel, edges: Sequence[np.ndarray]) -> np.ndarray:

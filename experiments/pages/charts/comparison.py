@@ -4,24 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
 from trackwright.experiments.pages.charts.floor import draw_plan, track_paths, true_path
-from trackwright.experiments.pages.charts.style import (
-    BLACK,
-    LINES,
-    Chart,
-    Draw,
-    legend_above,
-    literal,
-    plain,
-    write_panels,
-)
+from trackwright.experiments.pages.charts.style import BLACK, LINES, Chart, legend_above, literal, plain
 from trackwright.experiments.pages.reports.comparison import Contrast
 from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
 from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
@@ -37,47 +26,25 @@ MOST_POINTS = 2000
 """Errors of a violin."""
 
 
-def plot_comparison(
-    page: Path, runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast], kind: str = "png"
-) -> list[Path]:
-    """Writes the figures beside the page, with its name before theirs; returns their paths.
-
-    `kind`: the ending of the files, png or pdf.
-    """
-    panels: dict[str, list[Draw]] = {}
-    for chart in comparison_charts(runs, contrasts, plan_legends=False):
-        panels.setdefault(chart.name, []).append(chart.draw)
-    high = 1.2 + 0.28 * len({contrast.subject for contrast in contrasts})
-    looks: dict[str, dict[str, Any]] = {
-        "errors": {"size": (9.5, 4.0), "columns": 2},
-        "floor_plans": {"size": None, "columns": len(runs), "legend": 5, "sharex": "row", "sharey": "row"},
-        "differences": {"size": (7.5, high)},
-    }
-    return [
-        write_panels(page.with_name(f"{page.stem}-{name}.{kind}"), drawings, **looks[name])
-        for name, drawings in panels.items()
-    ]
-
-
-def comparison_charts(
-    runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast], plan_legends: bool = True
-) -> list[Chart]:
-    """The same figures for a page, a chart for each panel. `plan_legends`: whether each floor plan has a legend."""
+def comparison_charts(runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast]) -> list[Chart]:
+    """The charts of the page, which are files beside it, too."""
     tracks = [run for run in runs if isinstance(run, TrackRun) and run.errors]
     if not tracks:
         wanted = bool(contrasts) and isinstance(runs[0], StudyRun)
         return [Chart("differences", "Differences", partial(_draw_intervals, contrasts=contrasts))] if wanted else []
     furthest, unit = _scale(tracks)
-    of_errors = {"Distribution of errors": _draw_distributions, "Boxes of errors": _draw_violins}
+    of_errors = {"errors": ("Distribution of errors", _draw_distributions), "boxes": ("Boxes of errors", _draw_violins)}
     charts = [
-        Chart("errors", title, partial(draw, runs=tracks, furthest=furthest, unit=unit))
-        for title, draw in of_errors.items()
+        Chart(name, title, partial(draw, runs=tracks, furthest=furthest, unit=unit))
+        for name, (title, draw) in of_errors.items()
     ]
     plans = [run for run in tracks if not run.bearing]
     for name, why in _planned(plans).items():
         for run, colour in zip(plans, _colours(len(plans)), strict=True):
-            draw = partial(_draw_plan, run=run, name=name, colour=colour, why=why, legend=plan_legends)
-            charts.append(Chart("floor_plans", f"Floor plan of {name} by {run.name}", draw, height=None))
+            draw = partial(_draw_plan, run=run, name=name, colour=colour, why=why)
+            charts.append(
+                Chart(f"floor_plan-{name}-{run.name}", f"Floor plan of {name} by {run.name}", draw, height=None)
+            )
     return charts
 
 
@@ -142,7 +109,7 @@ def _planned(runs: Sequence[TrackRun]) -> dict[str, str]:
     return {names[k]: f"{why} by {runs[0].name}" if why else "" for k, why in chosen.items()}
 
 
-def _draw_plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str, legend: bool) -> None:
+def _draw_plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str) -> None:
     """Estimates in the run's colour over the truth, with anchors, stations and their names."""
     assert run.association is not None
     (scored,) = ScoredTracks(run.association.of_recording(name), [run.recordings[name]], ()).recordings
@@ -152,9 +119,8 @@ def _draw_plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str, lege
     truths = [truth for k in shown for truth in true_path(scored, k)]
     draw_plan(axes, paths, truths, scored.folder.rig, around_estimates=False)
     title = literal(f"{run.name}, {name}" + (f",\n{why}" if why else ""))
-    axes.set_title(title, fontsize=8.5, pad=30 if legend else None)
-    if legend:
-        legend_above(axes, 3)
+    axes.set_title(title, fontsize=8.5, pad=30)
+    legend_above(axes, 3)
 
 
 def _draw_intervals(axes: Axes, contrasts: Sequence[Contrast]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
-from trackwright.experiments.pages.charts.style import INK, SKY, VERMILION, literal, write_panels
+from trackwright.experiments.pages.charts.style import INK, SKY, VERMILION, Chart, literal
 from trackwright.tuning.sweeping import Sweep
 
 BEST: dict[str, Any] = {"color": VERMILION, "markersize": 8, "markeredgecolor": "white", "clip_on": False, "zorder": 5}
@@ -32,7 +32,7 @@ def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
         draw_objective(axes, labels, swept.grids, mean, best, objective, (), spread)
         axes.set_title(literal(f"minimum {mean[at]:.5g} at {shown}"), fontsize=9)
 
-    return write_panels(path, [draw], (7.0, 4.6), f"Sweep: {objective}")
+    return Chart("sweep", f"Sweep: {objective}", draw, 7.0, 4.6).write(path)
 
 
 def named(name: str, unit: str) -> str:

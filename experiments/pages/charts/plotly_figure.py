@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgba
-from matplotlib.container import BarContainer
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -24,7 +23,7 @@ SYMBOLS = {"o": "circle", ".": "circle", "s": "square", "^": "triangle-up", "v":
 
 DASHES = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
 
-SHOWN = "plot, scatter, bar, hist, stairs, fill_between, vlines, hlines, axhline, axvline, axhspan or axvspan"
+SHOWN = "plot, stairs, fill_between, vlines, hlines, axhline, axvline, axhspan or axvspan"
 """What a page shows of what draws data; README.md beside this says it, too."""
 
 
@@ -57,10 +56,7 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
 
 def _traces(axes: Axes, part: Any) -> Iterator[dict[str, Any]]:
     """The traces of a part, with its place in the order in which they cover each other."""
-    bars = {c.patches[0]: c.get_label() for c in axes.containers if isinstance(c, BarContainer) and c.patches}
     label = str(part.get_label())
-    if label.startswith("_"):
-        label = str(bars.get(part, label))
     named = {
         "name": _plain(label),
         "showlegend": label[:1] not in ("", "_"),
@@ -76,15 +72,6 @@ def _traces(axes: Axes, part: Any) -> Iterator[dict[str, Any]]:
         if segments:
             line = {"color": _colour(part.get_color()[0]), "width": 2}
             yield named | {"x": x, "y": y, "mode": "lines", "line": line, "hoverinfo": "skip"}
-    elif isinstance(part, PathCollection):
-        part.update_scalarmappable()
-        x, y = np.ma.filled(np.ma.asarray(part.get_offsets(), float), np.nan).T
-        filled = len(part.get_facecolor()) > 0
-        colours = [_colour(one) for one in (part.get_facecolor() if filled else part.get_edgecolor())]
-        looks: dict[str, list[Any]] = {"color": colours, "size": _numbers(np.sqrt(part.get_sizes()))}
-        marker: dict[str, Any] = {"symbol": "circle" if filled else "circle-open"}
-        marker |= {what: each[0] if len(each) == 1 else each for what, each in looks.items()}
-        yield named | {"x": _numbers(x), "y": _numbers(y), "mode": "markers", "marker": marker}
     # Those with offsets are arrows or hexagons.
     elif isinstance(part, PolyCollection) and not np.any(np.asarray(part.get_offsets())):
         for path in part.get_paths():

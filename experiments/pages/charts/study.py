@@ -6,7 +6,6 @@ import inspect
 import re
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, short
 from trackwright.experiments.monte_carlo.results import Results
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
-from trackwright.experiments.pages.charts.style import HEIGHT, INK, LINES, Chart, literal, plain, write_panels
+from trackwright.experiments.pages.charts.style import HEIGHT, INK, LINES, Chart, literal, plain
 from trackwright.experiments.text.expectations import Value
 from trackwright.experiments.text.wording import Unit, heading, unit_of
 from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS
@@ -33,14 +32,6 @@ UNITS = ("rad/s", "m/s²", "m/s", "rad", "Hz", "m", "s")
 
 DECADES = 30.0
 """Ratio of the largest to the smallest value from which an axis is logarithmic."""
-
-
-def write_charts(folder: Path, charts: Sequence[Chart], kind: str) -> list[str]:
-    """Writes the charts as files into the folder; returns their names. `kind`: their ending, png or pdf."""
-    names = [f"{re.sub(r'[^a-zA-Z0-9_-]', '_', chart.name)}.{kind}" for chart in charts]
-    for name, chart in zip(names, charts, strict=True):
-        write_panels(folder / name, [chart.draw], (chart.width, chart.height or HEIGHT))
-    return names
 
 
 def metric_chart(

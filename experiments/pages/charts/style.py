@@ -1,6 +1,6 @@
 """What all charts share: one matplotlib style, colours for colour-blind readers, and PNG, PDF and SVG output.
 
-A chart is a function that draws on axes: `write_panels` puts some into a file, `Chart.address` one onto a page.
+A chart is a function that draws on axes: `Chart.write` puts it into a file, `Chart.address` onto a page.
 """
 
 from __future__ import annotations
@@ -9,10 +9,9 @@ import base64
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +21,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from trackwright.experiments.pages.charts.plotly_figure import plotly_figure
 from trackwright.experiments.pages.reports.pages import script_json
@@ -104,98 +102,8 @@ Draw = Callable[[Axes], object]
 """What draws a chart on axes."""
 
 
-@contextmanager
-def figure_file(path: Path | str, width: float, height: float, title: str) -> Iterator[Figure]:
-    """A figure of the given size in inches, written at the end of the block, whole or not at all: a PNG or a PDF.
-
-    The ending of `path` names the kind. The block may change the size.
-    """
-    with _styled():
-        layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.06)
-        figure = Figure(figsize=(width, height), dpi=STYLE["savefig.dpi"], facecolor="white", layout=layout)
-        yield figure
-        if title:
-            left = 0.12 / float(figure.get_figwidth())
-            figure.suptitle(literal(title), x=left, ha="left", fontsize=11, fontweight="bold")
-        # `savefig` draws twice, the first time to lay the figure out, which drawing does anyway.
-        if Path(path).suffix == ".pdf":
-            from matplotlib.backends.backend_pdf import FigureCanvasPdf
-
-            atomic_write(path, FigureCanvasPdf(figure).print_pdf)
-        else:
-            canvas = FigureCanvasAgg(figure)
-            atomic_write(path, partial(canvas.print_png, pil_kwargs={"compress_level": COMPRESSION}))
-
-
-def write_panels(
-    path: Path | str,
-    panels: Sequence[Draw],
-    size: tuple[float, float] | None,
-    title: str = "",
-    columns: int = 1,
-    legend: int = 0,
-    **grid: Any,
-) -> Path:
-    """Writes a figure of the panels, in rows of `columns`, as `figure_file` does; returns its path.
-
-    `size`: width and height in inches; None: of floor plans, whose axes say it. Panels below each other with the same
-    words along x share that axis and the legend. `legend`: columns of one legend below all panels, that of the first,
-    if any. `grid`: more for `Figure.subplots`.
-    """
-    with figure_file(path, *(size or (WIDTH, HEIGHT)), title) as figure:
-        drawn = figure.subplots(-(-len(panels) // columns), columns, squeeze=False, **grid)
-        for axes, draw in zip(drawn.flat, panels, strict=False):
-            draw(axes)
-        for axes in drawn.flat[len(panels) :]:
-            axes.set_axis_off()
-        if columns == 1:
-            _joined(drawn[:, 0])
-        for axes in drawn[:, 1:].flat if grid.get("sharey") else ():
-            axes.set_ylabel("")
-        if legend:
-            figure.legend(*drawn[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=legend)
-        if size is None:
-            figure.set_size_inches(_plan_size(drawn))
-    return Path(path)
-
-
-def _plan_size(drawn: np.ndarray) -> tuple[float, float]:
-    """Width and height in inches of floor plans in rows and columns; one alone has room for a legend at its side."""
-    if drawn.size > 1:
-        columns = drawn.shape[1]
-        width = min(3.3 * columns + 0.4, 16.0)
-        heights = [height_over_width(row[0], 0.3, 1.5) * width / columns + 0.6 for row in drawn]
-        drawn[0, 0].get_gridspec().set_height_ratios(heights)
-        return width, sum(heights) + 0.4
-    ratio = height_over_width(drawn[0, 0], 0.25, 2.5)
-    width = float(np.clip(np.sqrt(30 / ratio), 3.5, 8.5))
-    legend = drawn[0, 0].get_legend()
-    lines = [line for text in (legend.texts if legend else ()) for line in text.get_text().splitlines()]
-    return width + max(1.9, 0.9 + 0.08 * max(map(len, lines), default=0)), width * ratio + 1.3
-
-
-def _joined(column: Sequence[Axes]) -> None:
-    """Panels below each other with the same words along x: one axis, one legend, one title at the right."""
-    for above, below in pairwise(column):
-        if above.get_xlabel() != below.get_xlabel():
-            continue
-        below.sharex(above)
-        above.set_xlabel("")
-        above.tick_params(labelbottom=False)
-        below.set_title("", loc="right")
-        legend = below.get_legend()
-        if legend is not None:
-            legend.remove()
-
-
-def height_over_width(axes: Axes, least: float, most: float) -> float:
-    """Of axes with equal units, between two limits."""
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    return float(np.clip((top - bottom) / (right - left), least, most))
-
-
 class Chart(NamedTuple):
-    """A chart of a page: its name in a file's name, words for the blind, what draws it, and its size in inches.
+    """A chart of a page or a file: its name in a file's name, its title, what draws it, and its size in inches.
 
     `height`: None of a floor plan, whose axes say it.
     """
@@ -208,40 +116,63 @@ class Chart(NamedTuple):
 
     @property
     def address(self) -> str:
-        """The chart as a data address, for an image inside a page, with the data that scripts draw instead."""
-        return svg_address(self._drawn, self.width, self.height or HEIGHT)
+        """The chart as a data address, for an image inside a page: an SVG whose text stays text.
 
-    def _drawn(self, figure: Figure) -> None:
+        Where plotly.js can draw the chart instead, the SVG holds its data as the metadata `chart`.
+        """
+        with _styled():
+            figure = Figure(figsize=(self.width, self.height or HEIGHT), dpi=72, facecolor="none", layout="constrained")
+            canvas = FigureCanvasSVG(figure)
+            self._drawn(figure)
+            page, nothing = io.BytesIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
+            canvas.print_svg(page, metadata=nothing)
+            chart = plotly_figure(figure)
+        text = page.getvalue().decode()
+        text = re.sub(r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+        text = re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", text)
+        if chart is not None:
+            data = script_json(chart).replace("&", "\\u0026").replace(">", "\\u003e")
+            text = text.replace("</svg>", f'<metadata id="chart">{data}</metadata></svg>')
+        return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode()
+
+    def write(self, path: Path | str) -> Path:
+        """Writes the chart, whole or not at all, as a PDF or a PNG, as the ending of `path` says; returns the path.
+
+        Raises UnusableInput where it can't be written.
+        """
+        with _styled():
+            size, dpi = (self.width, self.height or HEIGHT), STYLE["savefig.dpi"]
+            figure = Figure(figsize=size, dpi=dpi, facecolor="white", layout="constrained")
+            write = partial(FigureCanvasAgg(figure).print_png, pil_kwargs={"compress_level": COMPRESSION})
+            title = literal(self.title)
+            if title not in self._drawn(figure).get_title("left"):
+                figure.suptitle(title, x=0.02, ha="left", fontsize=11, fontweight="bold")
+            if Path(path).suffix == ".pdf":
+                from matplotlib.backends.backend_pdf import FigureCanvasPdf
+
+                write = FigureCanvasPdf(figure).print_pdf
+            atomic_write(path, write)
+        return Path(path)
+
+    def _drawn(self, figure: Figure) -> Axes:
         axes = figure.subplots()
         self.draw(axes)
         if self.height is None:
-            figure.set_size_inches(self.width, height_over_width(axes, 0.3, 1.5) * (self.width - 0.6) + 1.1)
+            (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+            ratio = float(np.clip((top - bottom) / (right - left), 0.3, 1.5))
+            figure.set_size_inches(self.width, ratio * (self.width - 0.6) + 1.1)
+        return axes
 
 
-def svg(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT, movable: bool = False) -> str:
-    """The SVG text that `draw` makes of an empty figure of that size in inches; its text stays text.
-
-    With `movable` the SVG also holds the chart as data for plotly.js where it can, as the metadata `chart`.
-    """
-    with _styled():
-        figure = Figure(figsize=(width, height), dpi=72, facecolor="none", layout="constrained")
-        canvas = FigureCanvasSVG(figure)
-        draw(figure)
-        page, nothing = io.BytesIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        canvas.print_svg(page, metadata=nothing)
-        chart = plotly_figure(figure) if movable else None
-    text = page.getvalue().decode()
-    text = re.sub(r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-    text = re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", text)
-    if chart is None:
-        return text
-    data = script_json(chart).replace("&", "\\u0026").replace(">", "\\u003e")
-    return text.replace("</svg>", f'<metadata id="chart">{data}</metadata></svg>')
-
-
-def svg_address(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT) -> str:
-    """`svg` as a data address, for an image inside a page, with the data of the chart that scripts draw instead."""
-    return "data:image/svg+xml;base64," + base64.b64encode(svg(draw, width, height, movable=True).encode()).decode()
+def write_charts(folder: Path, charts: Iterable[Chart], kind: str, prefix: str = "") -> list[str]:
+    """Writes each chart as a file into the folder; returns their names. `kind`: their ending, png or pdf."""
+    names: list[str] = []
+    for chart in charts:
+        name = re.sub(r"[^\w.-]", "_", prefix + chart.name)[:100]
+        while f"{name}.{kind}" in names:
+            name += "_"
+        names.append(chart.write(folder / f"{name}.{kind}").name)
+    return names
 
 
 def plotly_chart(draw: Draw) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from trackwright.experiments.pages.charts.objective import draw_objective, named
 from trackwright.experiments.pages.charts.style import (
     BEFORE,
     BLUE,
+    HEIGHT,
     NARROW,
     VERMILION,
     WIDTH,
@@ -31,7 +32,7 @@ from trackwright.experiments.pages.charts.style import (
     legend_above,
     literal,
     plain,
-    write_panels,
+    write_charts,
 )
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChange
 from trackwright.experiments.pages.reports.tuning_data import OptimiserTrace, TuningReportData
@@ -193,26 +194,21 @@ def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, title: 
     return Chart("parameter", name, draw, NARROW, 0.62 * NARROW)
 
 
-def tuning_trace(
-    path: Path | str,
-    objective: np.ndarray,
-    values: Mapping[str, np.ndarray],
-    units: Mapping[str, str] | None = None,
-    objective_name: str = "objective",
-) -> Path:
-    """Writes the objective and every tuned parameter over the steps; returns the path.
+def write_trace(
+    out: Path, kind: str, objective: np.ndarray, values: Mapping[str, np.ndarray], units: Mapping[str, str], name: str
+) -> list[str]:
+    """Writes the objective and every tuned parameter over the steps, a file each; returns their names.
 
-    `objective` (i,); `values`: by name (i,), in the units of `units`. Raises UnusableInput where the file can't be
-    written.
+    `kind`: their ending. `objective` (i,), of that name; `values`: by name (i,), in the units of `units`. Raises
+    UnusableInput where a file can't be written.
     """
     trace = OptimiserTrace("Fit", objective, np.stack([*values.values(), objective], axis=1))
-    panels = [objective_chart([trace], f"{objective_name}: {objective[-1]:.6g}").draw]
-    for k, (name, series) in enumerate(values.items()):
-        unit = (units or {}).get(name, "1")
-        words = literal(f"{name}: {series[-1]:.4g} {unit if unit != '1' else ''}")
-        panels.append(parameter_chart([trace], k, name, words).draw)
-    rows = -(-len(panels) // 2)
-    return write_panels(path, panels, (8.0, 1.0 + 1.9 * rows), "Fit", min(len(panels), 2))
+    charts = [objective_chart([trace], f"{name}: {objective[-1]:.6g}")._replace(name="tuning", title="Fit")]
+    for k, (label, series) in enumerate(values.items()):
+        words = f"{label}: {series[-1]:.4g}" + (f" {units[label]}" if units[label] != "1" else "")
+        chart = parameter_chart([trace], k, label, literal(words))
+        charts.append(chart._replace(name=f"tuning-{label}", width=WIDTH, height=HEIGHT))
+    return write_charts(out, charts, kind)
 
 
 def _draw_steps(axes: Axes, traces: Sequence[OptimiserTrace], take: Callable[[OptimiserTrace], np.ndarray]) -> None:

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.pages.charts.calibration import (
-    Panel,
-    errors_over_floor,
-    floor_image,
-    measured_against_true,
-    reading_chart,
-)
+from trackwright.experiments.pages.charts.calibration import Panel, floor_charts, reading_chart
+from trackwright.experiments.pages.charts.style import Chart
 from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.text.tables import Section, sections_text
 from trackwright.experiments.text.wording import MISSING, fixed
@@ -296,26 +291,15 @@ def report_text(report: Report) -> str:
     return sections_text(report.sections(), WIDTH, report.note)
 
 
-def draw_report(out: Path, calibration: Calibration, report: Report) -> list[str]:
-    """Writes the figures beside the file `out`, with names that begin as its own; returns the names."""
-    drawn = []
-    for kind, columns, panels in _panels(calibration, report):
-        for draw, name, title in (
-            (measured_against_true, kind, f"Calibration of {kind}"),
-            (errors_over_floor, f"{kind}-floor", f"Errors of calibrated {kind} over the floor"),
-        ):
-            drawn.append(f"{out.stem}-{name}.png")
-            draw(out.with_name(drawn[-1]), panels, columns, title)
-    return drawn
-
-
-def _panels(calibration: Calibration, report: Report) -> Iterator[tuple[str, int, list[Panel]]]:
-    """Of each table with sources: what they are called, the columns of their figures, their panels."""
-    for number, (kind, columns) in enumerate((("stations", 2), ("anchors", 3), ("differences", 3))):
+def calibration_charts(calibration: Calibration, report: Report) -> dict[str, tuple[list[Chart], list[Chart]]]:
+    """Of each table with sources, by what they are called: readings against the truth, and errors over the floor."""
+    charts = {}
+    for number, kind in enumerate(("stations", "anchors", "differences")):
         panels = [_panel(calibration, source) for source in report.sources if source.table == number]
         panels = [panel for panel in panels if len(panel.true)][: SHOWN if number else 2 * SHOWN]
         if panels:
-            yield kind, min(columns, len(panels)), panels
+            charts[kind] = [reading_chart(panel, kind) for panel in panels], floor_charts(panels, kind)
+    return charts
 
 
 def _panel(calibration: Calibration, source: Source) -> Panel:
@@ -338,12 +322,14 @@ def _panel(calibration: Calibration, source: Source) -> Panel:
     return Panel(source.name, source.quantity, source.is_angle, *columns, pairs.positions[seen, :2], at, fitted, sigma)
 
 
-def write_calibration_report(out: Path, calibration: Calibration, report: Report, command: Sequence[str]) -> Path:
+def write_calibration_report(
+    out: Path,
+    calibration: Calibration,
+    report: Report,
+    figures: Mapping[str, tuple[list[Chart], list[Chart]]],
+    command: Sequence[str],
+) -> Path:
     """Writes the page beside the file `out`, with its name and the ending .html; returns the path."""
-    figures = [
-        (kind, [reading_chart(panel) for panel in panels], floor_image(panels, n))
-        for kind, n, panels in _panels(calibration, report)
-    ]
     stations, anchors, differences, tags, lasting = report.sections()
     text = page(
         "calibration.html",

@@ -153,9 +153,12 @@ def test_bearing_trackers_write_azimuth_and_elevation_per_station(runs, there, t
 @pytest.mark.parametrize(
     ("tracker", "pictures"),
     [
-        ("fix-kf", {"floor-plan", "error-cdf", "error-over-time", "consistency", "coverage"}),
+        ("fix-kf", {"floor-plan", "error-cdf", "error-over-time-x", "nees-over-time", "nis-histogram", "coverage"}),
         # The worst, the median and the best of 18 tracks.
-        ("beam", {f"bearings-simulated-hand-{SEED}-tag_{k}" for k in ("5-station_3", "0-station_2", "1-station_1")}),
+        (
+            "beam",
+            {f"bearings-simulated-hand-{SEED}-tag_{k}-azimuth" for k in ("5-station_3", "0-station_2", "1-station_1")},
+        ),
     ],
 )
 def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, vehicles, tracker, pictures):

@@ -33,7 +33,8 @@ def test_several_trackers_are_compared_in_one_table_with_paired_differences_and_
         assert (folder / "two" / name / "evaluation.json").is_file()
         assert not list((folder / "two" / name).glob("*.png"))
     figures = {path.name for path in (folder / "two").glob("*.png")}
-    assert figures == {"comparison-errors.png", "comparison-floor_plans.png"}
+    plans = {f"floor_plan-good-{name}" for name in ("moving-average", "median")}
+    assert figures == {f"comparison-{name}.png" for name in ("errors", "boxes", *plans)}
     page = (folder / "two" / "comparison.html").read_text()
     moving = (folder / "two" / "report.html").read_text()
     runs = json.loads(moving.split('id="data">')[1].split("</script>")[0])["runs"]

@@ -31,8 +31,10 @@ def rooms(tmp_path_factory):
     ("options", "left"),
     [
         pytest.param(("--no-figures",), {"report.html"}, marks=pytest.mark.slow),
-        (("--no-report",), {"tuning.png"}),
-        pytest.param(("--no-report", "--format", "pdf"), {"tuning.pdf"}, marks=pytest.mark.slow),
+        (("--no-report",), {"tuning.png", "tuning-motion.sigma_a.png"}),
+        pytest.param(
+            ("--no-report", "--format", "pdf"), {"tuning.pdf", "tuning-motion.sigma_a.pdf"}, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_tune_writes_the_figures_and_the_page_that_are_asked_for(rooms, tmp_path, options, left):
@@ -40,7 +42,7 @@ def test_tune_writes_the_figures_and_the_page_that_are_asked_for(rooms, tmp_path
     assert done.code == 0, done
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {"tuned.toml", "trace.csv", "manifest.json", "checkpoint.npz"} | left
-    assert set(re.findall(r"\w+\.(?:html|png|pdf)", done.out.splitlines()[-1])) == left
+    assert set(re.findall(r"[\w.-]+\.(?:html|png|pdf)", done.out.splitlines()[-1])) == left
     _assert_kinds(tmp_path)
     if "report.html" in left:
         page = (tmp_path / "report.html").read_text("utf-8")

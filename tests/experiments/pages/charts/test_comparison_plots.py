@@ -6,17 +6,15 @@ from tests.experiments.pages.charts.small_runs import ANCHORS, chart_data, small
 from trackwright.experiments.pages.charts import comparison
 
 
-def test_floor_plans_are_of_the_worst_the_median_and_the_best_by_the_first_run(monkeypatch, tmp_path):
+def test_floor_plans_are_of_the_worst_the_median_and_the_best_by_the_first_run():
     first = small_run("uwb", {"a": 0.2, "b": 0.9, "c": 0.1, "d": 0.5, "e": 0.3})
     second = small_run("median", {"b": 0.1, "c": 0.8, "d": 0.7, "e": 0.6, "a": 0.5})
-    drawn = []
-    monkeypatch.setattr(
-        comparison, "_draw_plan", lambda axes, run, name, colour, why, legend: drawn.append((run.name, name, why))
-    )
-    comparison.plot_comparison(tmp_path / "page.html", [first, second], [], "png")
-    assert [name for run, name, _ in drawn if run == "uwb"] == ["b", "e", "c"]
-    assert drawn[0] == ("uwb", "b", "worst of 5, RMSE 90 cm by uwb")
-    assert drawn[1][:2] == ("median", "b")
+    charts = [chart for chart in comparison.comparison_charts([first, second], []) if "plan" in chart.name]
+    assert [chart.name for chart in charts] == [
+        f"floor_plan-{name}-{run}" for name in "bec" for run in ("uwb", "median")
+    ]
+    title = chart_data(charts[0].address)["layout"]["title"]
+    assert title == "uwb, b,\nworst of 5, RMSE 90 cm by uwb"
 
 
 def test_few_recordings_all_have_floor_plans():

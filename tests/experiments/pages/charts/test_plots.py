@@ -32,10 +32,10 @@ from trackwright.experiments.pages.charts.style import (
     GREY,
     LINES,
     VERMILION,
+    Chart,
     broken_at_gaps,
-    write_panels,
 )
-from trackwright.experiments.pages.charts.tuning import error_charts, rmse_chart, tuning_trace
+from trackwright.experiments.pages.charts.tuning import error_charts, rmse_chart, write_trace
 from trackwright.experiments.pages.reports.before_after import ErrorTrack
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.errors import UnusableInput
@@ -82,15 +82,15 @@ def _scored(tracks, truth=None, **rig):
 
 def _drawn(path, chart, *given, size=(6.0, 3.0), **named):
     """The file of a chart on axes of its own."""
-    return write_panels(path, [lambda axes: chart(*given, ax=axes, **named)], size)
+    return Chart("one", "", lambda axes: chart(*given, ax=axes, **named), *size).write(path)
 
 
 def _on_axes(path, draw, *given, size=(6.0, 3.0), **named):
-    return write_panels(path, [lambda axes: draw(axes, *given, **named)], size)
+    return Chart("one", "", lambda axes: draw(axes, *given, **named), *size).write(path)
 
 
 def _plan(path, tracks, truth=None, **rig):
-    return _drawn(path, floor_plan, _scored(tracks, truth, **rig), size=None)
+    return _drawn(path, floor_plan, _scored(tracks, truth, **rig), size=(8.5, None))
 
 
 def _parameter(name):
@@ -143,14 +143,14 @@ def test_wild_estimates_are_counted_and_do_not_decide_the_scale_of_the__plan(tmp
 
 @pytest.mark.parametrize(
     ("end", "ratio"),
-    [((60.0, 0.0), 0.25), ((20.0, 20.0), 1.0), ((0.0, 60.0), 2.5)],
+    [((60.0, 0.0), 0.3), ((20.0, 20.0), 1.0), ((0.0, 60.0), 1.5)],
     ids=["corridor along x", "square", "corridor along y"],
 )
 def test_the_ratio_of_a_plan_is_that_of_the_floor_and_limited_for_a_corridor(tmp_path, figures, end, ratio):
     x, y = np.outer(end, T / T[-1])
     _plan(tmp_path / "plan.png", _tracks(1).with_columns(x_m=x, y_m=y))
-    # The legend at the side takes 1.9 inches, title and labels take 1.3.
-    width, height = figures[0].get_size_inches() - (1.9, 1.3)
+    # Labels take 0.6 inches, title and labels 1.1.
+    width, height = figures[0].get_size_inches() - (0.6, 1.1)
     assert height / width == pytest.approx(ratio)
 
 
@@ -183,7 +183,7 @@ def test_the_floor_plan_takes_odd_tracks(tmp_path, tracks):
     _pixels(_plan(tmp_path / "plan.png", tracks, _tracks(1)))
 
 
-def test_errors_over_time_have_a_panel_for_each_axis_with_errors(tmp_path, figures):
+def test_errors_over_time_have_a_chart_for_each_axis_with_errors(tmp_path, figures):
     for z, count in ((1.0, 3), (None, 2)):
         tracks = _tracks(2).with_columns(z_m=pl.lit(z, pl.Float64), std_z_m=pl.lit(0.1))
         scored = ScoredTracks(
@@ -192,10 +192,11 @@ def test_errors_over_time_have_a_panel_for_each_axis_with_errors(tmp_path, figur
         )  # fmt: skip
         figures.clear()
         names = plot_tracks(tmp_path, scored)
-        panels = figures[names.index("error-over-time")].axes
-        assert [axes.get_ylabel() for axes in panels] == [f"error in {a} (cm)" for a in "xyz"[:count]]
-        assert [axes.get_xlabel() for axes in panels] == [*[""] * (count - 1), "time (s)"]
-        assert [axes.get_legend() is None for axes in panels] == [False, *[True] * (count - 1)]
+        over_time = [name for name in names if name.startswith("error-over-time")]
+        assert over_time == [f"error-over-time-{a}.png" for a in "xyz"[:count]]
+        drawn = [figures[names.index(name)].axes[0] for name in over_time]
+        assert [axes.get_ylabel() for axes in drawn] == [f"error in {a} (cm)" for a in "xyz"[:count]]
+        assert {axes.get_xlabel() for axes in drawn} == {"time (s)"}
 
 
 @pytest.mark.parametrize(("rows", "block"), [(60, 1), (1000, 4), (1001, 5)])
@@ -267,25 +268,29 @@ def test_the_band_of_white_noise_is_that_of_the_pairs_of_rows_after_the_fit(tmp_
 
 @pytest.mark.parametrize(("largest", "ticks"), [(50.0, [1, 3, 10, 30]), (200.0, [1, 10, 100])])
 def test_a_tuning_trace_has_three_round_ticks_at_least(tmp_path, figures, largest, ticks):
-    tuning_trace(tmp_path / "tune.png", T, {"motion.sigma_a": np.geomspace(1.0, largest, len(T))})
-    axes = figures[0].axes[1]
+    name, unit = "motion.sigma_a", {"motion.sigma_a": "m/s²"}
+    names = write_trace(tmp_path, "png", T, {name: np.geomspace(1.0, largest, len(T))}, unit, "nll")
+    assert names == ["tuning.png", "tuning-motion.sigma_a.png"]
+    (axes,) = figures[1].axes
     low, high = axes.get_ylim()
     assert [tick for tick in axes.get_yticks() if low <= tick <= high] == pytest.approx(ticks)
 
 
 def test_the_tuning_trace_takes_one_iteration_and_no_numbers(tmp_path):
-    _pixels(tuning_trace(tmp_path / "one.png", np.array([3.0]), {"motion.sigma_a": np.array([0.1])}))
-    tuning_trace(tmp_path / "none.png", np.array([3.0, np.nan]), {})
+    for name in write_trace(tmp_path, "png", np.array([3.0]), {"sigma": np.array([0.1])}, {"sigma": "1"}, "nll"):
+        _pixels(tmp_path / name)
+    assert write_trace(tmp_path, "png", np.array([3.0, np.nan]), {}, {}, "nll") == ["tuning.png"]
 
 
 @pytest.mark.parametrize("in_plane", [True, False])
-def test_directions_have_a_panel_for_each_angle_and_in_the_plane_of_an_array_one(tmp_path, figures, in_plane):
+def test_directions_have_a_chart_for_each_angle_and_in_the_plane_of_an_array_one(tmp_path, figures, in_plane):
     tracks, estimate, true = small_bearings(in_plane)
     names = plot_tracks(tmp_path, tracks)
-    assert names == ["bearings-yard-tag_A-station_S", "coverage"]
-    panels = figures[0].axes
-    expected = ["in-plane angle (°)"] if in_plane else ["azimuth (°)", "elevation (°)"]
-    assert [axes.get_ylabel() for axes in panels] == expected
+    angles = ["in-plane angle"] if in_plane else ["azimuth", "elevation"]
+    files = [f"bearings-yard-tag_A-station_S-{angle.replace(' ', '_')}" for angle in angles]
+    assert names == [f"{name}.png" for name in (*files, "coverage")]
+    panels = [figure.axes[0] for figure in figures[:-1]]
+    assert [axes.get_ylabel() for axes in panels] == [f"{angle} (°)" for angle in angles]
     for k, axes in enumerate(panels):
         drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
         for own, values in (("estimate", estimate[:, k]), ("truth", true[:, k])):

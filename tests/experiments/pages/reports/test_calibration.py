@@ -6,7 +6,7 @@ import re
 import numpy as np
 
 from tests.experiments.pages.charts.small_runs import chart_data
-from trackwright.experiments.pages.charts.calibration import Panel, floor_image, reading_chart
+from trackwright.experiments.pages.charts.calibration import Panel, floor_charts, reading_chart
 from trackwright.experiments.pages.reports.calibration import Report, Source
 from trackwright.tuning.calibration_pairs import Pairs
 
@@ -26,7 +26,7 @@ def test_every_reading_but_the_wildest_lies_inside_its_chart():
     true, error = np.linspace(1.0, 9.0, 400), np.linspace(-0.3, 0.5, 400)
     at, none = true[::100], np.zeros(4)
     panel = Panel("A", "range", False, true, true + error, true + error / 5, np.zeros((400, 2)), at, at, none)
-    low, high = chart_data(reading_chart(panel).address)["layout"]["yaxis"]["range"]
+    low, high = chart_data(reading_chart(panel, "anchors").address)["layout"]["yaxis"]["range"]
     assert -0.5 < low < -0.3
     assert 0.5 < high < 0.7
 
@@ -36,7 +36,8 @@ def test_a_floor_that_is_wide_is_drawn_low():
         positions = np.random.default_rng(0).uniform(0.0, [width, depth], (200, 2))
         none = np.zeros(2)
         panel = Panel("A", "range", False, *np.tile(positions[:, 0], (3, 1)), positions, none, none, none)
-        drawn = base64.b64decode(floor_image([panel], 1).partition(",")[2]).decode()
+        (chart,) = floor_charts([panel], "anchors")
+        drawn = base64.b64decode(chart.address.partition(",")[2]).decode()
         return float(re.search(r'height="([\d.]+)pt"', drawn)[1])
 
     assert height(12.0, 6.0) < height(6.0, 6.0) < height(6.0, 8.0)

@@ -77,7 +77,7 @@ def test_times_that_count_from_1970_are_shown_since_the_first_reading(tracks, tm
     monkeypatch.setattr(style, "atomic_write", lambda path, write: write(path))
     plot_tracks(tmp_path, unix)
     over_time = [axes for figure in figures for axes in figure.axes if axes.get_xlabel().startswith("time")]
-    assert len(over_time) == 2
+    assert len(over_time) == 4
     for axes in over_time:
         assert axes.get_xlabel() == shown["timeLabel"]
         assert 7.5 < axes.dataLim.x1 < 8.0
