@@ -150,7 +150,7 @@ class Chart(NamedTuple):
             if Path(path).suffix == ".pdf":
                 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 
-                write = FigureCanvasPdf(figure).print_pdf
+                write = partial(FigureCanvasPdf(figure).print_pdf)
             atomic_write(path, write)
         return Path(path)
 
