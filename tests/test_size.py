@@ -14,9 +14,9 @@ LINES = {
     "trackers": 30_450,
     "sim": 2_670,
     "tuning": 6_550,
-    "experiments": 16_350,
+    "experiments": 16_250,
     "trackwright": 30,
-    "tests": 35_300,
+    "tests": 35_400,
 }
 """The most lines of Python of each folder at the top."""
 

@@ -34,11 +34,11 @@ from trackwright.experiments.cli.tracking import endings, tracker_names, write_s
 from trackwright.experiments.jobs.executors import Threads, cluster_executor
 from trackwright.experiments.jobs.portable import file_of
 from trackwright.experiments.jobs.run import run as run_parts
-from trackwright.experiments.pages.reports.comparison import comparison_text, write_comparison
+from trackwright.experiments.pages.reports.comparison import WIDTH, write_comparison
 from trackwright.experiments.pages.reports.track import run_data
 from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
 from trackwright.experiments.text.evaluation_text import archive_text, content
-from trackwright.experiments.text.tables import Section, terminal_width
+from trackwright.experiments.text.tables import Section, sections_text, terminal_width
 from trackwright.experiments.text.terminal import Begin, notice, stages
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import UnusableInput
@@ -153,7 +153,7 @@ def _run(
 def _compare(runs: Sequence[Run]) -> list[Section]:
     """Prints the comparison of several trackers; its tables."""
     if tables := compared(runs):
-        print(comparison_text(tables), end="")
+        print(sections_text(tables, WIDTH), end="")
     return tables
 
 

@@ -63,11 +63,12 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.charts.style import write_charts
     from trackwright.experiments.pages.reports.calibration import (
+        WIDTH,
         calibration_charts,
         report_on,
-        report_text,
         write_calibration_report,
     )
+    from trackwright.experiments.text.tables import sections_text
     from trackwright.experiments.text.wording import figures_drawn
     from trackwright.trackers.recordings.calibration import write_calibration
     from trackwright.tuning.calibrating import calibrate
@@ -82,7 +83,7 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
     )
     page = write_calibration_report(out, calibration, report, charts, sys.argv)
     with json_alone(json) as put:
-        print(report_text(report), end="")
+        print(sections_text([*report.tables.values()], WIDTH, report.note), end="")
         print(f"wrote {out}, {page.name} and {figures_drawn(drawn)}")
         put(tomllib.loads(out.read_text("utf-8")))
     return 0

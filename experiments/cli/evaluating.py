@@ -13,7 +13,7 @@ import polars as pl
 from trackwright.experiments.cli.console import output_folder, read_with_notices
 from trackwright.experiments.cli.options import EvaluateOptions, require_output
 from trackwright.experiments.text.evaluation_text import content, to_json, to_text
-from trackwright.experiments.text.tables import terminal_width
+from trackwright.experiments.text.tables import sections_text, terminal_width
 from trackwright.experiments.text.terminal import notice
 from trackwright.experiments.text.wording import figures_drawn
 from trackwright.trackers.core.errors import UnusableInput, near
@@ -60,8 +60,8 @@ def print_comparison(
     from trackwright.experiments.pages.charts.comparison import comparison_charts
     from trackwright.experiments.pages.charts.style import write_charts
     from trackwright.experiments.pages.reports.comparison import (
+        WIDTH,
         comparison,
-        comparison_text,
         lone_subjects,
         write_comparison,
     )
@@ -76,7 +76,7 @@ def print_comparison(
         shown = [dict(zip(table._fields[:-1], table[:-1], strict=True)) for table in tables]
         print(json_text({"tables": shown, "contrasts": differences}), end="")
     else:
-        print(comparison_text(tables), end="")
+        print(sections_text(tables, WIDTH), end="")
     if out is None:
         return
     path = output_folder(out) / COMPARISON

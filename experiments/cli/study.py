@@ -54,7 +54,8 @@ def study(
     from trackwright.experiments.monte_carlo.runner import StopRule, run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.pages.charts.style import write_charts
-    from trackwright.experiments.pages.reports.study import study_charts, write_study_report
+    from trackwright.experiments.pages.reports.pages import write_page
+    from trackwright.experiments.pages.reports.study import REPORT, study_charts, study_page
     from trackwright.experiments.pages.reports.study_text import study_names, to_json, to_text
     from trackwright.experiments.text.terminal import notice, progress
     from trackwright.experiments.text.wording import figures_drawn
@@ -104,7 +105,7 @@ def study(
     figures = write_charts(folder, charts, format)
     written = [RESULTS, "manifest.json", *([figures_drawn(figures)] if figures else [])]
     if not no_report:
-        written.insert(0, write_study_report(folder, results, expected, sys.argv).name)
+        written.insert(0, write_page(folder / REPORT, study_page(results, expected, sys.argv)).name)
     write_manifest(folder, sys.argv, {"study": declared.name, "runs": declared.runs}, started, (declared.seed,),
                    declared.chunk)  # fmt: skip
     print(f"wrote {', '.join([str(folder / written[0]), *written[1:]])}")

@@ -18,7 +18,9 @@ from trackwright.experiments.cli.console import FoldersInTurn
 from trackwright.experiments.cli.options import TuneOptions
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
-from trackwright.experiments.pages.charts.tuning import write_trace
+from trackwright.experiments.pages.charts.objective import named
+from trackwright.experiments.pages.charts.style import write_charts
+from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart
 from trackwright.experiments.pages.reports.before_after import (
     MOST_PLANS,
     Compared,
@@ -28,8 +30,9 @@ from trackwright.experiments.pages.reports.before_after import (
     tracked,
     with_truth,
 )
-from trackwright.experiments.pages.reports.tuning import write_tuning_report
-from trackwright.experiments.pages.reports.tuning_data import collect, recording_names
+from trackwright.experiments.pages.reports.pages import write_page
+from trackwright.experiments.pages.reports.tuning import tuning_page
+from trackwright.experiments.pages.reports.tuning_data import collect, recording_names, traces_of
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import spec_of
@@ -163,7 +166,7 @@ def _write_run(
             cautions=tuple(cautions),
             notes=tuple(notes),
         )
-        write_tuning_report(out / "report.html", known)
+        write_page(out / "report.html", tuning_page(known))
     extra = {"recordings": [str(p) for p in recordings], "filter_runs": result.filter_runs}
     write_manifest(out, sys.argv, options.config("resume", "check"), started, extra=extra)
     print(table(result, objective, intervals))
@@ -191,20 +194,21 @@ def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure
         objective: [s.value for s in trace],
         "gradient_norm": [s.gradient_norm for s in trace],
     }
-    units: dict[str, str] = {}
-    drawn: dict[str, np.ndarray] = {}
+    labels: list[tuple[str, str]] = []
     for parameter in result.parameters:
         values = np.stack([np.asarray(s.values[parameter.label]) for s in trace])
         parts = values.reshape(len(trace), -1)
         for k in range(parts.shape[1]):
             label = parameter.label + (f".{k}" if values.ndim > 1 else "")
             columns[label] = parts[:, k].tolist()
-            drawn[label], units[label] = parts[:, k], parameter.example.unit
+            labels.append((label, named(label, parameter.example.unit)))
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
     if figure is None:
         return []
     names = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
-    return write_trace(out, figure, np.array(columns[objective]), drawn, units, names.get(objective, objective))
+    traces = traces_of(result)
+    charts = [parameter_chart(traces, k, *label) for k, label in enumerate(labels)]
+    return write_charts(out, [objective_chart(traces, names.get(objective, objective)), *charts], figure)
 
 
 def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:

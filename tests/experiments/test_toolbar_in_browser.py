@@ -15,9 +15,10 @@ from trackwright.experiments.monte_carlo.runner import run_study
 from trackwright.experiments.pages.charts.comparison import comparison_charts
 from trackwright.experiments.pages.reports.calibration import report_on, write_calibration_report
 from trackwright.experiments.pages.reports.comparison import write_comparison
+from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.study import study_page
 from trackwright.experiments.pages.reports.track import run_data, write_track_page
-from trackwright.experiments.pages.reports.tuning import write_tuning_report
+from trackwright.experiments.pages.reports.tuning import tuning_page
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.tuning.calibrating import calibrate
 
@@ -47,7 +48,7 @@ def _track(folder):
 
 
 def _tune(folder):
-    return write_tuning_report(folder / "tune.html", report_data())
+    return write_page(folder / "tune.html", tuning_page(report_data()))
 
 
 def _study(folder):

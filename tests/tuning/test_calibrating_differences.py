@@ -75,9 +75,10 @@ def test_the_report_counts_the_differences_of_an_anchor_with_both_signs():
     _, folders = _site(5, walks=2)
     calibration = calibrate(folders)
     report = report_on(calibration, folders)
-    assert not report.anchors
-    assert [row[0] for row in report.differences] == list(ANCHORS)
-    assert [row[2] for row in report.differences] == [str(count) for count in calibration.differences.rows]
+    assert "anchors" not in report.tables
+    rows = report.tables["differences"].rows
+    assert [row[0] for row in rows] == list(ANCHORS)
+    assert [row[2] for row in rows] == [str(count) for count in calibration.differences.rows]
     # Three pairs of A, two of B and D: A, B; A, C; D, A.
     assert calibration.differences.rows == (3600, 2400, 3600, 2400)
     by_name = {source.name: source for source in report.sources}

@@ -153,15 +153,11 @@ def _axis(axis: Axis, limits: tuple[float, float], scale: str, label: str) -> di
     formatter, texts = axis.get_major_formatter(), [label.get_text() for label in axis.get_ticklabels()]
     if isinstance(formatter, PercentFormatter):
         settings["tickformat"] = ".0%"
-    elif scale == "log" or any(_is_name(text) for text in texts):
+    elif scale == "log" or any(c.isalpha() for c in "".join(texts)):
         settings |= {"tickvals": _numbers(axis.get_majorticklocs()), "ticktext": [_plain(text) for text in texts]}
     if scale == "log":
         settings["type"] = "log"
     return settings
-
-
-def _is_name(text: str) -> bool:
-    return any(c.isalpha() for c in text)
 
 
 def _numbers(values: Any) -> list[float | None]:

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.ticker import LogLocator, NullLocator
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, short
@@ -71,12 +70,20 @@ class _Drawn(NamedTuple):
     title: str
     target: float | None
 
-    @property
-    def spans_decades(self) -> bool:
-        """Whether all values and intervals are positive and span more than `DECADES`."""
+    def scale(self, axes: Axes, which: str) -> None:
+        """From zero, or logarithmic where all values and intervals are positive and span more than `DECADES`."""
         pooled = np.concatenate(list(self.values.values()))
         low, high = np.nanmin(pooled), np.nanmax(pooled)
-        return bool(low > 0 and high >= DECADES * low)
+        if low > 0 and high >= DECADES * low:
+            axes.set(**{f"{which}scale": "log"})
+            axis = axes.xaxis if which == "x" else axes.yaxis
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_locator(NullLocator())
+        elif which == "x":
+            axes.set_xlim(0, 1.04 * max(self.target or 0.0, float(high)))
+        else:
+            axes.set_ylim(0, None)
 
 
 def _along(axes: Axes, drawn: _Drawn, along: str) -> None:
@@ -103,11 +110,7 @@ def _along(axes: Axes, drawn: _Drawn, along: str) -> None:
     if drawn.target is not None:
         axes.axhline(drawn.target, color=INK, linewidth=0.9, linestyle="--", label=f"{drawn.target:g} expected")
     axes.set_xlabel(literal(short(along) + _unit_of(drawn.results, along)))
-    if drawn.spans_decades:
-        axes.set_yscale("log")
-        _plain_log(axes.yaxis)
-    else:
-        axes.set_ylim(0, None)
+    drawn.scale(axes, "y")
     axes.set_title(literal(drawn.title))
     _legend(axes)
     plain(axes)
@@ -128,11 +131,7 @@ def _bars(axes: Axes, drawn: _Drawn) -> None:
         axes.axvline(target, color=INK, linewidth=0.9, linestyle="--", zorder=0)
     axes.set_yticks(range(len(rows)), [literal(_row_name(results, c, t)) for c, t in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
-    if drawn.spans_decades:
-        axes.set_xscale("log")
-        _plain_log(axes.xaxis)
-    else:
-        axes.set_xlim(0, 1.04 * max(target or 0.0, float(np.nanmax([*values.values()]))))
+    drawn.scale(axes, "x")
     line = f" (line: {target:g})" if target is not None else ""
     axes.set_title(literal(drawn.title + (" (strokes: Cramér–Rao bound)" if drawn.limits else "") + line))
     plain(axes, "x")
@@ -202,13 +201,6 @@ def _legend(axes: Axes) -> None:
 
 def _height(names: int) -> float:
     return HEIGHT + (0.17 * -(-names // 2) + 0.1 if names > NAMES_INSIDE else 0.0)
-
-
-def _plain_log(axis: Axis) -> None:
-    """Ticks 0.5, 1, 2, 5, … on a logarithmic axis."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_locator(NullLocator())
 
 
 def _kind(results: Results, condition: Condition) -> str:

@@ -143,7 +143,9 @@ class Chart(NamedTuple):
         with _styled():
             size, dpi = (self.width, self.height or HEIGHT), STYLE["savefig.dpi"]
             figure = Figure(figsize=size, dpi=dpi, facecolor="white", layout="constrained")
-            write = partial(FigureCanvasAgg(figure).print_png, pil_kwargs={"compress_level": COMPRESSION})
+            write: Callable[[Path], object] = partial(
+                FigureCanvasAgg(figure).print_png, pil_kwargs={"compress_level": COMPRESSION}
+            )
             title = literal(self.title)
             if title not in self._drawn(figure).get_title("left"):
                 figure.suptitle(title, x=0.02, ha="left", fontsize=11, fontweight="bold")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,7 +21,6 @@ from trackwright.experiments.pages.charts.objective import draw_objective, named
 from trackwright.experiments.pages.charts.style import (
     BEFORE,
     BLUE,
-    HEIGHT,
     NARROW,
     VERMILION,
     WIDTH,
@@ -32,7 +30,6 @@ from trackwright.experiments.pages.charts.style import (
     legend_above,
     literal,
     plain,
-    write_charts,
 )
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChange
 from trackwright.experiments.pages.reports.tuning_data import OptimiserTrace, TuningReportData
@@ -177,7 +174,7 @@ def objective_chart(traces: Sequence[OptimiserTrace], title: str, selected: int 
             axes.legend(*(x[::-1] for x in axes.get_legend_handles_labels()), loc="upper right")
         plain(axes)
 
-    return Chart("objective", "Objective", draw)
+    return Chart("tuning", "Objective", draw)
 
 
 def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, title: str) -> Chart:
@@ -191,24 +188,7 @@ def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, title: 
         axes.set_xlabel("step")
         plain(axes)
 
-    return Chart("parameter", name, draw, NARROW, 0.62 * NARROW)
-
-
-def write_trace(
-    out: Path, kind: str, objective: np.ndarray, values: Mapping[str, np.ndarray], units: Mapping[str, str], name: str
-) -> list[str]:
-    """Writes the objective and every tuned parameter over the steps, a file each; returns their names.
-
-    `kind`: their ending. `objective` (i,), of that name; `values`: by name (i,), in the units of `units`. Raises
-    UnusableInput where a file can't be written.
-    """
-    trace = OptimiserTrace("Fit", objective, np.stack([*values.values(), objective], axis=1))
-    charts = [objective_chart([trace], f"{name}: {objective[-1]:.6g}")._replace(name="tuning", title="Fit")]
-    for k, (label, series) in enumerate(values.items()):
-        words = f"{label}: {series[-1]:.4g}" + (f" {units[label]}" if units[label] != "1" else "")
-        chart = parameter_chart([trace], k, label, literal(words))
-        charts.append(chart._replace(name=f"tuning-{label}", width=WIDTH, height=HEIGHT))
-    return write_charts(out, charts, kind)
+    return Chart(f"tuning-{name}", name, draw, NARROW, 0.62 * NARROW)
 
 
 def _draw_steps(axes: Axes, traces: Sequence[OptimiserTrace], take: Callable[[OptimiserTrace], np.ndarray]) -> None:

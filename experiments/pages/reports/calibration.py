@@ -12,7 +12,7 @@ import numpy as np
 from trackwright.experiments.pages.charts.calibration import Panel, floor_charts, reading_chart
 from trackwright.experiments.pages.charts.style import Chart
 from trackwright.experiments.pages.reports.pages import page, write_page
-from trackwright.experiments.text.tables import Section, sections_text
+from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.wording import counted
@@ -51,6 +51,7 @@ DIFFERENCE_HEAD = ("anchor", "bias, m", *_ERRORS)
 _LASTS = "correlated for, s"
 LASTING_HEAD = ("source", "quantity", "lasting", "white noise", _LASTS, "and over, m")
 DIFFERENCE = "range difference"
+TABLES = ("stations", "anchors", "differences")
 NOT_LINEAR = ", not linear"
 """What follows the name of an anchor whose errors differ by distance after the line is removed."""
 
@@ -85,7 +86,7 @@ class Source(NamedTuple):
 
     @property
     def table(self) -> int:
-        """The table of a report: 0 of stations, 1 of anchors, 2 of range differences."""
+        """Its number in `TABLES`."""
         return 0 if self.is_angle else 1 + (self.quantity == DIFFERENCE)
 
     def errors(self, calibration: Calibration | None) -> np.ndarray:
@@ -130,44 +131,36 @@ class Source(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The tables of a calibration, by station and angle, by anchor of ranges and of differences, and by tag if several.
+    """The tables of a calibration by their part of the page, those with rows, and no column of dashes alone.
 
-    `lasting`: by station and angle and by anchor, how large the errors left out are and how long they last.
     `undetermined`: each source with the terms that are not determined. `noise`: what the noise of ranges follows, and
     what a map of bearings brings, in sentences.
     """
 
-    stations: list[list[str]]
-    anchors: list[list[str]]
-    differences: list[list[str]]
-    tags: list[list[str]]
-    lasting: list[list[str]]
+    tables: dict[str, Section]
     undetermined: list[tuple[str, str]]
     sources: list[Source]
     noise: str
 
-    def sections(self) -> list[Section]:
-        """The tables of stations, anchors, range differences, tags and errors that last; no column of dashes alone."""
-        sections = []
-        for title, head, rows, texts in (
-            ("Stations", ANGLE_HEAD, self.stations, 2),
-            ("Anchors", RANGE_HEAD, self.anchors, 1),
-            ("Range differences", DIFFERENCE_HEAD, self.differences, 1),
-        ):
-            width = len(head) - all(row[-1] == MISSING for row in rows)
-            looks = {"calibrated": "after"}
-            sections.append(Section(title, head[:width], [row[:width] for row in rows], texts, "", looks))
-        title = "Tags: bias relative to their mean, and where their ranges end"
-        sections.append(Section(title, TAG_HEAD, self.tags))
-        return [*sections, Section("Errors that last, left out", LASTING_HEAD, self.lasting, 2)]
-
     @property
     def note(self) -> str:
         """What the marks mean that occur in the tables."""
-        shown = [section for section in self.sections() if section.rows]
-        cells = [*chain.from_iterable([section.head, *section.rows] for section in shown)]
+        cells = [*chain.from_iterable([section.head, *section.rows] for section in self.tables.values())]
         notes = [text for mark, text in NOTES.items() if any(mark in cell for row in cells for cell in row)]
         return " ".join([*notes, self.noise] if self.noise else notes)
+
+
+SECTIONS = {
+    "stations": Section("Stations", ANGLE_HEAD, [], 2, "", {"calibrated": "after"}),
+    "anchors": Section("Anchors", RANGE_HEAD, [], 1, "", {"calibrated": "after"}),
+    "differences": Section("Range differences", DIFFERENCE_HEAD, [], 1, "", {"calibrated": "after"}),
+    "tags": Section("Tags: bias relative to their mean, and where their ranges end", TAG_HEAD, []),
+    "lasting": Section("Errors that last, left out", LASTING_HEAD, [], 2),
+}
+"""The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several.
+
+The last one: how large the errors left out are and how long they last.
+"""
 
 
 def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
@@ -175,7 +168,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     # An anchor whose differences are to anchors with too few has no bias.
     sources = [source for source in _sources(folders) if source.table < 2 or source.name in calibration.differences]
     without = _without_each(folders)
-    tables: tuple[list[list[str]], list[list[str]], list[list[str]]] = ([], [], [])
+    tables: dict[str, list[list[str]]] = {name: [] for name in SECTIONS}
     undetermined, series = [], {}
     for source in sources:
         terms, covariance, determined, names = _fit(calibration, source)
@@ -194,20 +187,25 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         shown = [MISSING if np.isnan(spread) else fixed(factor * spread, 1) + unit for spread in spreads]
         heads = [source.name, source.quantity], [source.name + source.bend(calibration)], [source.name]
         head = heads[source.table]
-        tables[source.table].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
+        tables[TABLES[source.table]].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
         lacking = [name for name, known in zip(names, determined, strict=True) if not known]
         if lacking:
             words = f"station {source.name}, {source.quantity}", f"anchor {source.name}"
             word = (*words, f"anchor {source.name} in range differences")[source.table]
             undetermined.append((word, ", ".join(lacking)))
-    tags = [
+    tables["tags"] = [
         [name, _term(tag.bias, tag.sigma, True), *map(_offset, tag.offset, tag.offset_sigmas), str(tag.rows)]
         for name, tag in calibration.tags.items()
+        if len(calibration.tags) > 1
     ]
-    lasting = [[*key, *_lasting(numbers, *_shown(key[1]))] for key, numbers in lasting_errors(series).items()]
-    tags = tags if len(tags) > 1 else []
-    noise = _in_words(calibration.range_quality, calibration.bearing_map)
-    return Report(*tables, tags, lasting, undetermined, sources, noise)
+    tables["lasting"] = [[*key, *_lasting(numbers, *_shown(key[1]))] for key, numbers in lasting_errors(series).items()]
+    filled: dict[str, Section] = {}
+    for part, rows in tables.items():
+        section = SECTIONS[part]
+        width = len(section.head) - (part in TABLES and all(row[-1] == MISSING for row in rows))
+        if rows:
+            filled[part] = section._replace(head=section.head[:width], rows=[row[:width] for row in rows])
+    return Report(filled, undetermined, sources, _in_words(calibration.range_quality, calibration.bearing_map))
 
 
 def _in_words(quality: RangeQuality | None, by_place: BearingMap | None) -> str:
@@ -286,15 +284,10 @@ def _term(value: float, sigma: float, determined: bool) -> str:
     return text if determined else f"({text})"
 
 
-def report_text(report: Report) -> str:
-    """The tables for a terminal."""
-    return sections_text(report.sections(), WIDTH, report.note)
-
-
 def calibration_charts(calibration: Calibration, report: Report) -> dict[str, tuple[list[Chart], list[Chart]]]:
     """Of each table with sources, by what they are called: readings against the truth, and errors over the floor."""
     charts = {}
-    for number, kind in enumerate(("stations", "anchors", "differences")):
+    for number, kind in enumerate(TABLES):
         panels = [_panel(calibration, source) for source in report.sources if source.table == number]
         panels = [panel for panel in panels if len(panel.true)][: SHOWN if number else 2 * SHOWN]
         if panels:
@@ -330,21 +323,17 @@ def write_calibration_report(
     command: Sequence[str],
 ) -> Path:
     """Writes the page beside the file `out`, with its name and the ending .html; returns the path."""
-    stations, anchors, differences, tags, lasting = report.sections()
+    counts = [len({row[0] for row in report.tables[name].rows}) for name in TABLES if name in report.tables]
     text = page(
         "calibration.html",
         command,
         title=f"Calibration on {counted(len(calibration.recordings), 'recording')}",
         recordings=calibration.recordings,
-        stations=stations,
-        anchors=anchors,
-        differences=differences,
-        tags=tags,
-        lasting=lasting,
         report=report,
+        **report.tables,
         figures=figures,
         several=len(calibration.recordings) > 1,
-        most=SHOWN if max(len(report.stations) // 2, len(report.anchors), len(report.differences)) > SHOWN else None,
+        most=SHOWN if max(counts, default=0) > SHOWN else None,
         out=str(out),
     )
     return write_page(out.with_suffix(".html"), text)

@@ -14,16 +14,8 @@ from trackwright.experiments.pages.reports.pages import page, write_page
 from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
 from trackwright.experiments.text.evaluation_text import COLUMNS, cells, title_of
 from trackwright.experiments.text.expectations import Value, with_interval
-from trackwright.experiments.text.tables import Section, sections_text
-from trackwright.experiments.text.wording import (  # fmt: skip
-    MISSING,
-    Unit,
-    heading,
-    length_unit,
-    shown_metric,
-    units_of,
-    yes_no,
-)
+from trackwright.experiments.text.tables import Section
+from trackwright.experiments.text.wording import MISSING, Unit, heading, length_unit, shown_metric, units_of, yes_no
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.evaluation.comparison import Difference, holm, paired_differences
 
@@ -184,11 +176,6 @@ def lone_subjects(runs: Sequence[StudyRun] | Sequence[TrackRun]) -> list[str]:
         for subject in dict.fromkeys(subject for subjects in held.values() for subject in subjects)
         if not all(subject in subjects for subjects in held.values())
     ]
-
-
-def comparison_text(tables: Sequence[Section]) -> str:
-    """The tables for a terminal."""
-    return sections_text(tables, WIDTH)
 
 
 def write_comparison(

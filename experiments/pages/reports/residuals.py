@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from trackwright.experiments.pages.reports.pages import packed, rounded
 from trackwright.experiments.pages.scored_tracks import ScoredRecording
 from trackwright.trackers.recordings.columns import TagRows, float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS, Kind, Measured
+from trackwright.trackers.recordings.kinds import KINDS, Measured
 
 LEAST = 5
 """The fewest readings of a quantile or of a mean."""
@@ -22,66 +21,48 @@ BINS = 12
 SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
-class Channel(NamedTuple):
-    """Readings of one kind: their sources by name, and for each reading (N,) the numbers of its tag and source.
-
-    `estimated`, `true` (N,): the reading less its prediction at the estimated and at the true position, in `unit`.
-    `against` (N,): the true distance, m, or angle, °.
-    """
-
-    name: str
-    unit: str
-    sources: list[str]
-    times: np.ndarray
-    tag: np.ndarray
-    source: np.ndarray
-    estimated: np.ndarray
-    true: np.ndarray
-    against: np.ndarray
-    against_name: str
-
-
 def page_residuals(recording: ScoredRecording, most: int) -> dict[str, Any]:
-    """The residuals as the page holds them: quantiles of all, and at most about `most` of them over time.
+    """The residuals as the page holds them, by kind of reading: quantiles of all, and at most about `most` over time.
 
-    Without estimates that are bearings.
+    About the estimated and about the true position; without estimates that are bearings.
     """
-    tags: list[str] = []
-    channels: list[Channel] = []
-    for table, kind in KINDS.items():
-        if table not in recording.folder.tables or not kind.averaged:
-            continue
-        rows = recording.folder.rows(table)
-        tags += [tag for tag in rows.tags if tag not in tags]
-        number = rows.of_each(np.array([tags.index(tag) for tag in rows.tags]))
-        estimated = _estimated(recording, rows)
-        true, _ = recording.folder.paths.at(rows.tags, rows.starts, rows.times)
-        found = _channels(recording.folder, kind, rows, number, estimated, true)
-        channels += [channel for channel in found if np.isfinite([channel.estimated, channel.true]).any()]
-    step = max(1, -(-sum(len(c.times) for c in channels) // most)) if channels else 1
+    folder, tags = recording.folder, list[str]()
+    channels, points = list[dict[str, Any]](), list[dict[str, np.ndarray]]()
     start = float(np.min(recording.times, initial=np.inf)) if len(recording.times) else 0.0
-    return {
-        "tags": tags,
-        "every": step,
-        "channels": [
-            {
-                "name": c.name,
-                "unit": c.unit,
-                "sources": c.sources,
-                "boxes": {"estimated": _boxes(c, c.estimated), "true": _boxes(c, c.true)},
-                "curves": _curves(c),
-                "againstName": c.against_name,
-                "points": {
-                    "t": packed(c.times[::step] - start),
-                    "tag": packed(c.tag[::step], "u2"),
-                    "source": packed(c.source[::step], "u2"),
-                    "estimated": packed(c.estimated[::step]),
-                    "true": packed(c.true[::step]),
-                },
-            }
-            for c in channels
-        ],
-    }
+    for table, kind in KINDS.items():
+        if table not in folder.tables or not kind.averaged:
+            continue
+        rows = folder.rows(table)
+        tags += [tag for tag in rows.tags if tag not in tags]
+        tag = rows.of_each(np.array([tags.index(tag) for tag in rows.tags]))
+        measured = kind.measured(folder.rig, rows).usable
+        measured = measured._replace(values=_without_systematic_errors(folder, measured, rows))
+        sources = list(measured.ids) or [kind.name]
+        source = measured.sensors.number[:, 0] if kind.sensors else np.zeros(len(rows.times), int)
+        true_places, _ = folder.paths.at(rows.tags, rows.starts, rows.times)
+        unit, factor = kind.shown[0].strip(), kind.shown[1]
+        all_estimated, all_true, all_against = (
+            factor * numbers.T
+            for numbers in (measured.errors(_estimated(recording, rows)), measured.errors(true_places),
+                            measured.predicted(true_places))
+        )  # fmt: skip
+        for column, estimated, true, against in zip(
+            measured.columns, all_estimated, all_true, all_against, strict=True
+        ):
+            if not np.isfinite([estimated, true]).any():
+                continue
+            name = column.rpartition("_")[0].replace("_", " ")
+            channels.append({
+                "name": f"fix, {name}" if kind.position else name, "unit": unit, "sources": sources,
+                "boxes": {"estimated": _boxes(sources, source, estimated), "true": _boxes(sources, source, true)},
+                "curves": _curves(sources, source, true, against), "againstName": f"true {name} ({unit})",
+            })  # fmt: skip
+            points.append({"t": rows.times - start, "tag": tag, "source": source, "estimated": estimated, "true": true})
+    step = max(1, -(-sum(len(columns["t"]) for columns in points) // most))
+    for channel, columns in zip(channels, points, strict=True):
+        kinds = {"tag": "u2", "source": "u2"}
+        channel["points"] = {name: packed(x[::step], kinds.get(name, "f4")) for name, x in columns.items()}
+    return {"tags": tags, "every": step, "channels": channels}
 
 
 def _estimated(recording: ScoredRecording, rows: TagRows) -> np.ndarray:
@@ -107,23 +88,6 @@ def _estimated(recording: ScoredRecording, rows: TagRows) -> np.ndarray:
     return estimated
 
 
-def _channels(
-    folder: RecordingFolder, kind: Kind, rows: TagRows, tag: np.ndarray, estimated: np.ndarray, true: np.ndarray
-) -> Iterator[Channel]:
-    """A channel for each column of a kind, without the systematic errors of a calibration."""
-    measured = kind.measured(folder.rig, rows).usable
-    measured = measured._replace(values=_without_systematic_errors(folder, measured, rows))
-    source = measured.sensors.number[:, 0] if kind.sensors else np.zeros(len(rows.times), int)
-    against, about = measured.predicted(true), [measured.errors(positions) for positions in (estimated, true)]
-    unit, factor = kind.shown[0].strip(), kind.shown[1]
-    for k, column in enumerate(measured.columns):
-        name = column.rpartition("_")[0].replace("_", " ")
-        yield Channel(
-            f"fix, {name}" if kind.position else name, unit, list(measured.ids) or [kind.name], rows.times, tag, source,
-            factor * about[0][:, k], factor * about[1][:, k], factor * against[:, k], f"true {name} ({unit})",
-        )  # fmt: skip
-
-
 def _without_systematic_errors(folder: RecordingFolder, measured: Measured, rows: TagRows) -> np.ndarray:
     """The readings (N, m), NaN where one is missing, without what the calibration says of their anchors or stations."""
     values, kind = measured.values, measured.kind
@@ -138,13 +102,13 @@ def _without_systematic_errors(folder: RecordingFolder, measured: Measured, rows
     return folder.calibration.of_ranges(measured.ids, number, rows.tags, tag, values[:, 0])[0][:, None]
 
 
-def _boxes(channel: Channel, residuals: np.ndarray) -> list[list[float | None]] | None:
+def _boxes(sources: list[str], source: np.ndarray, residuals: np.ndarray) -> list[list[float | None]] | None:
     """Of each source: number, mean, robust standard deviation and the quantiles `SHARES`; None without residuals."""
     if not np.isfinite(residuals).any():
         return None
     boxes: list[list[float | None]] = []
-    for k in range(len(channel.sources)):
-        of_source = residuals[(channel.source == k) & np.isfinite(residuals)]
+    for k in range(len(sources)):
+        of_source = residuals[(source == k) & np.isfinite(residuals)]
         if len(of_source) < LEAST:
             boxes.append([len(of_source), *[None] * (2 + len(SHARES))])
             continue
@@ -154,24 +118,21 @@ def _boxes(channel: Channel, residuals: np.ndarray) -> list[list[float | None]] 
     return boxes
 
 
-def _curves(channel: Channel) -> list[dict[str, Any]]:
+def _curves(sources: list[str], source: np.ndarray, residuals: np.ndarray, against: np.ndarray) -> list[dict[str, Any]]:
     """Of each source: the mean residual about the truth in bins of the true distance or angle."""
-    known = np.isfinite(channel.true) & np.isfinite(channel.against)
-    if known.sum() < LEAST:
+    known = np.isfinite(residuals) & np.isfinite(against)
+    if known.sum() < LEAST or np.ptp(against[known]) < 1e-6:
         return []
-    edges = np.linspace(channel.against[known].min(), channel.against[known].max(), BINS + 1)
-    if edges[-1] - edges[0] < 1e-6:
-        return []
-    bins = np.clip(np.searchsorted(edges, channel.against[known], side="right") - 1, 0, BINS - 1)
-    cell = channel.source[known] * BINS + bins
-    size = len(channel.sources) * BINS
-    count = np.bincount(cell, minlength=size)
-    mean = np.bincount(cell, channel.true[known], size) / np.maximum(count, 1)
+    edges = np.linspace(against[known].min(), against[known].max(), BINS + 1)
+    shape = len(sources), BINS
+    cell = source[known] * BINS + np.clip(np.searchsorted(edges, against[known], side="right") - 1, 0, BINS - 1)
+    counts = np.bincount(cell, minlength=len(sources) * BINS).reshape(shape)
+    means = np.bincount(cell, residuals[known], len(sources) * BINS).reshape(shape) / np.maximum(counts, 1)
     middles = 0.5 * (edges[1:] + edges[:-1])
     return [
         {"source": name, "x": [rounded(float(x)) for x in middles[there]],
-         "y": [rounded(float(y)) for y in mean[k * BINS : (k + 1) * BINS][there]],
-         "n": [int(c) for c in count[k * BINS : (k + 1) * BINS][there]]}
-        for k, name in enumerate(channel.sources)
-        if (there := count[k * BINS : (k + 1) * BINS] >= LEAST).any()
+         "y": [rounded(float(y)) for y in mean[there]],
+         "n": count[there].tolist()}
+        for name, count, mean in zip(sources, counts, means, strict=True)
+        if (there := count >= LEAST).any()
     ]  # fmt: skip

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 from trackwright.experiments.monte_carlo.declaration import Study
 from trackwright.experiments.monte_carlo.results import Results
 from trackwright.experiments.pages.charts.study import SHOWN_CONDITIONS, distribution_charts, metric_chart
 from trackwright.experiments.pages.charts.style import Chart
-from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.pages.reports.pages import page
 from trackwright.experiments.pages.reports.study_text import (
     expected_sections,
     headline_of,
@@ -27,13 +26,8 @@ BOUNDS = {"rmse_m": "bound_m", "rmse_3d_m": "bound_3d_m"}
 """The bound that is drawn as a line among the values of a metric, instead of in a chart of its own."""
 
 
-def write_study_report(folder: Path, results: Results, expected: Sequence[Claim], command: Sequence[str]) -> Path:
-    """Writes the page into the folder, whole or not at all; returns its path."""
-    return write_page(folder / REPORT, study_page(results, expected, command))
-
-
 def study_page(results: Results, expected: Sequence[Claim], command: Sequence[str]) -> str:
-    """The report as HTML."""
+    """The page."""
     study = results.study
     charts, distributions = study_charts(results)
     more = len(study.conditions) > SHOWN_CONDITIONS

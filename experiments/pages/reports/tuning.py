@@ -5,35 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from trackwright.experiments.pages.charts import tuning as charts
 from trackwright.experiments.pages.charts.objective import named
-from trackwright.experiments.pages.charts.tuning import (
-    distribution_chart,
-    error_charts,
-    innovation_charts,
-    objective_chart,
-    parameter_chart,
-    plan_chart,
-    rmse_chart,
-    selected_step,
-    surface_chart,
-)
-from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.pages.reports.pages import page
 from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TuningReportData
 from trackwright.experiments.text.wording import MISSING, number, percent_change
 from trackwright.trackers.core.wording import counted
 
 SAME = 0.1
 """The relative difference of values up to which two starts end at one point, as the optimiser has it."""
-
-
-def write_tuning_report(path: Path | str, data: TuningReportData) -> Path:
-    """Writes the page whole or not at all; returns the path. Raises UnusableInput where it can't be written."""
-    return write_page(path, tuning_page(data))
 
 
 def tuning_page(data: TuningReportData) -> str:
@@ -97,28 +81,28 @@ def _changed(metric: MetricChange, pair: tuple[float, float]) -> Change:
 
 def _charts(data: TuningReportData) -> dict[str, Any]:
     """The charts of the page by section."""
-    charts: dict[str, Any] = {"consistency": (), "errors": {}, "plans": ()}
+    drawn: dict[str, Any] = {"consistency": (), "errors": {}, "plans": ()}
     if data.plans is not None:
-        charts["plans"] = [(plan_chart(change), change) for change in data.plans.shown]
+        drawn["plans"] = [(charts.plan_chart(change), change) for change in data.plans.shown]
     if data.traces:
-        charts["objective"] = objective_chart(data.traces, data.objective_about, selected_step(data))
-        charts["parameters"] = [
-            parameter_chart(data.traces, k, parameter.name, named(parameter.name, parameter.unit))
+        drawn["objective"] = charts.objective_chart(data.traces, data.objective_about, charts.selected_step(data))
+        drawn["parameters"] = [
+            charts.parameter_chart(data.traces, k, parameter.name, named(parameter.name, parameter.unit))
             for k, parameter in enumerate(data.parameters)
         ]
         if data.surface is not None:
-            charts["surface"] = surface_chart(data, data.surface)
+            drawn["surface"] = charts.surface_chart(data, data.surface)
     if data.innovations is not None and min(len(side.nis) for side in data.innovations):
-        charts["consistency"] = innovation_charts(*data.innovations)
+        drawn["consistency"] = charts.innovation_charts(*data.innovations)
     known = [e for e in data.errors if (e.before == e.before).any() and (e.after == e.after).any()]
     if known:
-        charts["errors"] = {
+        drawn["errors"] = {
             "count": len(known),
-            "rmse": rmse_chart(known, data.error_unit),
-            "distribution": distribution_chart(known, data.error_unit),
-            "over_time": error_charts(known, data.error_unit),
+            "rmse": charts.rmse_chart(known, data.error_unit),
+            "distribution": charts.distribution_chart(known, data.error_unit),
+            "over_time": charts.error_charts(known, data.error_unit),
         }
-    return charts
+    return drawn
 
 
 WORSE = 0.02

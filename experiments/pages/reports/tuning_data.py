@@ -62,7 +62,6 @@ class MetricChange:
 class OptimiserTrace:
     """The steps from one start: the objective (i,) and the physical values (i, p) of the parameters."""
 
-    name: str
     objective: np.ndarray
     values: np.ndarray
 
@@ -160,7 +159,7 @@ def collect(
         held_out=recording_names(held_out),
         parameters=_parameters(result, intervals, issues),
         metrics=(*own, *_metrics(trackers, rows, weights, quantity, data.dimensions)),
-        traces=_traces(result),
+        traces=traces_of(result),
         surface=surface_of(result),
         evaluated_on="held-out recordings" if held_out else "the recordings tuned on",
         innovations=innovations,
@@ -243,16 +242,15 @@ def _flat(parameters: Sequence[Parameter], values: dict[str, np.ndarray]) -> np.
     return np.concatenate([np.ravel(np.asarray(values[p.label], float)) for p in parameters])
 
 
-def _traces(result: FitResult) -> tuple[OptimiserTrace, ...]:
+def traces_of(result: FitResult) -> tuple[OptimiserTrace, ...]:
     """The steps of all starts, the best first."""
     ordered = sorted(result.starts or [result.trace], key=lambda steps: steps is not result.trace)
     return tuple(
         OptimiserTrace(
-            f"start {k + 1}",
             np.array([step.value for step in steps]),
             np.stack([_flat(result.parameters, step.values) for step in steps]),
         )
-        for k, steps in enumerate(ordered)
+        for steps in ordered
     )
 
 

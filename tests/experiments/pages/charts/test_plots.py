@@ -35,8 +35,9 @@ from trackwright.experiments.pages.charts.style import (
     Chart,
     broken_at_gaps,
 )
-from trackwright.experiments.pages.charts.tuning import error_charts, rmse_chart, write_trace
+from trackwright.experiments.pages.charts.tuning import error_charts, objective_chart, parameter_chart, rmse_chart
 from trackwright.experiments.pages.reports.before_after import ErrorTrack
+from trackwright.experiments.pages.reports.tuning_data import OptimiserTrace
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Station
@@ -267,19 +268,19 @@ def test_the_band_of_white_noise_is_that_of_the_pairs_of_rows_after_the_fit(tmp_
 
 
 @pytest.mark.parametrize(("largest", "ticks"), [(50.0, [1, 3, 10, 30]), (200.0, [1, 10, 100])])
-def test_a_tuning_trace_has_three_round_ticks_at_least(tmp_path, figures, largest, ticks):
-    name, unit = "motion.sigma_a", {"motion.sigma_a": "m/s²"}
-    names = write_trace(tmp_path, "png", T, {name: np.geomspace(1.0, largest, len(T))}, unit, "nll")
-    assert names == ["tuning.png", "tuning-motion.sigma_a.png"]
-    (axes,) = figures[1].axes
+def test_a_tuning_trace_has_three_round_ticks_at_least(figures, largest, ticks):
+    trace = OptimiserTrace(T, np.geomspace(1.0, largest, len(T))[:, None])
+    assert parameter_chart([trace], 0, "motion.sigma_a", "motion.sigma_a (m/s²)").address
+    (axes,) = figures[0].axes
     low, high = axes.get_ylim()
     assert [tick for tick in axes.get_yticks() if low <= tick <= high] == pytest.approx(ticks)
 
 
-def test_the_tuning_trace_takes_one_iteration_and_no_numbers(tmp_path):
-    for name in write_trace(tmp_path, "png", np.array([3.0]), {"sigma": np.array([0.1])}, {"sigma": "1"}, "nll"):
-        _pixels(tmp_path / name)
-    assert write_trace(tmp_path, "png", np.array([3.0, np.nan]), {}, {}, "nll") == ["tuning.png"]
+def test_the_tuning_trace_takes_one_iteration_and_one_without_a_value(tmp_path):
+    for objective in ([3.0], [3.0, np.nan]):
+        trace = OptimiserTrace(np.array(objective), np.full((len(objective), 1), 0.1))
+        _pixels(objective_chart([trace], "nll").write(tmp_path / "tuning.png"))
+        assert parameter_chart([trace], 0, "sigma", "sigma").write(tmp_path / "sigma.png").is_file()
 
 
 @pytest.mark.parametrize("in_plane", [True, False])

@@ -13,7 +13,8 @@ from tests.experiments.pages.charts.small_runs import chart_data
 from tests.experiments.pages.reports.tuning_report_data import report_data, walk
 from trackwright.experiments.pages.charts.tuning import PLAN_POINTS, plan_chart
 from trackwright.experiments.pages.reports.before_after import MOST_PLANS, compare, track_changes, tracked
-from trackwright.experiments.pages.reports.tuning import tuning_page, write_tuning_report
+from trackwright.experiments.pages.reports.pages import write_page
+from trackwright.experiments.pages.reports.tuning import tuning_page
 from trackwright.sim import worlds
 
 LEVELS = "sensors.fixes.sigma_*"
@@ -118,7 +119,7 @@ def test_the_plan_includes_the_anchors(three):
 @pytest.mark.parametrize("width", [1300, 400])
 def test_the_plans_are_drawn_in_a_browser(three, tmp_path, width):
     _, _, found = three
-    path = write_tuning_report(tmp_path / "report.html", report_data(plans=found))
+    path = write_page(tmp_path / "report.html", tuning_page(report_data(plans=found)))
     with chromium() as browser:
         page = browser.new_page(viewport={"width": width, "height": 900})
         errors = watched(page)

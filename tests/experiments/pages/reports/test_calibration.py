@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.experiments.pages.charts.small_runs import chart_data
 from trackwright.experiments.pages.charts.calibration import Panel, floor_charts, reading_chart
-from trackwright.experiments.pages.reports.calibration import Report, Source
+from trackwright.experiments.pages.reports.calibration import SECTIONS, Report, Source
 from trackwright.tuning.calibration_pairs import Pairs
 
 
@@ -44,7 +44,7 @@ def test_a_floor_that_is_wide_is_drawn_low():
 
 
 def test_columns_of_text_are_names_and_the_others_numbers():
-    for section in Report(*[[]] * 7, "").sections():
+    for section in SECTIONS.values():
         names, numbers = set(section.head[: section.n_text]), set(section.head[section.n_text :])
         assert names <= {"station", "angle", "anchor", "tag", "source", "quantity"}, section.head
         assert not {"angle", "quantity"} & numbers
@@ -52,7 +52,9 @@ def test_columns_of_text_are_names_and_the_others_numbers():
 
 def test_the_note_explains_the_marks_of_the_tables_that_have_rows():
     row = ["A", "0.100 ± 0.010", "(0.001 ± 0.010)", "600", "11 cm", "5 cm", "–"]
-    note = Report([], [row], [], [], [], [], [], "").note
+    note = Report(
+        {"anchors": SECTIONS["anchors"]._replace(head=SECTIONS["anchors"].head[:-1], rows=[row[:-1]])}, [], [], ""
+    ).note
     assert note.startswith("± standard error. In brackets: ")
     assert "As measured" in note
     assert "Left out" not in note

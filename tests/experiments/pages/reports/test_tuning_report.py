@@ -10,12 +10,12 @@ from scipy import stats
 
 from tests.experiments.pages.reports.tuning_report_data import innovations, report_data
 from trackwright.experiments.pages.reports.before_after import Compared
+from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.tuning import (
     _changed,
     advice_on,
     agreement,
     tuning_page,
-    write_tuning_report,
 )
 from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
 from trackwright.experiments.pages.reports.verdict import Verdict
@@ -62,7 +62,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    return write_tuning_report(tmp_path_factory.mktemp("report") / "report.html", report_data()).read_text("utf-8")
+    return write_page(tmp_path_factory.mktemp("report") / "report.html", tuning_page(report_data())).read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +242,7 @@ def test_autocorrelation_is_that_of_the_model_and_stops_at_the_end_of_a_trajecto
 
 def test_how_many_starts_end_at_one_point_is_said_and_whether_another_is_lower():
     def start(end, objective):
-        return OptimiserTrace("", np.array([9.0, objective]), np.array([[5.0, 5.0], end]))
+        return OptimiserTrace(np.array([9.0, objective]), np.array([[5.0, 5.0], end]))
 
     near, far, lower = start([1.05, 2.0], 1.0), start([1.0, 2.5], 1.2), start([3.0, 2.0], 0.5)
     assert agreement([start([1.0, 2.0], 1.0), near]) == "All 2 starts end at one point (values within a tenth)."

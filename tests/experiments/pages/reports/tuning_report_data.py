@@ -63,7 +63,7 @@ def report_data(**changes) -> TuningReportData:
             MetricChange("nll", "Negative log-likelihood", "nats", (0.4812, 0.1327), (0.4950, 0.1411)),
             MetricChange("rmse", "RMSE", "m", (0.3126, 0.2418), (0.3233, 0.2517)),
         ),
-        traces=tuple(OptimiserTrace(f"start {k + 1}", 0.1327 + a, w) for k, (a, w) in enumerate(zip(away, ways, strict=True))),
+        traces=tuple(OptimiserTrace(0.1327 + a, w) for a, w in zip(away, ways, strict=True)),
         surface=Surface((0, 1), grids, 0.1327 + x**2 + y**2 + 0.4 * x * y),
         evaluated_on="held-out recordings",
         innovations=(innovations(0.55), innovations(1.0, 7)),
