@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
+from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, KnownStart
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.filters.filter import Innovation
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
@@ -22,7 +23,6 @@ from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Row
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import State
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.motion import LineMotion, PathState
@@ -49,8 +49,6 @@ HALT_SIGMA_A, HALT_SIGMA_FIX, HALT_DT, HALT_ROWS = 0.3, 0.25, 0.5, 24
 HALT_ARCLENGTH, HALT_SPEED, HALT_SPREAD = 2.0, 0.6, 0.1
 """Prior of the halt: mean arclength, m, mean speed, m/s, and the standard deviation of both."""
 
-NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
-
 
 def corridor_fixes(rows: int, seed: int = 3) -> np.ndarray:
     """Fixes (rows, 2), m, at 1 Hz, of a tag that moves along the centre line from 1 m to 5 m."""
@@ -64,24 +62,6 @@ def rectangle(corners: np.ndarray) -> np.ndarray:
     (left, low), (right, high) = corners
     knots = np.array([[left, low], [right, low], [right, high], [left, high], [left, low]])
     return np.hstack([knots[:-1], knots[1:]])
-
-
-class KnownStart(AbstractStart):
-    """Start at the first row, with a state made of independent normal numbers of these means and deviations."""
-
-    state: Callable[[list[Scalar]], State] = eqx.field(static=True)
-    means: tuple[float, ...] = eqx.field(static=True)
-    deviations: tuple[float, ...] = eqx.field(static=True)
-
-    def can_start(self, row: Row) -> Scalar:
-        return row.valid
-
-    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        return row.dt
-
-    def belief(self, candidate: Any, row: Row) -> Gaussian:
-        zero = jnp.zeros_like(row.dt)
-        return Gaussian(self.state([zero + m for m in self.means]), diagonal([d * d for d in self.deviations], zero))
 
 
 CORRIDOR_START = KnownStart(lambda x: Placed(Vector.of(x)), (0.0, 0.0), (1.0, 1.0))
