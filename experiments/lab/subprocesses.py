@@ -49,8 +49,13 @@ def command(*arguments: str | Path, folder: Path | None = None) -> None:
         sys.exit(code)
 
 
-def new_interpreter(arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
-    """A Python run with these arguments, without the user's XLA flags; raises TimeoutExpired after `limit_s`."""
+def new_interpreter(arguments: Sequence[str], limit_s: float) -> None:
+    """Run Python with these arguments, without the user's XLA flags.
+
+    Raises RuntimeError with the last line of its errors if it fails, and TimeoutExpired after `limit_s`.
+    """
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     line = [sys.executable, *arguments]
-    return subprocess.run(line, env=environment, capture_output=True, text=True, timeout=limit_s, check=False)
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=limit_s, check=False)
+    if done.returncode:
+        raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])

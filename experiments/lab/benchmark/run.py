@@ -5,12 +5,11 @@ recordings, those on which our defaults were set, on a grid; then both are scale
 degree of freedom is 1 there. Peers run in processes that never import trackwright.
 """
 
-import os
-import subprocess
-import sys
+import pickle
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
@@ -22,6 +21,7 @@ import polars as pl
 from trackwright.experiments.cli.main import run_alone
 from trackwright.experiments.lab.benchmark import problems as data
 from trackwright.experiments.lab.runner import EVIDENCE, Case, Figures, measure, read
+from trackwright.experiments.lab.subprocesses import new_interpreter
 from trackwright.experiments.lab.validation.levels import TRACKERS
 from trackwright.experiments.text.tables import markdown, replace_tables
 from trackwright.experiments.text.terminal import notice
@@ -32,16 +32,12 @@ from trackwright.trackers.evaluation.scoring import score
 
 PEERS, PAGE = Path(__file__).with_name("peers"), Path("docs/side-by-side.md")
 OURS, SMOOTHED, OPTIMUM = "trackwright", "trackwright-smoothed", "optimum"
-SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=3000000"
-"""The options of XLA with which cuthbert and dynamax run fastest here."""
-
 
 ESTIMATORS = {
-    "numpy-ekf": "plain:estimate", "filterpy": "with_filterpy:estimate", "stonesoup": "with_stonesoup:estimate",
-    "cuthbert": "with_cuthbert:prepared", "dynamax": "with_dynamax:prepared", "gtsam-lag": "with_gtsam:fixed_lag",
-    "gtsam": "with_gtsam:batch",
+    "numpy-ekf": "with_numpy", "filterpy": "with_filterpy", "stonesoup": "with_stonesoup", "cuthbert": "with_cuthbert",
+    "dynamax": "with_dynamax", "gtsam-lag": "with_gtsam_lag", "gtsam": "with_gtsam",
 }  # fmt: skip
-"""Module and function in `peers`."""
+"""The adapters in `peers`."""
 LATER = ("dynamax", "gtsam")
 """Those that use later readings."""
 DEVELOPMENT = {
@@ -61,26 +57,15 @@ def peer(name: str, recording: str, levels: Sequence[Levels], most: int) -> Iter
     folder = data.folder_of(recording, most)
     given = [(tag, problem.first(most)) for tag, problem in data.problems(folder)]
     with tempfile.TemporaryDirectory() as place:
-        source, target = Path(place, "problems.npz"), Path(place, "estimates.npz")
-        fields = ("times", "values", "seen", "geometry", "height")
-        arrays = {f"{f}_{k}": getattr(p, f) for k, (_, p) in enumerate(given) for f in fields}
-        np.savez(source, kind=given[0][1].kind, prior=given[0][1].prior, **arrays)
-        line = [sys.executable, str(PEERS / "run_peer.py"), ESTIMATORS[name], str(source), str(target)]
-        environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {"XLA_FLAGS": SMALL_LOOPS}
-        done = subprocess.run(
-            [*line, *(f"{a},{r}" for a, r in levels)], env=environment, capture_output=True, text=True, check=False,
-            timeout=LIMIT_S * len(levels),
-        )  # fmt: skip
-        if done.returncode:
-            raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
-        with np.load(target) as kept:
-            cpu = 1e6 * float(kept["seconds"]) / sum(len(p.times) for _, p in given)
-            for number in range(len(levels)):
-                paths = [[kept.get(f"{what}_{number}_{k}") for what in ("positions", "covariances")]
-                         for k in range(len(given))]  # fmt: skip
-                tables = (_table(folder.name, *one, *path) for one, path in zip(given, paths, strict=True))
-                figures, errors = scored(pl.concat(tables), folder)
-                yield {**figures, "cpu_us": cpu}, errors
+        file = Path(place, "problems, then paths")
+        file.write_bytes(pickle.dumps((levels, [asdict(problem) for _, problem in given])))
+        new_interpreter(["-E", str(PEERS / "run_peer.py"), ESTIMATORS[name], str(file)], LIMIT_S * len(levels))
+        seconds, paths = pickle.loads(file.read_bytes())
+    cpu = 1e6 * seconds / sum(len(p.times) for _, p in given)
+    for found in zip(*paths, strict=True):
+        tables = (_table(folder.name, *one, *path) for one, path in zip(given, found, strict=True))
+        figures, errors = scored(pl.concat(tables), folder)
+        yield {**figures, "cpu_us": cpu}, errors
 
 
 def _table(recording: str, tag: str, p: Any, positions: np.ndarray, P: np.ndarray | None) -> pl.DataFrame:

@@ -88,11 +88,16 @@ class Problem:
             length = length - xp.sqrt(xp.sum(other * other, axis=-1, keepdims=True))
         return length
 
-    def slopes(self, x: np.ndarray, geometry: np.ndarray) -> np.ndarray:
-        """The gradients (m, 2d) of `predicted` with respect to a state."""
+    def off(self, x: np.ndarray, row: int) -> np.ndarray:
+        """How much more the seen channels of a reading are than is expected of a state."""
+        z = self.values[row]
+        return (z - self.predicted(x, self.geometry[row], z))[self.seen[row]]
+
+    def slopes(self, x: np.ndarray, row: int) -> np.ndarray:
+        """The gradients (…, 2d) of the seen channels of a reading with respect to a state."""
+        place, geometry, seen = self.place(x), self.geometry[row], self.seen[row]
         if self.kind == "fixes":
-            return np.eye(3)[:, : self.d] @ np.eye(self.d, 2 * self.d)
-        place = self.place(x)
+            return np.eye(3, 2 * self.d)[seen]
         ray = place - geometry[:3]
         full = ray[None] / np.linalg.norm(ray)
         if self.kind == "tdoa":
@@ -103,7 +108,7 @@ class Problem:
             of_u = [[z / flat**2, 0.0, -x_ / flat**2]]
             of_u += [[-x_ * y / (flat * square), flat / square, -z * y / (flat * square)]]
             full = np.array(of_u) @ geometry[3:12].reshape(3, 3)
-        return full[:, : self.d] @ np.eye(self.d, 2 * self.d)
+        return full[seen, : self.d] @ np.eye(self.d, 2 * self.d)
 
 
 def _turned(geometry: Any, ray: Any, xp: Any) -> Any:
