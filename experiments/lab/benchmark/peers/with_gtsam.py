@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from gtsam import noiseModel
 from model import Path, Problem, diffusion, transition
-from with_numpy import states
+from with_numpy_ekf import states
 
 HUBER = noiseModel.mEstimator.Huber.Create(1.345)
 
