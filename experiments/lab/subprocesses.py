@@ -29,15 +29,6 @@ def required_recordings() -> Path:
     return folder
 
 
-def flights_folder() -> Path | None:
-    """The folder of flights with range differences: TRACKWRIGHT_FLIGHTS, else `recordings-tdoa` beside the other."""
-    recordings = recordings_folder()
-    beside = None if recordings is None else recordings.with_name("recordings-tdoa")
-    named = os.environ.get("TRACKWRIGHT_FLIGHTS")
-    folder = beside if named is None else Path(named)
-    return folder if folder is not None and folder.is_dir() else None
-
-
 def command(*arguments: str | Path, folder: Path | None = None) -> None:
     """Print a `trackwright` command and run it, its output to the terminal; exits with its code if it fails.
 
