@@ -61,7 +61,7 @@ def problems(folder: RecordingFolder, most: int | None = None) -> Iterator[tuple
             prior = PRIOR if folder.name in WORLDS else (1.0, 1.0)
             seen = seen & (np.arange(3) < 2) if kind == "fixes" and batch.planar else seen
             rows = np.flatnonzero(seen.any(axis=1))[:most]
-            given = (of[rows] for of in (times, values.astype(float), seen, geometry.astype(float)))
+            given = times[rows], values[rows].astype(float), seen[rows], geometry[rows].astype(float)
             yield trajectory.tag, Problem(kind, *given, height, prior)
 
 
