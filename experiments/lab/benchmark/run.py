@@ -126,8 +126,9 @@ def levels_of(name: str, kind: str) -> Figures:
     runs = [[figures for figures, _ in peer(name, recording, grid, SEARCHED)] for recording in names]
     logs = np.log([[[r["rmse"] or np.inf, r["nees"] or np.nan] for r in each] for each in runs])
     best = int(np.nanargmin(np.mean(logs[..., 0], axis=0)))
-    nees = logs[np.isfinite(logs[:, best, 1]), best, 1]  # None where an estimator gave no covariances.
-    scale, (acceleration, reading) = float(np.exp(0.5 * np.sum(nees) / max(len(nees), 1))), grid[best]
+    nees = logs[np.isfinite(logs[:, best, 1]), best, 1]
+    scale = float(np.exp(0.5 * np.mean(nees))) if len(nees) else 1.0  # 1: the estimator gave no covariances.
+    acceleration, reading = grid[best]
     return {"acceleration": acceleration * scale, "reading": reading * scale, "scale": scale, "pairs": len(grid),
             "recordings": len(names)}  # fmt: skip
 
