@@ -106,9 +106,11 @@ def levels_of(name: str, kind: str) -> Figures:
     grid = list(product(*GRIDS.get(kind, USUAL)))
     names = [recording for recording in DEVELOPMENT[kind] if recording in paths()]
     runs = [[figures for figures, _ in peer(name, recording, grid, SEARCHED)] for recording in names]
-    mean = np.mean(np.log([[[r["rmse"] or np.inf, r["nees"] or np.nan] for r in each] for each in runs]), axis=0)
-    best = int(np.nanargmin(mean[:, 0]))
-    scale, (acceleration, reading) = float(np.exp(0.5 * mean[best, 1])), grid[best]
+    logs = np.log([[[r["rmse"] or np.inf, r["nees"] or np.nan] for r in each] for each in runs])
+    best = int(np.nanargmin(np.mean(logs[..., 0], axis=0)))
+    nees = logs[np.isfinite(logs[:, best, 1]), best, 1]
+    scale = float(np.exp(0.5 * np.mean(nees))) if len(nees) else 1.0  # 1: the estimator gave no covariances.
+    acceleration, reading = grid[best]
     return {"acceleration": acceleration * scale, "reading": reading * scale, "scale": scale, "pairs": len(grid),
             "recordings": len(names)}  # fmt: skip
 
