@@ -110,9 +110,8 @@ def levels_of(name: str, kind: str) -> Figures:
     best = int(np.nanargmin(np.mean(logs[..., 0], axis=0)))
     nees = logs[np.isfinite(logs[:, best, 1]), best, 1]
     scale = float(np.exp(0.5 * np.mean(nees))) if len(nees) else 1.0  # 1: the estimator gave no covariances.
-    acceleration, reading = grid[best]
-    return {"acceleration": acceleration * scale, "reading": reading * scale, "scale": scale, "pairs": len(grid),
-            "recordings": len(names)}  # fmt: skip
+    motion, reading = scale * np.array(grid[best])
+    return {"acceleration": motion, "reading": reading, "scale": scale, "pairs": len(grid), "recordings": len(names)}
 
 
 def beside(name: str, recording: str) -> Figures:
