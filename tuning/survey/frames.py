@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.tuning.survey.solving import Prior, Solution, equations, tags
+from trackwright.tuning.survey.solving import Prior, Solution, equations
 from trackwright.tuning.survey.starts import descended, likelier, seen_from
-from trackwright.tuning.survey.walks import LEVEL, Walk
+from trackwright.tuning.survey.walks import LEVEL, Walks
 
 EXACT, ASIDE, UNLIKELY = 1e-3, 0.1, 4.0
 """Deviation of exact positions, m; a frame's least height over base; ratio of log-likelihoods that excludes a place."""
@@ -45,12 +45,12 @@ def triangle(names: Sequence[str], frame: Sequence[str], anchors: np.ndarray, d:
 
 
 def framed(
-    walks: Sequence[Walk], solution: Solution, prior: Prior, names: Sequence[str], known: np.ndarray,
+    walks: Walks, solution: Solution, prior: Prior, names: Sequence[str], known: np.ndarray,
     given: Sequence[str], sigma: float, frame: Sequence[str],
 ) -> tuple[Solution, Prior, list[str]]:  # fmt: skip
     """The solution among the given anchors or in the frame of three, the prior with what that fixes, and assumptions.
     `known` (A, 3): positions, m, of the given ones, of standard deviation `sigma`, m."""
-    flat, anchors = any(walk.height is not None for walk in walks), solution.anchors[:, :3]
+    flat, anchors = bool(np.isfinite(walks.heights).any()), solution.anchors[:, :3]
     d, free, mean, precision = 2 if flat else 3, prior.free.reshape(-1, 4).copy(), prior.mean.copy(), prior.precision
     target, notes = known.copy(), []
     if given:
@@ -76,20 +76,18 @@ def framed(
     for turn, shift in aligned(anchors[chosen], target[chosen], d):
         moved = solution.anchors.copy()
         moved[:, :3] = np.where(free[:, :3], anchors @ turn.T + shift, target)
-        turns = zip(walks, solution.paths, strict=True)
-        paths = [path @ turn[: w.dimensions, : w.dimensions].T + shift[: w.dimensions] for w, path in turns]
-        placed.append(replace(solution, anchors=moved, paths=paths))
+        placed.append(replace(solution, anchors=moved, path=solution.path @ turn.T + shift))
     # Of mirror images, that with the tags below the anchors.
-    best = min(placed, key=lambda s: tags(walks, s)[:, 2].mean())
+    best = min(placed, key=lambda s: walks.positions(s.path)[:, 2].mean())
     return best, Prior(mean, precision, free.ravel()), notes
 
 
 def sided(
-    walks: Sequence[Walk], solution: Solution, known: np.ndarray, free: Bool[np.ndarray, "A 4"], effect: float
+    walks: Walks, solution: Solution, known: np.ndarray, free: Bool[np.ndarray, "A 4"], effect: float
 ) -> tuple[Solution, Bool[np.ndarray, " A"]]:
     """The solution with anchors on the likely side of the walk's plane, that of `known` (A, 3), else above, and for
     which the other side fits as well. Anchors whose heights are not `free` have no other side."""
-    at = tags(walks, solution)
+    at = walks.positions(solution.path)
     centre = at.mean(axis=0)
     normal = np.linalg.svd(at[:: max(1, len(at) // 2000)] - centre, full_matrices=False)[2][-1]
     anchors, mirrored = solution.anchors.copy(), np.zeros(len(solution.anchors), bool)
@@ -108,13 +106,13 @@ def sided(
     return replace(solution, anchors=anchors), mirrored
 
 
-def covariance_of(walks: Sequence[Walk], solution: Solution, prior: Prior, effect: float) -> Float[np.ndarray, "U U"]:
+def covariance_of(walks: Walks, solution: Solution, prior: Prior, effect: float) -> Float[np.ndarray, "U U"]:
     """The covariance of what is free."""
-    free, heights, anchors = np.flatnonzero(prior.free), [walk.height for walk in walks], solution.anchors.copy()
-    if heights[0] is not None and len({*heights}) == 1:
+    free, height, anchors = np.flatnonzero(prior.free), walks.heights[0], solution.anchors.copy()
+    if (walks.heights == height).all():
         # Ranges see the square of a height over the walk, whose derivative by that height vanishes at zero.
-        over = anchors[:, 2] - heights[0]
-        anchors[:, 2] = heights[0] + np.copysign(np.maximum(np.abs(over), LEVEL), over)
+        over = anchors[:, 2] - height
+        anchors[:, 2] = height + np.copysign(np.maximum(np.abs(over), LEVEL), over)
     system = equations(walks, replace(solution, anchors=anchors), expected=True).system
     covariance = np.zeros_like(system)
     # A standard deviation of a kilometre for what nothing determines.

@@ -7,7 +7,6 @@ likelihood, linearised (MacKay 1992): random probes count the directions that th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,7 +15,7 @@ import scipy.sparse as sparse
 from jaxtyping import Bool, Float
 from scipy.sparse.linalg import SuperLU, splu
 
-from trackwright.tuning.survey.walks import LEAST_SCALE, Walk
+from trackwright.tuning.survey.walks import LEAST_SCALE, Walks
 
 DOF = 4.0  # degrees of freedom of Student's t of the errors
 FISHER = (DOF + 1.0) / (DOF + 3.0)
@@ -31,13 +30,13 @@ RIDGE = 1e-6  # information, m⁻², of each coefficient of a path: for directio
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Positions and delays of anchors, m, the coefficients (knots, d) of each walk's path, m, scales of errors, m,
-    densities of accelerations, m²/s³, and `cost`: the negative log-likelihood, marginal over the paths, linearised."""
+    """Positions and delays of anchors, m, the coefficients (knots, 3) of all paths, m, scales of errors, m, densities
+    of accelerations, m²/s³, and `cost`: the negative log-likelihood, marginal over the paths, linearised."""
 
     anchors: Float[np.ndarray, "A 4"]
-    paths: Sequence[np.ndarray]
+    path: Float[np.ndarray, "knots 3"]
     scales: Float[np.ndarray, " A"]
-    densities: Float[np.ndarray, " walks"]
+    densities: Float[np.ndarray, " W"]
     cost: float = np.inf
 
 
@@ -71,57 +70,49 @@ def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
     return (DOF + 1.0) / (DOF * scales**2 + residuals**2)
 
 
-def equations(walks: Sequence[Walk], solution: Solution, damping: float = 0.0, expected: bool = False) -> Equations:
+def errors(walks: Walks, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """How much longer the ranges (n,), m, are than distances and delays; the directions (n, 3) of tags from anchors."""
+    anchors = solution.anchors[walks.anchor]
+    offset = walks.positions(solution.path) - anchors[:, :3]
+    distance = np.linalg.norm(offset, axis=1)
+    return walks.values - distance - anchors[:, 3], offset / np.maximum(distance, 1e-9)[:, None]
+
+
+def equations(walks: Walks, solution: Solution, damping: float = 0.0, expected: bool = False) -> Equations:
     """The equations at a solution; `damping`: the share by which the diagonal of the paths' information grows.
     `expected`: with the weights that errors of the solution's scales have on average."""
-    parts = [walk.linearised(solution.anchors, path) for walk, path in zip(walks, solution.paths, strict=True)]
-    residuals, partial = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-    scales = solution.scales[anchors_of(walks)]
+    (residuals, units), scales = errors(walks, solution), solution.scales[walks.anchor]
     weights = FISHER / scales**2 if expected else robust_weights(residuals, scales)
-    along = sparse.csr_array(sparse.block_diag([part[2] for part in parts]))
-    rough = sparse.block_diag([w.bending @ w.bending.T / q for w, q in zip(walks, solution.densities, strict=True)])
+    rows, (bending, walk) = np.arange(len(units)), walks.bending
+    wide = np.zeros((len(rows), *solution.anchors.shape))
+    wide[rows, walks.anchor] = np.column_stack([-units, np.ones(len(rows))])
+    partial = wide.reshape(len(rows), -1)
+    away = sparse.csr_array((units.ravel(), np.arange(units.size), np.arange(0, units.size + 1, 3)))
+    along = away @ walks.spread
+    rough = bending.multiply(1.0 / solution.densities[walk]) @ bending.T
     weighted = sparse.csr_array(along.T.multiply(weights))
     information = weighted @ along + rough
     information = information + sparse.diags_array(damping * information.diagonal() + RIDGE)
     # Banded: no order has less fill.
     options = {"permc_spec": "NATURAL", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
     factor = splu(sparse.csc_array(information), **options)
-    path = np.concatenate([path.ravel() for path in solution.paths])
-    cross, slope = weighted @ partial, weighted @ residuals - rough @ path
+    cross, slope = weighted @ partial, weighted @ residuals - rough @ solution.path.ravel()[walks.free]
     slopes, own = factor.solve(cross), partial.T * weights
     system, gradient = own @ partial - cross.T @ slopes, own @ residuals - slopes.T @ slope
     return Equations(residuals, weights, partial, along, factor, slopes, factor.solve(slope), system, gradient)
 
 
-def anchors_of(walks: Sequence[Walk]) -> np.ndarray:
-    """The numbers of the anchors of all ranges."""
-    return np.concatenate([walk.anchor for walk in walks])
-
-
-def tags(walks: Sequence[Walk], solution: Solution) -> Float[np.ndarray, "n 3"]:
-    """The positions of the tags, m, in all walks."""
-    return np.concatenate([walk.positions(path) for walk, path in zip(walks, solution.paths, strict=True)])
-
-
-def split(solution: Solution, vector: np.ndarray) -> list[np.ndarray]:
-    """The parts (knots, d) of each path in a vector (M,), or of many in (M, k) with k behind."""
-    parts = np.split(vector, np.cumsum([path.size for path in solution.paths])[:-1])
-    return [part.reshape(*path.shape, *part.shape[1:]) for part, path in zip(parts, solution.paths, strict=True)]
-
-
-def cost_of(walks: Sequence[Walk], solution: Solution, prior: Prior) -> float:
+def cost_of(walks: Walks, solution: Solution, prior: Prior) -> float:
     """The negative log density of ranges, paths and anchors, with the noise levels of the solution."""
-    away = solution.anchors.ravel() - prior.mean
-    cost = 0.5 * away @ prior.precision @ away
-    for walk, path, density in zip(walks, solution.paths, solution.densities, strict=True):
-        residuals, scales = walk.residuals(solution.anchors, path), solution.scales[walk.anchor]
-        cost += 0.5 * (DOF + 1.0) * np.log1p((residuals / scales) ** 2 / DOF).sum() + np.log(scales).sum()
-        bends = ((walk.bending.T @ path.ravel()) ** 2).sum() / density
-        cost += 0.5 * (bends + (path.shape[0] - 2) * path.shape[1] * np.log(density))
-    return float(cost)
+    away, scales = solution.anchors.ravel() - prior.mean, solution.scales[walks.anchor]
+    bending, walk = walks.bending
+    densities, bends = solution.densities[walk], bending.T @ solution.path.ravel()[walks.free]
+    ranges = (DOF + 1.0) * np.log1p((errors(walks, solution)[0] / scales) ** 2 / DOF) + 2.0 * np.log(scales)
+    paths = bends**2 / densities + np.log(densities)
+    return 0.5 * float(away @ prior.precision @ away + ranges.sum() + paths.sum())
 
 
-def solved(walks: Sequence[Walk], start: Solution, prior: Prior, steps: int = STEPS, levels: bool = True) -> Solution:
+def solved(walks: Walks, start: Solution, prior: Prior, steps: int = STEPS, levels: bool = True) -> Solution:
     """The solution of least cost near a start, with the noise levels fitted."""
     solution, damping, cost = start, 1e-3, cost_of(walks, start, prior)
     for _ in range(steps):
@@ -143,40 +134,36 @@ def solved(walks: Sequence[Walk], start: Solution, prior: Prior, steps: int = ST
     return replace(solution, cost=cost + 0.5 * float(np.log(equations(walks, solution).factor.U.diagonal()).sum()))
 
 
-def _stepped(walks: Sequence[Walk], solution: Solution, prior: Prior, damping: float) -> Solution:
+def _stepped(walks: Walks, solution: Solution, prior: Prior, damping: float) -> Solution:
     """The solution after a damped step of Gauss and Newton."""
     found, free, move = equations(walks, solution, damping), prior.free, np.zeros(prior.free.shape)
     gradient = found.gradient + prior.precision @ (prior.mean - solution.anchors.ravel())
     block = (found.system + prior.precision)[np.ix_(free, free)]
     move[free] = np.linalg.solve(block + np.diag(damping * np.diag(block) + 1e-9), gradient[free])
-    steps = zip(solution.paths, split(solution, found.step - found.slopes @ move), strict=True)
-    anchors = solution.anchors + move.reshape(-1, 4)
-    return replace(solution, anchors=anchors, paths=[path + step for path, step in steps])
+    path = solution.path.copy()
+    path.ravel()[walks.free] += found.step - found.slopes @ move
+    return replace(solution, anchors=solution.anchors + move.reshape(-1, 4), path=path)
 
 
-def _levelled(walks: Sequence[Walk], solution: Solution) -> Solution:
+def _levelled(walks: Walks, solution: Solution) -> Solution:
     """The solution with noise levels of greater marginal likelihood."""
-    found, random, number = equations(walks, solution), np.random.default_rng(0), anchors_of(walks)
+    found, random, (bending, walk) = equations(walks, solution), np.random.default_rng(0), walks.bending
     # Draws from the density of the paths at these anchors.
-    noise = found.along.T @ (np.sqrt(found.weights)[:, None] * random.standard_normal((len(number), PROBES)))
-    bending = [walk.bending / np.sqrt(q) for walk, q in zip(walks, solution.densities, strict=True)]
-    shaken = np.concatenate([b @ random.standard_normal((b.shape[1], PROBES)) for b in bending])
-    drawn = found.factor.solve(noise + shaken)
+    noise = np.sqrt(found.weights)[:, None] * random.standard_normal((len(walks.walk), PROBES))
+    rough = bending.multiply(solution.densities[walk] ** -0.5).tocsr()
+    drawn = found.factor.solve(found.along.T @ noise + rough @ random.standard_normal((len(walk), PROBES)))
     leverage = found.weights * ((found.along @ drawn) ** 2).mean(axis=1)
-    squares = np.bincount(number, found.weights * found.residuals**2, len(solution.scales))
+    squares = np.bincount(walks.anchor, found.weights * found.residuals**2, len(solution.scales))
     # Four unknowns of each anchor are fitted to its ranges, too.
-    numbers = np.bincount(number, 1.0 - np.minimum(leverage, 1.0), len(solution.scales)) - 4.0
+    numbers = np.bincount(walks.anchor, 1.0 - np.minimum(leverage, 1.0), len(solution.scales)) - 4.0
     scales = np.maximum(solution.scales * np.sqrt(squares / np.maximum(numbers, 1.0)), LEAST_SCALE)
-    densities = []
-    for walk, path, draws, part in zip(walks, solution.paths, split(solution, drawn), bending, strict=True):
-        bends, bent = ((walk.bending.T @ path.ravel()) ** 2).sum(), path.size - 2 * path.shape[1]
-        unseen = ((part.T @ draws.reshape(path.size, -1)) ** 2).sum() / PROBES
-        densities.append(bends / max(bent - unseen, 0.05 * bent))
-    scales = np.where(squares > 0, scales, solution.scales)
-    return replace(solution, scales=scales, densities=np.clip(densities, 1e-4, 1e3))
+    bends, unseen = (bending.T @ solution.path.ravel()[walks.free]) ** 2, ((rough.T @ drawn) ** 2).mean(axis=1)
+    size, bent, free = (np.bincount(walk, of) for of in (bends, None, 1.0 - unseen))
+    densities = np.clip(size / np.maximum(free, 0.05 * bent), 1e-4, 1e3)
+    return replace(solution, scales=np.where(squares > 0, scales, solution.scales), densities=densities)
 
 
-def design_effect(walks: Sequence[Walk], solution: Solution, free: Bool[np.ndarray, " U"]) -> float:
+def design_effect(walks: Walks, solution: Solution, free: Bool[np.ndarray, " U"]) -> float:
     """By how much the scatter of the scores exceeds that of independent errors; at least 1. Errors last: scores are
     summed over pieces of time and over cubes, each of one anchor (Cameron and Miller 2015), and the largest scatter
     counts. Paths take up the errors that all anchors could share with a motion."""
@@ -185,15 +172,13 @@ def design_effect(walks: Sequence[Walk], solution: Solution, free: Bool[np.ndarr
     kept = values > 1e-6 * values[-1]
     whiten, p = vectors[:, kept] / np.sqrt(values[kept]), kept.sum()
     scores = (found.partial - found.along @ found.slopes) * (found.weights * found.residuals)[:, None]
-    score, number = scores[:, free] @ whiten, anchors_of(walks)
-    begins = np.cumsum([0.0, *(np.ptp(walk.times) + max(LENGTHS) for walk in walks)])
-    times = np.concatenate([w.times - w.times[0] + began for w, began in zip(walks, begins, strict=False)])
-    spots = tags(walks, solution)
-    effects = []
+    score, effects, each = scores[:, free] @ whiten, [], [walks.times[walks.walk == k] for k in range(len(walks.names))]
+    begins = np.cumsum([0.0, *(np.ptp(times) + max(LENGTHS) for times in each)])
+    times = np.concatenate([times - times[0] + began for times, began in zip(each, begins, strict=False)])
+    spots = walks.positions(solution.path)
     for keys in [times[:, None] // length for length in LENGTHS] + [spots // size for size in SIZES]:
-        code = np.unique(np.column_stack([keys, number]), axis=0, return_inverse=True)[1].ravel()
+        code = np.unique(np.column_stack([keys, walks.anchor]), axis=0, return_inverse=True)[1].ravel()
         sums, groups = np.stack([np.bincount(code, column) for column in score.T]), code.max() + 1
         effects.append((sums**2).sum() / p * groups / max(groups - p, 0.2 * groups))
-    seen = np.mean([len(np.unique(walk.anchor)) for walk in walks])
-    taken = np.mean([walk.dimensions for walk in walks])
-    return max(1.0, max(effects) / FISHER * seen / max(seen - taken, 1.0))
+    seen = len(np.unique([walks.walk, walks.anchor], axis=1).T) / len(each)
+    return max(1.0, max(effects) / FISHER * seen / max(seen - 2.0 - np.isnan(walks.heights).mean(), 1.0))

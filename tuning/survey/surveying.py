@@ -13,9 +13,9 @@ from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.tuning.calibrating import check_at_rest
 from trackwright.tuning.survey.frames import between, covariance_of, framed, sided
 from trackwright.tuning.survey.result import COMMON_DELAY, OWN_DELAY, Survey
-from trackwright.tuning.survey.solving import Prior, anchors_of, design_effect, solved
+from trackwright.tuning.survey.solving import Prior, design_effect, errors, solved
 from trackwright.tuning.survey.starts import multistart, polished
-from trackwright.tuning.survey.walks import LEAST_RANGES, Walk, walks_of
+from trackwright.tuning.survey.walks import LEAST_RANGES, Walks, walks_of
 
 HIGHEST, ROUNDS = 1000.0, 3
 """Largest height of tags, m: others are in other units; how often the design effect and the solution are computed."""
@@ -36,7 +36,7 @@ def survey(
     folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
     given, frame = (tuple(x.split(",") if isinstance(x, str) else x) for x in (given, frame))
     names, given, walks = _prepared(folders, given, sigma, frame, height)
-    rig, flat = folders[0].rig, any(walk.height is not None for walk in walks)
+    rig, flat = folders[0].rig, np.isfinite(walks.heights).any()
     known = np.array([rig.anchors.get(name, np.full(3, np.nan)) for name in names], float)
     random, prior = np.random.default_rng(0), delays_before(len(names))
     minima = multistart(walks, known, prior, random)
@@ -55,9 +55,8 @@ def survey(
     searched = (np.diag(covariance) > 0.0).reshape(-1, 4)
     searched[[names.index(name) for name in given], :3] = False
     covariance += np.diag(np.where(searched.ravel(), between(minima, effect, 2 if flat else 3), 0.0))
-    pairs, places = list(zip(walks, solution.paths, strict=True)), solution.anchors[:, :3]
-    errors = np.concatenate([walk.residuals(solution.anchors, path) for walk, path in pairs])
-    squares, readings = (np.bincount(anchors_of(walks), of) for of in (errors**2, None))
+    places, at = solution.anchors[:, :3], walks.positions(solution.path)
+    squares, readings = (np.bincount(walks.anchor, of) for of in (errors(walks, solution)[0] ** 2, None))
     # Heights of tags that differ from walk to walk are none of the rig.
     heights = {tag: {folder.rig.tags.get(tag, Tag()).height for folder in folders} for tag in rig.tags}
     tags = {k: replace(tag, height=None) if len(heights[k]) > 1 else tag for k, tag in rig.tags.items()}
@@ -65,7 +64,7 @@ def survey(
     return Survey(
         names=tuple(names), positions=places, delays=solution.anchors[:, 3], covariance=covariance, mirrored=mirrored,
         rms=np.sqrt(squares / readings), readings=readings, effect=effect,
-        paths=tuple(walk.positions(path) for walk, path in pairs), rig=replace(rig, anchors=anchors, tags=tags),
+        paths=tuple(at[walks.walk == k] for k in range(len(walks.names))), rig=replace(rig, anchors=anchors, tags=tags),
         notes=(_heights(walks), *notes),
     )  # fmt: skip
 
@@ -88,7 +87,7 @@ def _require(fits: object, words: str) -> None:
 
 def _prepared(
     folders: Sequence[RecordingFolder], given: tuple[str, ...], sigma: float, frame: Sequence[str], height: float | None
-) -> tuple[list[str], tuple[str, ...], list[Walk]]:
+) -> tuple[list[str], tuple[str, ...], Walks]:
     """The anchors, the given ones of them, and the walks; raises UnusableInput for what can't be surveyed."""
     where, rig, of_frame = _where(folders), folders[0].rig, f"frame {','.join(frame)}"
     _require(0 <= sigma < np.inf, f"sigma {sigma:g}: expected metres above zero, or 0 for exact positions")
@@ -111,7 +110,7 @@ def _prepared(
     for name in given:
         _require(name in rig.anchors, f"{rig.name}: rig.toml has no anchor {name}; add the position of what is given")
     walks = walks_of(ranged, names, height)
-    seen = np.bincount(anchors_of(walks), minlength=len(names)) if walks else np.zeros(len(names), int)
+    seen = np.bincount(walks.anchor, minlength=len(names))
     words = f"{seen.min()} readings of {names[int(np.argmin(seen))]} without gaps; expected {LEAST_RANGES} at least"
     _require(seen.min() >= LEAST_RANGES, f"{where}: {words}; record a longer walk")
     # Given anchors stand at one place in all recordings.
@@ -120,11 +119,11 @@ def _prepared(
     return names, given, walks
 
 
-def _heights(walks: Sequence[Walk]) -> str:
+def _heights(walks: Walks) -> str:
     """How heights of tags enter."""
-    heights = sorted({walk.height for walk in walks if walk.height is not None})
+    heights = np.unique(walks.heights[np.isfinite(walks.heights)]).tolist()
     if not heights:
         return "heights of tags estimated; --height states one that is known"
-    free = dict.fromkeys(f"tag {walk.tag} of {walk.recording}" for walk in walks if walk.height is None)
+    free = dict.fromkeys(name for name, height in zip(walks.names, walks.heights, strict=True) if np.isnan(height))
     known = f"heights of tags known: {listed(f'{height:g} m' for height in heights)}"
     return f"{known}; estimated: {listed(free)}" if free else known
