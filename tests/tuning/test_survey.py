@@ -9,10 +9,8 @@ from tests.survey_sites import simulated_site
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.tuning.survey import surveying
-from trackwright.tuning.survey.frames import aligned, triangle
-from trackwright.tuning.survey.solving import FISHER, Solution, cost_of, equations, solved
-from trackwright.tuning.survey.surveying import delays_before, survey
-from trackwright.tuning.survey.walks import walks_of
+from trackwright.tuning.survey.solving import FISHER, Equations, Solution, cost_of, solved, walks_of
+from trackwright.tuning.survey.surveying import aligned, delays_before, survey, triangle
 
 
 def _small(height=None, seconds=6.0):
@@ -56,7 +54,7 @@ def test_the_information_is_the_schur_complement_of_the_dense_one(height):
     dense[size:, size:] += np.kron(second.T @ second * 0.25, np.eye(path.shape[1])) / 0.5
     dense[size:, size:] += 1e-6 * np.eye(path.size)
     a, b, c = dense[:size, :size], dense[:size, size:], dense[size:, size:]
-    found = equations(walk, solution, expected=True).system
+    found = Equations(walk, solution, expected=True).system
     np.testing.assert_allclose(found, a - b @ np.linalg.solve(c, b.T), rtol=1e-4, atol=1e-2)
 
 

@@ -3,19 +3,22 @@
 Levenberg–Marquardt on all of them at once: the banded information of the paths is factorised and eliminated, which
 leaves four unknowns an anchor. Scales of errors and densities of accelerations are those of the greatest marginal
 likelihood, linearised (MacKay 1992): random probes count the directions that the ranges determine.
+
+A path is a cubic spline with knots every `STEP` s. Its prior density, exp(−½∫|x''|²dt / q), is that of white
+acceleration of spectral density q, m²/s³. Each range depends on four neighbouring coefficients: matrices are banded.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sparse
-from jaxtyping import Bool, Float
-from scipy.sparse.linalg import SuperLU, splu
+from jaxtyping import Bool, Float, Int
 
-from trackwright.tuning.survey.walks import LEAST_SCALE, Walks
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 DOF = 4.0  # degrees of freedom of Student's t of the errors
 FISHER = (DOF + 1.0) / (DOF + 3.0)
@@ -24,8 +27,95 @@ FISHER = (DOF + 1.0) / (DOF + 3.0)
 LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
 """Pieces of time, s, and edges of cubes, m, over which errors may be the same."""
 
+STEP, AVERAGE, GAP = 0.25, 0.1, 5.0
+"""Times, s: between knots of a path, over which ranges to an anchor are averaged, after which a path begins anew."""
+
+LEVEL, LEAST_SCALE, LEAST_RANGES = 0.1, 0.01, 20
+"""Distance, m, at which an anchor counts as at the height of a walk; least scale of errors, m; ranges of a walk."""
+
 PROBES, STEPS, CONVERGED = 12, 60, 1e-4
 RIDGE = 1e-6  # information, m⁻², of each coefficient of a path: for directions that no range determines
+
+
+@dataclass(frozen=True, eq=False)
+class Walks:
+    """n ranges on W walks between gaps: the numbers of `walk` and `anchor`, `times`, s, and `values`, m (n,); whose
+    walks these are, and the `heights` of their tags, m, NaN: estimated. Paths have coefficients (knots, 3), m."""
+
+    names: Sequence[str]
+    heights: Float[np.ndarray, " W"]
+    walk: Int[np.ndarray, " n"]
+    anchor: Int[np.ndarray, " n"]
+    times: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, " n"]
+
+    def only(self, k: int) -> Walks:
+        """Walk number `k` alone."""
+        own = self.walk == k
+        rows = (column[own] for column in (self.anchor, self.times, self.values))
+        return Walks(self.names[k : k + 1], self.heights[k : k + 1], 0 * self.walk[own], *rows)
+
+    @cached_property
+    def _spline(self) -> tuple[sparse.csr_array, Int[np.ndarray, " knots"]]:
+        """The weights (n, knots) of the coefficients of a coordinate at the times of the ranges; the walks of knots."""
+        begins = np.searchsorted(self.walk, np.arange(len(self.heights)))
+        at = (self.times - self.times[begins][self.walk]) / STEP
+        first = at.astype(int)
+        knots = np.repeat(np.arange(len(begins)), np.maximum.reduceat(first, begins) + 4)
+        column, u = first + np.searchsorted(knots, self.walk), at - first
+        weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3], axis=1) / 6
+        row = np.repeat(np.arange(len(at)), 4)
+        return sparse.csr_array((weights.ravel(), (row, (column[:, None] + np.arange(4)).ravel()))), knots
+
+    @cached_property
+    def free(self) -> Bool[np.ndarray, " coefficients"]:
+        """Which coefficients are estimated: M of them, all but known heights."""
+        return np.isnan(np.pad(self.heights[self._spline[1], None], ((0, 0), (2, 0)), constant_values=np.nan)).ravel()
+
+    @cached_property
+    def spread(self) -> sparse.csr_array:
+        """The derivatives (3n, M) of positions by the coefficients that are estimated."""
+        return sparse.csr_array(sparse.kron(self._spline[0], sparse.eye_array(3), "csc")[:, self.free])
+
+    @cached_property
+    def bending(self) -> tuple[sparse.csr_array, Int[np.ndarray, " bends"]]:
+        """The matrix (M, bends) by which, transposed, the square of the coefficients is ∫|x''|²dt; the bends' walks."""
+        walk = np.repeat(self._spline[1], 3)
+        second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, -3, -6], shape=(len(walk), len(walk) - 6))
+        inside = self.free[:-6] & (walk[:-6] == walk[6:])
+        return sparse.csr_array(second.tocsr()[self.free][:, inside] / STEP**1.5), walk[:-6][inside]
+
+    def positions(self, path: Float[np.ndarray, "knots 3"]) -> Float[np.ndarray, "n 3"]:
+        """The positions of the tags, m, at the times of the ranges."""
+        at, heights = self._spline[0] @ path, self.heights[self.walk]
+        at[:, 2] = np.where(np.isnan(heights), at[:, 2], heights)
+        return at
+
+    def fitted(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "knots 3"]:
+        """The coefficients of smooth paths near these positions at the times of the ranges."""
+        path, bending = np.repeat(self.heights[self._spline[1]], 3), self.bending[0]
+        # A little of the identity for knots without ranges beside them.
+        system = self.spread.T @ self.spread + bending @ bending.T + 1e-9 * sparse.eye_array(bending.shape[0])
+        path[self.free] = sparse.linalg.spsolve(sparse.csc_array(system), self.spread.T @ positions.ravel())
+        return path.reshape(-1, 3)
+
+
+def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height: float | None) -> Walks:
+    """The walks of all tags to anchors of these ids; `height`: of all tags, m, else those in rigs."""
+    names, heights, pieces = list[str](), list[float](), [np.empty((0, 4))]
+    for folder in folders:
+        rows = folder.rows("ranges", AVERAGE)
+        table = np.column_stack([rows.codes("anchor", anchors), rows.times, rows.floats(["range_m"])[:, 0]])
+        for tag, of_tag in zip(rows.tags, np.split(table, rows.starts[1:-1]), strict=True):
+            known = folder.rig.tags[tag].height if height is None and tag in folder.rig.tags else height
+            ranged = of_tag[of_tag[:, 2] > 0.0]
+            for piece in np.split(ranged, np.flatnonzero(np.diff(ranged[:, 1]) > GAP) + 1):
+                if len(piece) >= LEAST_RANGES:
+                    pieces.append(np.insert(piece, 0, len(names), axis=1))
+                    names.append(f"tag {tag} of {folder.name}")
+                    heights.append(np.nan if known is None else known)
+    walk, anchor, times, values = np.concatenate(pieces).T
+    return Walks(names, np.array(heights), walk.astype(int), anchor.astype(int), times, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,22 +139,6 @@ class Prior:
     free: Bool[np.ndarray, " U"]
 
 
-class Equations(NamedTuple):
-    """All n ranges at a solution: residuals (n,), m, their weights, and derivatives by anchors and by paths. `factor`:
-    of the paths' information. `slopes` (M, U) and `step` (M,): how far paths move with anchors, and without. `system`
-    (U, U), `gradient` (U,): the information of anchors with the paths eliminated, without the prior."""
-
-    residuals: np.ndarray
-    weights: np.ndarray
-    partial: np.ndarray
-    along: sparse.csr_array
-    factor: SuperLU
-    slopes: np.ndarray
-    step: np.ndarray
-    system: np.ndarray
-    gradient: np.ndarray
-
-
 def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
     """The weights with which residuals of these scales count as normal ones."""
     return (DOF + 1.0) / (DOF * scales**2 + residuals**2)
@@ -78,28 +152,34 @@ def errors(walks: Walks, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     return walks.values - distance - anchors[:, 3], offset / np.maximum(distance, 1e-9)[:, None]
 
 
-def equations(walks: Walks, solution: Solution, damping: float = 0.0, expected: bool = False) -> Equations:
-    """The equations at a solution; `damping`: the share by which the diagonal of the paths' information grows.
-    `expected`: with the weights that errors of the solution's scales have on average."""
-    (residuals, units), scales = errors(walks, solution), solution.scales[walks.anchor]
-    weights = FISHER / scales**2 if expected else robust_weights(residuals, scales)
-    rows, (bending, walk) = np.arange(len(units)), walks.bending
-    wide = np.zeros((len(rows), *solution.anchors.shape))
-    wide[rows, walks.anchor] = np.column_stack([-units, np.ones(len(rows))])
-    partial = wide.reshape(len(rows), -1)
-    away = sparse.csr_array((units.ravel(), np.arange(units.size), np.arange(0, units.size + 1, 3)))
-    along = away @ walks.spread
-    rough = bending.multiply(1.0 / solution.densities[walk]) @ bending.T
-    weighted = sparse.csr_array(along.T.multiply(weights))
-    information = weighted @ along + rough
-    information = information + sparse.diags_array(damping * information.diagonal() + RIDGE)
-    # Banded: no order has less fill.
-    options = {"permc_spec": "NATURAL", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    factor = splu(sparse.csc_array(information), **options)
-    cross, slope = weighted @ partial, weighted @ residuals - rough @ solution.path.ravel()[walks.free]
-    slopes, own = factor.solve(cross), partial.T * weights
-    system, gradient = own @ partial - cross.T @ slopes, own @ residuals - slopes.T @ slope
-    return Equations(residuals, weights, partial, along, factor, slopes, factor.solve(slope), system, gradient)
+class Equations:
+    """All n ranges at a solution: residuals (n,), m, their weights, and derivatives by anchors and by paths. `factor`:
+    of the paths' information. `slopes` (M, U) and `step` (M,): how far paths move with anchors, and without. `system`
+    (U, U), `gradient` (U,): the information of anchors with the paths eliminated, without the prior.
+
+    `damping`: the share by which the diagonal of the paths' information grows. `expected`: with the weights that errors
+    of the solution's scales have on average."""
+
+    def __init__(self, walks: Walks, solution: Solution, damping: float = 0.0, expected: bool = False):
+        (self.residuals, units), scales = errors(walks, solution), solution.scales[walks.anchor]
+        self.weights = FISHER / scales**2 if expected else robust_weights(self.residuals, scales)
+        partial, rows = np.zeros((len(units), *solution.anchors.shape)), np.arange(len(units))
+        partial[rows, walks.anchor] = np.column_stack([-units, np.ones(len(rows))])
+        self.partial = partial.reshape(len(rows), -1)
+        away = sparse.csr_array((units.ravel(), np.arange(units.size), np.arange(0, units.size + 1, 3)))
+        self.along, (bending, walk) = away @ walks.spread, walks.bending
+        rough = bending.multiply(1.0 / solution.densities[walk]) @ bending.T
+        weighted = sparse.csr_array(self.along.T.multiply(self.weights))
+        information = weighted @ self.along + rough
+        information = information + sparse.diags_array(damping * information.diagonal() + RIDGE)
+        # Banded: no order has less fill.
+        options = {"permc_spec": "NATURAL", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+        self.factor = sparse.linalg.splu(sparse.csc_array(information), **options)
+        cross, own = weighted @ self.partial, self.partial.T * self.weights
+        slope = weighted @ self.residuals - rough @ solution.path.ravel()[walks.free]
+        self.slopes, self.step = self.factor.solve(cross), self.factor.solve(slope)
+        self.system = own @ self.partial - cross.T @ self.slopes
+        self.gradient = own @ self.residuals - self.slopes.T @ slope
 
 
 def cost_of(walks: Walks, solution: Solution, prior: Prior) -> float:
@@ -116,27 +196,23 @@ def solved(walks: Walks, start: Solution, prior: Prior, steps: int = STEPS, leve
     """The solution of least cost near a start, with the noise levels fitted."""
     solution, damping, cost = start, 1e-3, cost_of(walks, start, prior)
     for _ in range(steps):
-        moved = _stepped(walks, solution, prior, damping)
-        while (new := cost_of(walks, moved, prior)) > cost + 1e-9 * abs(cost) and damping < 1e8:
+        limit = cost + 1e-9 * abs(cost)
+        while damping < 1e8 and cost_of(walks, moved := _stepped(walks, solution, prior, damping), prior) > limit:
             damping *= 10.0
-            moved = _stepped(walks, solution, prior, damping)
         if damping >= 1e8:
             break
-        before, solution, damping = solution, moved, max(damping / 5.0, 1e-9)
-        if levels:
-            solution = _levelled(walks, moved)
-            new = cost_of(walks, solution, prior)
-        cost = new
+        before, solution = solution, _levelled(walks, moved) if levels else moved
+        damping, cost = max(damping / 5.0, 1e-9), cost_of(walks, solution, prior)
         change = np.abs(np.log(solution.scales / before.scales)).max()
         if max(np.abs(moved.anchors - before.anchors).max(), 1e-3 * change) < CONVERGED:
             break
     # Half the log determinant of the paths' information makes the cost marginal.
-    return replace(solution, cost=cost + 0.5 * float(np.log(equations(walks, solution).factor.U.diagonal()).sum()))
+    return replace(solution, cost=cost + 0.5 * float(np.log(Equations(walks, solution).factor.U.diagonal()).sum()))
 
 
 def _stepped(walks: Walks, solution: Solution, prior: Prior, damping: float) -> Solution:
     """The solution after a damped step of Gauss and Newton."""
-    found, free, move = equations(walks, solution, damping), prior.free, np.zeros(prior.free.shape)
+    found, free, move = Equations(walks, solution, damping), prior.free, np.zeros(prior.free.shape)
     gradient = found.gradient + prior.precision @ (prior.mean - solution.anchors.ravel())
     block = (found.system + prior.precision)[np.ix_(free, free)]
     move[free] = np.linalg.solve(block + np.diag(damping * np.diag(block) + 1e-9), gradient[free])
@@ -147,7 +223,7 @@ def _stepped(walks: Walks, solution: Solution, prior: Prior, damping: float) -> 
 
 def _levelled(walks: Walks, solution: Solution) -> Solution:
     """The solution with noise levels of greater marginal likelihood."""
-    found, random, (bending, walk) = equations(walks, solution), np.random.default_rng(0), walks.bending
+    found, random, (bending, walk) = Equations(walks, solution), np.random.default_rng(0), walks.bending
     # Draws from the density of the paths at these anchors.
     noise = np.sqrt(found.weights)[:, None] * random.standard_normal((len(walks.walk), PROBES))
     rough = bending.multiply(solution.densities[walk] ** -0.5).tocsr()
@@ -167,7 +243,7 @@ def design_effect(walks: Walks, solution: Solution, free: Bool[np.ndarray, " U"]
     """By how much the scatter of the scores exceeds that of independent errors; at least 1. Errors last: scores are
     summed over pieces of time and over cubes, each of one anchor (Cameron and Miller 2015), and the largest scatter
     counts. Paths take up the errors that all anchors could share with a motion."""
-    found = equations(walks, solution)
+    found = Equations(walks, solution)
     values, vectors = np.linalg.eigh(found.system[np.ix_(free, free)])
     kept = values > 1e-6 * values[-1]
     whiten, p = vectors[:, kept] / np.sqrt(values[kept]), kept.sum()

@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 
-from trackwright.tuning.survey.solving import DOF, Prior, Solution, robust_weights, solved
-from trackwright.tuning.survey.walks import LEAST_SCALE, Walks
+from trackwright.tuning.survey.solving import DOF, LEAST_SCALE, Prior, Solution, Walks, robust_weights, solved
 
 DRAWS, KEPT, REFINED = 150, 4, 3
 """Draws of times, of each walk and rank, how many of the best are tried, and how many of those are refined."""
@@ -142,16 +141,16 @@ def completed(walks: Walks, places: np.ndarray, first: int, random: np.random.Ge
     """A start with all anchors and paths, from places (A, 3) that walk number `first` gave; None where some lack."""
     anchors, paths = np.column_stack([places, np.zeros(len(places))]), dict[int, np.ndarray]()
     each = [walks.only(k) for k in range(len(walks.names))]
-    while len(paths) < len(each):
-        known = np.isfinite(anchors[:, 0])
-        ready = [k for k, x in enumerate(each) if k not in paths and known[np.unique(x.anchor)].sum() >= 3]
-        if not ready:
-            return None
+    while ready := [
+        k for k, x in enumerate(each) if k not in paths and np.isfinite(anchors[np.unique(x.anchor), 0]).sum() >= 3
+    ]:
         k = first if first in ready else ready[0]
         walk, paths[k] = each[k], located(each[k], anchors)
-        for new in np.setdiff1d(walk.anchor, np.flatnonzero(known)):
+        for new in np.unique(walk.anchor[np.isnan(anchors[walk.anchor, 0])]):
             own = walk.anchor == new
             anchors[new, :3] = resected(walk.positions(paths[k])[own], walk.values[own], random)
+    if len(paths) < len(each):
+        return None
     levels = np.full(len(anchors), SCALE), np.full(len(each), DENSITY)
     return Solution(anchors, np.concatenate([paths[k] for k in range(len(each))]), *levels)
 
