@@ -451,6 +451,15 @@ def require_output(path: Path) -> None:
         raise UnusableInput(f"--out {path}: is a file; expected a folder for results; choose another folder")
 
 
+def require_new(out: Path, name: str, force: bool) -> None:
+    """Raises UnusableInput for a file that is no .toml, as `name`, or that exists and is not to be replaced."""
+    if out.suffix != ".toml" or out.is_dir():
+        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give {name} in a folder")
+    if out.exists() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    require_output(out.parent)
+
+
 def require_least(**counts: tuple[int | None, int]) -> None:
     """Raises UnusableInput for the first option, of those with a value and the least one, that is below it."""
     for name, (value, least) in counts.items():

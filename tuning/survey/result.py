@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
-from itertools import zip_longest
 from typing import ClassVar
 
 import numpy as np
@@ -106,9 +105,8 @@ class Survey:
         numbers = text_lines([row[:-1] for row in rows], "<" + ">" * (len(self.head) - 2))
         indent, lines = max(map(len, numbers)) + 2, [f"Anchors of {self.rig.name}", ""]
         for line, row in zip(numbers, rows, strict=True):
-            # Verdicts continue below themselves.
-            verdict = textwrap.wrap(row[-1], max(WIDTH - indent, 25))
-            lines += [f"{first:{indent}}{words}" for first, words in zip_longest([line], verdict, fillvalue="")]
+            begin, width = f"{line:{indent}}", max(WIDTH, indent + 25)
+            lines += textwrap.wrap(row[-1], width, initial_indent=begin, subsequent_indent=" " * indent)
         return "\n".join([*lines, "", *textwrap.wrap(self.reading, WIDTH)])
 
     def __repr__(self) -> str:

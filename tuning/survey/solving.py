@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Bool, Float, Int
+from scipy.interpolate import BSpline
 
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -30,7 +31,7 @@ LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
 STEP, AVERAGE, GAP = 0.25, 0.1, 5.0
 """Times, s: between knots of a path, over which ranges to an anchor are averaged, after which a path begins anew."""
 
-LEVEL, LEAST_SCALE, LEAST_RANGES = 0.1, 0.01, 20
+LEVEL, LEAST_SCALE, FEWEST = 0.1, 0.01, 20
 """Distance, m, at which an anchor counts as at the height of a walk; least scale of errors, m; ranges of a walk."""
 
 PROBES, STEPS, CONVERGED = 12, 60, 1e-4
@@ -60,12 +61,9 @@ class Walks:
         """The weights (n, knots) of the coefficients of a coordinate at the times of the ranges; the walks of knots."""
         begins = np.searchsorted(self.walk, np.arange(len(self.heights)))
         at = (self.times - self.times[begins][self.walk]) / STEP
-        first = at.astype(int)
-        knots = np.repeat(np.arange(len(begins)), np.maximum.reduceat(first, begins) + 4)
-        column, u = first + np.searchsorted(knots, self.walk), at - first
-        weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3], axis=1) / 6
-        row = np.repeat(np.arange(len(at)), 4)
-        return sparse.csr_array((weights.ravel(), (row, (column[:, None] + np.arange(4)).ravel()))), knots
+        knots = np.repeat(np.arange(len(begins)), np.maximum.reduceat(at.astype(int), begins) + 4)
+        at += np.searchsorted(knots, self.walk)
+        return BSpline.design_matrix(at, np.arange(-3.0, len(knots) + 1.0), 3), knots
 
     @cached_property
     def free(self) -> Bool[np.ndarray, " coefficients"]:
@@ -91,6 +89,15 @@ class Walks:
         at[:, 2] = np.where(np.isnan(heights), at[:, 2], heights)
         return at
 
+    def errors(
+        self, anchors: Float[np.ndarray, "A 4"], path: Float[np.ndarray, "knots 3"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """How much longer ranges (n,), m, are than distances and delays; the directions (n, 3) of tags from anchors."""
+        offset = self.positions(path) - anchors[self.anchor, :3]
+        distance = np.linalg.norm(offset, axis=1)
+        units = offset / np.maximum(distance, 1e-9)[:, None]
+        return self.values - distance - anchors[self.anchor, 3], units
+
     def fitted(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "knots 3"]:
         """The coefficients of smooth paths near these positions at the times of the ranges."""
         path, bending = np.repeat(self.heights[self._spline[1]], 3), self.bending[0]
@@ -110,7 +117,7 @@ def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height:
             known = folder.rig.tags[tag].height if height is None and tag in folder.rig.tags else height
             ranged = of_tag[of_tag[:, 2] > 0.0]
             for piece in np.split(ranged, np.flatnonzero(np.diff(ranged[:, 1]) > GAP) + 1):
-                if len(piece) >= LEAST_RANGES:
+                if len(piece) >= FEWEST:
                     pieces.append(np.insert(piece, 0, len(names), axis=1))
                     names.append(f"tag {tag} of {folder.name}")
                     heights.append(np.nan if known is None else known)
@@ -144,14 +151,6 @@ def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
     return (DOF + 1.0) / (DOF * scales**2 + residuals**2)
 
 
-def errors(walks: Walks, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """How much longer the ranges (n,), m, are than distances and delays; the directions (n, 3) of tags from anchors."""
-    anchors = solution.anchors[walks.anchor]
-    offset = walks.positions(solution.path) - anchors[:, :3]
-    distance = np.linalg.norm(offset, axis=1)
-    return walks.values - distance - anchors[:, 3], offset / np.maximum(distance, 1e-9)[:, None]
-
-
 class Equations:
     """All n ranges at a solution: residuals (n,), m, their weights, and derivatives by anchors and by paths. `factor`:
     of the paths' information. `slopes` (M, U) and `step` (M,): how far paths move with anchors, and without. `system`
@@ -161,7 +160,8 @@ class Equations:
     of the solution's scales have on average."""
 
     def __init__(self, walks: Walks, solution: Solution, damping: float = 0.0, expected: bool = False):
-        (self.residuals, units), scales = errors(walks, solution), solution.scales[walks.anchor]
+        self.residuals, units = walks.errors(solution.anchors, solution.path)
+        scales = solution.scales[walks.anchor]
         self.weights = FISHER / scales**2 if expected else robust_weights(self.residuals, scales)
         partial, rows = np.zeros((len(units), *solution.anchors.shape)), np.arange(len(units))
         partial[rows, walks.anchor] = np.column_stack([-units, np.ones(len(rows))])
@@ -187,7 +187,9 @@ def cost_of(walks: Walks, solution: Solution, prior: Prior) -> float:
     away, scales = solution.anchors.ravel() - prior.mean, solution.scales[walks.anchor]
     bending, walk = walks.bending
     densities, bends = solution.densities[walk], bending.T @ solution.path.ravel()[walks.free]
-    ranges = (DOF + 1.0) * np.log1p((errors(walks, solution)[0] / scales) ** 2 / DOF) + 2.0 * np.log(scales)
+    ranges = (DOF + 1.0) * np.log1p(
+        (walks.errors(solution.anchors, solution.path)[0] / scales) ** 2 / DOF
+    ) + 2.0 * np.log(scales)
     paths = bends**2 / densities + np.log(densities)
     return 0.5 * float(away @ prior.precision @ away + ranges.sum() + paths.sum())
 
@@ -258,3 +260,17 @@ def design_effect(walks: Walks, solution: Solution, free: Bool[np.ndarray, " U"]
         effects.append((sums**2).sum() / p * groups / max(groups - p, 0.2 * groups))
     seen = len(np.unique([walks.walk, walks.anchor], axis=1).T) / len(each)
     return max(1.0, max(effects) / FISHER * seen / max(seen - 2.0 - np.isnan(walks.heights).mean(), 1.0))
+
+
+def covariance_of(walks: Walks, solution: Solution, prior: Prior, effect: float) -> Float[np.ndarray, "U U"]:
+    """The covariance of what is free."""
+    inside, height, anchors = np.ix_(prior.free, prior.free), walks.heights[0], solution.anchors.copy()
+    if (walks.heights == height).all():
+        # Ranges see the square of a height over the walk, whose derivative by that height vanishes at zero.
+        over = anchors[:, 2] - height
+        anchors[:, 2] = height + np.copysign(np.maximum(np.abs(over), LEVEL), over)
+    system = Equations(walks, replace(solution, anchors=anchors), expected=True).system
+    covariance = np.zeros_like(system)
+    # A standard deviation of a kilometre for what nothing determines.
+    covariance[inside] = np.linalg.inv((system / effect + prior.precision)[inside] + 1e-6 * np.eye(prior.free.sum()))
+    return covariance

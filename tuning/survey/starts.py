@@ -155,8 +155,9 @@ def completed(walks: Walks, places: np.ndarray, first: int, random: np.random.Ge
     return Solution(anchors, np.concatenate([paths[k] for k in range(len(each))]), *levels)
 
 
-def polished(walks: Walks, solution: Solution, prior: Prior, random: np.random.Generator) -> Solution:
-    """The solution, with anchors that stand in a local minimum of their own moved to a better one."""
+def polished(walks: Walks, start: Solution, prior: Prior, random: np.random.Generator) -> Solution:
+    """The solution near a start, with anchors that stand in a local minimum of their own moved to a better one."""
+    solution = solved(walks, start, prior)
     anchors = solution.anchors.copy()
     for k in np.flatnonzero(prior.free.reshape(-1, 4)[:, :3].all(axis=1)).tolist():
         place = resected(*seen_from(walks, solution, k), random)
@@ -177,5 +178,5 @@ def multistart(walks: Walks, known: np.ndarray, prior: Prior, random: np.random.
         starts.append((longest[0], known))
     whole = (completed(walks, places, first, random) for first, places in starts)
     tried = sorted((solved(walks, start, prior, 10) for start in whole if start is not None), key=lambda s: s.cost)
-    refined = (polished(walks, solved(walks, start, prior), prior, random) for start in tried[:REFINED])
+    refined = (polished(walks, start, prior, random) for start in tried[:REFINED])
     return sorted(refined, key=lambda s: s.cost)

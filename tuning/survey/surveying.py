@@ -1,8 +1,4 @@
-"""Surveys: where anchors stand, from ranges of walks without truth, with intervals and verdicts.
-
-Among the arrangements of the anchors that fit the ranges, the most likely one is turned into its frame, solved there,
-and told from its mirror images.
-"""
+"""Surveys: where anchors stand, from ranges of walks without truth, with intervals and verdicts."""
 
 from __future__ import annotations
 
@@ -17,18 +13,7 @@ from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.tuning.calibrating import check_at_rest
 from trackwright.tuning.survey.result import COMMON_DELAY, OWN_DELAY, Survey
-from trackwright.tuning.survey.solving import (
-    LEAST_RANGES,
-    LEVEL,
-    Equations,
-    Prior,
-    Solution,
-    Walks,
-    design_effect,
-    errors,
-    solved,
-    walks_of,
-)
+from trackwright.tuning.survey.solving import FEWEST, Prior, Solution, Walks, covariance_of, design_effect, walks_of
 from trackwright.tuning.survey.starts import descended, likelier, multistart, polished, seen_from
 
 HIGHEST, ROUNDS = 1000.0, 3
@@ -63,17 +48,19 @@ def survey(
     solution, effect = minima[0], 1.0
     for _ in range(ROUNDS):
         tempered = replace(prior, precision=prior.precision * effect)
-        solution = polished(walks, solved(walks, solution, tempered), tempered, random)
+        solution = polished(walks, solution, tempered, random)
         effect = design_effect(walks, solution, prior.free)
     sides = known if flat or given else np.full_like(known, np.nan)
     solution, mirrored = sided(walks, solution, sides, prior.free.reshape(-1, 4), effect)
     covariance = covariance_of(walks, solution, prior, effect)
     # Given positions are known as well as that, whatever other minima there are.
-    searched = (np.diag(covariance) > 0.0).reshape(-1, 4)
+    searched = prior.free.reshape(-1, 4).copy()
     searched[[names.index(name) for name in given], :3] = False
-    covariance += np.diag(np.where(searched.ravel(), between(minima, effect, 2 if flat else 3), 0.0))
+    covariance += np.diag(searched.ravel() * between(minima, effect, 2 if flat else 3))
     places, at = solution.anchors[:, :3], walks.positions(solution.path)
-    squares, readings = (np.bincount(walks.anchor, of) for of in (errors(walks, solution)[0] ** 2, None))
+    squares, readings = (
+        np.bincount(walks.anchor, of) for of in (walks.errors(solution.anchors, solution.path)[0] ** 2, None)
+    )
     # Heights of tags that differ from walk to walk are none of the rig.
     heights = {tag: {folder.rig.tags.get(tag, Tag()).height for folder in folders} for tag in rig.tags}
     tags = {k: replace(tag, height=None) if len(heights[k]) > 1 else tag for k, tag in rig.tags.items()}
@@ -109,12 +96,9 @@ def _prepared(
     where, rig, of_frame = _where(folders), folders[0].rig, f"frame {','.join(frame)}"
     _require(0 <= sigma < np.inf, f"sigma {sigma:g}: expected metres above zero, or 0 for exact positions")
     _require(given or not sigma, f"sigma {sigma:g}: is that of given positions; expected some; name them as given")
-    _require(
-        height is None or abs(height) <= HIGHEST, f"height {height}: expected metres, {HIGHEST:g} at most; correct it"
-    )
-    _require(
-        not frame or len({*frame}) == len(frame) == 3, f"{of_frame}: expected three different anchors, as A1,A2,A3"
-    )
+    _require(abs(height or 0.0) <= HIGHEST, f"height {height}: expected metres, {HIGHEST:g} at most; correct it")
+    three = not frame or len({*frame}) == len(frame) == 3
+    _require(three, f"{of_frame}: expected three different anchors, as A1,A2,A3")
     _require(not frame or not given, f"{of_frame}: given anchors are a frame; expected one of the two; leave one out")
     ranged = [folder for folder in folders if "ranges" in folder.tables]
     _require(ranged, f"{where}: no table ranges; expected ranges of a tag to anchors; give such a recording")
@@ -128,8 +112,8 @@ def _prepared(
         _require(name in rig.anchors, f"{rig.name}: rig.toml has no anchor {name}; add the position of what is given")
     walks = walks_of(ranged, names, height)
     seen = np.bincount(walks.anchor, minlength=len(names))
-    words = f"{seen.min()} readings of {names[int(np.argmin(seen))]} without gaps; expected {LEAST_RANGES} at least"
-    _require(seen.min() >= LEAST_RANGES, f"{where}: {words}; record a longer walk")
+    words = f"{seen.min()} readings of {names[int(np.argmin(seen))]} without gaps; expected {FEWEST} at least"
+    _require(seen.min() >= FEWEST, f"{where}: {words}; record a longer walk")
     # Given anchors stand at one place in all recordings.
     stated = [Rig(x.rig.name, anchors={k: x.rig.anchors[k] for k in given if k in x.rig.anchors}) for x in folders]
     check_at_rest([replace(folder, rig=of) for folder, of in zip(folders, stated, strict=True)])
@@ -234,21 +218,6 @@ def sided(
         if other:
             anchors[k, :3] = np.where(free[k, :3], image, anchor)
     return replace(solution, anchors=anchors), mirrored
-
-
-def covariance_of(walks: Walks, solution: Solution, prior: Prior, effect: float) -> Float[np.ndarray, "U U"]:
-    """The covariance of what is free."""
-    free, height, anchors = np.flatnonzero(prior.free), walks.heights[0], solution.anchors.copy()
-    if (walks.heights == height).all():
-        # Ranges see the square of a height over the walk, whose derivative by that height vanishes at zero.
-        over = anchors[:, 2] - height
-        anchors[:, 2] = height + np.copysign(np.maximum(np.abs(over), LEVEL), over)
-    system = Equations(walks, replace(solution, anchors=anchors), expected=True).system
-    covariance = np.zeros_like(system)
-    # A standard deviation of a kilometre for what nothing determines.
-    precision = (system / effect + prior.precision)[np.ix_(free, free)] + 1e-6 * np.eye(len(free))
-    covariance[np.ix_(free, free)] = np.linalg.inv(precision)
-    return covariance
 
 
 def between(minima: Sequence[Solution], effect: float, d: int) -> Float[np.ndarray, " U"]:
