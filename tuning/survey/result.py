@@ -67,22 +67,22 @@ class Survey:
         unknown, weak = ([x for x, at in zip(what, self._extents(k), strict=True) if low < at <= high]
                          for low, high in ((WEAK, np.inf), (DETERMINED, WEAK)))  # fmt: skip
         words = "; ".join(f"{how}: {', '.join(of)}" for how, of in (("not determined", unknown), ("weak", weak)) if of)
-        return f"{words} ({self._advice(k)})" if words else "determined"
+        if not words:
+            return "determined"
+        # The walk that determines the weakest direction.
+        weakest, places = np.linalg.eigh(self.block(k)[:3, :3])[1][:, -1], np.concatenate(self.paths)
+        away = places.mean(axis=0) - self.positions[k]
+        walk = f"walk around {name}"
+        if self.mirrored[k] or abs(weakest[2]) > 0.7:
+            walk = "walk at two heights" + (f" near {name}" if np.ptp(places[:, 2]) >= 1.0 else "")
+        elif abs(weakest @ away) > 0.7 * np.linalg.norm(away):
+            walk = f"walk close to {name} and away from it"
+        return f"{words} ({walk})"
 
     def _extents(self, k: int) -> tuple[float, float]:
         """Half the largest horizontal axis of the 95 % interval of anchor `k`, and of its height, m."""
         flat = NORMAL * float(np.sqrt(np.linalg.eigvalsh(self.block(k)[:2, :2])[-1]))
         return flat, np.inf if self.mirrored[k] else float(self.half_widths[k, 2])
-
-    def _advice(self, k: int) -> str:
-        """The walk that determines the weakest direction of anchor `k`."""
-        name, places = self.names[k], np.concatenate(self.paths)
-        weakest = np.linalg.eigh(self.block(k)[:3, :3])[1][:, -1]
-        if self.mirrored[k] or abs(weakest[2]) > 0.7:
-            return "walk at two heights" + (f" near {name}" if np.ptp(places[:, 2]) >= 1.0 else "")
-        away = places.mean(axis=0) - self.positions[k]
-        near = abs(weakest @ away) > 0.7 * np.linalg.norm(away)
-        return f"walk close to {name} and away from it" if near else f"walk around {name}"
 
     def rows(self) -> list[list[str]]:
         """A row of `head` for each anchor; numbers that the walks do not determine in brackets."""

@@ -40,8 +40,9 @@ RIDGE = 1e-6  # information, m⁻², of each coefficient of a path: for directio
 
 @dataclass(frozen=True, eq=False)
 class Walks:
-    """n ranges on W walks between gaps: the numbers of `walk` and `anchor`, `times`, s, and `values`, m (n,); whose
-    walks these are, and the `heights` of their tags, m, NaN: estimated. Paths have coefficients (knots, 3), m."""
+    """n ranges on W walks between gaps: the numbers of `walk` and `anchor`, `times`, s, each walk long after the one
+    before it, and `values`, m (n,); whose walks these are, and the known `heights` of their tags, m, NaN: estimated.
+    Paths have coefficients (knots, 3), m."""
 
     names: Sequence[str]
     heights: Float[np.ndarray, " W"]
@@ -89,14 +90,12 @@ class Walks:
         at[:, 2] = np.where(np.isnan(heights), at[:, 2], heights)
         return at
 
-    def errors(
-        self, anchors: Float[np.ndarray, "A 4"], path: Float[np.ndarray, "knots 3"]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def errors(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """How much longer ranges (n,), m, are than distances and delays; the directions (n, 3) of tags from anchors."""
-        offset = self.positions(path) - anchors[self.anchor, :3]
+        anchors = solution.anchors[self.anchor]
+        offset = self.positions(solution.path) - anchors[:, :3]
         distance = np.linalg.norm(offset, axis=1)
-        units = offset / np.maximum(distance, 1e-9)[:, None]
-        return self.values - distance - anchors[self.anchor, 3], units
+        return self.values - distance - anchors[:, 3], offset / np.maximum(distance, 1e-9)[:, None]
 
     def fitted(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "knots 3"]:
         """The coefficients of smooth paths near these positions at the times of the ranges."""
@@ -118,6 +117,7 @@ def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height:
             ranged = of_tag[of_tag[:, 2] > 0.0]
             for piece in np.split(ranged, np.flatnonzero(np.diff(ranged[:, 1]) > GAP) + 1):
                 if len(piece) >= FEWEST:
+                    piece[:, 1] += (pieces[-1][-1, 2] + max(LENGTHS) if names else 0.0) - piece[0, 1]
                     pieces.append(np.insert(piece, 0, len(names), axis=1))
                     names.append(f"tag {tag} of {folder.name}")
                     heights.append(np.nan if known is None else known)
@@ -160,12 +160,13 @@ class Equations:
     of the solution's scales have on average."""
 
     def __init__(self, walks: Walks, solution: Solution, damping: float = 0.0, expected: bool = False):
-        self.residuals, units = walks.errors(solution.anchors, solution.path)
-        scales = solution.scales[walks.anchor]
+        (self.residuals, units), scales = walks.errors(solution), solution.scales[walks.anchor]
         self.weights = FISHER / scales**2 if expected else robust_weights(self.residuals, scales)
-        partial, rows = np.zeros((len(units), *solution.anchors.shape)), np.arange(len(units))
-        partial[rows, walks.anchor] = np.column_stack([-units, np.ones(len(rows))])
-        self.partial = partial.reshape(len(rows), -1)
+        own = (
+            np.column_stack([-units, np.ones(len(units))])[:, None]
+            * np.eye(len(solution.anchors))[walks.anchor, :, None]
+        )
+        self.partial = own.reshape(len(units), -1)
         away = sparse.csr_array((units.ravel(), np.arange(units.size), np.arange(0, units.size + 1, 3)))
         self.along, (bending, walk) = away @ walks.spread, walks.bending
         rough = bending.multiply(1.0 / solution.densities[walk]) @ bending.T
@@ -175,11 +176,11 @@ class Equations:
         # Banded: no order has less fill.
         options = {"permc_spec": "NATURAL", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
         self.factor = sparse.linalg.splu(sparse.csc_array(information), **options)
-        cross, own = weighted @ self.partial, self.partial.T * self.weights
+        cross, scaled = weighted @ self.partial, self.partial.T * self.weights
         slope = weighted @ self.residuals - rough @ solution.path.ravel()[walks.free]
         self.slopes, self.step = self.factor.solve(cross), self.factor.solve(slope)
-        self.system = own @ self.partial - cross.T @ self.slopes
-        self.gradient = own @ self.residuals - self.slopes.T @ slope
+        self.system = scaled @ self.partial - cross.T @ self.slopes
+        self.gradient = scaled @ self.residuals - self.slopes.T @ slope
 
 
 def cost_of(walks: Walks, solution: Solution, prior: Prior) -> float:
@@ -187,9 +188,7 @@ def cost_of(walks: Walks, solution: Solution, prior: Prior) -> float:
     away, scales = solution.anchors.ravel() - prior.mean, solution.scales[walks.anchor]
     bending, walk = walks.bending
     densities, bends = solution.densities[walk], bending.T @ solution.path.ravel()[walks.free]
-    ranges = (DOF + 1.0) * np.log1p(
-        (walks.errors(solution.anchors, solution.path)[0] / scales) ** 2 / DOF
-    ) + 2.0 * np.log(scales)
+    ranges = (DOF + 1.0) * np.log1p((walks.errors(solution)[0] / scales) ** 2 / DOF) + 2.0 * np.log(scales)
     paths = bends**2 / densities + np.log(densities)
     return 0.5 * float(away @ prior.precision @ away + ranges.sum() + paths.sum())
 
@@ -250,15 +249,12 @@ def design_effect(walks: Walks, solution: Solution, free: Bool[np.ndarray, " U"]
     kept = values > 1e-6 * values[-1]
     whiten, p = vectors[:, kept] / np.sqrt(values[kept]), kept.sum()
     scores = (found.partial - found.along @ found.slopes) * (found.weights * found.residuals)[:, None]
-    score, effects, each = scores[:, free] @ whiten, [], [walks.times[walks.walk == k] for k in range(len(walks.names))]
-    begins = np.cumsum([0.0, *(np.ptp(times) + max(LENGTHS) for times in each)])
-    times = np.concatenate([times - times[0] + began for times, began in zip(each, begins, strict=False)])
-    spots = walks.positions(solution.path)
-    for keys in [times[:, None] // length for length in LENGTHS] + [spots // size for size in SIZES]:
+    score, effects, spots = scores[:, free] @ whiten, [], walks.positions(solution.path)
+    for keys in [walks.times[:, None] // length for length in LENGTHS] + [spots // size for size in SIZES]:
         code = np.unique(np.column_stack([keys, walks.anchor]), axis=0, return_inverse=True)[1].ravel()
         sums, groups = np.stack([np.bincount(code, column) for column in score.T]), code.max() + 1
         effects.append((sums**2).sum() / p * groups / max(groups - p, 0.2 * groups))
-    seen = len(np.unique([walks.walk, walks.anchor], axis=1).T) / len(each)
+    seen = len(np.unique([walks.walk, walks.anchor], axis=1).T) / len(walks.names)
     return max(1.0, max(effects) / FISHER * seen / max(seen - 2.0 - np.isnan(walks.heights).mean(), 1.0))
 
 

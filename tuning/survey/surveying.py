@@ -58,18 +58,23 @@ def survey(
     searched[[names.index(name) for name in given], :3] = False
     covariance += np.diag(searched.ravel() * between(minima, effect, 2 if flat else 3))
     places, at = solution.anchors[:, :3], walks.positions(solution.path)
-    squares, readings = (
-        np.bincount(walks.anchor, of) for of in (walks.errors(solution.anchors, solution.path)[0] ** 2, None)
-    )
+    squares, readings = (np.bincount(walks.anchor, of) for of in (walks.errors(solution)[0] ** 2, None))
     # Heights of tags that differ from walk to walk are none of the rig.
     heights = {tag: {folder.rig.tags.get(tag, Tag()).height for folder in folders} for tag in rig.tags}
     tags = {k: replace(tag, height=None) if len(heights[k]) > 1 else tag for k, tag in rig.tags.items()}
+    estimated = np.isnan(walks.heights)
+    words = listed(f"{height:g} m" for height in np.unique(walks.heights[~estimated]))
+    words = (
+        f"heights of tags known: {words}" if words else "heights of tags estimated; --height states one that is known"
+    )
+    if 0 < estimated.sum() < len(estimated):
+        words += f"; estimated: {listed(dict.fromkeys(np.array(walks.names)[estimated]))}"
     anchors = {**rig.anchors, **dict(zip(names, places.round(4) + 0.0, strict=True))}
     return Survey(
         names=tuple(names), positions=places, delays=solution.anchors[:, 3], covariance=covariance, mirrored=mirrored,
         rms=np.sqrt(squares / readings), readings=readings, effect=effect,
         paths=tuple(at[walks.walk == k] for k in range(len(walks.names))), rig=replace(rig, anchors=anchors, tags=tags),
-        notes=(_heights(walks), *notes),
+        notes=(words, *notes),
     )  # fmt: skip
 
 
@@ -94,16 +99,15 @@ def _prepared(
 ) -> tuple[list[str], tuple[str, ...], Walks]:
     """The anchors, the given ones of them, and the walks; raises UnusableInput for what can't be surveyed."""
     where, rig, of_frame = _where(folders), folders[0].rig, f"frame {','.join(frame)}"
-    _require(0 <= sigma < np.inf, f"sigma {sigma:g}: expected metres above zero, or 0 for exact positions")
-    _require(given or not sigma, f"sigma {sigma:g}: is that of given positions; expected some; name them as given")
+    fits = 0 <= sigma < np.inf and (given or not sigma)
+    _require(fits, f"sigma {sigma:g}: is that of given positions; expected metres, 0 if exact, and some named as given")
     _require(abs(height or 0.0) <= HIGHEST, f"height {height}: expected metres, {HIGHEST:g} at most; correct it")
     three = not frame or len({*frame}) == len(frame) == 3
     _require(three, f"{of_frame}: expected three different anchors, as A1,A2,A3")
     _require(not frame or not given, f"{of_frame}: given anchors are a frame; expected one of the two; leave one out")
     ranged = [folder for folder in folders if "ranges" in folder.tables]
-    _require(ranged, f"{where}: no table ranges; expected ranges of a tag to anchors; give such a recording")
     names = sorted({name for folder in ranged for name in folder.tables["ranges"]["anchor"].unique()})
-    _require(len(names) >= 4, f"{where}: ranges of {len(names)} anchors; expected 4 at least; survey more")
+    _require(len(names) >= 4, f"{where}: ranges to {len(names)} anchors; expected 4 at least; record more")
     given = tuple(names) if given == ("all",) else given
     for name in (*given, *frame):
         known = listed(names, 12)
@@ -118,16 +122,6 @@ def _prepared(
     stated = [Rig(x.rig.name, anchors={k: x.rig.anchors[k] for k in given if k in x.rig.anchors}) for x in folders]
     check_at_rest([replace(folder, rig=of) for folder, of in zip(folders, stated, strict=True)])
     return names, given, walks
-
-
-def _heights(walks: Walks) -> str:
-    """How heights of tags enter."""
-    heights = np.unique(walks.heights[np.isfinite(walks.heights)]).tolist()
-    if not heights:
-        return "heights of tags estimated; --height states one that is known"
-    free = dict.fromkeys(name for name, height in zip(walks.names, walks.heights, strict=True) if np.isnan(height))
-    known = f"heights of tags known: {listed(f'{height:g} m' for height in heights)}"
-    return f"{known}; estimated: {listed(free)}" if free else known
 
 
 def aligned(points: np.ndarray, onto: np.ndarray, d: int) -> list[tuple[np.ndarray, np.ndarray]]:
