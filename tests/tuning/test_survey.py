@@ -9,8 +9,8 @@ from tests.survey_sites import simulated_site
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.tuning.survey import surveying
-from trackwright.tuning.survey.solving import FISHER, Equations, Solution, cost_of, solved, walks_of
-from trackwright.tuning.survey.surveying import aligned, delays_before, survey, triangle
+from trackwright.tuning.survey.solving import FISHER, Equations, Prior, Solution, cost_of, solved, walks_of
+from trackwright.tuning.survey.surveying import aligned, survey, triangle
 
 
 def _small(height=None, seconds=6.0):
@@ -22,7 +22,8 @@ def _small(height=None, seconds=6.0):
     at = np.column_stack([np.interp(walk.times, np.arange(len(path)) / 4.0, column) for column in path.T])
     unknown = np.column_stack([anchors, np.full(len(anchors), 0.1)])
     levels = np.full(len(anchors), 0.1), np.full(1, 0.5)
-    return walk, Solution(unknown, walk.fitted(at), *levels)
+    known = np.zeros(unknown.size), np.diag(np.tile([0.0, 0.0, 0.0, 10.0], len(unknown))), np.ones(unknown.size, bool)
+    return walk, Solution(unknown, walk.fitted(at), *levels), Prior(*known)
 
 
 def _ranges(walk, unknown, path):
@@ -39,8 +40,8 @@ def _ranges(walk, unknown, path):
 
 @pytest.mark.parametrize("height", [None, 1.2])
 def test_the_information_is_the_schur_complement_of_the_dense_one(height):
-    walk, solution = _small(height)
-    path = solution.path[:, : 3 if height is None else 2]
+    walk, solution, _ = _small(height)
+    path = solution.path.reshape(-1, 3 if height is None else 2)
     point = np.concatenate([solution.anchors.ravel(), path.ravel()])
     size = solution.anchors.size
 
@@ -59,8 +60,7 @@ def test_the_information_is_the_schur_complement_of_the_dense_one(height):
 
 
 def test_the_solution_is_a_minimum_of_the_cost():
-    walk, start = _small()
-    prior, random, h = delays_before(len(start.anchors)), np.random.default_rng(1), 1e-3
+    (walk, start, prior), random, h = _small(), np.random.default_rng(1), 1e-3
     found = solved(walk, start, prior, levels=False)
     for _ in range(20):
         anchors, path = (random.standard_normal(x.shape) for x in (found.anchors, found.path))
@@ -73,11 +73,10 @@ def test_the_solution_is_a_minimum_of_the_cost():
 
 
 def test_a_turned_room_has_the_same_cost():
-    walk, start = _small()
+    walk, start, prior = _small()
     turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
     turned = np.column_stack([start.anchors[:, :3] @ turn.T + [1.0, 2.0, 3.0], start.anchors[:, 3]])
-    moved = replace(start, anchors=turned, path=start.path @ turn.T + [1.0, 2.0, 3.0])
-    prior = delays_before(len(start.anchors))
+    moved = replace(start, anchors=turned, path=(start.path.reshape(-1, 3) @ turn.T + [1.0, 2.0, 3.0]).ravel())
     assert cost_of(walk, moved, prior) == pytest.approx(cost_of(walk, start, prior), rel=1e-9)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Bool, Float, Int
 from scipy.interpolate import BSpline
+from scipy.sparse.linalg import splu, spsolve
 
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -42,7 +43,7 @@ RIDGE = 1e-6  # information, m⁻², of each coefficient of a path: for directio
 class Walks:
     """n ranges on W walks between gaps: the numbers of `walk` and `anchor`, `times`, s, each walk long after the one
     before it, and `values`, m (n,); whose walks these are, and the known `heights` of their tags, m, NaN: estimated.
-    Paths have coefficients (knots, 3), m."""
+    Paths have coefficients (M,), m: three of each knot, but none of known heights."""
 
     names: Sequence[str]
     heights: Float[np.ndarray, " W"]
@@ -67,13 +68,13 @@ class Walks:
         return BSpline.design_matrix(at, np.arange(-3.0, len(knots) + 1.0), 3), knots
 
     @cached_property
-    def free(self) -> Bool[np.ndarray, " coefficients"]:
-        """Which coefficients are estimated: M of them, all but known heights."""
+    def free(self) -> Bool[np.ndarray, " coordinates"]:
+        """Which of the coordinates (knots, 3) are estimated, in one row: M of them, all but known heights."""
         return np.isnan(np.pad(self.heights[self._spline[1], None], ((0, 0), (2, 0)), constant_values=np.nan)).ravel()
 
     @cached_property
     def spread(self) -> sparse.csr_array:
-        """The derivatives (3n, M) of positions by the coefficients that are estimated."""
+        """The derivatives (3n, M) of positions by the coefficients."""
         return sparse.csr_array(sparse.kron(self._spline[0], sparse.eye_array(3), "csc")[:, self.free])
 
     @cached_property
@@ -84,11 +85,9 @@ class Walks:
         inside = self.free[:-6] & (walk[:-6] == walk[6:])
         return sparse.csr_array(second.tocsr()[self.free][:, inside] / STEP**1.5), walk[:-6][inside]
 
-    def positions(self, path: Float[np.ndarray, "knots 3"]) -> Float[np.ndarray, "n 3"]:
+    def positions(self, path: Float[np.ndarray, " M"]) -> Float[np.ndarray, "n 3"]:
         """The positions of the tags, m, at the times of the ranges."""
-        at, heights = self._spline[0] @ path, self.heights[self.walk]
-        at[:, 2] = np.where(np.isnan(heights), at[:, 2], heights)
-        return at
+        return (self.spread @ path).reshape(-1, 3) + np.nan_to_num(self.heights)[self.walk, None] * [0.0, 0.0, 1.0]
 
     def errors(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """How much longer ranges (n,), m, are than distances and delays; the directions (n, 3) of tags from anchors."""
@@ -97,13 +96,12 @@ class Walks:
         distance = np.linalg.norm(offset, axis=1)
         return self.values - distance - anchors[:, 3], offset / np.maximum(distance, 1e-9)[:, None]
 
-    def fitted(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "knots 3"]:
+    def fitted(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " M"]:
         """The coefficients of smooth paths near these positions at the times of the ranges."""
-        path, bending = np.repeat(self.heights[self._spline[1]], 3), self.bending[0]
+        bending = self.bending[0]
         # A little of the identity for knots without ranges beside them.
         system = self.spread.T @ self.spread + bending @ bending.T + 1e-9 * sparse.eye_array(bending.shape[0])
-        path[self.free] = sparse.linalg.spsolve(sparse.csc_array(system), self.spread.T @ positions.ravel())
-        return path.reshape(-1, 3)
+        return spsolve(sparse.csc_array(system), self.spread.T @ positions.ravel())
 
 
 def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height: float | None) -> Walks:
@@ -127,11 +125,11 @@ def walks_of(folders: Sequence[RecordingFolder], anchors: Sequence[str], height:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Positions and delays of anchors, m, the coefficients (knots, 3) of all paths, m, scales of errors, m, densities
-    of accelerations, m²/s³, and `cost`: the negative log-likelihood, marginal over the paths, linearised."""
+    """Positions and delays of anchors, m, the coefficients of all paths, m, scales of errors, m, densities of
+    accelerations, m²/s³, and `cost`: the negative log-likelihood, marginal over the paths, linearised."""
 
     anchors: Float[np.ndarray, "A 4"]
-    path: Float[np.ndarray, "knots 3"]
+    path: Float[np.ndarray, " M"]
     scales: Float[np.ndarray, " A"]
     densities: Float[np.ndarray, " W"]
     cost: float = np.inf
@@ -174,10 +172,9 @@ class Equations:
         information = weighted @ self.along + rough
         information = information + sparse.diags_array(damping * information.diagonal() + RIDGE)
         # Banded: no order has less fill.
-        options = {"permc_spec": "NATURAL", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        self.factor = sparse.linalg.splu(sparse.csc_array(information), **options)
+        self.factor = splu(sparse.csc_array(information), "NATURAL", 0.0, options={"SymmetricMode": True})
         cross, scaled = weighted @ self.partial, self.partial.T * self.weights
-        slope = weighted @ self.residuals - rough @ solution.path.ravel()[walks.free]
+        slope = weighted @ self.residuals - rough @ solution.path
         self.slopes, self.step = self.factor.solve(cross), self.factor.solve(slope)
         self.system = scaled @ self.partial - cross.T @ self.slopes
         self.gradient = scaled @ self.residuals - self.slopes.T @ slope
@@ -187,7 +184,7 @@ def cost_of(walks: Walks, solution: Solution, prior: Prior) -> float:
     """The negative log density of ranges, paths and anchors, with the noise levels of the solution."""
     away, scales = solution.anchors.ravel() - prior.mean, solution.scales[walks.anchor]
     bending, walk = walks.bending
-    densities, bends = solution.densities[walk], bending.T @ solution.path.ravel()[walks.free]
+    densities, bends = solution.densities[walk], bending.T @ solution.path
     ranges = (DOF + 1.0) * np.log1p((walks.errors(solution)[0] / scales) ** 2 / DOF) + 2.0 * np.log(scales)
     paths = bends**2 / densities + np.log(densities)
     return 0.5 * float(away @ prior.precision @ away + ranges.sum() + paths.sum())
@@ -217,8 +214,7 @@ def _stepped(walks: Walks, solution: Solution, prior: Prior, damping: float) -> 
     gradient = found.gradient + prior.precision @ (prior.mean - solution.anchors.ravel())
     block = (found.system + prior.precision)[np.ix_(free, free)]
     move[free] = np.linalg.solve(block + np.diag(damping * np.diag(block) + 1e-9), gradient[free])
-    path = solution.path.copy()
-    path.ravel()[walks.free] += found.step - found.slopes @ move
+    path = solution.path + found.step - found.slopes @ move
     return replace(solution, anchors=solution.anchors + move.reshape(-1, 4), path=path)
 
 
@@ -234,7 +230,7 @@ def _levelled(walks: Walks, solution: Solution) -> Solution:
     # Four unknowns of each anchor are fitted to its ranges, too.
     numbers = np.bincount(walks.anchor, 1.0 - np.minimum(leverage, 1.0), len(solution.scales)) - 4.0
     scales = np.maximum(solution.scales * np.sqrt(squares / np.maximum(numbers, 1.0)), LEAST_SCALE)
-    bends, unseen = (bending.T @ solution.path.ravel()[walks.free]) ** 2, ((rough.T @ drawn) ** 2).mean(axis=1)
+    bends, unseen = (bending.T @ solution.path) ** 2, ((rough.T @ drawn) ** 2).mean(axis=1)
     size, bent, free = (np.bincount(walk, of) for of in (bends, None, 1.0 - unseen))
     densities = np.clip(size / np.maximum(free, 0.05 * bent), 1e-4, 1e3)
     return replace(solution, scales=np.where(squares > 0, scales, solution.scales), densities=densities)

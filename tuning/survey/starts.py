@@ -115,8 +115,7 @@ def located(walk: Walks, anchors: Float[np.ndarray, "A 4"]) -> np.ndarray:
 
 def resected(positions: np.ndarray, ranges: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """The place (3,) of an anchor with ranges (n,), m, to a tag at positions (n, 3): the best from random starts."""
-    every = max(1, len(ranges) // 100)
-    positions, ranges = positions[::every], ranges[::every]
+    positions, ranges = (of[:: max(1, len(ranges) // 100)] for of in (positions, ranges))
     starts = positions.mean(axis=0) + float(np.median(ranges)) * random.standard_normal((12, 3))
     places = descended(starts, positions, ranges)
     errors = ranges - np.linalg.norm(places[:, None] - positions, axis=2)
@@ -163,9 +162,8 @@ def polished(walks: Walks, start: Solution, prior: Prior, random: np.random.Gene
         place = resected(*seen_from(walks, solution, k), random)
         if likelier(walks, solution, k, place) > 2.0 and np.linalg.norm(place - anchors[k, :3]) > 0.2:
             anchors[k, :3] = place
-    if (anchors == solution.anchors).all():
-        return solution
-    better = solved(walks, replace(solution, anchors=anchors), prior)
+    moved = (anchors != solution.anchors).any()
+    better = solved(walks, replace(solution, anchors=anchors), prior) if moved else solution
     return better if better.cost < solution.cost else solution
 
 
