@@ -127,6 +127,7 @@ def test_the_third_anchor_of_the_frame_is_the_first_that_stands_aside():
         triangle("ABCD", "ABC", anchors, 3)
 
 
+@pytest.mark.slow
 def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
     folders, anchors, _ = simulated_site(2, (0.5, 1.9), 0.0)
     names = [f"A{k:02d}" for k in range(len(anchors))]
