@@ -18,7 +18,7 @@ from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, w
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.kinds import table_kinds
-from trackwright.trackers.recordings.reading_grids import above_rounding, counted_once
+from trackwright.trackers.recordings.reading_grids import counted_once, with_rounding
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec, faults_named
 from trackwright.trackers.recordings.tracks import Tracks, track
 from trackwright.trackers.recordings.trajectories import Trajectories
@@ -82,13 +82,10 @@ class NamedTracker:
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers.
 
-        A noise level below the rounding of a recording's readings is raised to it, and values that a source repeats are
-        used once: `TrackerBatch.notices`. Recordings in map coordinates are about an origin nearby,
+        Values that a source repeats are used once: `TrackerBatch.notices`. Recordings in map coordinates are about an origin nearby,
         `trajectory.folder.origin`; estimates of `run` are not.
         """
-        groups = self._batches(recordings)
-        split = [part for group in groups for part in above_rounding(group)]
-        return [replace(group, tracker=self._finished(group.tracker)) for group in split]
+        return [replace(group, tracker=self._finished(group.tracker)) for group in self._batches(recordings)]
 
     def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The batches with this tracker's numbers as they are, not smoothed."""
@@ -173,7 +170,7 @@ def _batches(
     if side is not None:
         folders = [replace(folder, rig=replace(folder.rig, side=side)) for folder in folders]
     prepared = [counted_once(near_origin(folder), names) for folder in folders]
-    groups = spec.batches([folder for folder, _ in prepared], name, free_height)
+    groups = spec.batches([with_rounding(folder, spec.reads) for folder, _ in prepared], name, free_height)
     notices = [line for folder, lines in prepared for line in (*lines, *spec.notices(folder, free_height))]
     if spec.reads <= {"ranges", "tdoa", "imu", "odometry"}:
         solid = (Trajectories.of(group.trajectories).folders for group in groups if not group.planar)

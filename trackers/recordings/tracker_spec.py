@@ -40,8 +40,7 @@ class TrackerBatch:
     """Trajectories that one tracker runs as a batch.
 
     `planar`: whether the state lies in a plane: that of the floor at known heights, or that of a flat array. `notices`:
-    one line for each noise level that was raised to the rounding of the readings, for readings used once, and for what
-    a recording has that its tracker leaves out of account.
+    one line for readings used once, and for what a recording has that its tracker leaves out of account.
     """
 
     tracker: AbstractTracker
