@@ -198,8 +198,9 @@ def fit(
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The noise levels of a sensor whose readings in arrays have a step are not fitted below that of its rounding,
-    step/√12, unless `bounds` name them. A fit that does not move from its only start has others. The result is the best point
-    met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against it.
+    step/√12, unless `bounds` name them. A fit that does not move from its only start has others. The result is the best
+    point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against
+    it.
     Raises ValueError for patterns that match nothing or can't be tied, for empty bounds and for priors without a
     likelihood; FloatingPointError where the objective is not finite at the first start.
     """

@@ -82,8 +82,8 @@ class NamedTracker:
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers.
 
-        Values that a source repeats are used once: `TrackerBatch.notices`. Recordings in map coordinates are about an origin nearby,
-        `trajectory.folder.origin`; estimates of `run` are not.
+        Values that a source repeats are used once: `TrackerBatch.notices`. Recordings in map coordinates are about an
+        origin nearby, `trajectory.folder.origin`; estimates of `run` are not.
         """
         return [replace(group, tracker=self._finished(group.tracker)) for group in self._batches(recordings)]
 
