@@ -14,7 +14,8 @@ density that is a t of the same ν and scale √s.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -31,6 +32,7 @@ from trackwright.trackers.core.model.algebra import (
     Vector,
     compute_once,
     congruence,
+    inverse_or_zero,
     total,
 )
 from trackwright.trackers.core.model.covariance import (
@@ -51,7 +53,10 @@ from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.linearise import jacobian, linearise
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
-from trackwright.trackers.core.model.state import State, coordinates, local_after, retract
+from trackwright.trackers.core.model.state import State, component_names, coordinates, local_after, retract
+
+BENT = 0.5
+"""Variance of a reading's second-order term, over that of its linear one, above which it adds to the noise."""
 
 
 class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
@@ -96,6 +101,11 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
 
         (*whitened, log_scale, nis_dof, wrapped, dof), rows = linearise(residual_of, point)
         jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
+        if sensor.curved:
+            factors = flattening(lambda *x: residual_of(*x)[: len(whitened)], point, jacobian, belief)
+            whitened = [f * x for f, x in zip(factors, whitened, strict=True)]
+            jacobian = [{j: f * v for j, v in row.items()} for f, row in zip(factors, jacobian, strict=True)]
+            log_scale = log_scale + total(jnp.log(f) for f in factors)
         # Student's t weights each channel by itself; compression would spread an outlier over all of them.
         student_t = has_student_t[0]
         channels = compute_once((whitened, jacobian))
@@ -125,6 +135,61 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
     def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
         """The smoothed beliefs of a time step, given those of the next one."""
         return rts_step(rts_gain, after)
+
+
+def flattening(
+    residual: Callable[..., Sequence[Scalar]], point: Sequence[Scalar], rows: Sequence[SparseRow], belief: Gaussian
+) -> list[Scalar]:
+    """By what whitened channels are multiplied, so that the noise covers what bends within the spread of the position.
+
+    Of a normal position the second-order term of a channel has the variance ½‖LᵀHL‖², with its Hessian H and the root L
+    of the covariance. It adds to the noise where it is more than `BENT` times the linear term's variance, so that other
+    updates are as they are without it. It counts as given, without a derivative.
+    """
+    first, n = component_names(belief.mean).index("position.0"), len(point)
+    axes = range(first, first + len(belief.mean.position))
+    of_axes = [row_for(belief.cov, {i: 1.0}, n) for i in axes]
+    P = [[dot(a, product(belief.cov, b, n)) for b in of_axes] for a in of_axes]
+    root = lower_root(P)
+
+    def at(*steps: Scalar) -> list[Scalar]:
+        moved = list(point)
+        for k, i in enumerate(axes):
+            moved[i] = point[i] + total(root[k][j] * steps[j] for j in range(k + 1))
+        return list(residual(*moved))
+
+    zeros, one = [jnp.zeros_like(point[0])] * len(root), jnp.ones_like(point[0])
+
+    def slope(j: int, *steps: Scalar) -> list[Scalar]:
+        unit = [one if k == j else zeros[0] for k in range(len(root))]
+        return jax.jvp(at, steps, tuple(unit))[1]
+
+    square = [zeros[0]] * len(rows)
+    for j in range(len(root)):
+        for k in range(j + 1):
+            unit = [one if i == k else zeros[0] for i in range(len(root))]
+            bent = jax.jvp(partial(slope, j), tuple(zeros), tuple(unit))[1]
+            square = [s + (0.5 if j == k else 1.0) * b * b for s, b in zip(square, bent, strict=True)]
+    factors = []
+    for row, curved in zip(rows, square, strict=True):
+        along = (total(row.get(i, 0.0) * root[k][j] for k, i in enumerate(axes) if j <= k) for j in range(len(root)))
+        bent = jnp.where(curved > BENT * total(x * x for x in along), jnp.minimum(curved, 1e12), 0.0)
+        factors.append(1.0 / jnp.sqrt(1.0 + jax.lax.stop_gradient(bent)))
+    return factors
+
+
+def lower_root(P: Sequence[Sequence[Scalar]]) -> list[list[Scalar]]:
+    """The Cholesky factor of a small covariance; a component without variance of its own has zeros."""
+    root: list[list[Scalar]] = []
+    for i, row in enumerate(P):
+        mine: list[Scalar] = []
+        for j in range(i):
+            rest = row[j] - total(a * b for a, b in zip(mine, root[j], strict=False))
+            mine.append(rest * inverse_or_zero(root[j][j]))
+        rest = row[i] - total(a * a for a in mine) if mine else row[i]
+        positive = rest > 0
+        root.append([*mine, jnp.where(positive, jnp.sqrt(jnp.where(positive, rest, 1.0)), 0.0)])
+    return root
 
 
 def above_resolution(cov: AnyCovariance, point: Sequence[Scalar]) -> AnyCovariance:

@@ -43,6 +43,8 @@ class Row(NamedTuple):
     """One time step of one trajectory.
 
     `dt`: s since the previous step. `key` (2,): random key of the trajectory. `number`: index of the time step.
+    `max_gap`: time without measurements, s, after which the track is lost even where none can start; None for that of
+    the track loss.
     """
 
     dt: Scalar
@@ -51,6 +53,7 @@ class Row(NamedTuple):
     inputs: Inputs
     key: Any
     number: Scalar
+    max_gap: Scalar | None = None
 
 
 class Residual(NamedTuple):
@@ -82,10 +85,12 @@ class Residual(NamedTuple):
 class AbstractSensor(eqx.Module):
     """A source of readings with a fixed number of channels.
 
-    `view_fields`: the fields of `motion.view` that `measure` needs, as `("position", "velocity")`.
+    `view_fields`: the fields of `motion.view` that `measure` needs, as `("position", "velocity")`. `curved`: whether
+    there are positions about which its readings bend within the spread of a position, as angles below a station.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ()
+    curved: ClassVar[bool] = False
 
     @property
     @abstractmethod
