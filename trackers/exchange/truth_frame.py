@@ -17,6 +17,7 @@ from trackwright.trackers.recordings.checks.changes import transform_text
 from trackwright.trackers.recordings.checks.compared import CUT, Compared, compared, robust_fit
 from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
 from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced, true_attitude
+from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 
@@ -153,8 +154,8 @@ def _standard_errors(view: Compared, errors: Callable[[np.ndarray], np.ndarray],
     groups, n = len(of_groups), len(x)
     spread = 1.4826 * np.median(np.abs(of_groups), axis=0) * math.sqrt(groups / max(groups - n + 1, 1))
     least = 0.0 if view.kind.position else view.kind.sizes("floor", e.shape[1])
-    bias = np.maximum(spread if groups > 1 else 0.0, least)
-    size = np.maximum(1.4826 * np.nanmedian(np.abs(e), axis=0), 1e-9)
+    bias = np.maximum(spread * (groups > 1), least)
+    size = np.nan_to_num(1.4826 * known_median(np.abs(e)), nan=1.0) + 1e-9
     slopes = np.stack([(errors(x + 1e-6 * unit) - e) / 1e-6 for unit in np.eye(n)], axis=-1)
     known = np.isfinite(e) & np.isfinite(slopes).all(axis=-1)
     weights = np.where(known, 1.0 / (1.0 + (np.nan_to_num(e) / (CUT / 3 * size)) ** 2), 0.0)
