@@ -55,7 +55,7 @@ from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.state import State, component_names, coordinates, local_after, retract
 
-BENT = 0.05
+BENT = 0.02
 """Variance of a reading's second-order term, over that of its linear one, above which it adds to the noise."""
 
 

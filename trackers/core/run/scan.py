@@ -251,7 +251,7 @@ def sparse_epochs(tracker: RecursiveTracker, rows: Row) -> tuple[Row, Scalar]:
     starts = jax.vmap(jax.vmap(tracker.start.can_start, -1, -1))(rows._replace(number=None))
     at = jnp.arange(len(dt))[:, None]
     last_gap, last_start = (jax.lax.cummax(jnp.where(x, at, -1)) for x in (gap, starts))
-    early = usual & (last_start < last_gap)
+    early = usual[None] & (last_start < last_gap)
     readings = {n: r._replace(seen=jnp.asarray(r.seen) & ~early[:, None]) for n, r in rows.readings.items()}
     longest = jnp.where(usual, jnp.maximum(limit, GAPS * apart / jnp.maximum(count, 1.0)), limit)
     return rows._replace(readings=readings), longest
