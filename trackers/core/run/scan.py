@@ -241,8 +241,8 @@ def sparse_epochs(tracker: RecursiveTracker, rows: Row) -> tuple[Row, Scalar]:
     than the limit and farther apart than it: every epoch would lose the track. There a track is predicted up to the
     epoch's first row that can start one; readings before that, at places too uncertain for a linearisation, are masked.
     """
-    limit = tracker.track_loss.max_gap.value
     dt = jnp.where(jnp.asarray(rows.valid), jnp.asarray(rows.dt), 0.0)
+    limit = jnp.asarray(tracker.track_loss.max_gap.value, dt.dtype)
     gap = dt > limit
     count, apart, within = (
         jnp.sum(x, axis=0) for x in (jnp.where(gap, 1.0, 0.0), jnp.where(gap, dt, 0.0), jnp.where(gap, 0.0, dt))
