@@ -244,9 +244,8 @@ def sparse_epochs(tracker: RecursiveTracker, rows: Row) -> tuple[Row, Scalar]:
     dt = jnp.where(jnp.asarray(rows.valid), jnp.asarray(rows.dt), 0.0)
     limit = jnp.asarray(tracker.track_loss.max_gap.value, dt.dtype)
     gap = dt > limit
-    count, apart, within = (
-        jnp.sum(x, axis=0) for x in (jnp.where(gap, 1.0, 0.0), jnp.where(gap, dt, 0.0), jnp.where(gap, 0.0, dt))
-    )
+    parts = (gap.astype(dt.dtype), jnp.where(gap, dt, 0.0), jnp.where(gap, 0.0, dt))
+    count, apart, within = (jnp.sum(x, axis=0) for x in parts)
     usual = (count >= GAPS) & (within <= limit * count)
     starts = jax.vmap(jax.vmap(tracker.start.can_start, -1, -1))(rows._replace(number=None))
     at = jnp.arange(len(dt))[:, None]
