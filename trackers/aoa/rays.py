@@ -78,11 +78,7 @@ def recent_points_of_each(
     azimuth, elevation = angles.T
     u = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], axis=1)
     direction = np.einsum("tk,tki->ti", u, axes.reshape(-1, 3, 3))
-<<<<<<< ours
-    both, seen = (seen[:, 0] & seen[:, 1])[:, None, None], seen[:, 0]
-=======
     both, seen = np.all(seen, axis=1, keepdims=True)[..., None], seen[:, 0]
->>>>>>> theirs
     across = np.stack([np.cos(azimuth), 0.0 * azimuth, -np.sin(azimuth)], axis=1)
     normal = np.einsum("tk,tki->ti", across, axes.reshape(-1, 3, 3))
     ray, plane = np.eye(3) - direction[:, :, None] * direction[:, None, :], normal[:, :, None] * normal[:, None, :]

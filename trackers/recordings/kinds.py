@@ -378,14 +378,8 @@ def layout(name: str, columns: Sequence[str]) -> Layout:
 def distinct(table: pl.DataFrame, kind: Kind) -> pl.DataFrame:
     """The table without rows whose time, ids and values are those of a row before; rows without a value stay."""
     ids, values, *_ = kind.layout(table.columns)
-<<<<<<< ours
     empty = pl.all_horizontal(pl.col(values).is_null())
     return table.filter(pl.struct("t_s", *ids, *values).is_first_distinct() | empty)
-=======
-    return table.filter(
-        pl.struct("t_s", *ids, *values).is_first_distinct() | pl.all_horizontal(pl.col(values).is_null())
-    )
->>>>>>> theirs
 
 
 def duplicates_line(table: str, count: int) -> str:
