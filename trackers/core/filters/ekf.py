@@ -15,7 +15,6 @@ density that is a t of the same ν and scale √s.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -55,8 +54,11 @@ from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.state import State, component_names, coordinates, local_after, retract
 
-BENT = 0.02
-"""Variance of a reading's second-order term, over that of its linear one, above which it adds to the noise."""
+SPREAD = 3.0
+"""Standard deviations of the position within which a reading's bend adds to the noise."""
+
+BENT = 0.2
+"""Variance of what a reading bends, over that of its linear part, above which it counts."""
 
 
 class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
@@ -102,7 +104,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         (*whitened, log_scale, nis_dof, wrapped, dof), rows = linearise(residual_of, point)
         jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
         if sensor.curved:
-            factors = flattening(lambda *x: residual_of(*x)[: len(whitened)], point, jacobian, belief)
+            factors = flattening(residual_of, point, whitened, jacobian, belief)
             whitened = [f * x for f, x in zip(factors, whitened, strict=True)]
             jacobian = [{j: f * v for j, v in row.items()} for f, row in zip(factors, jacobian, strict=True)]
             log_scale = log_scale + total(jnp.log(f) for f in factors)
@@ -138,58 +140,54 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
 
 
 def flattening(
-    residual: Callable[..., Sequence[Scalar]], point: Sequence[Scalar], rows: Sequence[SparseRow], belief: Gaussian
+    residual: Callable[..., Sequence[Scalar]],
+    point: Sequence[Scalar],
+    whitened: Sequence[Scalar],
+    rows: Sequence[SparseRow],
+    belief: Gaussian,
 ) -> list[Scalar]:
     """By what whitened channels are multiplied, so that the noise covers what bends within the spread of the position.
 
-    Of a normal position the second-order term of a channel has the variance ½‖LᵀHL‖², with its Hessian H and the root L
-    of the covariance. It adds to the noise where it is more than `BENT` times the linear term's variance, so that other
-    updates are as they are without it. It counts as given, without a derivative.
+    The bend is what a residual differs from its tangent `SPREAD` standard deviations off along each axis of the
+    covariance. A quarter of its mean square adds to the variance where it counts; other updates stay as they are.
     """
-    first, n = component_names(belief.mean).index("position.0"), len(point)
-    axes = range(first, first + len(belief.mean.position))
-    of_axes = [row_for(belief.cov, {i: 1.0}, n) for i in axes]
-    P = [[dot(a, product(belief.cov, b, n)) for b in of_axes] for a in of_axes]
-    root = lower_root(P)
-
-    def at(*steps: Scalar) -> list[Scalar]:
-        moved = list(point)
-        for k, i in enumerate(axes):
-            moved[i] = point[i] + total(root[k][j] * steps[j] for j in range(k + 1))
-        return list(residual(*moved))
-
-    zeros, one = [jnp.zeros_like(point[0])] * len(root), jnp.ones_like(point[0])
-
-    def slope(j: int, *steps: Scalar) -> list[Scalar]:
-        unit = [one if k == j else zeros[0] for k in range(len(root))]
-        return jax.jvp(at, steps, tuple(unit))[1]
-
-    square = [zeros[0]] * len(rows)
-    for j in range(len(root)):
-        for k in range(j + 1):
-            unit = [one if i == k else zeros[0] for i in range(len(root))]
-            bent = jax.jvp(partial(slope, j), tuple(zeros), tuple(unit))[1]
-            square = [s + (0.5 if j == k else 1.0) * b * b for s, b in zip(square, bent, strict=True)]
+    first = component_names(belief.mean).index("position.0")
+    axes = [{first + i: 1.0} for i in range(len(belief.mean.position))]
+    roots, _ = square_roots(belief.cov, axes, len(point))
+    steps = [[sign * SPREAD * root[i] for i in range(len(point))] for root in roots for sign in (1.0, -1.0)]
+    away = [residual(*(x + s for x, s in zip(point, step, strict=True))) for step in steps]
     factors = []
-    for row, curved in zip(rows, square, strict=True):
-        along = (total(row.get(i, 0.0) * root[k][j] for k, i in enumerate(axes) if j <= k) for j in range(len(root)))
-        bent = jnp.where(curved > BENT * total(x * x for x in along), jnp.minimum(curved, 1e12), 0.0)
-        factors.append(1.0 / jnp.sqrt(1.0 + jax.lax.stop_gradient(bent)))
+    for k, (value, row) in enumerate(zip(whitened, rows, strict=True)):
+        linear = [total(v * step[i] for i, v in row.items()) for step in steps]
+        bend = total((r[k] - value + t) ** 2 for r, t in zip(away, linear, strict=True)) / len(steps)
+        counts = bend > BENT / (2.0 * SPREAD**2) * total(t * t for t in linear)
+        factors.append(jax.lax.stop_gradient(jnp.where(counts, 1.0 / jnp.sqrt(1.0 + 0.25 * bend), 1.0)))
     return factors
 
 
-def lower_root(P: Sequence[Sequence[Scalar]]) -> list[list[Scalar]]:
-    """The Cholesky factor of a small covariance; a component without variance of its own has zeros."""
-    root: list[list[Scalar]] = []
-    for i, row in enumerate(P):
-        mine: list[Scalar] = []
-        for j in range(i):
-            rest = row[j] - total(a * b for a, b in zip(mine, root[j], strict=False))
-            mine.append(rest * inverse_or_zero(root[j][j]))
-        rest = row[i] - total(a * a for a in mine) if mine else row[i]
-        positive = rest > 0
-        root.append([*mine, jnp.where(positive, jnp.sqrt(jnp.where(positive, rest, 1.0)), 0.0)])
-    return root
+def square_roots(
+    cov: AnyCovariance, rows: Sequence[SparseRow], n: int
+) -> tuple[list[Any], dict[tuple[int, int], Scalar]]:
+    """Of combinations h of the state by `rows`: covariances (n each) of the state with independent unit normals.
+
+    Also the combinations in these, a lower triangle, by which h − its mean = factor·y. Components without variance
+    drop out.
+    """
+    tolerance = 16 * float(jnp.finfo(jnp.result_type(cov[0])).eps)
+    roots: list[Any] = []
+    factor: dict[tuple[int, int], Scalar] = {}
+    for i, row in enumerate(rows):
+        h = row_for(cov, row, n)
+        rest = product(cov, h, n)
+        whole = dot(h, rest)
+        for j, root in enumerate(roots):
+            factor[i, j] = dot(h, root)
+            rest = rest - root * factor[i, j]
+        pivot = whole - total(factor[i, j] ** 2 for j in range(i))
+        positive = pivot > tolerance * whole
+        factor[i, i] = jnp.where(positive, jnp.sqrt(jnp.where(positive, pivot, 1.0)), 0.0)
+        roots.append(compute_once(rest * inverse_or_zero(factor[i, i])))
+    return roots, factor
 
 
 def above_resolution(cov: AnyCovariance, point: Sequence[Scalar]) -> AnyCovariance:
