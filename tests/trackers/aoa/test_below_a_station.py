@@ -14,11 +14,22 @@ STATIONS = {
 }
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.03, 0.1])
-def test_on_a_line_below_a_station_errors_are_a_few_of_the_reported_standard_deviations(offset):
+def _line(offset, t):
+    return np.stack([5.0 + offset + 0 * t, 8.0 + 0.2 * (t - 20.0)], axis=1)
+
+
+def _circle(radius, t):
+    return np.stack([5.0 + radius * np.cos(2 * t), 8.0 + radius * np.sin(2 * t)], axis=1)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    ("path", "size"), [(_line, 0.0), (_line, 0.03), (_line, 0.1), (_circle, 0.02), (_circle, 0.05)]
+)
+def test_below_a_station_errors_are_a_few_of_the_reported_standard_deviations(path, size, seed):
     t = np.arange(1200) / 30.0
-    truth = np.stack([5.0 + offset + 0 * t, 8.0 + np.linspace(-4, 4, 1200), 1.0 + 0 * t], axis=1)
-    names, rng = np.array(list("123"))[np.arange(1200) % 3], np.random.default_rng(0)
+    truth = np.column_stack([path(size, t), np.full(1200, 1.0)])
+    names, rng = np.array(list("123"))[np.arange(1200) % 3], np.random.default_rng(seed)
     angles = np.stack([STATIONS[n].angles(p) for n, p in zip(names, truth, strict=True)])
     recording = tw.bearing_recording(t, angles + rng.normal(0, 0.03, (1200, 2)), list(names), STATIONS, height=1.0)
     levels = {"sigma_a": 0.6, "sigma_azimuth": 0.03, "sigma_elevation": 0.03, "sigma_bias": (0.003, 0.003)}
@@ -26,8 +37,8 @@ def test_on_a_line_below_a_station_errors_are_a_few_of_the_reported_standard_dev
     late = slice(60, None)
     errors = (np.stack(list(estimates.mean.position), axis=-1) - truth[:, :2])[late]
     P = estimates.marginal("position")[late]
-    assert np.sqrt(np.einsum("ni,nij,nj->n", errors, np.linalg.inv(P), errors).max()) < 4.0
-    assert np.sqrt((errors**2).sum(axis=1).mean()) < 0.15
+    assert np.sqrt(np.einsum("ni,nij,nj->n", errors, np.linalg.inv(P), errors).max()) < 4.5
+    assert np.sqrt((errors**2).sum(axis=1).mean()) < 0.12
 
 
 def test_azimuths_alone_start_at_the_intersection_of_their_planes_at_a_known_height():

@@ -43,8 +43,6 @@ class Row(NamedTuple):
     """One time step of one trajectory.
 
     `dt`: s since the previous step. `key` (2,): random key of the trajectory. `number`: index of the time step.
-    `max_gap`: time without measurements, s, after which the track is lost even where none can start; None for that of
-    the track loss.
     """
 
     dt: Scalar
@@ -53,7 +51,6 @@ class Row(NamedTuple):
     inputs: Inputs
     key: Any
     number: Scalar
-    max_gap: Scalar | None = None
 
 
 class Residual(NamedTuple):

@@ -118,10 +118,6 @@ STARTS_AT_ONCE = 16
 """Trajectories whose start is searched for together; one search costs as much as hundreds of filter steps."""
 
 
-GAPS = 3
-"""Gaps that make a rule, and the mean ones in a row after which a track is lost all the same."""
-
-
 class ScanState(NamedTuple):
     """The state of a recursive tracker after some rows, trajectories first in every array: `scan` continues from it.
 
@@ -169,7 +165,6 @@ def scan_rows(
     size, trajectory_keys = batch.size, jnp.asarray(batch.key)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
     n_rows = jnp.zeros(size, jnp.uint32) if initial is None else jnp.asarray(initial.n_rows)
-    rows, max_gap = sparse_epochs(tracker, rows)
     axes = carry_axes(tracker)
     few = covariance.few(size) and not tracker.filter.has_particle_axis
     every_moments = jax.vmap(
@@ -177,7 +172,7 @@ def scan_rows(
     )
 
     def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
-        row = row._replace(key=trajectory_keys, number=n_rows + row.number, max_gap=max_gap)
+        row = row._replace(key=trajectory_keys, number=n_rows + row.number)
         carry, info = step(tracker, carry, row, few)
         carry, info = reinitialise(tracker, carry, row, info, few)
         mean, cov = every_moments(carry.belief)
@@ -232,28 +227,6 @@ def scan_rows(
         outputs = outputs._replace(cov=by_entry(outputs.cov))
     n_rows = n_rows + jnp.sum(jnp.asarray(batch.valid), axis=0, dtype=jnp.uint32)
     return sums, outputs, ScanState(jax.vmap(lambda carry: in_form(carry, False), in_axes=(axes,))(carry), n_rows)
-
-
-def sparse_epochs(tracker: RecursiveTracker, rows: Row) -> tuple[Row, Scalar]:
-    """The rows of a chunk, and the time without measurements after which the track of each trajectory is lost, s, (B,).
-
-    That is the limit of the track loss, or `GAPS` times the mean gap where rows usually come in epochs that are shorter
-    than the limit and farther apart than it: every epoch would lose the track. There a track is predicted up to the
-    epoch's first row that can start one; readings before that, at places too uncertain for a linearisation, are masked.
-    """
-    dt = jnp.where(jnp.asarray(rows.valid), jnp.asarray(rows.dt), 0.0)
-    limit = jnp.asarray(tracker.track_loss.max_gap.value, dt.dtype)
-    gap = dt > limit
-    parts = (gap.astype(dt.dtype), jnp.where(gap, dt, 0.0), jnp.where(gap, 0.0, dt))
-    count, apart, within = (jnp.sum(x, axis=0) for x in parts)
-    usual = (count >= GAPS) & (within <= limit * count)
-    starts = jax.vmap(jax.vmap(tracker.start.can_start, -1, -1))(rows._replace(number=None))
-    at = jnp.arange(len(dt))[:, None]
-    last_gap, last_start = (jax.lax.cummax(jnp.where(x, at, -1)) for x in (gap, starts))
-    early = usual[None] & (last_start < last_gap)
-    readings = {n: r._replace(seen=jnp.asarray(r.seen) & ~early[:, None]) for n, r in rows.readings.items()}
-    longest = jnp.where(usual, jnp.maximum(limit, GAPS * apart / jnp.maximum(count, 1.0)), limit)
-    return rows._replace(readings=readings), longest
 
 
 def without_dead_code(function: Callable[[Any], Any], argument: Any) -> Any:

@@ -311,10 +311,7 @@ class Tracker(AbstractTracker):
         innovation = Innovation(log_likelihood, nis, nis_dof, wrapped)
         statistic = self.track_loss.after(carry.loss_statistic, innovation, row, self, carry.belief)
         time_since_measurement = carry.time_since_measurement + row.dt
-        late = time_since_measurement > self.track_loss.max_gap.value
-        if row.max_gap is not None:
-            late &= (time_since_measurement > row.max_gap) | self.start.can_start(row)
-        lost = self.track_loss.exceeded(statistic) | late
+        lost = self.track_loss.exceeded(statistic) | (time_since_measurement > self.track_loss.max_gap.value)
         if ROOM in self.track_loss.inputs and ROOM.name in row.inputs and not self.filter.has_particle_axis:
             lost |= outside(*self.filter.moments(belief), row.inputs[ROOM.name])
         time_since_measurement = jnp.where(has_measurement, 0.0, time_since_measurement)
