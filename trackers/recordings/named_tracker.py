@@ -192,8 +192,8 @@ def rare_epochs(batch: TrackerBatch) -> list[str]:
         long = gaps[gaps > limit]
         if len(long) >= FEW_GAPS and long.sum() > gaps.sum() / 2:
             lines.append(
-                f"{trajectory.folder.name}: tag {trajectory.tag}: rows come in epochs typically {np.median(long):.3g} s "
-                f"apart, more than track_loss.max_gap ({limit:g} s), so that each starts a new track; where the tag "
+                f"{trajectory.folder.name}: tag {trajectory.tag}: epochs are typically {np.median(long):.3g} s apart, "
+                f"more than track_loss.max_gap ({limit:g} s), so that each starts a new track; where the tag "
                 f"moves little in between, --set track_loss.max_gap={3 * np.median(long):.3g} keeps one"
             )
     return lines
