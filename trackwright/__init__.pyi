@@ -72,8 +72,6 @@ from trackwright.trackers.core.model.tunable import Fraction as Fraction
 from trackwright.trackers.core.model.tunable import Real as Real
 from trackwright.trackers.core.model.tunable import Scale as Scale
 from trackwright.trackers.core.model.tunable import tunables as tunables
-from trackwright.trackers.core.run.noise_levels import Level as Level
-from trackwright.trackers.core.run.noise_levels import NoiseLevels as NoiseLevels
 from trackwright.trackers.core.run.smoother import Smoothed as Smoothed
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy as TrackLossPolicy
 from trackwright.trackers.core.run.tracker import AbstractTracker as AbstractTracker
@@ -184,7 +182,6 @@ __all__ = [
     "switching_tracker",
     "mirror_tracker",
     "mhk_tracker",
-    "Level",
     "MovingWindow",
     "range_tracker",
     "inertial_tracker",
@@ -199,7 +196,6 @@ __all__ = [
     "direct_tracker",
     "DelayAndSum",
     "Smoothed",
-    "NoiseLevels",
     # parts of a tracker: filters, starts, track loss
     "AbstractTracker",
     "Tracker",

@@ -265,11 +265,6 @@ def fit_arrays(
             raise UnusableInput(
                 "a smoother has the filter's numbers: fit the filter, then use result.tracker.smoothing()"
             )
-        if tracker.motion_levels or tracker.error_levels:
-            what = "with_motion_levels()" if tracker.motion_levels else "with_error_levels()"
-            raise UnusableInput(
-                f"{what} varies the numbers of a fit: fit the tracker without it, then use result.tracker.{what}"
-            )
         training = folder_list(recordings)
         apart = folder_list(held_out) if held_out != () else []
         batch = tracker.only_batch([*training, *apart])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,7 +17,7 @@ from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.reading_grids import ReadingGrid, of_raw_readings, reading_grids
+from trackwright.trackers.recordings.reading_grids import ReadingGrid, reading_grids
 from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
@@ -196,9 +197,10 @@ def fit(
     sensors, and with truth the latency of fixes. `options`: how it is done; `on`: where.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
-    steps. The noise levels of a sensor whose readings have a step are not fitted below that of its rounding, step/√12,
-    unless `bounds` name them. A fit that does not move from its only start has others. The result is the best point
-    met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against it.
+    steps. The noise levels of a sensor whose readings in arrays have a step are not fitted below that of its rounding,
+    step/√12, unless `bounds` name them. A fit that does not move from its only start has others. The result is the best
+    point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against
+    it.
     Raises ValueError for patterns that match nothing or can't be tied, for empty bounds and for priors without a
     likelihood; FloatingPointError where the objective is not finite at the first start.
     """
@@ -215,7 +217,10 @@ def fit(
     scoring = None
     if apart:
         scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights, on.keep)
-    readings = of_raw_readings(reading_grids(model, Pieces(batches)), data.folders)
+    readings = reading_grids(model, Pieces(batches))
+    if data.folders:
+        # Readings of folders have the variance of their rounding.
+        readings = [dataclasses.replace(grid, step=math.nan) for grid in readings]
     low, high = limits(parameters, bounds)
     low = np.maximum(low, floors(readings, parameters, bounds))
     if (hidden := _hidden(parameters, objective)).any():

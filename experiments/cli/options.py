@@ -190,11 +190,6 @@ class TrackOptions(TrackerOptions):
         noise: a tuned.toml of `trackwright tune`.
         smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
         lag: smooth with the readings of the next so many seconds only.
-        motion: auto runs several levels of motion, horizontal and vertical, the given one and smaller, weighted by
-            how well each predicts the readings: for motion unlike that of the defaults, as of a slow trolley.
-        errors: auto scales the covariances to the errors of this recording (several levels of biases, weighted by how
-            well they predict the readings); given takes the noise levels as they are. By default auto for uwb without
-            --calibration, --noise, --set, --smooth and --motion auto.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself, as --keep-going does, on a Dask cluster, tcp://HOST:8786, or in
             processes here, local:4.
@@ -210,8 +205,6 @@ class TrackOptions(TrackerOptions):
     noise: File | None = None
     smooth: bool = False
     lag: Seconds | None = None
-    motion: Literal["given", "auto"] = "given"
-    errors: Literal["given", "auto"] | None = None
     seed: int = 0
     cluster: Address | None = None
     no_figures: bool = False
@@ -231,13 +224,9 @@ class TrackOptions(TrackerOptions):
             raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
 
     def applied(self, named: NamedTracker) -> NamedTracker:
-        """The tracker as `valued`, smoothed, and with several levels, where that is asked for."""
+        """The tracker as `valued`, and smoothed where that is asked for."""
         named = self.valued(named)
-        if self.smooth or self.lag is not None:
-            named = named.smoothing(self.lag)
-        if self.motion == "auto":
-            named = named.with_motion_levels()
-        return named if self.errors is None else named.with_error_levels(self.errors == "auto")
+        return named.smoothing(self.lag) if self.smooth or self.lag is not None else named
 
     def manifest(self, tracker: str) -> dict[str, Any]:
         """What the manifest of a run of this tracker holds of the options."""

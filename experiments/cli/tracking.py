@@ -169,8 +169,6 @@ def _track(
     for batch in batches:
         for line in batch.notices:
             notice(f"notice: {line}")
-    if options.errors is None and named.own_errors(named.tracker):
-        notice("covariances: follow the size of the recording's own errors, without a calibration; see --errors")
     flat = [trajectory for batch in batches if batch.planar for trajectory in batch.trajectories]
     heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
     if heights and not named.spec.bearing_only:

@@ -203,13 +203,12 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the file's spreads and quality of ranges; a map of bearings only where it has one."""
+    """The recording with the file's spreads; a map of bearings only where it has one."""
     if part.calibration is None:
         return part
     differences = replace(part.calibration.differences, spread=whole.differences.spread)
-    spread, quality = whole.range_spread, whole.range_quality
     by_place = None if whole.bearing_map is None else part.calibration.bearing_map
-    own = replace(part.calibration, range_spread=spread, range_quality=quality, differences=differences)
+    own = replace(part.calibration, range_spread=whole.range_spread, differences=differences)
     return replace(part, calibration=replace(own, bearing_map=by_place))
 
 

@@ -130,14 +130,10 @@ class RecordingFolder:
         """This recording with systematic errors for trackers to remove; None for none.
 
         Stations and anchors that no longer stand where they were calibrated are uncalibrated, with a notice where none
-        is left, and where ranges lack the quality that their noise follows.
+        is left.
         """
         at_rest = None if calibration is None else calibration.at_rest(self.rig)
         calibrated = replace(self, calibration=at_rest)
-        quality = None if at_rest is None else at_rest.range_quality
-        if quality is not None and "ranges" in self.tables and quality.column not in self.rows("ranges"):
-            text = f"ranges: no column {quality.column!r}, which their noise follows in the calibration: not used"
-            calibrated = replace(calibrated, notices=(*self.notices, text))
         if at_rest is None or len(calibrated.uncalibrated()) < len(replace(self, calibration=None).uncalibrated()):
             return calibrated
         text = "not calibrated: the calibration has none of its stations and anchors, or they have moved"

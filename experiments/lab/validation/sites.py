@@ -1,5 +1,6 @@
 """Sites of real recordings, their trackers and limits, and where the recordings are."""
 
+import os
 from collections.abc import Mapping
 from fnmatch import fnmatch
 from functools import cache
@@ -7,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import trackwright as tw
-from trackwright.experiments.lab.subprocesses import flights_folder, required_recordings
+from trackwright.experiments.lab.subprocesses import required_recordings
 from trackwright.trackers.recordings.calibration import has_moved, has_turned
 
 
@@ -66,9 +67,10 @@ def site_of(name: str) -> Site:
 
 @cache
 def paths() -> Mapping[str, Path]:
-    """The folders of real recordings and of flights by name, in order."""
-    roots = [required_recordings(), flights_folder()]
-    files = [file for root in roots if root is not None for file in root.glob("*/rig.toml")]
+    """The folders of recordings and of flights, in `recordings-tdoa` beside them or TRACKWRIGHT_FLIGHTS, by name."""
+    folder = required_recordings()
+    flights = Path(os.environ.get("TRACKWRIGHT_FLIGHTS", folder.with_name("recordings-tdoa")))
+    files = [file for root in (folder, flights) for file in root.glob("*/rig.toml")]
     return {file.parent.name: file.parent for file in sorted(files, key=lambda file: file.parent.name)}
 
 

@@ -170,3 +170,14 @@ def test_a_tracker_of_ones_own_that_fails_is_refused_in_one_line(folders, tmp_pa
         tw.build(f"{tmp_path / 'mine.py'}:OWN", folders).run(folders)
     assert words in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_a_tracker_by_name_lists_its_tunables_and_filters_a_folder_as_a_pure_function():
+    folder = tw.simulate.ranges(n=2, rows=40, seed=1).folder()
+    named = tw.build("uwb", folder)
+    assert tw.tunables(named).keys() == named.tunables.keys() != set()
+    (batch,) = named.batches(folder)
+    rows = tw.stack([trajectory.recording for trajectory in batch.trajectories])
+    found, expected = tw.filter_batch(named, folder), tw.filter_batch(batch.tracker, rows)
+    for one, other in zip(found.mean.position, expected.mean.position, strict=True):
+        np.testing.assert_array_equal(one, other)
