@@ -8,12 +8,9 @@ autocorrelation of the errors (Bartlett 1946; window of Sokal 1997), so that n r
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
-
-from trackwright.trackers.core.data.consistency import chi_square_quantile
 
 LEAST_SAMPLES = 8.0
 """Effective samples below which a recording is too short for a verdict."""
@@ -24,48 +21,45 @@ UNCERTAIN = 3.0
 WINDOW = 3.0
 """Lags up to which the autocorrelation is summed, in correlation times of the sum so far."""
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
+TANGENTS = np.tan(np.pi / 4 * (1 + NODES))
 CHUNK = 50_000
 
 
-def correlation_time(values: Float[np.ndarray, "n d"], starts: np.ndarray, power: int = 2) -> float:
-    """Rows with the information of one on the mean of squares of values of mean zero; 1 at least.
+def correlation_times(values: Float[np.ndarray, "n d"], starts: np.ndarray, power: int = 2) -> np.ndarray:
+    """Rows (g,) of each track with the information of one on the mean of squares of values of mean zero; 1 at least.
 
-    `starts`: the first row of each track, then n. `power`: 1 for the mean of the values themselves.
+    `starts` (g + 1,): the first row of each track, then n. `power`: 1 for the mean of the values themselves.
     """
-    lengths = np.diff(starts)
-    longest = int(lengths.max(initial=0))
-    if longest < 2 or not values.any():
-        return 1.0
-    size, lags = 1 << (2 * longest - 1).bit_length(), np.arange(longest)
-    products, pairs = np.zeros((2, longest))
-    for a, b in pairwise(starts.tolist()):
-        if b > a:
-            spectrum = (np.abs(np.fft.rfft(values[a:b], size, axis=0)) ** 2).sum(axis=1)
-            products[: b - a] += np.fft.irfft(spectrum, size)[: b - a]
-            pairs[: b - a] += np.arange(b - a, 0, -1)
-    correlation = products / pairs / (products[0] / pairs[0])
-    time = 1.0 + 2.0 * np.cumsum((correlation**power * pairs / pairs[0])[1:])
-    enough = np.flatnonzero(lags[1:] >= WINDOW * time)
-    return max(float(time[enough[0] if len(enough) else -1]), 1.0)
+    lengths, times = np.diff(starts), np.ones(len(starts) - 1)
+    for length in np.unique(lengths[lengths > 1]).tolist():
+        tracks = np.flatnonzero(lengths == length)
+        series = values[starts[tracks, None] + np.arange(length)]
+        size, pairs = 1 << (2 * length - 1).bit_length(), np.arange(length, 0, -1)
+        spectrum = (np.abs(np.fft.rfft(series, size, axis=1)) ** 2).sum(axis=2)
+        products = np.fft.irfft(spectrum, size, axis=1)[:, :length]
+        with np.errstate(invalid="ignore", divide="ignore"):  # of tracks whose values are zero
+            correlation = products[:, 1:] / products[:, :1] * (length / pairs[1:])
+        time = 1.0 + 2.0 * np.cumsum(correlation**power * pairs[1:] / length, axis=1)
+        enough = np.arange(1, length) >= WINDOW * time
+        enough[:, -1] = True
+        times[tracks] = np.fmax(time[np.arange(len(tracks)), enough.argmax(axis=1)], 1.0)
+    return times
 
 
-def whitened(errors: Float[np.ndarray, "n d"], covs: Float[np.ndarray, "n d d"]) -> Float[np.ndarray, "n d"]:
-    """Errors in standard deviations: L⁻¹e with the positive definite covariances L Lᵀ."""
-    white: np.ndarray = np.linalg.solve(np.linalg.cholesky(covs), errors[..., None])[..., 0]
-    return white
+def band(samples: np.ndarray, dof: np.ndarray | int, z: float) -> np.ndarray:
+    """The limit (g,) of NEES per degree of freedom of a perfect filter with so many effective samples (g,).
 
-
-def band(samples: np.ndarray, dof: int) -> tuple[np.ndarray, np.ndarray]:
-    """The 95 % limits (g,) of NEES per degree of freedom of a perfect filter with so many effective samples (g,)."""
-    n = dof * samples**2 / (samples + UNCERTAIN)
-    low, high = ([chi_square_quantile(p, x) / x if x > 0 else math.nan for x in n.tolist()] for p in (0.025, 0.975))
-    return np.array(low), np.array(high)
+    That which chi-square exceeds as a normal variable exceeds `z` standard deviations (Wilson and Hilferty 1931).
+    """
+    part = 2 / 9 / (dof * samples**2 / (samples + UNCERTAIN))
+    limit: np.ndarray = np.maximum(1 - part + z * np.sqrt(part), 0.0) ** 3
+    return limit
 
 
 def regret(ratio: np.ndarray) -> np.ndarray:
-    """Nats per position lost by the scale r of covariances alone: r − 1 − ln r, r = NEES/dof."""
-    return ratio - 1 - np.log(ratio)
+    """Nats per position lost by the scale of covariances alone: r − 1 − ln r, r = NEES/dof; NaN of errors of zero."""
+    return ratio - 1 - np.log(np.where(ratio > 0, ratio, math.nan))
 
 
 def energy_scores(errors: Float[np.ndarray, "n d"], covs: Float[np.ndarray, "n d d"]) -> Float[np.ndarray, " n"]:
@@ -86,10 +80,12 @@ def _mean_norm(mean: np.ndarray, variances: np.ndarray) -> np.ndarray:
     E√Q = π^(−½) ∫ (1 − E exp(−t²Q))/t² dt over t > 0, with t = tan θ over the root of EQ, by Gauss and Legendre.
     """
     scale = np.sqrt((mean**2 + variances).sum(axis=1))[:, None]
-    angle = np.pi / 4 * (1 + NODES)
     with np.errstate(invalid="ignore", divide="ignore"):
-        squares = (np.tan(angle) / scale)[..., None] ** 2
-        spread = 1 + 2 * squares * variances[:, None]
-        exponent = -squares * mean[:, None] ** 2 / spread - 0.5 * np.log(spread)
-        integrand = -np.expm1(exponent.sum(axis=-1)) / np.sin(angle) ** 2
-    return np.where(scale[:, 0] > 0, scale[:, 0] * (integrand @ WEIGHTS) * np.sqrt(np.pi) / 4, 0.0)
+        squares = (TANGENTS / scale) ** 2
+        spreads, exponent = np.ones_like(squares), np.zeros_like(squares)
+        for m, variance in zip(mean.T[..., None], variances.T[..., None], strict=True):
+            spread = 1 + 2 * squares * variance
+            spreads *= spread
+            exponent += m**2 / spread
+        integral = (1 - np.exp(-squares * exponent) / np.sqrt(spreads)) @ (WEIGHTS * (1 + 1 / TANGENTS**2))
+    return np.where(scale[:, 0] > 0, scale[:, 0] * integral * np.sqrt(np.pi) / 4, 0.0)

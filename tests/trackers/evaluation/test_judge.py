@@ -4,8 +4,16 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from trackwright.trackers.evaluation.judge import LEAST_SAMPLES, band, correlation_time, energy_scores, whitened
+from trackwright.trackers.evaluation.judge import (
+    LEAST_SAMPLES,
+    UNCERTAIN,
+    band,
+    correlation_times,
+    energy_scores,
+    regret,
+)
 
 WORLDS = 400
 
@@ -22,8 +30,8 @@ def _errors(rng, rows, step, lasts):
 def _judged(worlds, factor=1.0):
     """Effective samples of each world, and whether NEES/dof of errors times `factor` lies in the band."""
     rows = worlds.shape[1]
-    samples = np.array([rows / correlation_time(factor * x, np.array([0, rows])) for x in worlds])
-    low, high = band(samples, 2)
+    samples = rows / correlation_times(factor * worlds.reshape(-1, 2), np.arange(0, WORLDS * rows + 1, rows))
+    low, high = (band(samples, 2, z) for z in (-1.96, 1.96))
     ratio = factor**2 * (worlds**2).mean(axis=(1, 2))
     return samples, (low <= ratio) & (ratio <= high)
 
@@ -59,12 +67,29 @@ def test_the_band_holds_a_kalman_filter_of_its_own_model():
 def test_effective_samples_are_those_of_the_known_correlation():
     worlds = _errors(np.random.default_rng(7), 2000, 0.5, 2.0)
     a = math.exp(-2 * 0.5 / 2.0)
-    assert np.median(_judged(worlds[:50])[0]) == pytest.approx(2000 * (1 - a) / (1 + a), rel=0.06)
+    assert np.median(_judged(worlds)[0]) == pytest.approx(2000 * (1 - a) / (1 + a), rel=0.06)
 
 
-def test_whitened_errors_have_the_nees_as_their_square():
-    error, cov = np.array([[1.0, 1.0]]), np.array([[[1.0, 0.5], [0.5, 1.0]]])
-    assert (whitened(error, cov) ** 2).sum() == pytest.approx(4 / 3)
+def test_tracks_of_other_lengths_do_not_change_the_correlation_of_one():
+    x = _errors(np.random.default_rng(9), 300, 0.5, 2.0)[0]
+    x[-1] = 0.0
+    together = correlation_times(np.concatenate([x, x[:1], x[:120], x]), np.array([0, 300, 301, 301, 421, 721]))
+    alone = [*correlation_times(x, np.array([0, 300])), 1.0, 1.0, *correlation_times(x[:120], np.array([0, 120]))]
+    np.testing.assert_allclose(together, [*alone, alone[0]])
+    assert (correlation_times(np.zeros((5, 2)), np.array([0, 5])) == 1.0).all()
+
+
+@pytest.mark.parametrize("samples", [10.0, 100.0, 10_000.0])
+def test_the_band_is_that_of_chi_square(samples):
+    n = 3 * samples**2 / (samples + UNCERTAIN)
+    found = [band(np.array([samples]), 3, z)[0] for z in (-1.96, 1.96)]
+    np.testing.assert_allclose(found, chi2.ppf([0.025, 0.975], n) / n, rtol=2e-3)
+
+
+def test_regret_is_the_log_density_that_the_scale_loses():
+    ratio = np.array([0.16, 0.41, 0.62, 1.0, 1.52, 1.98, 3.15])
+    np.testing.assert_allclose(regret(ratio), [1.0, 0.3, 0.1, 0.0, 0.1, 0.3, 1.0], atol=0.011)
+    assert np.isnan(regret(np.zeros(1)))
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
@@ -84,4 +109,4 @@ def test_the_energy_score_along_one_axis_is_the_closed_form():
     for x in (0.0, 0.3, 4.0):
         inside = math.erf(x / math.sqrt(2))
         expected = x * inside + 2 * math.exp(-x * x / 2) / math.sqrt(2 * math.pi) - 1 / math.sqrt(math.pi)
-        assert energy_scores(np.array([[x]]), np.ones((1, 1, 1)))[0] == pytest.approx(expected, abs=1e-9)
+        assert energy_scores(np.array([[x]]), np.ones((1, 1, 1)))[0] == pytest.approx(expected, abs=2e-5)
