@@ -96,6 +96,10 @@ def _quantile(kind: str, share: float) -> Formula:
     return lambda s: s.quantile(kind, share)
 
 
+def _largest(kind: str) -> Formula:
+    return lambda s: s.largest[kind]
+
+
 def _of_kind(kind: str) -> Iterator[Metric]:
     """The statistics of the sizes of errors of a kind."""
     statistics: tuple[tuple[str, str, Formula], ...] = (
@@ -105,7 +109,7 @@ def _of_kind(kind: str) -> Iterator[Metric]:
         ("p90", "90th percentile", _quantile(kind, 0.9)),
         ("p95", "95th percentile", _quantile(kind, 0.95)),
         ("p99", "99th percentile", _quantile(kind, 0.99)),
-        ("max", "largest error", lambda s: s.largest[kind]),
+        ("max", "largest error", _largest(kind)),
     )
     for name, words, formula in statistics:
         words = f"{words} {ERROR_KINDS[kind].words}".strip()
@@ -186,6 +190,12 @@ def _variance(s: Scores) -> np.ndarray:
     return s["squares m"] / s["n m"] - (s["sum m"] / s["n m"]) ** 2
 
 
+RESIDUALS = {
+    "residual_ratio_5s": ("residuals' 5 s means, relative to most residuals", ""),
+    "residual_part_5s": ("part of the residuals' square that lasts 5 s", "%"),
+}
+"""The metrics of `residual_ratios`, of recordings alone: words and unit."""
+
 METRICS = {
     metric.name: metric
     for metric in (
@@ -212,12 +222,7 @@ METRICS = {
             "nis_ratio", "NIS per degree of freedom, 1 expected", "", _ratio("nis", "dof"), "NIS\n/dof", 2, True, 1.0
         ),
         *_band("nis", "", _ratio("dof", "n nis")),
-        Metric(
-            "residual_ratio_5s",
-            "residuals' 5 s means, relative to most residuals",
-            "",
-            lambda s: s.largest["residual_ratio_5s"],
-        ),
+        *(Metric(name, *about, _largest(name)) for name, about in RESIDUALS.items()),
         Metric("lost_s", "time lost", "s", lambda s: s["lost s"], "lost", 0, True),
         Metric("lost_fraction", "rows lost", "%", _lost_fraction),
         Metric("losses", "times lost", "", lambda s: s["losses"]),

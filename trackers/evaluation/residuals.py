@@ -34,12 +34,13 @@ MOST_ROWS = 100_000
 """Residuals of a recording that are looked at, whole trajectories."""
 
 
-def residual_ratios(tracks: Tracks) -> dict[str, float]:
+def residual_ratios(tracks: Tracks) -> dict[str, tuple[float, float]]:
     """Of each recording with enough readings, the size of 5 s means of residuals relative to that of most residuals.
 
     The root mean square over the means of each station or anchor, of residuals about their median, divided by the
     robust standard deviation (median absolute deviation) of all residuals. At most about 1 for normal residuals,
-    however correlated. Of sensors that measure a position, the largest of their channels.
+    however correlated. Beside it the part of the residuals' mean square that those means have beyond chance: their
+    location, which no level of white noise explains. Of sensors that measure a position, the largest of their channels.
     """
     if "x_m" not in tracks.table.columns:
         return {}
@@ -81,7 +82,7 @@ def residual_ratios(tracks: Tracks) -> dict[str, float]:
         name: [r for values in channels.values() if (r := _ratio(np.concatenate(values))) is not None]
         for name, channels in residuals.items()
     }
-    return {name: max(each) for name, each in ratios.items() if each}
+    return {name: (max(r for r, _ in each), max(part for _, part in each)) for name, each in ratios.items() if each}
 
 
 def _interpolated(estimates: pl.DataFrame, parts: Sequence[slice], columns: Columns, axes: str) -> Vector:
@@ -130,8 +131,8 @@ def _sources(given: Mapping[str, np.ndarray], k: int, rows: int) -> list[tuple[i
     return [(1, (numbers[k] if numbers.ndim > 1 else numbers).astype(int))]
 
 
-def _ratio(residuals: Float[np.ndarray, "n 4"]) -> float | None:
-    """The ratio of one channel; None of too few blocks."""
+def _ratio(residuals: Float[np.ndarray, "n 4"]) -> tuple[float, float] | None:
+    """The ratio and the part of one channel; None of too few blocks."""
     if not len(residuals):
         return None
     about = residuals[:, 0] - np.median(residuals[:, 0])
@@ -143,4 +144,7 @@ def _ratio(residuals: Float[np.ndarray, "n 4"]) -> float | None:
     scatter = 1.4826 * float(np.median(np.abs(about)))
     if len(means) < LEAST_BLOCKS or scatter == 0.0:
         return None
-    return float(np.sqrt(np.mean(means**2)) / scatter)
+    # Analysis of variance: the scatter within blocks against the mean square.
+    within = about - (np.bincount(block, about) / count)[block]
+    part = 1 - np.sum(within**2) / max(len(about) - len(count), 1) / np.mean(residuals[:, 0] ** 2)
+    return float(np.sqrt(np.mean(means**2)) / scatter), max(float(part), 0.0)

@@ -13,7 +13,7 @@ from trackwright.trackers.core.data.consistency import Entries, eliminated, nees
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.evaluation.association import Association, true_bearings
 from trackwright.trackers.evaluation.judge import correlation_times, energy_scores
-from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
+from trackwright.trackers.evaluation.metrics import RESIDUALS, bearing_sizes, position_sizes
 from trackwright.trackers.evaluation.scores import Groups, Scores, Values, error_sums, nees_sums
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.tracks_table import HEADING, is_bearing
@@ -57,7 +57,9 @@ class Scored:
         return -0.5 * (square + np.log(2 * np.pi * variances).sum(axis=1))
 
     def energy_score(self, known: np.ndarray, dimensions: int) -> np.ndarray:
-        """The energy scores, m, of the rows in the mask `known` (n,), which have a covariance."""
+        """The energy scores, m, of the rows in the mask `known` (n,), which have a covariance; NaN of bearings."""
+        if self.nees_3d is None:
+            return np.full(np.count_nonzero(known), np.nan)
         upper = {at: x[known] for at, x in self.covariance.items() if max(at) < dimensions}
         return energy_scores(self.errors[known, :dimensions], _whole(upper, dimensions))
 
@@ -87,7 +89,7 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
     for name, why in EXCLUDED.items():
         sums[name] = all_rows.sum(status == why)
     # Residuals are judged by recording.
-    largest = {"residual_ratio_5s": np.full(len(rows.count), np.nan)}
+    largest = dict.fromkeys(RESIDUALS, np.full(len(rows.count), np.nan))
     values = {}
     for kind, size in scored.sizes.items():
         groups, known = rows.where(~np.isnan(size), size)
@@ -103,8 +105,7 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
             sums |= nees_sums(name, known, dof, groups)
             sums[f"slow {name}"] = groups.count * scored.error_samples(finite, dof, groups.starts)
             sums[f"log density {name}"] = groups.sum(scored.log_density(dof)[finite])
-            if scored.nees_3d is not None:
-                sums[f"energy {name}"] = groups.sum(scored.energy_score(finite, dof))
+            sums[f"energy {name}"] = groups.sum(scored.energy_score(finite, dof))
             values[name] = Values(known, groups.starts)
             zero = rows.sum(np.isinf(each))
             total = rows.count if dof == 2 else np.where(groups.count + zero > 0, sums["n 3d_m"], 0)

@@ -116,11 +116,17 @@ def _innovations(overall: Mapping[str, Any], recordings: Sequence[Mapping[str, A
     found = verdict(overall, "nis")
     if found is None:
         return []
+    figures, part = _figures(overall, "nis"), overall.get("residual_part_5s")
+    if found == SMALL and part is not None and (rest := overall["nis_ratio"] * (1 - part)) <= overall["nis_high"]:
+        return [
+            f"The model is biased, its noise is not too small: {100 * part:.0f} % of the square of the residuals of "
+            f"stations or anchors lasts for 5 s, and without that NIS/dof is {significant(rest, 3)} ({figures})."
+        ]
     if lasting := _lasting(recordings):
         return lasting
-    figures = _figures(overall, "nis")
     if found == SMALL:
-        return [f"The readings scatter {_factor(overall, 'nis')} as much as the tracker's model expects: {figures}."]
+        why = "the model's noise is too small" if part is not None else "its noise is too small, or the model is biased"
+        return [f"The readings scatter {_factor(overall, 'nis')} as much as the model expects, {why}: {figures}."]
     if found == LARGE:
         return [
             f"The readings scatter less than the tracker's model expects ({figures}); whether the reported covariances "
