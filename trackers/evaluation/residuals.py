@@ -74,7 +74,7 @@ def residual_ratios(tracks: Tracks) -> dict[str, tuple[float, float]]:
         parts, axes = [estimated[keys[k]] for k in chosen], "xy" if batch.planar else "xyz"
         first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
         position = _interpolated(estimates, parts, columns, axes)
-        for channel, values, seen in _residuals(sensors, columns, position, np.array(before)):
+        for channel, values, seen in residuals_of(sensors, columns, position, np.array(before)):
             for a, b in pairwise([*first, len(names)]):
                 part = slice(*columns.starts[[a, b]])
                 residuals[names[a]][channel].append(values[part][seen[part]])
@@ -95,15 +95,19 @@ def _interpolated(estimates: pl.DataFrame, parts: Sequence[slice], columns: Colu
     return Vector(*position)
 
 
-def _residuals(
-    sensors: Mapping[str, AbstractSensor], columns: Columns, position: Vector, before: Int[np.ndarray, " n"]
+def residuals_of(
+    sensors: Mapping[str, AbstractSensor],
+    columns: Columns,
+    position: Vector,
+    before: Int[np.ndarray, " n"] | None = None,
 ) -> Iterator[tuple[str, Float[np.ndarray, "N 4"], Bool[np.ndarray, " N"]]]:
-    """Residuals of each channel about the positions, with the numbers of their source, block and trajectory, `before`.
+    """Residuals of each channel about the positions, with the numbers of their source, block and trajectory (`before`).
 
     And the mask of the rows that have one.
     """
     inputs = {key: np.moveaxis(x, 0, -1) for key, x in columns.inputs.items()}
     block = (columns.times - columns.of_each(columns.times[columns.starts[:-1]])) // BLOCK_S
+    of = np.arange(len(columns.starts) - 1) if before is None else before
     for name, sensor in sensors.items():
         reading, predicted = columns.readings[name], sensor.measure(SimpleNamespace(position=position), inputs)
         given = {x.name: inputs[x.name] for x in sensor.inputs if x.name in inputs}
@@ -115,7 +119,7 @@ def _residuals(
                 # Where a lever arm points is not known from the position.
                 seen = seen & (given["levers"][3 * k : 3 * k + 3] == 0.0).all(axis=0)
             for sign, source in _sources(given, k, len(block)):
-                values = np.stack([sign * residual, source, block, columns.of_each(before)], axis=1)
+                values = np.stack([sign * residual, source, block, columns.of_each(of)], axis=1)
                 yield f"{name}.{channel.name}", values, seen
 
 

@@ -56,7 +56,7 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     sentences = [*losses, *_covariance(overall, "nees")]
     wrong = [f"{r['recording']} ({_factor(r)} {found})" for r in recordings if (found := verdict(r)) in (SMALL, LARGE)]
     if sentences[len(losses) :] and len(recordings) > 1 and wrong:
-        sentences.append(f"Outside their band are {len(wrong)} of {len(recordings)} recordings: {listed(wrong)}.")
+        sentences.append(f"Outside their band: {len(wrong)} of {len(recordings)} recordings, {listed(wrong)}.")
     if verdict(overall, "nees_3d") in (SMALL, LARGE):
         sentences += [f"In three dimensions, r{x[1:]}" for x in _covariance(overall, "nees_3d")]
     return [*sentences, *(_gaps(overall, "") or _gaps(overall, "_3d")), *_lasting(recordings)]

@@ -80,7 +80,7 @@ def test_a_recording_outside_its_band_is_named():
     assert overall.startswith(
         "Reported standard deviations are 1.1 times too small: NEES/dof 1.29, band 0.99 to 1.01 (40,000 eff"
     )
-    assert named == "Outside their band are 1 of 2 recordings: yard (2 times too small)."
+    assert named == "Outside their band: 1 of 2 recordings, yard (2 times too small)."
 
 
 @pytest.mark.parametrize(
