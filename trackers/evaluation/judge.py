@@ -21,9 +21,9 @@ UNCERTAIN = 3.0
 WINDOW = 3.0
 """Lags up to which the autocorrelation is summed, in correlation times of the sum so far."""
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 TANGENTS = np.tan(np.pi / 4 * (1 + NODES))
-CHUNK = 50_000
+CHUNK = 4_000
 
 
 def correlation_times(values: Float[np.ndarray, "n d"], starts: np.ndarray, power: int = 2) -> np.ndarray:
@@ -63,29 +63,33 @@ def regret(ratio: np.ndarray) -> np.ndarray:
 
 
 def energy_scores(errors: Float[np.ndarray, "n d"], covs: Float[np.ndarray, "n d d"]) -> Float[np.ndarray, " n"]:
-    """E|X − y| − ½E|X − X′| (n,), m, of normal X and X′ and the truth y (Gneiting and Raftery 2007)."""
+    """E|X − y| − ½E|X − X′| (n,), m, of normal X and X′ and the truth y in two or three dimensions (Gneiting 2007)."""
     scores = np.empty(len(errors))
     for a in range(0, len(errors), CHUNK):
-        part = slice(a, a + CHUNK)
-        variances, axes = np.linalg.eigh(covs[part])
-        variances = np.maximum(variances, 0.0)
-        along = np.einsum("nji,nj->ni", axes, errors[part])
-        scores[part] = _mean_norm(along, variances) - 0.5 * _mean_norm(0 * along, 2 * variances)
+        e, P = errors[a : a + CHUNK], covs[a : a + CHUNK]
+        trace, moved = np.einsum("nii->n", P), np.einsum("nij,nj->ni", P, e)
+        minors = 0.5 * (trace**2 - (P * P).sum(axis=(1, 2)))
+        # det(I + sP) and eᵀadj(I + sP)e as polynomials in s, by Cayley and Hamilton.
+        volume = np.stack([trace, minors, np.linalg.det(P) if P.shape[1] == 3 else 0 * trace])
+        square, along = (e * e).sum(axis=1), (e * moved).sum(axis=1)
+        last = (moved * moved).sum(axis=1) - trace * along + minors * square
+        size = np.stack([square, trace * square - along, last])
+        doubled = volume * np.array([[2.0], [4.0], [8.0]])
+        scores[a : a + CHUNK] = _mean_norm(size, volume) - 0.5 * _mean_norm(0 * size, doubled)
     return scores
 
 
-def _mean_norm(mean: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    """The mean length (n,) of normal vectors with this mean and these variances along their axes (n, d).
+def _mean_norm(size: Float[np.ndarray, "3 n"], volume: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, " n"]:
+    """The mean length (n,) of normal vectors, m, by the coefficients of the polynomials of `energy_scores`.
 
     E√Q = π^(−½) ∫ (1 − E exp(−t²Q))/t² dt over t > 0, with t = tan θ over the root of EQ, by Gauss and Legendre.
     """
-    scale = np.sqrt((mean**2 + variances).sum(axis=1))[:, None]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        squares = (TANGENTS / scale) ** 2
-        spreads, exponent = np.ones_like(squares), np.zeros_like(squares)
-        for m, variance in zip(mean.T[..., None], variances.T[..., None], strict=True):
-            spread = 1 + 2 * squares * variance
-            spreads *= spread
-            exponent += m**2 / spread
-        integral = (1 - np.exp(-squares * exponent) / np.sqrt(spreads)) @ (WEIGHTS * (1 + 1 / TANGENTS**2))
+    scale = np.sqrt(size[0] + volume[0])[:, None]
+    with np.errstate(invalid="ignore", divide="ignore"):  # of vectors of length zero
+        s = 2 * (TANGENTS / scale) ** 2
+        (a, b, c), (p, q, r) = size[..., None], volume[..., None]
+        spread = 1 + s * (p + s * (q + s * r))
+        integral = (1 - np.exp(-0.5 * s * (a + s * (b + s * c)) / spread) / np.sqrt(spread)) @ (
+            WEIGHTS * (1 + 1 / TANGENTS**2)
+        )
     return np.where(scale[:, 0] > 0, scale[:, 0] * integral * np.sqrt(np.pi) / 4, 0.0)
