@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from scipy.stats import chi2
 
 
 def exponential(M):
@@ -167,21 +164,3 @@ def distances_to_path(points, knots):
         deviation = deviation - np.clip(deviation @ segment / square, 0.0, 1.0)[:, None] * segment
         nearest = np.minimum(nearest, np.einsum("nd,nd->n", deviation, deviation))
     return np.sqrt(nearest)
-
-
-class Consistency(NamedTuple):
-    """The mean of n chi-square values, its expectation, and its 95 % interval if the model is true."""
-
-    mean: float
-    expected: float
-    low: float
-    high: float
-    n: int
-
-
-def consistency(values, dof):
-    """The mean NEES or NIS of independent values (Bar-Shalom 2001, section 5.4.2); NaN is left out."""
-    known = np.isfinite(values)
-    n, total = int(known.sum()), float(np.broadcast_to(dof, values.shape)[known].sum())
-    low, high = chi2.ppf([0.025, 0.975], total) / n
-    return Consistency(float(values[known].mean(dtype=float)), total / n, float(low), float(high), n)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
-from tests.oracles import beam_jacobian, beam_transition, consistency, cramer_rao, paper_beam_filter
+from tests.oracles import beam_jacobian, beam_transition, cramer_rao, paper_beam_filter
 from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.beam import Beam, BeamMotion
 from trackwright.trackers.aoa.phases import PlanePhases
-from trackwright.trackers.core.data.consistency import nees
+from trackwright.trackers.core.data.consistency import consistency, nees
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.tunable import Scale

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from tests.oracles import consistency
-from trackwright.trackers.core.data.consistency import nees
+from trackwright.trackers.core.data.consistency import consistency, nees
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.state import Rotation, local, retract

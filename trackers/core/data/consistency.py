@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +22,16 @@ Entries = Mapping[tuple[int, int], Float[np.ndarray, " N"]]
 
 NORMAL = 1.96
 """Half the width of the central 95 % interval of a normal distribution, in standard deviations."""
+
+
+class Consistency(NamedTuple):
+    """The mean of N chi-square values, its expectation, and its interval if the model is true."""
+
+    mean: float
+    expected: float
+    low: float
+    high: float
+    n: int
 
 
 def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
@@ -70,6 +80,26 @@ def eliminated(errors: Errors, upper: Entries) -> list[tuple[Float[np.ndarray, "
                 for b in range(j + 1, len(remainder)):
                     P[a, b] = P[a, b] - gain * P[j, b]
     return parts
+
+
+def consistency(
+    values: Float[np.ndarray, " N"], dof: float | Float[np.ndarray, " N"], level: float = 0.95
+) -> Consistency:
+    """The mean NEES or NIS of N independent values and its two-sided interval (Bar-Shalom 2001, section 5.4.2).
+
+    `dof`: degrees of freedom of each value; the sum of the values is chi-square with the sum of these. NaN is left out.
+    Rows of one run with correlated errors are not independent: the interval is then too narrow.
+    """
+    known = np.isfinite(values)
+    n, total = int(known.sum()), float(np.broadcast_to(dof, values.shape)[known].sum())
+    if n == 0 or total <= 0:
+        return Consistency(math.nan, math.nan, math.nan, math.nan, 0)
+    low, high = (chi_square_quantile(p, total) / n for p in ((1 - level) / 2, (1 + level) / 2))
+    return Consistency(_mean(values[known]), total / n, low, high, n)
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.sum(dtype=float)) / values.size if values.size else math.nan
 
 
 def chi_square_probability(values: Float[np.ndarray, "*shape"], dof: float) -> Float[np.ndarray, "*shape"]:
