@@ -83,7 +83,8 @@ def errors_by_track(association: Association, scored: Scored) -> dict[Key, Track
     in_space = scored.sizes.get("3d_m", np.full(len(times), math.nan))
     inside = np.where(~np.isnan(scored.nees), scored.nees <= chi_square_quantile(0.95, 2), math.nan)
     known, energy = np.isfinite(scored.nees), np.full(len(times), math.nan)
-    energy[known] = scored.energy_score(known, 2)
+    if scored.nees_3d is not None:
+        energy[known] = scored.energy_score(known, 2)
     density = np.where(known, scored.log_density(2), math.nan)
     ends = np.searchsorted(scored.index, association.starts)
     rows = TrackErrors(times, scored.size, in_space, inside, density, energy)

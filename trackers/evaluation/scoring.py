@@ -57,9 +57,7 @@ class Scored:
         return -0.5 * (square + np.log(2 * np.pi * variances).sum(axis=1))
 
     def energy_score(self, known: np.ndarray, dimensions: int) -> np.ndarray:
-        """The energy scores, m, of the rows in the mask `known` (n,), which have a covariance; NaN of bearings."""
-        if self.nees_3d is None:
-            return np.full(np.count_nonzero(known), np.nan)
+        """The energy scores, m, of the rows in the mask `known` (n,), which have a covariance."""
         upper = {at: x[known] for at, x in self.covariance.items() if max(at) < dimensions}
         return energy_scores(self.errors[known, :dimensions], _whole(upper, dimensions))
 
@@ -105,7 +103,8 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
             sums |= nees_sums(name, known, dof, groups)
             sums[f"slow {name}"] = groups.count * scored.error_samples(finite, dof, groups.starts)
             sums[f"log density {name}"] = groups.sum(scored.log_density(dof)[finite])
-            sums[f"energy {name}"] = groups.sum(scored.energy_score(finite, dof))
+            if scored.nees_3d is not None:
+                sums[f"energy {name}"] = groups.sum(scored.energy_score(finite, dof))
             values[name] = Values(known, groups.starts)
             zero = rows.sum(np.isinf(each))
             total = rows.count if dof == 2 else np.where(groups.count + zero > 0, sums["n 3d_m"], 0)
