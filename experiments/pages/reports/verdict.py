@@ -10,7 +10,7 @@ import numpy as np
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.evaluation.comparison import Difference, paired_means
-from trackwright.trackers.evaluation.scoring import log_densities, score
+from trackwright.trackers.evaluation.scoring import score
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
@@ -86,7 +86,7 @@ def judge(sides: Sequence[Association], folders: Sequence[RecordingFolder], dime
     densities = []
     for side in sides:
         scored, full = score(side, stations), np.full(len(side.rows), np.nan)
-        full[scored.index] = log_densities(side, scored, dimensions)
+        full[scored.index] = scored.log_density(dimensions)
         densities.append(full)
     known = np.isfinite(densities).all(axis=0)
     if not known.any():
