@@ -225,7 +225,7 @@ class MultiStart:
         self, values: Float[np.ndarray, " S"], terms: Float[np.ndarray, "S k n"], used: Bool[np.ndarray, "S n"]
     ) -> Float[np.ndarray, " S"]:
         """The least gain (S,) that is worth another step."""
-        nats = [self.problem.objective.nats_per_unit(s) for s in weighted_sum(terms, used)]
+        nats = [self.problem.nats_per_unit(s) for s in weighted_sum(terms, used)]
         return np.array([min_gain(v, n) for v, n in zip(values, nats, strict=True)])
 
     def _with_trace(self, state: FitState) -> FitState:
