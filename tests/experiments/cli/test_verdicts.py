@@ -115,7 +115,18 @@ def test_without_truth_nothing_is_judged(tmp_path):
 
 def test_a_fit_that_ended_early_is_written_and_says_so(tmp_path):
     still = [_walk(tmp_path / f"still-{k}", k, 0.0) for k in (3, 4, 5)]
-    said = trackwright("tune", *still, *FIT, "--objective", "rmse", "--steps", 1, "--no-report", "--out", tmp_path / "early")
+    said = trackwright(
+        "tune",
+        *still,
+        *FIT,
+        "--objective",
+        "state-nll+0.1*rmse",
+        "--steps",
+        1,
+        "--no-report",
+        "--out",
+        tmp_path / "early",
+    )
     assert said.code == 0, said.err
     assert (tmp_path / "early" / "tuned.toml").exists()
     assert "notice: the fit took all its steps before it came to rest" in said.out
