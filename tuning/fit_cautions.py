@@ -98,13 +98,6 @@ def correlation(problem: Problem, vector: Float[np.ndarray, " p"]) -> list[str]:
     return [f"{what} are correlated over time: {rows} rows carry the information of about {rows / inflation:.0f}"]
 
 
-def discount(problem: Problem, vector: Float[np.ndarray, " p"]) -> float:
-    """The independent rows at a vector (p,) with the information of one: for errors that last, and unequal weights."""
-    rows = np.concatenate(problem.parts.rows).astype(float)
-    say = problem.weights @ rows / (problem.weights**2 @ rows)
-    return float(min(say, 1.0) / rows_and_inflation(problem, vector)[1])
-
-
 WINDOWS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Lengths of the windows, s, each twice the one before."""
 

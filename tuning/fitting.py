@@ -21,7 +21,7 @@ from trackwright.trackers.recordings.reading_grids import ReadingGrid, reading_g
 from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
-from trackwright.tuning.fit_cautions import collapsed, correlation, discount, repetitions, standstill
+from trackwright.tuning.fit_cautions import collapsed, correlation, repetitions, standstill
 from trackwright.tuning.identifiability import identifiability_issues, kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
 from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still, with_effect
@@ -40,6 +40,7 @@ from trackwright.tuning.parts import Keep, LocalParts
 from trackwright.tuning.priors import Kind, Prior
 from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import Uncertainty, evaluations, optimum, uncertainty_at, unidentifiable
+from trackwright.tuning.weight import discount, weighed_anew
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
@@ -212,8 +213,9 @@ def fit(
     parameters = select_parameters(model, tune, frozen)
     model = known(model, [name for parameter in parameters for name in parameter.names])
     problem = Problem(model, batches, objective, parameters, chunk, data.weights, on.keep)
+    names = data.recordings_of(problem)
     if objective.is_likelihood and not problem.stochastic:
-        problem.discount = discount(problem, flatten(parameters))
+        problem.discount = discount(problem, flatten(parameters), len({*names, ""}) - 1)
         problem.prior = Prior.of(parameters, options.prior)
     scoring = None
     if apart:
@@ -253,8 +255,10 @@ def fit(
     except KeyboardInterrupt:
         interrupted = True
     on.stage("the best values so far" if interrupted else "intervals")
+    if not interrupted and scoring is None and problem.prior.precision.any():
+        state = weighed_anew(driver, state, names)
     result = _result(model, driver, state, interrupted)
-    result = dataclasses.replace(result, readings=readings, recordings=data.recordings_of(problem))
+    result = dataclasses.replace(result, readings=readings, recordings=names)
     if isinstance(tracker, NamedTracker):
         values = {name: result.values[p.label] for p in parameters for name in p.names}
         result = dataclasses.replace(result, tracker=tracker.with_values(values, "the fit"))

@@ -225,7 +225,7 @@ class MultiStart:
         self, values: Float[np.ndarray, " S"], terms: Float[np.ndarray, "S k n"], used: Bool[np.ndarray, "S n"]
     ) -> Float[np.ndarray, " S"]:
         """The least gain (S,) that is worth another step."""
-        nats = [self.problem.nats_per_unit(s) for s in weighted_sum(terms, used)]
+        nats = [self.problem.objective.nats_per_unit(s) for s in weighted_sum(terms, used)]
         return np.array([min_gain(v, n) for v, n in zip(values, nats, strict=True)])
 
     def _with_trace(self, state: FitState) -> FitState:
@@ -355,7 +355,7 @@ def newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimum
         _, inverse, _ = determined(best.hessian, ~driver.at_bound(best.vector, best.gradient))
         step = -inverse @ best.gradient
         # The gain that the quadratic model predicts.
-        if not -best.gradient @ step / 2 >= min_gain(best.value, best.nats_per_unit):
+        if not -best.gradient @ step / 2 >= min_gain(best.value, best.nats_per_unit / problem.discount):
             break
         step = step / max(1.0, float(np.linalg.norm(step)))
         vector = np.clip(best.vector + step, driver.low, driver.high)

@@ -17,7 +17,7 @@ from trackwright.tuning.parameters import Parameter, flatten
 
 Kind = Literal["sites", "flat"]
 
-SPREADS = {"": 0.7, "dof": 0.5, "positive_skew": 0.5, "latency": 0.2}
+SPREADS = {"": 0.35, "dof": 0.5, "positive_skew": 0.5, "latency": 1.0}
 """Standard deviations between sites by the last part of a tunable's name, and by none of all others.
 
 Of the logarithm of a noise level or another positive number, and of the logit of a fraction; of other numbers in their

@@ -157,8 +157,8 @@ def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world
 def test_a_step_to_a_non_finite_objective_is_halved(monkeypatch):
     whole, tried, fence = Problem.evaluate, [], np.log(0.5)
 
-    def fenced(self, vectors, **options):
-        found = whole(self, vectors, **options)
+    def fenced(self, vectors, *weights, **options):
+        found = whole(self, vectors, *weights, **options)
         tried.append(float(np.atleast_2d(vectors)[0, 1]))
         return found._replace(values=np.where(np.atleast_2d(vectors)[:, 1] > fence, np.nan, found.values))
 
@@ -292,7 +292,7 @@ def test_a_level_that_few_readings_determine_stays_near_its_value_before_the_fit
     name = "sensors.gauge.sigma"
     away, pulled = (abs(np.log(result.values[name] / 0.4)) for result in (flat, sites))
     assert 0.0 < pulled < 0.8 * away
-    assert sites.standard_errors[name] / sites.values[name] < 0.7, "no wider than the prior"
+    assert sites.standard_errors[name] / sites.values[name] < 0.35, "no wider than the prior"
     # Many readings outweigh it.
     long = fit(start, walks([500], 4), NLL, LEVELS).values[name]
     assert long == pytest.approx(0.2, rel=0.15)

@@ -20,10 +20,10 @@ PARAMETERS = [
 def _density(vector):
     """Of the logarithms of positive numbers, of the logit of a fraction, and of others in their unit or typical size."""
     return (
-        stats.norm(np.log(0.5), 0.7).logpdf(vector[0])
+        stats.norm(np.log(0.5), 0.35).logpdf(vector[0])
         + stats.norm(np.log(4.0), 0.5).logpdf(vector[1])
-        + stats.norm(np.log(0.3 / 0.7), 0.7).logpdf(vector[2])
-        + stats.norm(0.1, 0.2).logpdf(0.05 * vector[3])
+        + stats.norm(np.log(0.3 / 0.7), 0.35).logpdf(vector[2])
+        + stats.norm(0.1, 1.0).logpdf(0.05 * vector[3])
         + stats.norm([0.1, -0.2], 0.1).logpdf(0.1 * vector[4:6]).sum()
     )
 
