@@ -116,10 +116,11 @@ def _world():
 @pytest.mark.parametrize("objective", ["nll", StateLogLikelihood(dimensions=1)])
 def test_the_values_without_a_recording_are_those_of_a_fit_to_the_others(objective):
     made = _world()
-    every = tw.fit(line_tracker(), made, objective, LEVELS)
+    flat = tw.FitOptions(prior="flat")
+    every = tw.fit(line_tracker(), made, objective, LEVELS, flat)
     found = left_out_values(every)
     assert list(found) == ["1", "2", "3"]
-    alone = tw.fit(line_tracker(), made[:2], objective, LEVELS)
+    alone = tw.fit(line_tracker(), made[:2], objective, LEVELS, flat)
     for name in LEVELS:
         assert float(found["3"][name]) == pytest.approx(float(alone.values[name]), rel=0.02)
         assert abs(np.log(found["3"][name] / every.values[name])) > 0.02, "the third is noisier"
