@@ -251,7 +251,8 @@ class TuneOptions(TrackerOptions):
         start: a tuned.toml to start from; --set goes before it.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too. Default: 3 for state-nll, in
-            which a height counts half a horizontal coordinate, where the truth has heights; else 2.
+            which a height counts half a horizontal coordinate, where the truth has heights and those of anchors differ
+            by more than 1 m; else 2.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for particles.
