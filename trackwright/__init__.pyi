@@ -129,7 +129,6 @@ from trackwright.tuning.objectives import StateLogLikelihood as StateLogLikeliho
 from trackwright.tuning.objectives import Weighted as Weighted
 from trackwright.tuning.optimisers import LBFGS as LBFGS
 from trackwright.tuning.optimisers import Adam as Adam
-from trackwright.tuning.priors import Prior as Prior
 from trackwright.tuning.survey.surveying import Survey as Survey
 from trackwright.tuning.survey.surveying import survey as survey
 from trackwright.tuning.sweeping import sweep as sweep
@@ -264,7 +263,6 @@ __all__ = [
     "FitResult",
     "LBFGS",
     "Adam",
-    "Prior",
     "sweep",
     # objectives
     "AbstractObjective",

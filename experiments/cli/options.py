@@ -243,21 +243,20 @@ class TuneOptions(TrackerOptions):
             which need truth; nll, the negative log-likelihood, which needs none; or a sum, e.g. state-nll+0.1*rmse.
             Default: state-nll where there is truth, else nll.
         tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
-            levels of motion and sensors, and with truth the latency of fixes.
+            levels of motion and sensors; with truth the latency of fixes, else dof and skew of readings.
         freeze: patterns of tunables to keep.
         bound: physical bounds of tuned numbers.
-        prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; makes nll the
-            default objective.
+        prior: of nll and state-nll: sites, by which values that the recordings tell little of stay near those before
+            the fit, as sites differ; or flat.
         start: a tuned.toml to start from; --set goes before it.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too. Default: 3 for state-nll, in
-            which a height counts half a horizontal coordinate, where the truth has heights; else 2.
+            which a height counts half a horizontal coordinate, where the truth has heights and those of anchors differ
+            by more than 1 m; else 2.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for particles.
         steps: maximum number of steps per start.
-        intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood
-            (makes nll the default objective), or bootstrap over trajectories.
         resume: continue from the checkpoint in --out, with bit-identical results.
         cluster: hold the rows on the workers of a Dask cluster, tcp://HOST:8786, or of processes here, local:4, which
             all see the folder --out; for recordings that no memory holds, with the same tuned.toml.
@@ -273,7 +272,7 @@ class TuneOptions(TrackerOptions):
     tune: tuple[Pattern, ...] | None = None
     freeze: tuple[Pattern, ...] = ()
     bound: tuple[Annotated[str, Parameter(metavar="PATTERN=LOW:HIGH")], ...] = ()
-    prior: tuple[Annotated[str, Parameter(metavar="PATTERN=PRIOR")], ...] = ()
+    prior: Literal["sites", "flat"] = "sites"
     start: File | None = None
     held_out: tuple[Folder, ...] = ()
     dimensions: Literal[2, 3] | None = None
@@ -281,7 +280,6 @@ class TuneOptions(TrackerOptions):
     starts: int = 4
     optimiser: Literal["auto", "lbfgs", "adam"] = "auto"
     steps: int = 60
-    intervals: Literal["curvature", "profile", "bootstrap"] = "curvature"
     resume: bool = False
     cluster: Address | None = None
     piece_rows: int = 8000

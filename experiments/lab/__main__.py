@@ -15,7 +15,7 @@ TABLES = {
     "real-recordings": "validation.real_recordings",
     "levels": "validation.levels",
     "nis": "validation.nis",
-    "recovery": "validation.recovery",
+    "generalisation": "validation.generalisation",
     "programs": "bench.programs",
     "commands": "bench.commands",
     "studies": "bench.studies",

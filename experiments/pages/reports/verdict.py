@@ -15,15 +15,13 @@ from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibration_pairs import calibration_pairs
+from trackwright.tuning.data import FLAT_M
 
 OTHER_MOTION = 2.0
 """Ratio of true accelerations from which on a recording has another level of motion."""
 
 CONTRADICTS_M = 0.1
 """Difference, m, of an anchor's median error from that in other recordings from which on it contradicts them."""
-
-FLAT_M = 1.0
-"""Most difference in height, m, of anchors in whose plane heights may be mirrored."""
 
 
 class Verdict(NamedTuple):

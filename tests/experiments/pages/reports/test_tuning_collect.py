@@ -25,7 +25,9 @@ def run():
     (group,) = spec_of("fix-kf").batches([walk(name, k, rows=64) for k, name in enumerate("abcd")], "fix-kf", False)
     training, held_out = group.trajectories[:2], group.trajectories[2:]
     rows = [batch for _, batch in batches(training)]
-    result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, FitOptions(steps=6, starts=2))
+    result = fit(
+        group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, FitOptions(steps=6, starts=2, prior="flat")
+    )
     issues = [IdentifiabilityIssue((PATTERNS[0],), "an issue")]
     data = FitData(group.tracker, parse_objective(NLL), NLL, group.planar, 3, training, held_out, "recordings")
     collected = collect(result, data, NLL, intervals_of(result), issues)
