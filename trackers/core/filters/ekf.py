@@ -57,6 +57,9 @@ from trackwright.trackers.core.model.state import State, component_names, coordi
 SPREAD = 3.0
 """Standard deviations of the position within which a reading's bend adds to the noise."""
 
+ANY = (1.0, 0.6, 0.35)
+"""Any combination of the axes of the position, of which what the others leave is taken."""
+
 BENT = 0.2
 """Variance of what a reading bends, over that of its linear part, above which it counts."""
 
@@ -148,12 +151,18 @@ def flattening(
 ) -> list[Scalar]:
     """By what whitened channels are multiplied, so that the noise covers what bends within the spread of the position.
 
-    The bend is what a residual differs from its tangent `SPREAD` standard deviations off along each axis of the
-    covariance. A quarter of its mean square adds to the variance where it counts; other updates stay as they are.
+    The bend is what a residual differs from its tangent `SPREAD` standard deviations off in independent directions: one
+    that each of the first channels sees, and the one that is left, which turn with the world. A quarter of its mean
+    square adds to the variance where it counts; other updates stay as they are.
     """
     first = component_names(belief.mean).index("position.0")
-    axes = [{first + i: 1.0} for i in range(len(belief.mean.position))]
-    roots, _ = square_roots(belief.cov, axes, len(point))
+    place = range(first, first + len(belief.mean.position))
+    axes = [{i: v for i, v in row.items() if i in place} for row in rows[: len(place) - 1]]
+    axes.append({i: ANY[i - first] for i in place})
+    roots, factor = square_roots(belief.cov, axes, len(point))
+    # More than one direction that is left would not turn with the world.
+    for i in range(len(axes) - 1):
+        roots[-1] = roots[-1] * jnp.where(factor[i, i] > 0.0, 1.0, 0.0)
     steps = [[sign * SPREAD * root[i] for i in range(len(point))] for root in roots for sign in (1.0, -1.0)]
     away = [residual(*(x + s for x, s in zip(point, step, strict=True))) for step in steps]
     factors = []
