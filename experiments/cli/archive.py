@@ -177,7 +177,7 @@ def _show(
     texts = dict(tracking.names)
     for name in names:
         folder, _ = ready(replace(read_recording(run.paths[name]), name=name), options.used, tracking.calibration)
-        batches += tracking.named(run.tracker, texts.get(run.tracker, ""), folder).batches(folder)
+        batches += options.valued(tracking.named(run.tracker, texts.get(run.tracker, ""), folder)).batches(folder)
         folders.append(folder)
         tables.append(read_tracks(run.folders[name]))
         events.append(pl.read_parquet(run.folders[name] / EVENTS))

@@ -164,8 +164,11 @@ def _track(
     name, folders = run
     named = build(name, folders, options.free_height, options.side)
     notice_unused_calibration(folders, name, named.spec.table)
-    named = options.applied(named)
-    batches = named.batches(folders)
+    advance = begin("fitting", len(folders)) if options.fit else abs
+    parts, lines = options.applied(named, folders, advance)
+    for line in lines:
+        notice(line)
+    named, batches = parts[0][0], [batch for each, of in parts for batch in each.batches(of)]
     for batch in batches:
         for line in batch.notices:
             notice(f"notice: {line}")
