@@ -129,7 +129,7 @@ from trackwright.tuning.objectives import StateLogLikelihood as StateLogLikeliho
 from trackwright.tuning.objectives import Weighted as Weighted
 from trackwright.tuning.optimisers import LBFGS as LBFGS
 from trackwright.tuning.optimisers import Adam as Adam
-from trackwright.tuning.survey.result import Survey as Survey
+from trackwright.tuning.survey.surveying import Survey as Survey
 from trackwright.tuning.survey.surveying import survey as survey
 from trackwright.tuning.sweeping import sweep as sweep
 from trackwright.tuning.tuned_file import read_tuned as read_tuned

@@ -146,9 +146,10 @@ class FitOptions:
     for `LBFGS` for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters. `steps`:
     the most of each start. `starts`: the tracker's own values, then the best of the `guesses` and of a coarse grid.
     `held_out`: recordings that select the best point and end the fit, as `fit` takes them. `dimensions`: 3 to judge an
-    estimated height too; None for 3 with `state-nll`, where truth and estimates have heights, and 2 else. `weigh`:
-    whether each recording (in arrays: trajectory) or each row has the same weight. `prior`: of a likelihood,
-    `nll` or `state-nll`: that of the spread between sites, or flat. `chunk`: trajectories in one compiled call.
+    estimated height too; None for 3 with `state-nll`, where truth and estimates have heights and anchors are not level,
+    and 2 else. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `prior`: of a
+    likelihood, `nll` or `state-nll`: that of the spread between sites, or flat. `chunk`: trajectories in one compiled
+    call.
     """
 
     frozen: Sequence[str] = ()

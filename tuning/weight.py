@@ -16,11 +16,11 @@ from trackwright.tuning.optimisation import FitState, MultiStart
 from trackwright.tuning.problem import Problem, weighted_sum
 from trackwright.tuning.uncertainty import optimum, refit
 
-MOST_ROWS = 8.0
+MOST_ROWS = 4.0
 """Independent estimates that one recording counts for at most: levels of their errors differ between recordings."""
 
-RATIO, FURTHEST = 4.0, 16.0
-"""Ratio of the weights that left-out recordings may ask for, one to the next, and that of the furthest to the first."""
+RATIO = 4.0
+"""Ratio of the weights that left-out recordings may ask for, two steps from the first at most."""
 
 FOLDS, ROUNDS = 4, 4
 """Parts of the recordings that are left out in turn, at most, and the steps of each fit without one."""
@@ -46,8 +46,8 @@ def discount(problem: Problem, vector: Float[np.ndarray, " p"], recordings: int)
 def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str]) -> FitState:
     """The state of a finished fit, or with another best point, where recordings left out ask for another weight.
 
-    That of the likelihood is multiplied by `RATIO` or divided by it while fits, from the best point, without a part of
-    the recordings get better on it. `recordings`: of each trajectory, empty for padding.
+    That of the likelihood is divided by `RATIO`, or else multiplied, while fits without a part of the recordings get
+    better on it. `recordings`: of each trajectory, empty for padding.
     """
     problem, winner = driver.problem, int(np.argmin(state.best_scores))
     names, of_trajectory = list(dict.fromkeys(name for name in recordings if name)), np.asarray(recordings)
@@ -71,14 +71,12 @@ def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str])
 
     best, least = 1.0, score(1.0)
     for ratio in (1 / RATIO, RATIO):
-        while best == 1.0 or 1 / FURTHEST < best < FURTHEST:
-            value = score(best * ratio)
+        for factor in (ratio, ratio**2) if best == 1.0 else ():
+            value = score(factor)
             if not value < least - BETTER:
                 break
-            best, least = best * ratio, value
-        if best != 1.0:
-            break
-    else:
+            best, least = factor, value
+    if best == 1.0:
         return state
     vector = fitted(best, every)[0]
     problem.discount *= best

@@ -279,7 +279,10 @@ class Scoring:
 
 
 def outcome_of(
-    about: Mapping[str, Any], scored: TrackScores, ratios: Mapping[str, float], tables: Mapping[str, pl.DataFrame]
+    about: Mapping[str, Any],
+    scored: TrackScores,
+    ratios: Mapping[str, tuple[float, float]],
+    tables: Mapping[str, pl.DataFrame],
 ) -> Outcome:
     """The outcome of the scored tracks of a recording; `about`: tracker, short name and endings; `ratios`: by name."""
     evaluation, ((name,), scores) = scored.evaluation(ratios), scored.recordings(ratios)

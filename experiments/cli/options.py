@@ -274,7 +274,8 @@ class TuneOptions(TrackerOptions):
         start: a tuned.toml to start from; --set goes before it.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too. Default: 3 for state-nll, in
-            which a height counts half a horizontal coordinate, where the truth has heights; else 2.
+            which a height counts half a horizontal coordinate, where the truth has heights and those of anchors differ
+            by more than 1 m; else 2.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for particles.
@@ -458,6 +459,15 @@ def require_output(path: Path) -> None:
         raise UnusableInput(f"--out {path}: has a control character or bytes that are no UTF-8; choose another folder")
     if path.is_file():
         raise UnusableInput(f"--out {path}: is a file; expected a folder for results; choose another folder")
+
+
+def require_new(out: Path, name: str, force: bool) -> None:
+    """Raises UnusableInput for a file that is no .toml, as `name`, or that exists and is not to be replaced."""
+    if out.suffix != ".toml" or out.is_dir():
+        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give {name} in a folder")
+    if out.exists() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    require_output(out.parent)
 
 
 def require_least(**counts: tuple[int | None, int]) -> None:

@@ -108,6 +108,14 @@ def test_an_estimated_height_is_judged_by_default_where_the_truth_has_heights(
     assert fit_data(tw.build("fix-kf", folder).only_batch(folder), objective).dimensions == dimensions
 
 
+@pytest.mark.parametrize(("highest", "dimensions"), [(1.4, 2), (2.6, 3)])
+def test_a_height_near_the_plane_of_level_anchors_is_not_judged_by_default(highest, dimensions):
+    anchors = {"A": np.array([0.0, 0.0, 0.6]), "B": np.array([5.0, 0.0, highest]), "C": np.array([0.0, 5.0, 1.0])}
+    folder = _folder(None, ALL)
+    folder = dataclasses.replace(folder, rig=dataclasses.replace(folder.rig, anchors=anchors))
+    assert fit_data(tw.build("fix-kf", folder).only_batch(folder), None).dimensions == dimensions
+
+
 def test_recordings_in_arrays_with_true_heights_are_judged_in_space_by_default():
     times = np.arange(40) * 0.1
     path = np.stack([times, 0 * times, 1.2 + 0 * times], axis=1)

@@ -24,7 +24,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.checks.anomalies import anomalies
 from trackwright.trackers.recordings.columns import TableRows, TagRows
-from trackwright.trackers.recordings.kinds import KINDS, Layout, std_column, table_kinds
+from trackwright.trackers.recordings.kinds import KINDS, Layout, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackwright.trackers.recordings.table_file import SUFFIXES
 from trackwright.trackers.recordings.tables import read_table
@@ -208,7 +208,7 @@ def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
     means += [pl.col(column).mean() for column in columns.quality]
     stds = [s for s in map(std_column, columns.values) if s in table.columns]
     squares = [pl.col(std).pow(2).mean().sqrt().alias(std) for std in stds]
-    rows = table.filter(pl.any_horizontal(pl.col(columns.values).is_not_null()))
+    rows = distinct(table, kind).filter(pl.any_horizontal(pl.col(columns.values).is_not_null()))
     # No column has an empty name.
     groups = rows.group_by((pl.col("t_s") / interval).floor().alias(""), *columns.ids)
     averages = groups.agg(pl.col("t_s").mean(), *means, *squares).sort("t_s", *columns.ids)

@@ -28,6 +28,9 @@ Recordings = RecordingFolder | Sequence[RecordingFolder]
 FAR_M = 1000.0
 """Distance of x or y from zero, m, from which on coordinates are those of a map if it is also larger than the site."""
 
+FEW_GAPS = 3
+"""Long gaps between epochs that make a rule."""
+
 
 @dataclass(frozen=True, repr=False)
 class NamedTracker:
@@ -85,7 +88,8 @@ class NamedTracker:
         Values that a source repeats are used once: `TrackerBatch.notices`. Recordings in map coordinates are about an
         origin nearby, `trajectory.folder.origin`; estimates of `run` are not.
         """
-        return [replace(group, tracker=self._finished(group.tracker)) for group in self._batches(recordings)]
+        groups = self._batches(recordings)
+        return [replace(g, tracker=self._finished(g.tracker), notices=(*g.notices, *rare_epochs(g))) for g in groups]
 
     def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The batches with this tracker's numbers as they are, not smoothed."""
@@ -177,6 +181,22 @@ def _batches(
         rigs = {id(folder.rig): folder.rig for folders in solid for folder in folders}
         notices += dict.fromkeys(line for rig in rigs.values() for line in rig.mirror_notice())
     return [replace(groups[0], notices=tuple(notices)), *groups[1:]] if groups else []
+
+
+def rare_epochs(batch: TrackerBatch) -> list[str]:
+    """A line where at least half of a track's time lies in gaps of the rows beyond the tracker's `max_gap`."""
+    limit = float(batch.tracker.track_loss.max_gap.value) if hasattr(batch.tracker, "track_loss") else np.inf
+    lines = []
+    for trajectory in batch.trajectories:
+        gaps = np.diff(trajectory.recording.times)
+        long = gaps[gaps > limit]
+        if len(long) >= FEW_GAPS and long.sum() > gaps.sum() / 2:
+            lines.append(
+                f"{trajectory.folder.name}: tag {trajectory.tag}: epochs are typically {np.median(long):.3g} s apart, "
+                f"more than track_loss.max_gap ({limit:g} s), so that each starts a new track; where the tag "
+                f"moves little in between, --set track_loss.max_gap={3 * np.median(long):.3g} keeps one"
+            )
+    return lines
 
 
 def folder_list(recordings: Recordings) -> list[RecordingFolder]:

@@ -30,7 +30,7 @@ from trackwright.trackers.recordings.checks.readings import (
     repeated_share,
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS, std_column, wrapped
+from trackwright.trackers.recordings.kinds import KINDS, distinct, duplicates_line, std_column, wrapped
 
 MOST_ROWS = 20_000
 """Rows of a sensor that are looked at."""
@@ -164,11 +164,21 @@ def _sources(inputs: Float[np.ndarray, "n i"]) -> np.ndarray:
 
 
 def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[RecordingFolder, list[str]]:
-    """The recording without the values that a source only repeats in the tables of these names, and a line for each.
+    """The recording without duplicate rows, and without the values that a source only repeats in the tables of `names`.
 
-    Rows stay, without a value. A recording with an interval of averages, zero included, is as it is.
+    Also a line for each table with repeats, and with duplicates that the folder's notices do not count. Rows of
+    repeated values stay, without a value, and so do all in a recording with an interval of averages, zero included.
     """
     tables, lines = dict[str, pl.DataFrame](), list[str]()
+    for name, kind in KINDS.items():
+        if name not in folder.tables:
+            continue
+        rows = distinct(folder.tables[name], kind)
+        if duplicates := folder.tables[name].height - rows.height:
+            tables[name], line = rows, duplicates_line(name, duplicates)
+            lines += [f"{folder.name}: {line}"] * (line not in folder.notices)
+    folder = replace(folder, tables={**folder.tables, **tables}) if tables else folder
+    tables = {}
     for name, kind in KINDS.items():
         if folder.average_s is not None or not kind.averaged or name not in names or name not in folder.tables:
             continue

@@ -16,9 +16,9 @@ from trackwright.tuning.priors import Kind
 
 SITES = {
     "ble51-walk-*": "bearings", "starloc-*": "uwb", "rcv-drone-*": "uwb", "iasl-drone-*": "uwb", "tiers-*": "fix-kf",
-    "ngbui-line-1-*": "uwb", "ngbui-line-2-*": "uwb", "ngbui-line-3-*": "uwb", "util-c1-*": "tdoa",
+    "ngbui-line-1-*": "line-grid", "ngbui-line-2-*": "line-grid", "ngbui-line-3-*": "line-grid", "util-c1-*": "tdoa",
 }  # fmt: skip
-"""Recordings of one site each, and their tracker."""
+"""Recordings of one site each, and their tracker by default."""
 
 PRIORS: tuple[Kind, ...] = ("sites", "flat")
 MOST = 3

@@ -4,15 +4,14 @@ No recording is judged on a calibration, tuning or levels that have seen it. It 
 its site with the same installation; where there is none, each half of it, in time, on the other half.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import lru_cache, partial
-from typing import Any
 
 import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation import levels
 from trackwright.experiments.lab.validation.sites import SITES, Site, read, recordings, same_installation, site_of
-from trackwright.trackers.evaluation.statements import COVERAGE, RATIO, holds
+from trackwright.trackers.evaluation.statements import verdict
 from trackwright.tuning.calibrating import by_halves
 
 SMOOTHED, OTHER_SITES, LATENCY = " smoothed", "other sites", "*latency*"
@@ -49,25 +48,21 @@ def figures(name: str, tracker: str, setting: str, limit: float | None) -> Figur
     base, smoothed, _ = setting.partition(SMOOTHED)
     parts, named, on = prepared(name, tracker, base)
     metrics = tw.evaluate((named.smoothing() if smoothed else named).run(parts), parts).overall
-    inside = metrics.get("coverage_95")
     return {
         "rmse_m": metrics.get("rmse_m"),
         "rmse_3d_m": None if metrics.get("coverage_95_3d") is None else metrics["rmse_3d_m"],
         "rmse_direction_rad": metrics.get("rmse_direction_rad"),
         "nees_per_dof": metrics.get("nees_ratio"),
-        "inside_95": inside,
-        "covariances": None if inside is None else verdict(metrics),
+        "inside_95": metrics.get("coverage_95"),
+        "regret_nats": metrics.get("regret"),
+        "n_effective": metrics.get("n_effective"),
+        "log_density_nats": metrics.get("log_density"),
+        "energy_score_m": metrics.get("energy_score_m"),
+        "covariances": verdict(metrics),
         "limit_m": limit,
         "met": None if limit is None else "yes" if round(metrics["rmse_m"], 3) <= limit else "no",
         "on": on,
     }
-
-
-def verdict(metrics: Mapping[str, Any]) -> str:
-    """Whether covariances hold, by the limits of `track`, or to which side they miss these."""
-    if holds(metrics):
-        return "hold"
-    return "too small" if metrics["coverage_95"] < COVERAGE[0] or metrics["nees_ratio"] > RATIO[1] else "too large"
 
 
 @lru_cache(maxsize=2)

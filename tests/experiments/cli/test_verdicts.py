@@ -147,7 +147,8 @@ def test_the_values_without_a_block_of_time_are_those_of_a_fit_to_the_rest_and_c
     named = tw.build("fix-kf", folder)
     data = fit_data(named.only_batch([folder]), "state-nll")
     level = "sensors.fixes.sigma_horizontal"
-    result = tw.fit(data.tracker, data, data.objective, level)
+    flat = tw.FitOptions(prior="flat")
+    result = tw.fit(data.tracker, data, data.objective, level, flat)
     compiled = []
     jax.monitoring.register_event_duration_secs_listener(listen := lambda name, seconds, **_: compiled.append(name))
     blocks = left_out_blocks(result, data)
@@ -159,6 +160,6 @@ def test_the_values_without_a_block_of_time_are_those_of_a_fit_to_the_rest_and_c
         # In holes of that length truth is not interpolated.
         truth = folder.tables["truth"].filter(~pl.col("t_s").is_between(start, stop, "left"))
         rest = replace(folder, tables=folder.tables | {"truth": truth})
-        alone = tw.fit(named, rest, "state-nll", level)
+        alone = tw.fit(named, rest, "state-nll", level, flat)
         assert float(values[level]) == pytest.approx(float(alone.values[level]), rel=0.01)
         assert abs(np.log(values[level] / result.values[level])) > 0.005
