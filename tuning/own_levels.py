@@ -11,15 +11,24 @@ from trackwright.trackers.core.model.tunable import role_of
 from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.tuning.fit_cautions import INFLATION, rows_and_inflation
+from trackwright.tuning.fit_cautions import rows_and_inflation
 from trackwright.tuning.fitting import FitOptions, fit
 
 LEAST_GAIN = 2.0
 """Nats of the posterior below which a recording tells nothing against the levels that it is run at."""
 
+LASTING = 1.5
+"""Ratio of the levels of errors that last and those that do not from which on the first pass for motion.
+
+It is 1.8 at least on the real ranges and bearings used for development, and below 1.5 with simulated white noise.
+"""
+
+INFLATION = 3.0
+"""Rows with the information of one at the fitted levels from which on errors last, of trackers without biases."""
+
 STEPS = 30
 BIAS, NOISE = "bias noise", "measurement noise"
-LASTING = "errors that last look like motion; calibrate, or tune with truth"
+MOTION = "errors that last look like motion; calibrate, or tune with truth"
 
 
 @dataclass(frozen=True)
@@ -51,9 +60,9 @@ def fitted(tracker: NamedTracker, recording: RecordingFolder) -> OwnLevels:
     if not gain >= LEAST_GAIN:
         against = f"the readings tell nothing against them ({gain:.1f} nats for others)"
     elif inflation >= INFLATION:
-        against = f"{rows} rows carry the information of {rows / inflation:.0f}: {LASTING}"
-    elif max(bias, default=0.0) > max(noise, default=np.inf):
-        against = f"biases are above the noise of the readings: {LASTING}"
+        against = f"{rows} rows carry the information of {rows / inflation:.0f}: {MOTION}"
+    elif max(bias, default=0.0) > LASTING * max(noise, default=np.inf):
+        against = f"errors of the readings that last are {max(bias) / max(noise):.1f} times those that do not: {MOTION}"
     if against:
         return OwnLevels(tracker, f"{recording.name}: levels stay: {against}")
     moved = [
