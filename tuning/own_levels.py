@@ -13,6 +13,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.fit_cautions import rows_and_inflation
 from trackwright.tuning.fitting import FitOptions, fit
+from trackwright.tuning.parameters import tuned_by_default
 
 LEAST_GAIN = 2.0
 """Nats of the posterior below which a recording tells nothing against the levels that it is run at."""
@@ -27,7 +28,7 @@ INFLATION = 3.0
 """Rows with the information of one at the fitted levels from which on errors last, of trackers without biases."""
 
 STEPS = 30
-BIAS, NOISE = "bias noise", "measurement noise"
+BIAS = "sigma_bias"
 MOTION = "errors that last look like motion; calibrate, or tune with truth"
 
 
@@ -48,14 +49,19 @@ def fitted(tracker: NamedTracker, recording: RecordingFolder) -> OwnLevels:
     that last look like motion, from which no likelihood of readings tells them.
     """
     try:
-        result = fit(tracker, recording, "nll", options=FitOptions(steps=STEPS, frozen=tuple(tracker.values)))
+        tune = tuned_by_default(tracker.only_batch(recording).tracker, needs_truth=False)
+        # A bias is as large when the track starts as later.
+        tune = tuple(f"tied:*.{BIAS}" if name == f"motion.{BIAS}" else name for name in tune)
+        result = fit(tracker, recording, "nll", tune, FitOptions(steps=STEPS, frozen=tuple(tracker.values)))
         problem, vector = result.problem, result.vector
         gain = (result.start_value - result.value) * problem.nats_per_unit(result.evaluation.sums[0])
         rows, inflation = rows_and_inflation(problem, vector)
     except (UnusableInput, ValueError, FloatingPointError) as problem:
         return OwnLevels(tracker, f"{recording.name}: levels stay: {problem}")
     before, now = tracker.tunables, result.tracker.tunables
-    bias, noise = ([np.max(x.value) for x in now.values() if role_of(x) == role] for role in (BIAS, NOISE))
+    bias, noise = (
+        [np.max(x.value) for x in now.values() if role_of(x) == role] for role in ("bias noise", "measurement noise")
+    )
     against = ""
     if not gain >= LEAST_GAIN:
         against = f"the readings tell nothing against them ({gain:.1f} nats for others)"
