@@ -24,6 +24,7 @@ NOISE = {"uwb": 0.09, "tdoa": 0.13, "bearings": 0.05, "fix-kf": 0.1}
 MOTIONS, FACTORS = (0.01, 0.2, 2.0), (1 / 3, 1.0, 3.0)
 ROWS, STEP_S, HEIGHT_M = 400, 0.1, 1.2
 CORNERS = np.array([[0, 0, 2.5], [10, 0, 2.5], [10, 8, 2.5], [0, 8, 2.5], [5, 0, 0.5], [5, 8, 0.5]], float)
+COLUMNS = {"ranges": ["range_m"], "tdoa": ["range_difference_m"], "bearings": ["azimuth_rad", "elevation_rad"]}
 WHITE = {"sigma_bias": 1e-3, "sigma_shared": 1e-3, "dof": 1e3, "positive_skew": 1.0, "latency_std": 1e-3}
 """Numbers of a tracker, by the last part of their names, whose readings have white normal noise."""
 
@@ -50,16 +51,17 @@ def figures(tracker: str, sigma_a: float, sigma: float) -> Figures:
     named = tw.build(tracker, folder)
     levels = WHITE | {"sigma_a": sigma_a, "sigma_r": sigma, "sigma_d": sigma, "sigma_horizontal": sigma}
     levels |= {"sigma_azimuth": sigma, "sigma_elevation": sigma}
-    last = {name: name.rpartition(".")[2] for name in named.tunables}
-    known = {
-        name: np.broadcast_to(levels[x], np.shape(named.tunables[name].value))
-        for name, x in last.items()
-        if x in levels
-    }
+    of = {name: levels.get(name.rpartition(".")[2]) for name in named.tunables}
+    known = {name: np.broadcast_to(x, np.shape(named.tunables[name].value)) for name, x in of.items() if x is not None}
     own = fitted(named, folder)
     sides = {"": named, "_fitted": own.tracker, "_known": named.with_values(known)}
     errors = {f"rmse{k}_m": tw.evaluate(x.run(folder), folder).overall["rmse_m"] for k, x in sides.items()}
-    single = np.array([_epoch(predicted, *row) for row in zip(places, readings, strict=True)])
+    single = np.array(
+        [
+            least_squares(lambda xy, z=z: predicted(np.array([*xy, HEIGHT_M])) - z, place[:2]).x
+            for place, z in zip(places, readings, strict=True)
+        ]
+    )
     return errors | {
         "ratio": errors["rmse_fitted_m"] / errors["rmse_known_m"],
         "rmse_epoch_m": float(np.sqrt(np.mean(np.sum((single - places[:, :2]) ** 2, axis=1)))),
@@ -69,37 +71,26 @@ def figures(tracker: str, sigma_a: float, sigma: float) -> Figures:
 
 def _walk(sigma_a: float, random: np.random.Generator) -> np.ndarray:
     """Positions (n, 3), m, of a tag with white acceleration, slowed and pulled back to the middle of the hall."""
-    place, speed, walk, fine = np.array([5.0, 4.0]), random.normal(0.0, 0.5, 2), [], 10
-    pull, step = 0.002 + 0.3 * sigma_a ** (4 / 3), STEP_S / fine
+    place, speed, walk = np.array([5.0, 4.0]), random.normal(0.0, 0.5, 2), []
     for _ in range(ROWS):
         walk.append([*place, HEIGHT_M])
-        for _ in range(fine):
-            speed = speed + sigma_a * np.sqrt(step) * random.normal(size=2)
-            speed = speed - step * (speed / 3.0 + pull * (place - [5.0, 4.0]))
-            place = place + speed * step
+        pull = speed / 3.0 + (0.002 + 0.3 * sigma_a ** (4 / 3)) * (place - [5.0, 4.0])
+        speed = speed + sigma_a * np.sqrt(STEP_S) * random.normal(size=2) - STEP_S * pull
+        place = place + speed * STEP_S
     return np.array(walk)
-
-
-def _epoch(predicted: Predicted, place: np.ndarray, reading: np.ndarray) -> np.ndarray:
-    """The position (2,) that explains the readings of one time best, searched from the true one."""
-    found: np.ndarray = least_squares(lambda xy: predicted(np.array([*xy, HEIGHT_M])) - reading, place[:2]).x
-    return found
 
 
 def _table(kind: str, times: np.ndarray, readings: np.ndarray) -> pl.DataFrame:
     """The readings (n, m) as a table of their kind."""
-    count = len(CORNERS) if kind != "bearings" else readings.shape[1] // 2
     if kind == "fixes":
         return pl.DataFrame({"t_s": times, "tag": "T", "x_m": readings[:, 0], "y_m": readings[:, 1], "z_m": HEIGHT_M})
-    names = [f"A{k}" for k in range(count)]
-    rows = {"t_s": np.repeat(times, count), "tag": ["T"] * (ROWS * count)}
-    if kind == "bearings":
-        angles = {"azimuth_rad": readings[:, :count].ravel(), "elevation_rad": readings[:, count:].ravel()}
-        return pl.DataFrame({**rows, "station": names * ROWS, **angles})
-    if kind == "tdoa":
-        pairs = {"anchor": [*names[1:], names[0]] * ROWS, "anchor_2": names * ROWS}
-        return pl.DataFrame({**rows, **pairs, "range_difference_m": readings.ravel()})
-    return pl.DataFrame({**rows, "anchor": names * ROWS, "range_m": readings.ravel()})
+    columns = COLUMNS[kind]
+    values = np.split(readings, len(columns), axis=1)
+    names = [f"A{k}" for k in range(values[0].shape[1])]
+    ids = {"station" if kind == "bearings" else "anchor": names * ROWS}
+    ids |= {"anchor": [*names[1:], names[0]] * ROWS, "anchor_2": names * ROWS} if kind == "tdoa" else {}
+    measured = {column: x.ravel() for column, x in zip(columns, values, strict=True)}
+    return pl.DataFrame({"t_s": np.repeat(times, len(names)), "tag": "T", **ids, **measured})
 
 
 def _readings(tracker: str) -> tuple[str, Predicted, Rig]:
@@ -118,7 +109,6 @@ def _readings(tracker: str) -> tuple[str, Predicted, Rig]:
     if tracker == "tdoa":
         return "tdoa", lambda place: np.roll(ranges(place), -1) - ranges(place), Rig("hall", anchors=anchors, tags=tags)
     if tracker == "bearings":
-        level = np.array([1.0, 0.0, 0.0, 0.0])
-        stations = {f"A{k}": Station(corner, level) for k, corner in enumerate(CORNERS[:3])}
+        stations = {f"A{k}": Station(CORNERS[k], np.eye(4)[0]) for k in range(3)}
         return "bearings", bearings, Rig("hall", stations=stations, tags=tags)
     return "fixes", lambda place: place[:2], Rig("hall", tags=tags)
