@@ -129,6 +129,7 @@ from trackwright.tuning.objectives import StateLogLikelihood as StateLogLikeliho
 from trackwright.tuning.objectives import Weighted as Weighted
 from trackwright.tuning.optimisers import LBFGS as LBFGS
 from trackwright.tuning.optimisers import Adam as Adam
+from trackwright.tuning.own_levels import fitted as fitted
 from trackwright.tuning.survey.surveying import Survey as Survey
 from trackwright.tuning.survey.surveying import survey as survey
 from trackwright.tuning.sweeping import sweep as sweep
@@ -259,6 +260,7 @@ __all__ = [
     "BrokenContract",
     # fits
     "fit",
+    "fitted",
     "FitOptions",
     "FitResult",
     "LBFGS",

@@ -40,7 +40,7 @@ from trackwright.tuning.parts import Keep, LocalParts
 from trackwright.tuning.priors import Kind, Prior
 from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import Uncertainty, evaluations, optimum, uncertainty_at, unidentifiable
-from trackwright.tuning.weight import discount, weighed_anew
+from trackwright.tuning.weight import discount, tempered_anew, weighed_anew
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
@@ -257,7 +257,7 @@ def fit(
         interrupted = True
     on.stage("the best values so far" if interrupted else "intervals")
     if not interrupted and scoring is None and problem.prior.precision.any():
-        state = weighed_anew(driver, state, names)
+        state = weighed_anew(driver, tempered_anew(driver, state), names)
     result = _result(model, driver, state, interrupted)
     result = dataclasses.replace(result, readings=readings, recordings=names)
     if isinstance(tracker, NamedTracker):

@@ -261,7 +261,7 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     # Without a single usable trajectory there is no likelihood.
     nats = problem.nats_per_unit(sums[0]) if used.any() else np.nan
     psi = influence(problem.objective, terms[0], term_gradients[0])
-    hessian, precision = 0.5 * (rows + rows.T), problem.prior.precision
+    hessian, precision = 0.5 * (rows + rows.T), problem.prior.weights(vector)[0]
     prior = precision / nats if precision.any() else precision
     return Optimum(vector, float(values[0]), gradients[0], hessian, psi, nats, used, evaluation.at(0), prior)
 

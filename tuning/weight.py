@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trackwright.tuning.fit_cautions import rows_and_inflation
-from trackwright.tuning.optimisation import FitState, MultiStart
+from trackwright.tuning.optimisation import FitState, MultiStart, initial_state
 from trackwright.tuning.problem import Problem, weighted_sum
 from trackwright.tuning.uncertainty import optimum, refit
 
@@ -24,6 +24,9 @@ RATIO = 4.0
 
 FOLDS, ROUNDS = 4, 4
 """Parts of the recordings that are left out in turn, at most, and the steps of each fit without one."""
+
+MORE = 1.5
+"""Growth of the part of a likelihood that counts, from the start to the best point, with which a fit goes on."""
 
 BETTER = 0.02
 """Gain in left-out recordings, nats per unit of the objective, from which on they ask for another weight."""
@@ -41,6 +44,25 @@ def discount(problem: Problem, vector: Float[np.ndarray, " p"], recordings: int)
     terms = problem.terms(vector)[0]
     nats = problem.objective.nats_per_unit(terms[:, np.isfinite(terms).all(axis=0)].sum(axis=1))
     return float(part / (1.0 + part * nats / (MOST_ROWS * recordings)))
+
+
+def tempered_anew(driver: MultiStart, state: FitState) -> FitState:
+    """The state of a finished fit without truth, or with another best point, where more of its nats count there.
+
+    At levels that are far off innovations are correlated that are not at the fitted ones.
+    """
+    problem, winner = driver.problem, int(np.argmin(state.best_scores))
+    vector = state.best_vectors[winner]
+    if problem.objective.needs_truth or not (part := discount(problem, vector, 1)) > MORE * problem.discount:
+        return state
+    problem.discount = part
+    again = initial_state(driver, vector[None], 1)
+    while not driver.done(again):
+        again = driver.step(again)
+    best_vectors, best_scores = state.best_vectors.copy(), state.best_scores.copy()
+    best_vectors[winner], best_scores[winner] = again.best_vectors[0], again.best_scores[0]
+    runs = state.filter_runs + again.filter_runs
+    return state._replace(best_vectors=best_vectors, best_scores=best_scores, filter_runs=runs)
 
 
 def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str]) -> FitState:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from trackwright.trackers.recordings.calibration import Calibration
+    from trackwright.trackers.recordings.folder import RecordingFolder
     from trackwright.trackers.recordings.named_tracker import NamedTracker
     from trackwright.trackers.recordings.selection import Selection
     from trackwright.tuning.tuned_file import Tuned
@@ -188,6 +189,8 @@ class TrackOptions(TrackerOptions):
 
     Args:
         noise: a tuned.toml of `trackwright tune`.
+        fit: fit noise levels and shape of errors to each recording's own readings; those of --noise and --set stay, and
+            all where errors last, which readings alone do not tell from motion.
         smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
         lag: smooth with the readings of the next so many seconds only.
         seed: of the random numbers of particle filters.
@@ -203,6 +206,7 @@ class TrackOptions(TrackerOptions):
     """
 
     noise: File | None = None
+    fit: bool = False
     smooth: bool = False
     lag: Seconds | None = None
     seed: int = 0
@@ -223,10 +227,29 @@ class TrackOptions(TrackerOptions):
         if not 0 <= self.seed < 2**64:
             raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
 
-    def applied(self, named: NamedTracker) -> NamedTracker:
-        """The tracker as `valued`, and smoothed where that is asked for."""
-        named = self.valued(named)
-        return named.smoothing(self.lag) if self.smooth or self.lag is not None else named
+    def applied(
+        self,
+        named: NamedTracker,
+        folders: Sequence[RecordingFolder],
+        advance: Callable[[int], object] = abs,
+    ) -> tuple[list[tuple[NamedTracker, Sequence[RecordingFolder]]], list[str]]:
+        """The trackers `valued`, fitted and smoothed as asked for, and what each runs on; a line for each fit.
+
+        `advance` gets the number of fits done.
+        """
+        named, lines = self.valued(named), list[str]()
+        parts: list[tuple[NamedTracker, Sequence[RecordingFolder]]] = [(named, folders)]
+        if self.fit:
+            from trackwright.tuning.own_levels import fitted
+
+            parts = []
+            for folder in folders:
+                own = fitted(named, folder)
+                parts.append((own.tracker, [folder]))
+                lines.append(own.line)
+                advance(1)
+        smooth = self.smooth or self.lag is not None
+        return [(each.smoothing(self.lag) if smooth else each, of) for each, of in parts], lines
 
     def manifest(self, tracker: str) -> dict[str, Any]:
         """What the manifest of a run of this tracker holds of the options."""

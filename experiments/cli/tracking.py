@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -44,6 +45,7 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackwright.trackers.recordings.trajectories import known_height
 
+CONTRADICTED = 1.5
 LATE_S = 0.1  # delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice
 APART_M, MIRRORED_SHARE = 0.5, 0.1
 """Distance of true heights from the anchors' plane, m, from which on their side counts; share of estimates on the other
@@ -164,8 +166,11 @@ def _track(
     name, folders = run
     named = build(name, folders, options.free_height, options.side)
     notice_unused_calibration(folders, name, named.spec.table)
-    named = options.applied(named)
-    batches = named.batches(folders)
+    advance = begin("fitting", len(folders)) if options.fit else abs
+    parts, lines = options.applied(named, folders, advance)
+    for line in lines:
+        notice(line)
+    named, batches = parts[0][0], [batch for each, of in parts for batch in each.batches(of)]
     for batch in batches:
         for line in batch.notices:
             notice(f"notice: {line}")
@@ -197,6 +202,7 @@ def _track(
             print(f"Without truth: {uncapitalised(sentence)}")
     elif of == 1:
         print(to_text(evaluation, terminal_width()), end="")
+    notice_levels(evaluation.overall, options.fit)
     metrics = to_json(evaluation)
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)
@@ -220,6 +226,14 @@ def _track(
     written = f"{out / TRACKS} ({counted(len(table), 'estimate')}), {EVENTS}, {EVALUATION}, manifest.json"
     print(f"wrote {', '.join([written, *drawn])}")
     return json.loads(metrics), page
+
+
+def notice_levels(metrics: Mapping[str, Any], fitted: bool) -> None:
+    """A notice where innovations contradict the noise levels by more than a factor `CONTRADICTED`."""
+    ratio = None if fitted else metrics["nis_ratio"]
+    if ratio is not None and not CONTRADICTED**-2 <= ratio <= CONTRADICTED**2:
+        times = f"{math.sqrt(ratio):.2g} times as large as the noise levels let expect (NIS/dof {ratio:.2g})"
+        notice(f"notice: innovations are {times}; --fit fits the levels to the readings")
 
 
 def endings(summaries: Mapping[str, int]) -> str:

@@ -15,6 +15,7 @@ TABLES = {
     "real-recordings": "validation.real_recordings",
     "levels": "validation.levels",
     "nis": "validation.nis",
+    "own-levels": "validation.own_levels",
     "generalisation": "validation.generalisation",
     "programs": "bench.programs",
     "commands": "bench.commands",

@@ -1,4 +1,4 @@
-"""The prior of a fit: normal densities of unconstrained values, said in physical ones."""
+"""The prior of a fit: densities of unconstrained values, said in physical ones."""
 
 import numpy as np
 from scipy import stats
@@ -20,11 +20,11 @@ PARAMETERS = [
 def _density(vector):
     """Of the logarithms of positive numbers, of the logit of a fraction, and of others in their unit or typical size."""
     return (
-        stats.norm(np.log(0.5), 0.35).logpdf(vector[0])
-        + stats.norm(np.log(4.0), 0.5).logpdf(vector[1])
-        + stats.norm(np.log(0.3 / 0.7), 0.35).logpdf(vector[2])
-        + stats.norm(0.1, 1.0).logpdf(0.05 * vector[3])
-        + stats.norm([0.1, -0.2], 0.1).logpdf(0.1 * vector[4:6]).sum()
+        stats.t(3, np.log(0.5), 0.35).logpdf(vector[0])
+        + stats.t(3, np.log(4.0), 0.5).logpdf(vector[1])
+        + stats.t(3, np.log(0.3 / 0.7), 0.35).logpdf(vector[2])
+        + stats.t(3, 0.1, 1.0).logpdf(0.05 * vector[3])
+        + stats.t(3, [0.1, -0.2], 0.1).logpdf(0.1 * vector[4:6]).sum()
     )
 
 

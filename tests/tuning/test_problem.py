@@ -34,7 +34,7 @@ def with_prior():
     tracker = line_tracker()
     parameters = select_parameters(tracker, LEVELS)
     problem = Problem(tracker, [stack(walks([8] * 10, 2))], NegativeLogLikelihood(), parameters, 4)
-    problem.prior = Prior(np.array([0.0, np.log(0.35)]), np.array([0.0, np.log(1.5) ** -2]))
+    problem.prior = Prior(np.array([0.0, np.log(0.35)]), np.array([0.0, np.log(1.5) ** -2]), 1e12)
     problem.discount = 0.5
     return problem, flatten(parameters)
 

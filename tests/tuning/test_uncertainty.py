@@ -158,7 +158,7 @@ def test_the_posterior_is_the_closed_form(numbers):
     problem, best = _sigma_and_mu(numbers[:4])
     deviation, centre = 0.1, -0.5
     problem.discount = 0.2
-    problem.prior = Prior(np.array([0.0, centre / TYPICAL]), np.array([0.0, (deviation / TYPICAL) ** -2]))
+    problem.prior = Prior(np.array([0.0, centre / TYPICAL]), np.array([0.0, (deviation / TYPICAL) ** -2]), 1e12)
     sigma, precision = np.exp(best[0]), 0.2 * 100 / np.exp(2 * best[0])
     mean = (precision * TYPICAL * best[1] + centre / deviation**2) / (precision + deviation**-2)
     found = uncertainty_at(problem, optimum(problem, np.array([best[0], mean / TYPICAL])), np.array([True, False]))
@@ -169,7 +169,7 @@ def test_the_posterior_is_the_closed_form(numbers):
 
 def test_numbers_that_only_the_prior_determines_are_named(numbers):
     problem, at = _product(numbers, [1, -1])
-    problem.prior = Prior(at, np.full(2, 0.7**-2))
+    problem.prior = Prior(at, np.full(2, 0.7**-2), 1e12)
     found = _uncertainty(problem, at)
     issues = identifiability_issues(found, problem.evaluate(at).term_gradients)
     assert [j.text for j in issues] == ["a and b are not determined one by one: the data determine only a / b"]

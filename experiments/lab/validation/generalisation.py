@@ -1,4 +1,4 @@
-"""Values fitted to one, two or three recordings of a site with default options, judged on another that no fit has seen.
+"""Values fitted to one or two recordings of a site with default options, judged on another that no fit has seen.
 
 The mean log density of the true position less that at the defaults, nats, with its 95 % interval, and the RMSE.
 """
@@ -21,7 +21,7 @@ SITES = {
 """Recordings of one site each, and their tracker by default."""
 
 PRIORS: tuple[Kind, ...] = ("sites", "flat")
-MOST = 3
+MOST = 2
 
 
 def cases() -> Iterator[Case]:

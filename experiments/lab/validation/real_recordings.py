@@ -25,8 +25,7 @@ def cases() -> Iterator[Case]:
         for name in recordings(site.pattern):
             for tracker in site.trackers:
                 for setting in settings(site, name, tracker):
-                    limit = site.limits.get(setting) if tracker == site.trackers[0] else None
-                    yield Case(name, tracker, setting, partial(figures, name, tracker, setting, limit))
+                    yield Case(name, tracker, setting, partial(figures, name, tracker, setting))
 
 
 def settings(site: Site, name: str, tracker: str) -> Iterator[str]:
@@ -43,7 +42,7 @@ def settings(site: Site, name: str, tracker: str) -> Iterator[str]:
             yield setting + SMOOTHED
 
 
-def figures(name: str, tracker: str, setting: str, limit: float | None) -> Figures:
+def figures(name: str, tracker: str, setting: str) -> Figures:
     """The errors and covariances of a recording; `on`: what it was calibrated or tuned on."""
     base, smoothed, _ = setting.partition(SMOOTHED)
     parts, named, on = prepared(name, tracker, base)
@@ -59,8 +58,6 @@ def figures(name: str, tracker: str, setting: str, limit: float | None) -> Figur
         "log_density_nats": metrics.get("log_density"),
         "energy_score_m": metrics.get("energy_score_m"),
         "covariances": verdict(metrics),
-        "limit_m": limit,
-        "met": None if limit is None else "yes" if round(metrics["rmse_m"], 3) <= limit else "no",
         "on": on,
     }
 

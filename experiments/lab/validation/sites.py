@@ -1,4 +1,4 @@
-"""Sites of real recordings, their trackers and limits, and where the recordings are."""
+"""Sites of real recordings, their trackers, and where the recordings are."""
 
 import os
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from trackwright.trackers.recordings.calibration import has_moved, has_turned
 
 
 class Site(NamedTuple):
-    """The recordings whose names match, their trackers, and the limits of horizontal RMSE, m, of the first of these.
+    """The recordings whose names match, and their trackers.
 
     `still`: the tags do not move, so that their errors are one sample: by default levels alone. `others`: names of
     recordings beside these on which they are calibrated.
@@ -21,33 +21,30 @@ class Site(NamedTuple):
 
     pattern: str
     trackers: tuple[str, ...]
-    limits: Mapping[str, float] = {}
     still: bool = False
     others: str = ""
 
 
-# fmt: off
 SITES = (
-    Site("ble51-walk-*", ("bearings",), {"defaults": 0.75, "calibrated": 0.42, "calibrated smoothed": 0.30}),
+    Site("ble51-walk-*", ("bearings",)),
     Site("ble51-uca-*", ("beam", "das"), still=True),
-    Site("starloc-fast-*", ("uwb", "uwb-imu"), {"defaults": 0.15, "calibrated": 0.13}),
+    Site("starloc-fast-*", ("uwb", "uwb-imu")),
     Site("starloc-2d-*", ("uwb",)),
-    Site("lias-planar-*", ("uwb",), {"defaults": 0.075, "calibrated": 0.05}, others="lias-still-*"),
-    Site("rcv-drone-*", ("uwb",), {"defaults": 0.20, "calibrated": 0.17}),
-    Site("iasl-drone-*", ("uwb", "uwb-imu", "fusion", "fix-kf"), {"defaults": 0.055, "calibrated": 0.045}),
-    Site("isas-walk-*", ("uwb", "uwb-imu"), {"defaults": 0.14, "calibrated": 0.11}),
+    Site("lias-planar-*", ("uwb",), others="lias-still-*"),
+    Site("rcv-drone-*", ("uwb",)),
+    Site("iasl-drone-*", ("uwb", "uwb-imu", "fusion", "fix-kf")),
+    Site("isas-walk-*", ("uwb", "uwb-imu")),
     Site("labyrinth*", ("uwb", "body", "trilateration-compensated")),
     # A straight path: in the line of sight, behind a wall, and obstructed.
-    Site("ngbui-line-1-*", ("uwb", "line-grid"), {"defaults": 0.055, "calibrated": 0.045}),
-    Site("ngbui-line-2-*", ("uwb", "line-grid"), {"defaults": 0.42, "calibrated": 0.30}),
-    Site("ngbui-line-3-*", ("uwb", "line-grid"), {"defaults": 0.40, "calibrated": 0.25}),
+    Site("ngbui-line-1-*", ("uwb", "line-grid")),
+    Site("ngbui-line-2-*", ("uwb", "line-grid")),
+    Site("ngbui-line-3-*", ("uwb", "line-grid")),
     # Late fixes of drones, which may be mirrored in the anchors' plane.
     Site("tiers-*", ("fix-mirror", "fix-kf")),
     # Range differences of a quadrotor, in a clear and in a cluttered room.
-    Site("util-c1-*", ("tdoa",), {"defaults": 0.047}),
-    Site("util-c4-*", ("tdoa",), {"defaults": 0.152}),
+    Site("util-c1-*", ("tdoa",)),
+    Site("util-c4-*", ("tdoa",)),
 )
-# fmt: on
 """Every site; a recording without a site is not judged."""
 
 

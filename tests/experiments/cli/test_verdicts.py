@@ -51,7 +51,7 @@ def unlike(tmp_path_factory):
 def worse(unlike, tmp_path_factory):
     """The folder of a fit to them, and what was said."""
     out = tmp_path_factory.mktemp("worse")
-    return out, trackwright("tune", *unlike, *FIT, "--json", "--out", out)
+    return out, trackwright("tune", *unlike, *FIT, "--prior", "flat", "--json", "--out", out)
 
 
 def test_values_with_which_a_left_out_recording_gets_worse_are_written_with_that_verdict(worse):
@@ -75,7 +75,7 @@ def test_values_with_which_a_left_out_recording_gets_worse_are_written_with_that
 
 def test_check_makes_a_worse_verdict_exit_with_one(tmp_path):
     unlike = [_walk(tmp_path / f"hall-{k}", k, sigma) for k, sigma in enumerate((0.05, 0.5))]
-    run = ("tune", *unlike, *FIT, "--set", "sensors.fixes.sigma_horizontal=0.2", "--no-report")
+    run = ("tune", *unlike, *FIT, "--prior", "flat", "--set", "sensors.fixes.sigma_horizontal=0.2", "--no-report")
     codes = [trackwright(*run, *more, "--out", tmp_path / "fit").code for more in ((), ("--check", "--resume"))]
     assert tomllib.loads((tmp_path / "fit" / "tuned.toml").read_text())["verdict"] == "worse"
     assert codes == [0, 1]
