@@ -233,10 +233,7 @@ class TrackOptions(TrackerOptions):
         folders: Sequence[RecordingFolder],
         advance: Callable[[int], object] = abs,
     ) -> tuple[list[tuple[NamedTracker, Sequence[RecordingFolder]]], list[str]]:
-        """The trackers `valued`, fitted and smoothed as asked for, and what each runs on; a line for each fit.
-
-        `advance` gets the number of fits done.
-        """
+        """The trackers `valued`, fitted and smoothed as asked for, and what each runs on; a line for each fit."""
         named, lines = self.valued(named), list[str]()
         parts: list[tuple[NamedTracker, Sequence[RecordingFolder]]] = [(named, folders)]
         if self.fit:

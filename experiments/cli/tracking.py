@@ -232,8 +232,8 @@ def notice_levels(metrics: Mapping[str, Any], fitted: bool) -> None:
     """A notice where innovations contradict the noise levels by more than a factor `CONTRADICTED`."""
     ratio = None if fitted else metrics["nis_ratio"]
     if ratio is not None and not CONTRADICTED**-2 <= ratio <= CONTRADICTED**2:
-        times = f"{math.sqrt(ratio):.2g} times as large as the noise levels let expect (NIS/dof {ratio:.2g})"
-        notice(f"notice: innovations are {times}; --fit fits the levels to the readings")
+        times = f"{math.sqrt(ratio):.2g} times what the noise levels let expect"
+        notice(f"notice: innovations are {times} (NIS/dof {ratio:.2g}); --fit fits the levels to the readings")
 
 
 def endings(summaries: Mapping[str, int]) -> str:

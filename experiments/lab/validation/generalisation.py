@@ -5,6 +5,7 @@ The mean log density of the true position less that at the defaults, nats, with 
 
 from collections.abc import Iterator
 from functools import partial
+from typing import get_args
 
 import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
@@ -20,7 +21,6 @@ SITES = {
 }  # fmt: skip
 """Recordings of one site each, and their tracker by default."""
 
-PRIORS: tuple[Kind, ...] = ("sites", "flat")
 MOST = 2
 
 
@@ -31,7 +31,7 @@ def cases() -> Iterator[Case]:
         for count in range(1, min(len(names), MOST + 1)):
             for k, name in enumerate(names):
                 fitted_to = (*names[k + 1 :], *names[:k])[:count]
-                for prior in PRIORS:
+                for prior in get_args(Kind):
                     measure = partial(figures, tracker, name, fitted_to, prior)
                     yield Case(name, tracker, f"{prior}, fitted to {', '.join(fitted_to)}", measure)
 

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
+from trackwright.trackers.recordings.rig_file import mounted
 from trackwright.tuning.own_levels import fitted
 
 Predicted = Callable[[np.ndarray], np.ndarray]
@@ -22,6 +23,7 @@ NOISE = {"uwb": 0.09, "tdoa": 0.13, "bearings": 0.05, "fix-kf": 0.1}
 """Standard deviations of a reading, m or rad."""
 
 MOTIONS, FACTORS = (0.01, 0.2, 2.0), (1 / 3, 1.0, 3.0)
+READING = ("sigma_r", "sigma_d", "sigma_horizontal", "sigma_azimuth", "sigma_elevation")
 ROWS, STEP_S, HEIGHT_M = 400, 0.1, 1.2
 CORNERS = np.array([[0, 0, 2.5], [10, 0, 2.5], [10, 8, 2.5], [0, 8, 2.5], [5, 0, 0.5], [5, 8, 0.5]], float)
 COLUMNS = {"ranges": ["range_m"], "tdoa": ["range_difference_m"], "bearings": ["azimuth_rad", "elevation_rad"]}
@@ -49,19 +51,14 @@ def figures(tracker: str, sigma_a: float, sigma: float) -> Figures:
     tables = {kind: _table(kind, times, readings), "truth": truth}
     folder = tw.RecordingFolder("hall", None, rig, tables)
     named = tw.build(tracker, folder)
-    levels = WHITE | {"sigma_a": sigma_a, "sigma_r": sigma, "sigma_d": sigma, "sigma_horizontal": sigma}
-    levels |= {"sigma_azimuth": sigma, "sigma_elevation": sigma}
+    levels = WHITE | {"sigma_a": sigma_a} | dict.fromkeys(READING, sigma)
     of = {name: levels.get(name.rpartition(".")[2]) for name in named.tunables}
     known = {name: np.broadcast_to(x, np.shape(named.tunables[name].value)) for name, x in of.items() if x is not None}
     own = fitted(named, folder)
     sides = {"": named, "_fitted": own.tracker, "_known": named.with_values(known)}
     errors = {f"rmse{k}_m": tw.evaluate(x.run(folder), folder).overall["rmse_m"] for k, x in sides.items()}
-    single = np.array(
-        [
-            least_squares(lambda xy, z=z: predicted(np.array([*xy, HEIGHT_M])) - z, place[:2]).x
-            for place, z in zip(places, readings, strict=True)
-        ]
-    )
+    pairs = zip(places[:, :2], readings, strict=True)
+    single = [least_squares(lambda xy, z=z: predicted(np.array([*xy, HEIGHT_M])) - z, xy).x for xy, z in pairs]
     return errors | {
         "ratio": errors["rmse_fitted_m"] / errors["rmse_known_m"],
         "rmse_epoch_m": float(np.sqrt(np.mean(np.sum((single - places[:, :2]) ** 2, axis=1)))),
@@ -109,6 +106,6 @@ def _readings(tracker: str) -> tuple[str, Predicted, Rig]:
     if tracker == "tdoa":
         return "tdoa", lambda place: np.roll(ranges(place), -1) - ranges(place), Rig("hall", anchors=anchors, tags=tags)
     if tracker == "bearings":
-        stations = {f"A{k}": Station(CORNERS[k], np.eye(4)[0]) for k in range(3)}
+        stations = {f"A{k}": Station(CORNERS[k], mounted(0.0, 0.0, 0.0)) for k in range(3)}
         return "bearings", bearings, Rig("hall", stations=stations, tags=tags)
     return "fixes", lambda place: place[:2], Rig("hall", tags=tags)
