@@ -21,14 +21,12 @@ SITES = {
 }  # fmt: skip
 """Recordings of one site each, and their tracker by default."""
 
-MOST = 2
-
 
 def cases() -> Iterator[Case]:
     """Each recording of each site, with the values of those that follow it by name, the first after the last."""
     for pattern, tracker in SITES.items():
         names = recordings(pattern)
-        for count in range(1, min(len(names), MOST + 1)):
+        for count in range(1, min(len(names), 3)):
             for k, name in enumerate(names):
                 fitted_to = (*names[k + 1 :], *names[:k])[:count]
                 for prior in get_args(Kind):
