@@ -224,7 +224,7 @@ class Tracking:
 
     def _tracked(self, name: str, text: str, folder: RecordingFolder) -> tuple[Outcome, list[str]]:
         """The outcome of one tracker, and its notices."""
-        ((named, _),), fits = self.options.applied(self.named(name, text, folder), [folder])
+        ((named, _),), fits = self.options.applied(self.named(name, text, folder), [folder], lambda done: None)
         tracks = named.run(folder, seed=self.options.seed)
         happened = events_of(tracks.table, named.spec, tracks.batches)
         association, lines = with_truth(tracks.table, named, [folder])

@@ -228,10 +228,7 @@ class TrackOptions(TrackerOptions):
             raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
 
     def applied(
-        self,
-        named: NamedTracker,
-        folders: Sequence[RecordingFolder],
-        advance: Callable[[int], object] = abs,
+        self, named: NamedTracker, folders: Sequence[RecordingFolder], advance: Callable[[int], None]
     ) -> tuple[list[tuple[NamedTracker, Sequence[RecordingFolder]]], list[str]]:
         """The trackers `valued`, fitted and smoothed as asked for, and what each runs on; a line for each fit."""
         named, lines = self.valued(named), list[str]()

@@ -166,9 +166,9 @@ def _track(
     name, folders = run
     named = build(name, folders, options.free_height, options.side)
     notice_unused_calibration(folders, name, named.spec.table)
-    advance = begin("fitting", len(folders)) if options.fit else abs
-    parts, lines = options.applied(named, folders, advance)
-    for line in lines:
+    advance = begin("fitting", len(folders)) if options.fit else (lambda done: None)
+    parts, fits = options.applied(named, folders, advance)
+    for line in fits:
         notice(line)
     named, batches = parts[0][0], [batch for each, of in parts for batch in each.batches(of)]
     for batch in batches:
@@ -219,7 +219,7 @@ def _track(
         options.manifest(name),
         started,
         chunk=CHUNK,
-        extra={"recordings": [str(folder.path) for folder in folders], "verdicts": summaries},
+        extra={"recordings": [str(folder.path) for folder in folders], "verdicts": summaries, "fitted": fits},
     )
     for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
         print(f"event: {event} ({counted(count, 'time')})")
