@@ -48,13 +48,14 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 class TableFile:
     """The columns of a file before any check.
 
-    `lines`: the line number of each row, None for Parquet. `decimal`: the mark in numbers that are text.
+    `lines`: the line number of each row, None for Parquet. `decimal`, `thousands`: the marks in numbers that are text.
     """
 
     path: Path
     frame: pl.DataFrame
     lines: Sequence[int] | None = None
     decimal: str = "."
+    thousands: str = ""
 
     def location(self, row: int, column: str) -> str:
         """File, row and column in words, for messages; `row` is counted from 0."""
@@ -79,15 +80,12 @@ def remedy(text: str, column: str) -> str:
     return "leave a missing cell empty"
 
 
-def read_table_file(path: Path, separator: str = ",") -> TableFile:
-    """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file.
-
-    `separator`: the character between the cells of text.
-    """
+def read_table_file(path: Path) -> TableFile:
+    """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file."""
     if path.name.endswith(".parquet"):
         file = TableFile(path, read_parquet(path))
     else:
-        file = _text(path, _unpacked(path, _content(path)), separator)
+        file = _text(path, _unpacked(path, _content(path)))
     if file.frame.height == 0:
         raise UnusableInput(f"{path}: the table has no rows, expected at least one; remove the file if there are none")
     return file
@@ -156,7 +154,7 @@ def _unpacked(path: Path, data: bytes) -> bytes:
         raise UnusableInput(f"{path}: is not valid gzip data ({error}); copy it again or pack it with gzip") from error
 
 
-def _text(path: Path, data: bytes, separator: str) -> TableFile:
+def _text(path: Path, data: bytes) -> TableFile:
     if b"\0" in data:
         raise UnusableInput(f"{path}: holds binary data, expected CSV text in UTF-8; export it again as CSV")
     try:
@@ -167,8 +165,8 @@ def _text(path: Path, data: bytes, separator: str) -> TableFile:
         ) from error
     text = text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
     head, _, body = text.partition("\n")
-    names = [name.strip() for name in next(csv.reader([head], delimiter=separator), [])]
-    if separator == "," and len(names) == 1 and (head.startswith("#") or any(mark in head for mark in ";\t")):
+    names = [name.strip() for name in next(csv.reader([head]), [])]
+    if len(names) == 1 and (head.startswith("#") or any(mark in head for mark in ";\t")):
         raise UnusableInput(f"{path}: line 1 is {head[:60]!r}, expected names separated by commas; export it again")
     repeated = {name for name in names if names.count(name) > 1}
     if repeated:
@@ -177,24 +175,22 @@ def _text(path: Path, data: bytes, separator: str) -> TableFile:
     if not body.strip():
         return TableFile(path, pl.DataFrame(schema=dict.fromkeys(names, pl.String)), ())
     rows = body.count("\n") + 1
-    # polars takes separators of one byte.
-    plain = separator.isascii() and '"' not in text and "\n\n" not in body and not body.startswith("\n")
-    if plain and body.count(separator) == (len(names) - 1) * rows:
+    plain = '"' not in text and "\n\n" not in body and not body.startswith("\n")
+    if plain and body.count(",") == (len(names) - 1) * rows:
         try:
             frame = pl.read_csv(
-                body.encode(), has_header=False, schema=dict.fromkeys(names, pl.String), quote_char=None,
-                separator=separator,
+                body.encode(), has_header=False, schema=dict.fromkeys(names, pl.String), quote_char=None
             )  # fmt: skip
             if frame.height == rows:
                 return TableFile(path, frame, range(2, rows + 2))
         except pl.exceptions.PolarsError:
             pass  # rows too long and too short in equal measure: the slow reader names the first
-    return _row_by_row(path, names, text, separator)
+    return _row_by_row(path, names, text)
 
 
-def _row_by_row(path: Path, names: list[str], text: str, separator: str) -> TableFile:
+def _row_by_row(path: Path, names: list[str], text: str) -> TableFile:
     """Slow reader for quotes and blank lines; refuses rows of a wrong length by their line."""
-    reader = csv.reader(io.StringIO(text), delimiter=separator)
+    reader = csv.reader(io.StringIO(text))
     rows, lines = [], []
     try:
         next(reader)
