@@ -44,7 +44,7 @@ def import_source(
     transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
     align_truth: bool = False, path: bool = False, interval: Seconds | None = None, skip_bad_lines: bool = False,
     header: Annotated[str, Parameter(metavar="LINE|none")] = "", skip: int = 0,
-    missing: Annotated[tuple[str, ...], Parameter(metavar="MARK", allow_leading_hyphen=True)] = (),
+    missing: Annotated[tuple[str, ...], Parameter(metavar="MARK")] = (),
     thousands: Annotated[str, Parameter(metavar="MARK")] = "", encoding: str = "", replace: bool = False,
     messages: tuple[File, ...] = (),
 ) -> int:  # fmt: skip
@@ -148,8 +148,6 @@ def import_source(
         text, add, _ = str(problem).partition("; add --columns")
         other = f"; another mapping? presets: {', '.join(sorted(PRESETS))}" if add else ""
         raise UnusableInput(f"{text}{other}") from None
-    for line in imported.notices:
-        notice(f"notice: {line}")
     tables = imported.tables
     if origin is not None:
         begin = origin_of(origin, tables)
@@ -163,7 +161,9 @@ def import_source(
         geometry = read_rig(rig)[0]
     elif rig is not None:
         anchors, lines = read_anchors(rig, form)
-        notice("\n".join(f"notice: {rig}: {line}" for line in lines))
+        imported.notices += [f"{rig}: {line}" for line in lines]
+    for line in imported.notices:
+        notice(f"notice: {line}")
     folder = assembled(title, geometry, tables, anchors or imported.anchors, preset.offsets, preset.bodies)
     if transform is not None or align_truth:
         folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform)

@@ -57,6 +57,8 @@ def seconds_of(file: TableFile, texts: pl.Series, column: str, order: str) -> pl
         if wrong.any():
             row, mark = first_row(wrong), "-" if "-" in str(texts[first_row(wrong)]) else "/"
             fix = f"name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd{mark}mm{mark}yyyy'"
+            if re.search("-[A-Za-z]{3}-", str(texts[row])):
+                fix = f"name it: 't_s={column} in dd-mmm-yyyy'"
             example = order.replace("yyyy", "2026").replace("mmm", "May").replace("mm", "05").replace("dd", "31")
             expected = f"expected a date such as {example} 14:00:00.25; no order is guessed: {fix}"
             if dates[row] is not None:

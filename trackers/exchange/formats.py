@@ -36,7 +36,8 @@ def _first_line(pattern: str) -> re.Pattern[str]:
 
 
 FORMATS: Mapping[str, Format] = {
-    "csv": Format("a table (.csv, .csv.gz, .tsv, .parquet)", "mapping", (".csv", ".csv.gz", ".tsv", ".parquet")),
+    "csv": Format("a table (.csv, .csv.gz, .tsv, .parquet; other text by --format csv)", "mapping",
+        (".csv", ".csv.gz", ".tsv", ".parquet")),
     "ros": Format(
         "a ROS bag (.bag, .db3, .mcap, or the folder of a ROS 2 bag)", "ros_reader", (".bag", ".mcap", ".db3"),
         folder="metadata.yaml",

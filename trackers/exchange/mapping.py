@@ -521,11 +521,9 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
     points = text
     if file.thousands:
         mark, point = re.escape(file.thousands), re.escape(file.decimal)
-        grouped = text.str.contains(rf"^[-+]?\d{{1,3}}(?:{mark}\d{{3}})+(?:{point}\d*)?$")
-        points = pl.select(
-            pl.when(grouped).then(text.str.replace_all(file.thousands, "", literal=True)).otherwise(text)
-        )
-        points = points.to_series()
+        groups = rf"^[-+]?\d{{1,3}}(?:{mark}\d{{3}})+(?:{point}\d*)?$"
+        plain = pl.when(text.str.contains(groups)).then(text.str.replace_all(file.thousands, "", literal=True))
+        points = pl.select(plain.otherwise(text)).to_series()
     if file.decimal == ",":
         # A point, as it groups thousands, is then no part of a number.
         points = points.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)

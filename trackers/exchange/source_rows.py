@@ -196,7 +196,7 @@ def _without(frame: pl.DataFrame, missing: Sequence[str], notices: list[str]) ->
     if not missing:
         return frame
     marked = frame.select(pl.col(pl.String).str.strip_chars().is_in(list(missing)).sum()).sum_horizontal().sum()
-    notices.append(f"{counted(marked, 'cell')} with {listed(missing)} read as missing")
+    notices.append(f"{counted(int(marked), 'cell')} with {listed(missing)} read as missing")
     texts = pl.col(pl.String)
     return frame.with_columns(
         pl.when(texts.str.strip_chars().is_in(list(missing))).then(pl.lit("")).otherwise(texts).name.keep()

@@ -236,6 +236,12 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
         quaternions = np.roll(numbers[:, 4:8], 1, axis=1) if kind == "tum" else numbers[:, 4:8]
         if kind == "euroc":
             stamps = stamps / 1e9
+    if 2 * (different := len(np.unique(stamps))) < len(stamps):
+        times = "one time" if different == 1 else f"{different} times"
+        raise UnusableInput(
+            f"{path}: {len(stamps)} poses, {times}: the stamps have lost their digits; expected a time for each pose; "
+            "write them with all digits"
+        )
     if (np.diff(stamps) < 0).any():
         at = restarted_at(stamps)
         if at is not None:

@@ -40,7 +40,9 @@ _PAGES_AT, _DICTIONARY_AT = 9, 11  # of a column in a group
 _PAGE_PACKED, _PAGES, _PAGE_VALUES = 3, (5, 7, 8), 1  # of the header of a page: its data or dictionary
 
 
-_DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}(?:[T ]|$)")
+_DATE = re.compile(r"\d{1,4}([-/.])(?:\d{1,2}|[A-Za-z]{3})\1\d{1,4}(?:[T ]|$)")
+_CLOCK = re.compile(r"\d{1,2}:\d\d(?::|$)")
+_GROUPED = re.compile(r"[-+]?\d{1,3}([,.' ])\d{3}(?:\1\d{3}|[.,]\d)\d*.*|[-+]?\d{1,3}[' ]\d{3}")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 
@@ -72,11 +74,17 @@ def first_row(rows: pl.Series) -> int:
 
 def remedy(text: str, column: str) -> str:
     """What to do about a text where a number is expected."""
-    if _DATE.match(text):
+    if _DATE.match(text) or _CLOCK.match(text):
         order = "iso'" if text[4:5] == "-" else "dd/mm/yyyy', or its own order instead of that"
-        return f"it looks like a date, which `trackwright import` reads by 't_s={column} in {order}"
+        what, order = ("time of day", "hh:mm:ss'") if _CLOCK.match(text) else ("date", order)
+        return f"it looks like a {what}, which `trackwright import` reads by 't_s={column} in {order}"
     if _DECIMAL_COMMA.fullmatch(text):
         return "it looks like a decimal comma, which `trackwright import --decimal ,` reads"
+    if _GROUPED.fullmatch(text):
+        mark = text.lstrip("+-0123456789")[0]
+        return f"thousands are grouped in it, which `trackwright import --thousands {mark!r}` reads"
+    if " " not in text and not any(map(str.isdigit, text)):
+        return f"leave a missing cell empty, or name its mark: `trackwright import --missing={text[:20]}`"
     return "leave a missing cell empty"
 
 
