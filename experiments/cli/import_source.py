@@ -114,9 +114,10 @@ def import_source(
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.core.data.seconds import moment
     from trackwright.trackers.core.wording import counted
+    from trackwright.trackers.exchange.expressions import columns_of
     from trackwright.trackers.exchange.formats import format_of, has_tables
     from trackwright.trackers.exchange.imported import assembled, origin_of, read_anchors, read_source, save, since
-    from trackwright.trackers.exchange.mapping import Asked, TableMapping, columns_of
+    from trackwright.trackers.exchange.mapping import Asked, TableMapping
     from trackwright.trackers.exchange.mapping_file import PRESETS, MappingFile, read_mapping
     from trackwright.trackers.exchange.source_rows import Reading
     from trackwright.trackers.recordings.folder import read_recording

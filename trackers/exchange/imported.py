@@ -19,17 +19,9 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.user_file import fault_of, from_file, split_name
+from trackwright.trackers.exchange.expressions import UNITS, columns_of
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
-from trackwright.trackers.exchange.mapping import (
-    ORIGIN,
-    UNITS,
-    Asked,
-    Source,
-    TableMapping,
-    checked,
-    columns_of,
-    numbers_of,
-)
+from trackwright.trackers.exchange.mapping import ORIGIN, Asked, Source, TableMapping, checked, numbers_of
 from trackwright.trackers.exchange.ros_reader import topics_in
 from trackwright.trackers.exchange.source_rows import Reading, read_rows
 from trackwright.trackers.recordings.atomic import beside

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from trackwright.trackers.core.errors import UnusableInput, listed, near
-from trackwright.trackers.exchange.mapping import TableMapping, checked, columns_of, put
+from trackwright.trackers.exchange.expressions import columns_of
+from trackwright.trackers.exchange.mapping import TableMapping, checked, put
 from trackwright.trackers.exchange.source_rows import Reading
 from trackwright.trackers.recordings.input_file import file_bytes, read_toml
 from trackwright.trackers.recordings.kinds import table_kinds

@@ -13,8 +13,9 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
+from trackwright.trackers.exchange.expressions import Expression
 from trackwright.trackers.exchange.formats import FORMATS
-from trackwright.trackers.exchange.mapping import Asked, Expression, Source, put
+from trackwright.trackers.exchange.mapping import Asked, Source, put
 from trackwright.trackers.exchange.trajectories import AXES
 from trackwright.trackers.recordings.input_file import file_bytes
 

@@ -16,6 +16,7 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
+from trackwright.trackers.exchange.expressions import UNITS
 from trackwright.trackers.recordings.input_file import file_bytes, unpacked
 from trackwright.trackers.recordings.table_file import TableFile, read_table_file
 
@@ -184,8 +185,6 @@ def _rows(
 
 
 def _are_units(row: Sequence[str]) -> bool:
-    from trackwright.trackers.exchange.mapping import UNITS
-
     known = {unit.lower() for units in UNITS.values() for unit in units} | {"-", "°", "sec", "dbm", "db", "unit", "1"}
     cells = [cell.strip().strip("[]()").lower() for cell in row]
     return any(cell.isalpha() for cell in cells) and {*cells} <= known | {""}

@@ -8,7 +8,8 @@ import pytest
 
 from tests.in_process import assert_refused_last, trackwright
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.exchange.mapping import TableMapping, columns_of, mapped_table
+from trackwright.trackers.exchange.expressions import columns_of
+from trackwright.trackers.exchange.mapping import TableMapping, mapped_table
 from trackwright.trackers.exchange.pose_errors import compare_trajectories
 from trackwright.trackers.exchange.source_rows import Reading, read_json, read_rows
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, read_trajectory
