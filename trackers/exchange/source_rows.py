@@ -64,7 +64,7 @@ class Reading:
             ) from None
 
 
-def text_of(path: Path, encoding: str = "") -> str:
+def text_of(path: Path, encoding: str = "", errors: str = "strict") -> str:
     """The text of a file, which may be packed; raises UnusableInput with the line of bytes that are no text."""
     try:
         data = file_bytes(path)
@@ -74,11 +74,11 @@ def text_of(path: Path, encoding: str = "") -> str:
         raise UnusableInput(f"{path}: cannot be read ({reason}); check the path and the file") from error
     name = encoding or next((name for mark, name in _BOMS.items() if data.startswith(mark)), "utf-8")
     try:
-        text = data.decode(name)
+        text = data.decode(name, errors)
     except UnicodeDecodeError as error:
         line, fix = data.count(b"\n", 0, error.start) + 1, "name another, as --encoding cp1252 for files of Windows"
         raise UnusableInput(f"{path}: line {line}: byte {data[error.start]:#x} is no {name}; {fix}") from None
-    if "\0" in text:
+    if "\0" in text and errors == "strict":
         raise UnusableInput(f"{path}: holds binary data, expected text; name its encoding, as --encoding utf-16-le")
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
 
@@ -98,7 +98,7 @@ def read_rows(path: Path, reading: Reading) -> tuple[TableFile, list[str]]:
     comments = [n for n in numbers if lines[n - 1].lstrip().startswith(COMMENTS) and str(n) != reading.header]
     numbers = sorted({*numbers} - {*comments})
     if not numbers:
-        raise UnusableInput(f"{path}: the file is empty, expected a line of names and rows below line {first}")
+        raise UnusableInput(f"{path}: has no rows, expected some below line {first}")
     head = lines[numbers[0] - 1]
     separator = reading.separator or (said[1] if said else _separator_of(head, reading.decimal))
     if reading.separator is None and separator != ",":
@@ -149,7 +149,7 @@ def _separator_of(head: str, decimal: str) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    line = line.strip(" ") if separator == " " else line
+    line = line.replace("\t", " ").strip(" ") if separator == " " else line
     return [
         cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=separator == " "), [])
     ]
@@ -160,7 +160,7 @@ def _rows(
 ) -> list[tuple[int, list[str]]]:
     """The cells of each line, with its number; a row of another length than the header is refused."""
     blanks = separator == " "
-    given = (lines[n - 1].strip(" ") if blanks else lines[n - 1] + "\n" for n in numbers)
+    given = (lines[n - 1].replace("\t", " ").strip(" ") if blanks else lines[n - 1] + "\n" for n in numbers)
     reader, rows, before = (
         csv.reader(given, delimiter=separator, skipinitialspace=blanks),
         list[tuple[int, list[str]]](),
