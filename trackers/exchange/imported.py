@@ -28,6 +28,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder, read_recordi
 from trackwright.trackers.recordings.kinds import KINDS, first_time
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackwright.trackers.recordings.table_file import TableFile
+from trackwright.trackers.recordings.tables import unwrapped_times
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
@@ -210,7 +211,8 @@ def _added(folder: RecordingFolder, out: Path) -> RecordingFolder:
 
 
 def _by_time(table: pl.DataFrame) -> pl.DataFrame:
-    return table.sort("t_s", maintain_order=True)
+    times, _ = unwrapped_times(table["t_s"].to_numpy())
+    return table.with_columns(t_s=times).sort("t_s", maintain_order=True)
 
 
 def _written(folder: RecordingFolder, path: Path) -> RecordingFolder:
