@@ -50,6 +50,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     results += check_ids(rig, measured)
     results += check_units(rig, tables)
     results += check_stamps(tables)
+    results += check_heights(rig, tables) if "truth" not in tables else ()
     results += check_fix_heights(rig, recording.rows("fixes")) if "fixes" in tables else ()
     results += check_truth(tables["truth"], measured) if measured and "truth" in tables else ()
     results += check_geometry(rig, tables)
@@ -85,6 +86,7 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
     results += check_clocks(measured)
     results += [result for result in check_units(rig, tables) if result.level != "info"]
     results += check_stamps(tables)
+    results += check_heights(rig, tables) if "truth" not in tables else ()
     results += check_overlap(tables["truth"], measured) if measured and "truth" in tables else ()
     if any(result.level == "error" for result in results):
         return results
@@ -99,7 +101,9 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
 
 
 def _heights(recording: RecordingFolder, results: Iterable[CheckResult]) -> list[CheckResult]:
-    """Heights that truth or ranges contradict, unless the truth is in another frame, of which heights are a part."""
+    """Heights that contradict the truth, unless that is in another frame, of which heights are a part."""
+    if "truth" not in recording.tables:
+        return []
     known = any(one.level == "error" and ("the truth" in one.message or "positions" in one.message) for one in results)
     return [] if known else list(check_heights(recording.rig, recording.tables))
 

@@ -119,7 +119,7 @@ def _impossible(kind: Kind, table: pl.DataFrame, values: Sequence[str]) -> Itera
         if n := table.select(broken.sum()).item():
             why = "; degrees, or not wrapped"
             if column.unit != "rad" or not_wrapped(table[name], column.bound):
-                why = "; from 0 to 2π: trackers wrap them" if column.unit == "rad" else ""
+                why = "; from 0 to 2π, not wrapped: trackers wrap them" if column.unit == "rad" else ""
             yield f"{kind.name}: {words}: {n}{why}"
     if {*QUATERNION} <= {*table.columns} and (n := table.select(((norm - 1).abs() > 0.01).sum()).item()):
         yield f"{kind.name}: quaternions more than 1 % from unit length: {n}"

@@ -24,8 +24,7 @@ LEAST_MOVE_M, LEAST_EXTENT_M, ALIKE = 0.5, 1.0, 1.2
 places do alike, and that nearer to rig.toml's is named."""
 
 LEAST_OFFSET_M, LEAST_SCALE, LEAST_TURN, LEAST_SHIFT_M, LEAST_YAW = 1.0, 0.05, np.radians(15.0), 0.4, np.radians(4.0)
-FARTHEST_M = 200.0
-"""Shift of the truth up to which phases are compared with it: far away on the boresight all are equal."""
+FARTHEST_M = 200.0  # shift up to which phases are compared with the truth: far on the boresight all are equal
 
 COARSE, STARTS, MOST_SWAPPED, CLEAR = 240, 5, 32, 1.5
 """Readings of the first search, starts that go on, anchors compared with each other's places, and the sum of log
@@ -191,9 +190,8 @@ def _resolving(view: Compared, factor: float | np.ndarray) -> np.ndarray:
 def _frame(view: Compared, what: str, placement: Sequence[float] = ()) -> str:
     """The cause of another frame, and the fix: where a shift, m, a turn, °, and seconds, if any, do, by import."""
     other = f"the {view.kind.name}" if view.kind.position else "rig.toml"
-    fix = "bring both into one frame"
-    if len(placement):
-        fix = "import it again with --align-truth, which fits the clock as well, or --transform "
+    again = "import it again with --align-truth, which fits the clock as well, or --transform "
+    fix = again if len(placement) else "bring both into one frame"
     return f"the truth {what} {other}; {fix}{transform_text(*placement)}"
 
 
@@ -496,7 +494,7 @@ def _assignment(costs: np.ndarray) -> np.ndarray:
 
 
 def _exchange(noun: str, ids: Sequence[str], order: np.ndarray) -> str:
-    moved = [k for k in range(len(ids)) if order[k] != k]
+    moved = np.flatnonzero(order != np.arange(len(ids))).tolist()
     if len(moved) == 2:
         return f"{noun}s {ids[moved[0]]} and {ids[moved[1]]} swapped"
     return f"{noun}s exchanged ({', '.join(f'{ids[k]} for {ids[order[k]]}' for k in moved)})"
