@@ -150,7 +150,7 @@ def test_rows_in_any_order_are_sorted_at_import_and_noticed_there_alone(there):
             assert trackwright("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", out).code == 0
             (there / out / "rig.toml").write_text(RIG)
         said = trackwright("import", log, *CSV, *(("--rig", "rig.toml") if out == "new" else ()), "--out", out)
-        assert said.err.count("ranges: rows earlier than the previous row: 1 of 5; sorted") == 1
+        assert said.err.count("ranges: rows earlier than the previous row: 1 of 5, by") == 1
         written = pl.read_parquet(f"{out}/ranges.parquet")["range_m"].to_list()
         assert written == pytest.approx([2.0, 2.002, 2.001, 2.003, 2.004], abs=1e-9)
         assert "sorted" not in trackwright("check", out).out
