@@ -42,7 +42,8 @@ def import_source(
     separator: str | None = None, decimal: Literal[".", ","] = ".",
     origin: Annotated[str, Parameter(metavar="start|S|DATE")] | None = None,
     transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
-    align_truth: bool = False, path: bool = False, interval: Seconds | None = None, skip_bad_lines: bool = False,
+    align_truth: Annotated[tuple[Literal["xy"], ...] | None, Parameter(consume_multiple=True)] = None,
+    path: bool = False, interval: Seconds | None = None, skip_bad_lines: bool = False,
     messages: tuple[File, ...] = (),
 ) -> int:  # fmt: skip
     """Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
@@ -70,7 +71,8 @@ def import_source(
             on its clock, or a date such as 2026-05-01T12:00:00.25, UTC without a zone; default: times stay.
         transform: brings a truth over to the frame of the rig and the clock of the readings: a turn about z by YAW, °,
             then a shift, m; S, seconds added to its times, may be left out.
-        align_truth: find these numbers by the readings of the recording in --out.
+        align_truth: find these numbers by the readings of the recording in --out; a shift in z that they do not
+            determine to 5 cm is left out where it may be zero, and in any case with xy after the option.
         path: fit a truth along [path] of the rig.toml of a recording, by least squares to its fixes, or to positions
             from its ranges: every tag travels once from the first to the last knot, at a constant speed on each
             segment, with rests at the knots; --out gets the recording with this truth.
@@ -80,7 +82,7 @@ def import_source(
     """
     if path:
         reading = (table, columns, mapping, topic, tag, rig, format, separator, origin, interval, messages)
-        if any((*reading, transform, align_truth, skip_bad_lines)) or decimal != ".":
+        if align_truth is not None or any((*reading, transform, skip_bad_lines)) or decimal != ".":
             raise UnusableInput("--path: fits a truth to a recording folder; expected no other option but --out")
         return _fit_truth(source, out)
     from trackwright.experiments.text.terminal import notice
@@ -133,8 +135,8 @@ def import_source(
     elif known is not None:
         geometry = read_rig(known)[0]
     folder = assembled(title, geometry, tables, anchors, preset.offsets, preset.bodies)
-    if transform is not None or align_truth:
-        folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform)
+    if transform is not None or align_truth is not None:
+        folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform, bool(align_truth))
     written = save(folder, out)
     for line in written.notices:
         notice(f"notice: {out}: {line}")
@@ -170,8 +172,13 @@ def _mappings(
     return []
 
 
-def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, transform: str | None) -> RecordingFolder:
-    """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it."""
+def _with_truth_moved(
+    folder: RecordingFolder, recording: RecordingFolder, transform: str | None, flat: bool
+) -> RecordingFolder:
+    """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it.
+
+    `flat`: without a shift in z.
+    """
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.exchange.truth_frame import found_placement, leaning, parsed_placement
 
@@ -186,7 +193,7 @@ def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, trans
         notice(f"notice: truth levelled, which leaned by {angle:.0f}° against the gravity that the IMU measures; then")
         truth = level.table(truth)
     tables["truth"] = truth.sort("t_s", maintain_order=True)
-    placement, words = found_placement(replace(recording, tables=tables))
+    placement, words = found_placement(replace(recording, tables=tables), flat)
     notice(f"notice: truth moved by --transform {placement}: {words}")
     return replace(folder, tables=dict(folder.tables) | {"truth": placement.of_table(truth)})
 

@@ -16,7 +16,7 @@ from trackwright.trackers.core.data.seconds import place_in_time, zero_of
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.columns import codes, stable_order
-from trackwright.trackers.recordings.kinds import QUATERNION, Kind, first_time, table_kinds
+from trackwright.trackers.recordings.kinds import QUATERNION, Kind, duplicates_line, first_time, table_kinds
 
 DT = pl.col("dt")
 JUMP_S = 1e7
@@ -83,7 +83,7 @@ def _duplicates(name: str, ordered: pl.DataFrame, values: Sequence[str]) -> Iter
     exact = repeated.height - repeated.n_unique(subset=["stream", "t_s", *values])
     times = repeated.height - repeated.n_unique(subset=["stream", "t_s"]) - exact
     if exact:
-        yield f"{name}: duplicate rows: {exact}; kept"
+        yield duplicates_line(name, exact)
     if times:
         few = "; the stamps have lost digits" if times > ordered.height / 2 else ""
         yield f"{name}: rows with the time of another row of the same sensor and tag: {times}; kept{few}"
