@@ -71,8 +71,8 @@ BENCH ?= programs commands studies
 bench: env
 	for name in $(BENCH); do $(BIN)/python -m trackwright.experiments.lab $$name || exit; done
 
-# Real recordings, levels without the judged site, recovery of parameters and NIS; delete a table to measure it anew.
-VALIDATION ?= real-recordings levels nis recovery
+# Real recordings, levels without the judged site, values fitted to other recordings and NIS; delete a table to measure it anew.
+VALIDATION ?= real-recordings levels nis generalisation
 validation: env
 	for name in $(VALIDATION); do $(BIN)/python -m trackwright.experiments.lab $$name || exit; done
 

@@ -44,7 +44,6 @@ from trackwright.trackers.core.model.rig import Rig, Station, Tag
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.state import Heading, Rotation
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.noise_levels import NoiseLevels
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.fusion.tracker import Drift, FusedMotion, FusedState
@@ -388,13 +387,10 @@ def _with_a_fix(recording: Recording) -> Recording:
 
 
 def _smoothed_cases(cases: Iterable[Case]) -> Iterator[Case]:
-    """Every tracker that can be smoothed, over the whole recording, and one with a fixed lag and at several levels."""
+    """Every tracker that can be smoothed, over the whole recording, and one with a fixed lag."""
 
     def smoothed(case: Case, lag: float | None = None) -> AbstractTracker:
         return Smoothed(case.tracker(), lag)
-
-    def at_levels(case: Case) -> AbstractTracker:
-        return NoiseLevels(case.tracker())
 
     for case in cases:
         if case.smoothable:
@@ -403,10 +399,6 @@ def _smoothed_cases(cases: Iterable[Case]) -> Iterator[Case]:
             yield replace(case, name=f"{case.name}, smoothed", build=whole, quick=False, **later)
             if case.name == "fix-kf":
                 yield replace(case, name=f"{case.name}, smoothed with a lag", build=lagged, quick=False, **later)
-                levels = partial(at_levels, case)
-                yield replace(
-                    case, name=f"{case.name}, at levels of motion", build=levels, quick=False, smoothable=False
-                )
 
 
 _FORWARD = (*_ready_cases(), *_made_cases())

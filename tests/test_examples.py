@@ -65,6 +65,7 @@ def test_the_study_tells_the_trackers_apart(example):
     assert np.all(np.diff(left["middle"]) > 0)
 
 
+@pytest.mark.slow
 def test_the_survey_holds_the_anchors_in_its_intervals(example):
     survey, anchors = (example("survey_anchors")[name] for name in ("survey", "ANCHORS"))
     missed = np.abs(survey.positions - anchors) > 1.5 * survey.half_widths[:, :3] + 1e-9

@@ -186,6 +186,7 @@ def marginal():
     return np.split(marginal_gradients(corridor_tracker(PARTICLES // 4), batch, CORRIDOR_TUNABLES).gradient[0], 3)
 
 
+@pytest.mark.slow
 def test_rows_of_padding_do_not_change_the_marginal_score():
     short, long = (_recording(np.arange(rows), 0) for rows in (3, 5))
     tracker = corridor_tracker(8)

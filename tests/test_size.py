@@ -11,16 +11,16 @@ from trackwright.experiments.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    "trackers": 30_450,
+    "trackers": 30_425,
     "sim": 2_670,
-    "tuning": 6_550,
-    "experiments": 16_250,
+    "tuning": 6_545,
+    "experiments": 16_130,
     "trackwright": 30,
-    "tests": 35_400,
+    "tests": 35_285,
 }
 """The most lines of Python of each folder at the top."""
 
-PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 56_000, 368, 48_500, 13
+PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 55_795, 368, 48_500, 13
 
 
 def _files(*suffixes: str) -> list[Path]:

@@ -72,8 +72,6 @@ from trackwright.trackers.core.model.tunable import Fraction as Fraction
 from trackwright.trackers.core.model.tunable import Real as Real
 from trackwright.trackers.core.model.tunable import Scale as Scale
 from trackwright.trackers.core.model.tunable import tunables as tunables
-from trackwright.trackers.core.run.noise_levels import Level as Level
-from trackwright.trackers.core.run.noise_levels import NoiseLevels as NoiseLevels
 from trackwright.trackers.core.run.smoother import Smoothed as Smoothed
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy as TrackLossPolicy
 from trackwright.trackers.core.run.tracker import AbstractTracker as AbstractTracker
@@ -131,8 +129,8 @@ from trackwright.tuning.objectives import StateLogLikelihood as StateLogLikeliho
 from trackwright.tuning.objectives import Weighted as Weighted
 from trackwright.tuning.optimisers import LBFGS as LBFGS
 from trackwright.tuning.optimisers import Adam as Adam
-from trackwright.tuning.priors import Prior as Prior
-from trackwright.tuning.survey.result import Survey as Survey
+from trackwright.tuning.own_levels import fitted as fitted
+from trackwright.tuning.survey.surveying import Survey as Survey
 from trackwright.tuning.survey.surveying import survey as survey
 from trackwright.tuning.sweeping import sweep as sweep
 from trackwright.tuning.tuned_file import read_tuned as read_tuned
@@ -184,7 +182,6 @@ __all__ = [
     "switching_tracker",
     "mirror_tracker",
     "mhk_tracker",
-    "Level",
     "MovingWindow",
     "range_tracker",
     "inertial_tracker",
@@ -199,7 +196,6 @@ __all__ = [
     "direct_tracker",
     "DelayAndSum",
     "Smoothed",
-    "NoiseLevels",
     # parts of a tracker: filters, starts, track loss
     "AbstractTracker",
     "Tracker",
@@ -264,11 +260,11 @@ __all__ = [
     "BrokenContract",
     # fits
     "fit",
+    "fitted",
     "FitOptions",
     "FitResult",
     "LBFGS",
     "Adam",
-    "Prior",
     "sweep",
     # objectives
     "AbstractObjective",

@@ -37,11 +37,9 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.trackers.recordings.range_quality import RangeQuality
 from trackwright.tuning.bearing_map import confirmed_map
-from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, end_factors, quality_columns
+from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, end_factors
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
-from trackwright.tuning.range_quality import confirmed, errors_about
 
 LEAST_SLOPE = 0.2
 """Least slope of a calibrated angle or range, so that each reading has one true value."""
@@ -54,14 +52,13 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     """The systematic errors of stations, anchors and tags of recordings with truth, with their covariances.
 
     Stations, anchors and tags of one id in several recordings are one. Each recording has the same weight. Those with
-    fewer than 20 rows with truth are left out. Where the noise of ranges follows a column of signal quality, that, too,
-    and of several recordings with bearings a map of what is left of these, where it is confirmed.
+    fewer than 20 rows with truth are left out. Of several recordings with bearings also a map of what is left of these,
+    where it is confirmed.
     Raises UnusableInput where none is left, and for a station or anchor that stands at several places.
     """
     folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
     calibration = systematic(folders)
-    by_place = _bearing_map(folders, calibration)
-    return replace(calibration, range_quality=_range_quality(folders, calibration), bearing_map=by_place)
+    return replace(calibration, bearing_map=_bearing_map(folders, calibration))
 
 
 def _bearing_map(folders: Sequence[RecordingFolder], calibration: Calibration) -> BearingMap | None:
@@ -77,28 +74,8 @@ def _bearing_map(folders: Sequence[RecordingFolder], calibration: Calibration) -
     return confirmed_map(pairs, calibration, without)
 
 
-def _range_quality(folders: Sequence[RecordingFolder], calibration: Calibration) -> RangeQuality | None:
-    """What each recording confirms when it is left out, or each half of the only one."""
-    ranged = [folder for folder in folders if {"ranges", "truth"} <= folder.tables.keys()]
-    columns = quality_columns(ranged, KINDS["ranges"])
-    if not calibration.anchors or not columns:
-        return None
-    # Recordings too short to be calibrated on confirm and contradict nothing.
-    ranged = [folder for folder in ranged if len(errors_about(calibration, [folder], columns).error)]
-    parts = ranged if len(ranged) > 1 else halves(ranged[0])
-    folds = []
-    for left_out in parts:
-        others = [part for part in parts if part is not left_out]
-        try:
-            without = systematic(others)
-        except UnusableInput:  # too short a half
-            return None
-        folds.append((errors_about(without, others, columns), errors_about(without, [left_out], columns)))
-    return confirmed(errors_about(calibration, ranged, columns), folds)
-
-
 def systematic(folders: Sequence[RecordingFolder]) -> Calibration:
-    """The calibration without what follows signal quality or the place; raises as `calibrate`."""
+    """The calibration without what follows the place; raises as `calibrate`."""
     check_at_rest(folders)
     stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
     places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}

@@ -34,7 +34,7 @@ class Pairs(NamedTuple):
     `true` and `measured` (N, 2) rad or (N, 1) m, NaN where not measured. `positions` (N, 3) m. `recording` (N,): the
     number of each row's recording. `piece`, `place` (N,): numbers of its piece of time and of its square. `tag` (N,):
     its id. `time` (N,) s. `other` (N,): the id of the anchor whose distance is subtracted, "" where none is. `heading`
-    (N,) rad: of the body, NaN where it is not known. `quality` (N, q): of the signal, by the columns asked for.
+    (N,) rad: of the body, NaN where it is not known.
     """
 
     true: np.ndarray
@@ -47,26 +47,17 @@ class Pairs(NamedTuple):
     time: np.ndarray
     other: np.ndarray
     heading: np.ndarray
-    quality: np.ndarray
 
 
-def quality_columns(folders: Sequence[RecordingFolder], kind: Kind) -> list[str]:
-    """The columns of signal quality that all recordings with a table of the kind have."""
-    columns = [
-        kind.layout(folder.tables[kind.name].columns).quality for folder in folders if kind.name in folder.tables
-    ]
-    return [name for name in columns[0] if all(name in other for other in columns)] if columns else []
-
-
-def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind, quality: Sequence[str] = ()) -> dict[str, Pairs]:
-    """Measured and true values of a kind by station or anchor, of those with enough rows; `quality`: columns of it.
+def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind) -> dict[str, Pairs]:
+    """Measured and true values of a kind by station or anchor, of those with enough rows.
 
     A difference is one of each of its anchors: of the second with the opposite sign.
     """
     parts: dict[str, list[Pairs]] = {}
     for number, folder in enumerate(folders):
         if kind.name in folder.tables:
-            for name, pairs in _of_folder(folder, number, kind, quality):
+            for name, pairs in _of_folder(folder, number, kind):
                 parts.setdefault(name, []).append(pairs)
     joined = {
         name: Pairs(*map(np.concatenate, zip(*by_folder, strict=True))) for name, by_folder in sorted(parts.items())
@@ -74,7 +65,7 @@ def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind, quality: S
     return {name: pairs for name, pairs in joined.items() if np.isfinite(pairs.measured).sum(axis=0).max() >= MIN_ROWS}
 
 
-def _of_folder(folder: RecordingFolder, number: int, kind: Kind, quality: Sequence[str]) -> Iterator[tuple[str, Pairs]]:
+def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tuple[str, Pairs]]:
     """The pairs of each station or anchor of one recording."""
     rows = folder.rows(kind.name)
     raw = kind.measured(folder.rig, rows)
@@ -96,7 +87,6 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind, quality: Sequen
     if not kind.difference:
         sensors = np.column_stack([sensors[:, 0], np.full(len(sensors), len(measured.ids))])
     known &= sensors[:, 0] != sensors[:, 1]
-    qualities = rows.floats(quality)
     for code, name in enumerate(measured.ids):
         for sign, (first, second) in ((1.0, (0, 1)), (-1.0, (1, 0)))[: 1 + kind.difference]:
             mask = known & (sensors[:, first] == code)
@@ -113,7 +103,6 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind, quality: Sequen
                     rows.times[mask],
                     names[sensors[mask, second]],
                     headings[mask],
-                    qualities[mask],
                 ),
             )
 

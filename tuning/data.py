@@ -33,6 +33,9 @@ from trackwright.tuning.objectives import (
 )
 from trackwright.tuning.problem import Problem, is_stochastic
 
+FLAT_M = 1.0
+"""Most difference in height, m, of anchors in whose plane heights may be mirrored."""
+
 SEGMENT_ROWS = 8000
 """Rows of the segments that long recordings are cut into, which are fitted side by side."""
 
@@ -109,10 +112,13 @@ def fit_data(
 def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | Loss | None) -> int:
     """3 where the height is estimated, every truth has heights and `state-nll` is judged, or chosen by default; else 2.
 
-    An RMSE in space would be that of a badly determined height.
+    An RMSE in space would be that of a badly determined height, and near the plane of level anchors one is mirrored.
     """
     weighted = objective is None or (isinstance(objective, str) and "state-nll" in objective)
     if not weighted or batch.planar or _quantity(batch) != "position":
+        return 2
+    rigs = {trajectory.folder.name: trajectory.folder.rig for trajectory in batch.trajectories}
+    if any(rig.anchors and np.ptp([place[2] for place in rig.anchors.values()]) <= FLAT_M for rig in rigs.values()):
         return 2
     first = stack([batch.trajectories[0].recording]).rows(slice(0, 2)).columns(0, 1)
     mean = jax.eval_shape(lambda: batch.tracker.scan(first)[0]).mean
@@ -264,11 +270,6 @@ def fit_arrays(
         if tracker.smoothed:
             raise UnusableInput(
                 "a smoother has the filter's numbers: fit the filter, then use result.tracker.smoothing()"
-            )
-        if tracker.motion_levels or tracker.error_levels:
-            what = "with_motion_levels()" if tracker.motion_levels else "with_error_levels()"
-            raise UnusableInput(
-                f"{what} varies the numbers of a fit: fit the tracker without it, then use result.tracker.{what}"
             )
         training = folder_list(recordings)
         apart = folder_list(held_out) if held_out != () else []

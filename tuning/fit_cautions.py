@@ -16,7 +16,6 @@ from jaxtyping import Float, Num
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.recordings.reading_grids import REPEATED, ReadingGrid
 from trackwright.tuning.parameters import Parameter, grid_of, split
 from trackwright.tuning.parts import BESIDE, Computation, Point, plain_rows
@@ -67,17 +66,7 @@ def collapsed(
         elif np.min(last - first) < math.log(COLLAPSED) and not _determined(uncertainty, parameter):
             yield (
                 f"{parameter.label} collapsed to {low:.3g} {unit}, less than a thousandth of its starting "
-                "value: give bounds or a prior"
-            )
-
-
-def heavy_tails(parameters: Sequence[Parameter], end: Float[np.ndarray, " p"]) -> Iterator[str]:
-    """Clauses on degrees of freedom, by their name, that end below 1, with which Student's t has no mean."""
-    for parameter, vector in split(parameters, end):
-        if isinstance(parameter.example, Scale) and parameter.label.endswith("dof") and np.min(vector) < 0.0:
-            yield (
-                f"{parameter.label} ended at {math.exp(np.min(vector)):.2g}, below 1, where Student's t has no mean: "
-                "keep it, or give bounds"
+                "value: give bounds"
             )
 
 
@@ -101,15 +90,12 @@ def repetitions(grids: Sequence[ReadingGrid]) -> Iterator[str]:
 
 
 def correlation(problem: Problem, vector: Float[np.ndarray, " p"]) -> list[str]:
-    """A clause where innovations are correlated: the effective number of rows, and by how much intervals fall short."""
+    """A clause where errors are correlated: the effective number of rows."""
     rows, inflation = rows_and_inflation(problem, vector)
     if inflation < INFLATION:
         return []
-    return [
-        f"innovations are correlated over time: {rows} rows carry the information of about {rows / inflation:.0f} "
-        f"independent ones, so that intervals by the curvature of the likelihood are about {math.sqrt(inflation):.2g} "
-        "times too narrow; give the objective state-nll where there is truth"
-    ]
+    what = "errors" if problem.objective.needs_truth else "innovations"
+    return [f"{what} are correlated over time: {rows} rows carry the information of about {rows / inflation:.0f}"]
 
 
 WINDOWS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
@@ -129,7 +115,7 @@ MIN_ROWS = 4
 
 
 class WindowSums(NamedTuple):
-    """Of the ratios x = NIS/dof of rows: their number, Σ x and Σ x²; and sums over the windows of each of W lengths.
+    """Of the ratios x of square and dof of rows: number, Σ x and Σ x²; and sums over the windows of each of W lengths.
 
     `windows` (4, W): their number, Σ S², Σ S n and Σ n², where S is the sum of the n ratios in a window.
     """
@@ -152,14 +138,14 @@ class WindowSums(NamedTuple):
 
 
 def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tuple[int, float]:
-    """The rows with innovations at the vector (p,), and how many of them carry the information of one.
+    """The rows that count at the vector (p,), and how many of them carry the information of one.
 
-    1 for white innovations. Windows are lengthened until the inflation is flat, or the recordings are too short for
+    1 for white errors. Windows are lengthened until the inflation is flat, or the recordings are too short for
     longer ones; it is extrapolated in the inverse of the length, which removes most of what correlation beyond a window
     adds.
     """
     # Of few trajectories by the program that the starts were compared with.
-    function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_nis_of_rows, _sums)
+    function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_squares_of_rows, _sums)
     computation = Computation(function, [np.atleast_2d(vector)], reduced)
     by_chunk = [chunk_sums for (chunk_sums,) in problem.parts.compute(computation)]
     sums = WindowSums(*(np.sum(np.stack(parts), axis=0) for parts in zip(*by_chunk, strict=True)))
@@ -194,24 +180,19 @@ def window_sums(
 
 def _sums_of_rows(results: Any, chunk: Batch) -> WindowSums:
     """As `_sums`, from `plain_rows`."""
-    nis, dof = (results[0][0, BESIDE.index(name) - len(BESIDE)] for name in ("nis", "nis_dof"))
-    return _sums((nis, dof), chunk)
+    return _sums(results[0][0, -BESIDE:], chunk)
 
 
 def _sums(results: Any, chunk: Batch) -> WindowSums:
-    """The sums of the rows of a chunk that have a NIS."""
-    nis, dof = (np.asarray(x) for x in results)
-    known = np.isfinite(nis) & (dof > 0) & np.asarray(chunk.valid)
+    """The sums of the rows of a chunk that have an error."""
+    squares, dof = (np.asarray(x) for x in results)
+    known = np.isfinite(squares) & (dof > 0) & np.asarray(chunk.valid)
     track, row = np.nonzero(known.T)
     times = np.cumsum(np.asarray(chunk.dt, float), axis=0)[row, track]
-    return window_sums(times, nis[row, track].astype(float) / dof[row, track], track)
+    return window_sums(times, squares[row, track].astype(float) / dof[row, track], track)
 
 
-def _nis_of_rows(point: Point, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
-    """NIS and degrees of freedom of every row (T, B) at the point's first vector."""
-
-    def score(output: Output, truth: object) -> tuple[np.ndarray, np.ndarray]:
-        return output.nis, output.nis_dof
-
-    nis, dof = point.tracker_at(point.vectors[0]).accumulate(batch, score, every_row=True)
-    return nis, dof
+def _squares_of_rows(point: Point, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+    """Square and degrees of freedom of every row's error (T, B) at the point's first vector."""
+    squares = point.objective.squares
+    return point.tracker_at(point.vectors[0]).accumulate(batch, squares, every_row=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,11 +17,11 @@ from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.reading_grids import ReadingGrid, of_raw_readings, reading_grids
+from trackwright.trackers.recordings.reading_grids import ReadingGrid, reading_grids
 from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
-from trackwright.tuning.fit_cautions import collapsed, correlation, heavy_tails, repetitions, standstill
+from trackwright.tuning.fit_cautions import collapsed, correlation, repetitions, standstill
 from trackwright.tuning.identifiability import identifiability_issues, kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
 from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still, with_effect
@@ -36,9 +37,10 @@ from trackwright.tuning.parameters import (
     with_parameters,
 )
 from trackwright.tuning.parts import Keep, LocalParts
-from trackwright.tuning.priors import Prior
+from trackwright.tuning.priors import Kind, Prior
 from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import Uncertainty, evaluations, optimum, uncertainty_at, unidentifiable
+from trackwright.tuning.weight import discount, tempered_anew, weighed_anew
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
@@ -120,11 +122,12 @@ class FitResult(Generic[AnyTracker]):
         """Caveats on the result (`tuning.fit_cautions`). For a likelihood this runs the filter once more."""
         cautions = standstill(self.start_vector, self.vector, self.selected)
         cautions += collapsed(self.parameters, self.start_vector, self.vector, self.readings, self.uncertainty)
-        cautions += heavy_tails(self.parameters, self.vector)
         if self.uncertainty is not None and np.isnan(self.uncertainty.optimum.nats_per_unit):
             cautions += [] if self.converged or self.selected else ["the fit took all its steps before it came to rest"]
+        if not self.problem.objective.needs_truth:
+            cautions += repetitions(self.readings)
         if self.problem.objective.is_likelihood:
-            cautions += [*repetitions(self.readings), *correlation(self.problem, self.vector)]
+            cautions += correlation(self.problem, self.vector)
         return cautions
 
     @property
@@ -143,9 +146,10 @@ class FitOptions:
     for `LBFGS` for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters. `steps`:
     the most of each start. `starts`: the tracker's own values, then the best of the `guesses` and of a coarse grid.
     `held_out`: recordings that select the best point and end the fit, as `fit` takes them. `dimensions`: 3 to judge an
-    estimated height too; None for 3 with `state-nll`, where truth and estimates have heights, and 2 else. `weigh`:
-    whether each recording (in arrays: trajectory) or each row has the same weight. `priors`: for likelihoods only.
-    `chunk`: trajectories in one compiled call.
+    estimated height too; None for 3 with `state-nll`, where truth and estimates have heights and anchors are not level,
+    and 2 else. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `prior`: of a
+    likelihood, `nll` or `state-nll`: that of the spread between sites, or flat. `chunk`: trajectories in one compiled
+    call.
     """
 
     frozen: Sequence[str] = ()
@@ -156,7 +160,7 @@ class FitOptions:
     held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = ()
     dimensions: int | None = None
     weigh: Weigh = "recordings"
-    priors: Sequence[Prior] = ()
+    prior: Kind = "sites"
     guesses: Sequence[AbstractTracker] = ()
     chunk: int = CHUNK
 
@@ -192,30 +196,35 @@ def fit(
     `tracker`, `recordings`: a tracker by name with recording folders, or a tracker with recordings in arrays: one,
     several, or batches. `objective`: an object, its name as on the command line (`nll`, `rmse`, `state-nll`, ...), or a
     function of a row's state and truth, whose mean is minimised (`tuning.objectives.MeanLoss`); default `state-nll`
-    where there is truth and no prior, else `nll`. `tune`: shell patterns; by default the noise levels of motion and
-    sensors, and with truth the latency of fixes. `options`: how it is done; `on`: where.
+    where there is truth, else `nll`. `tune`: shell patterns; by default `parameters.tuned_by_default`. `options`: how
+    it is done; `on`: where.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
-    steps. The noise levels of a sensor whose readings have a step are not fitted below that of its rounding, step/√12,
-    unless `bounds` name them. A fit that does not move from its only start has others. The result is the best point
-    met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against it.
-    Raises ValueError for patterns that match nothing or can't be tied, for empty bounds and for priors without a
-    likelihood; FloatingPointError where the objective is not finite at the first start.
+    steps. The noise levels of a sensor whose readings in arrays have a step are not fitted below that of its rounding,
+    step/√12, unless `bounds` name them. A fit that does not move from its only start has others. The result is the best
+    point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against
+    it.
+    Raises ValueError for patterns that match nothing or can't be tied and for empty bounds; FloatingPointError where
+    the objective is not finite at the first start.
     """
-    frozen, bounds, priors, chunk = options.frozen, options.bounds, options.priors, options.chunk
-    objective = "nll" if objective is None and priors else objective
+    frozen, bounds, chunk = options.frozen, options.bounds, options.chunk
     data = fit_arrays(tracker, recordings, objective, options.held_out, options.dimensions, options.weigh)
     model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
     tune = tuned_by_default(model, objective.needs_truth) if tune is None else tune
     parameters = select_parameters(model, tune, frozen)
     model = known(model, [name for parameter in parameters for name in parameter.names])
-    if priors and not objective.is_likelihood:
-        raise ValueError("priors need the likelihood nll as objective; give bounds with another one")
-    problem = Problem(model, batches, objective, parameters, chunk, priors, data.weights, on.keep)
+    problem = Problem(model, batches, objective, parameters, chunk, data.weights, on.keep)
+    names = data.recordings_of(problem)
+    if objective.is_likelihood and not problem.stochastic:
+        problem.discount = discount(problem, flatten(parameters), len({*names, ""}) - 1)
+        problem.prior = Prior.of(parameters, options.prior)
     scoring = None
     if apart:
-        scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights, on.keep)
-    readings = of_raw_readings(reading_grids(model, Pieces(batches)), data.folders)
+        scoring = Problem(model, apart, objective, parameters, chunk, data.held_out_weights, on.keep)
+    readings = reading_grids(model, Pieces(batches))
+    if data.folders:
+        # Readings of folders have the variance of their rounding.
+        readings = [dataclasses.replace(grid, step=math.nan) for grid in readings]
     low, high = limits(parameters, bounds)
     low = np.maximum(low, floors(readings, parameters, bounds))
     if (hidden := _hidden(parameters, objective)).any():
@@ -247,8 +256,10 @@ def fit(
     except KeyboardInterrupt:
         interrupted = True
     on.stage("the best values so far" if interrupted else "intervals")
+    if not interrupted and scoring is None and problem.prior.precision.any():
+        state = weighed_anew(driver, tempered_anew(driver, state), names)
     result = _result(model, driver, state, interrupted)
-    result = dataclasses.replace(result, readings=readings, recordings=data.recordings_of(problem))
+    result = dataclasses.replace(result, readings=readings, recordings=names)
     if isinstance(tracker, NamedTracker):
         values = {name: result.values[p.label] for p in parameters for name in p.names}
         result = dataclasses.replace(result, tracker=tracker.with_values(values, "the fit"))
@@ -275,7 +286,9 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         bound, hidden = driver.at_bound(vector, best.gradient), driver.low == driver.high
         uncertainty = uncertainty_at(problem, best, bound, hidden)
         kept = None
-        if driver.held_out is None:  # a point that others select is no optimum, and its curvature shows nothing
+        if (
+            driver.held_out is None and not best.prior.any()
+        ):  # a point that others select is no optimum, and its curvature shows nothing
             kept = kept_at_start(problem, uncertainty, start, float(state.past_values[0, 0]) - best.value)
         if kept is not None and kept.at_start.any():
             best = optimum(problem, kept.vector)
@@ -313,7 +326,7 @@ def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[Float[
     if np.array_equal(start, first):
         return vector, 0
     evaluation = problem.evaluate(vector)
-    no_effect = unidentifiable(evaluation.term_gradients) & (evaluation.gradients[0] == 0) & (start != first)
+    no_effect = unidentifiable(evaluation.term_gradients) & (start != first)
     if not no_effect.any():
         return vector, 1
     restored = np.where(no_effect, start, vector)

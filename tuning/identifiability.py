@@ -102,12 +102,15 @@ def _groups(
     uncertainty: Uncertainty, free: Int[np.ndarray, " free"]
 ) -> dict[tuple[int, ...], list[tuple[Float[np.ndarray, " _"], float]]]:
     """The poorly determined directions by the numbers that take part, each with its standard deviation."""
-    missing, _, _ = determined(uncertainty.optimum.hessian[np.ix_(free, free)])
     cov = uncertainty.observed if np.all(np.isfinite(uncertainty.observed)) else uncertainty.sandwich
+    cov, point = cov[np.ix_(free, free)], uncertainty.optimum
+    missing, inverse, _ = determined(point.hessian[np.ix_(free, free)] - np.diag(point.prior[free]))
+    if point.prior.any():
+        cov = inverse / point.nats_per_unit  # what the recordings tell without the prior
     loose = np.zeros((len(free), 0))
     sigmas: list[float] = []
     if np.all(np.isfinite(cov)):
-        variances, directions = np.linalg.eigh(cov[np.ix_(free, free)])
+        variances, directions = np.linalg.eigh(cov)
         wide = variances > LARGE_SIGMA**2
         loose, sigmas = directions[:, wide][:, ::-1], np.sqrt(variances[wide])[::-1].tolist()
     groups: dict[tuple[int, ...], list[tuple[np.ndarray, float]]] = {}

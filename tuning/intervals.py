@@ -1,189 +1,31 @@
-"""95 % intervals of tuned numbers: by curvature and scatter, by profile likelihood, or by bootstrap.
-
-And the values that are fitted to all recordings but one, or to all of one but a block of time (cross-validation).
-"""
+"""95 % intervals of tuned numbers, and the values fitted without a recording, or without a block of time of one."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from scipy.special import chdtri
 
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fitting import FitResult
-from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import Parameter, by_label, physical, physical_vector
+from trackwright.tuning.parameters import by_label
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import MIN_TRAJECTORIES as SCATTERED
-from trackwright.tuning.uncertainty import Optimum, Uncertainty, determined, refit
-
-HALF_WIDTH = 3.5
-"""Half width of a profile in standard deviations, where the likelihood of a normal shape has fallen by 6 nats."""
-
-MAX_HALF_WIDTH = float(np.log(1e3))
-"""Largest half width in unconstrained coordinates, and that of an undetermined number."""
-
-MIN_TRAJECTORIES = 5
-"""Fewest trajectories for the bootstrap."""
-
-ROUNDS = 4
-"""Steps of the other numbers at every point of a profile, starting from the quadratic model's optimum."""
-
-
-@dataclass(frozen=True)
-class Profile:
-    """The objective minimised over all other numbers, at G values of one number.
-
-    `raw`, `values` (G,): unconstrained and physical values. `rise` (G,): above the optimum, nats. `low`, `high`: the
-    physical interval of the given level, where the rise is below half the chi-square quantile of one degree of freedom
-    (Wilks 1938), stretched where trajectories have weights; infinite (or the end of the possible range) where the
-    profile doesn't rise so far.
-    """
-
-    raw: Float[np.ndarray, " G"]
-    values: Float[np.ndarray, " G"]
-    rise: Float[np.ndarray, " G"]
-    low: float
-    high: float
-
-
-def profile(
-    problem: Problem,
-    optimum: Optimum,
-    component: int,
-    level: float = 0.95,
-    points: int = 15,
-    at_bound: Bool[np.ndarray, " p"] | None = None,
-) -> Profile:
-    """The profile likelihood of the unconstrained number `component`, all points at once.
-
-    `at_bound` (p,): other numbers that keep their values. Raises ValueError for an objective that is no likelihood.
-    """
-    if not np.isfinite(optimum.nats_per_unit):
-        raise ValueError("a profile is of a likelihood; use the bootstrap for another objective")
-    p = len(optimum.vector)
-    others = np.arange(p) != component
-    if at_bound is not None:
-        others &= ~at_bound
-    along = optimum.hessian[component]
-    _, inner, _ = determined(optimum.hessian, others)
-    curvature = optimum.nats_per_unit * (optimum.hessian[component, component] - along @ inner @ along)
-    stretch = _stretch(optimum, others, component)
-    half_width = min(HALF_WIDTH * np.sqrt(stretch / curvature), MAX_HALF_WIDTH) if curvature > 0 else MAX_HALF_WIDTH
-    # An odd number of points has the optimum itself among them.
-    offsets = np.linspace(-half_width, half_width, points + 1 - points % 2)
-    vectors = np.tile(optimum.vector, (len(offsets), 1))
-    vectors[:, component] += offsets
-    vectors -= offsets[:, None] * (inner @ along)
-    refitted = refit(problem, vectors, optimum.hessian, others, optimum.used.astype(float), ROUNDS)
-    rise = optimum.nats_per_unit * (refitted.values - min(optimum.value, np.nanmin(refitted.values)))
-    ends = _crossings(offsets, rise, 0.5 * stretch * float(chdtri(1, 1 - level)))
-    edge = [_physical(problem.parameters, optimum.vector, component, x) for x in ends]
-    raw = optimum.vector[component] + offsets
-    values = np.array([_physical(problem.parameters, optimum.vector, component, x) for x in offsets])
-    return Profile(raw, values, rise, *edge)
-
-
-def _stretch(optimum: Optimum, others: Bool[np.ndarray, " p"], component: int) -> float:
-    """The factor of the chi-square quantile where trajectories have weights (Rotnitzky & Jewell 1990); 1 without."""
-    free = others.copy()
-    free[component] = True
-    _, inverse, _ = determined(optimum.hessian, free)
-    unweighted, weighted = inverse[component, component], optimum.weighted(inverse)[component, component]
-    return float(weighted / unweighted) if optimum.squared is not None and unweighted > 0 and weighted > 0 else 1.0
-
-
-def bootstrap(
-    problem: Problem,
-    optimum: Optimum,
-    replicates: int = 100,
-    rounds: int = 3,
-    seed: int = 0,
-    at_bound: Bool[np.ndarray, " p"] | None = None,
-) -> Float[np.ndarray, "{replicates} p"]:
-    """Vectors (replicates, p) fitted to trajectories resampled with replacement (Efron 1979), for any objective.
-
-    All by a few steps from the optimum, with the numbers `at_bound` (p,) fixed. Raises ValueError for fewer than five
-    trajectories.
-    """
-    count = int(optimum.used.sum())
-    if count < MIN_TRAJECTORIES:
-        raise ValueError(f"{count} trajectories are too few to resample; cut recordings into segments, or add some")
-    rng = np.random.default_rng(seed)
-    weights = np.zeros((replicates, len(optimum.used)))
-    weights[:, optimum.used] = rng.multinomial(count, np.full(count, 1.0 / count), size=replicates)
-    start = np.tile(optimum.vector, (replicates, 1))
-    free = None if at_bound is None else ~at_bound
-    return refit(problem, start, optimum.hessian, free, weights, rounds).vectors
-
-
-def percentile_intervals(
-    parameters: list[Parameter], vectors: Float[np.ndarray, "S p"]
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Lowest and highest physical value of the central 95 % of replicates (S, p), by label."""
-    physical_values = [physical(parameters, v) for v in vectors]
-    intervals = {}
-    for k, p in enumerate(parameters):
-        low, high = np.percentile(np.stack([np.asarray(v[k], float) for v in physical_values]), (2.5, 97.5), axis=0)
-        intervals[p.label] = (low, high)
-    return intervals
-
-
-def _crossings(offsets: Float[np.ndarray, " G"], rise: Float[np.ndarray, " G"], height: float) -> tuple[float, float]:
-    """The offsets at which a profile first rises to `height` on either side of its minimum; infinite without any.
-
-    Interpolated linearly in the root of the rise, which is exact for a quadratic.
-    """
-    root = np.sqrt(np.maximum(np.where(np.isfinite(rise), rise, np.inf), 0.0))
-    least, wanted = int(np.argmin(root)), np.sqrt(height)
-
-    def side(order: Int[np.ndarray, " side"], sign: float) -> float:
-        for a, b in pairwise(order):
-            if root[b] >= wanted:
-                if not np.isfinite(root[b]):
-                    return float(offsets[b])
-                return float(offsets[a] + (wanted - root[a]) / (root[b] - root[a]) * (offsets[b] - offsets[a]))
-        return sign * np.inf
-
-    indices = np.arange(len(offsets))
-    return side(indices[: least + 1][::-1], -1.0), side(indices[least:], 1.0)
-
-
-def _physical(parameters: list[Parameter], vector: Float[np.ndarray, " p"], component: int, offset: float) -> float:
-    """The physical value of one number at an `offset` from a vector in unconstrained coordinates."""
-    moved = np.array(vector, float)
-    moved[component] += offset
-    return float(physical_vector(parameters, moved)[component])
-
+from trackwright.tuning.uncertainty import MIN_TRAJECTORIES, Uncertainty, refit
 
 Interval = tuple[np.ndarray, np.ndarray]
 """Lowest and highest value."""
 
 
-def intervals_of(result: FitResult, kind: str = "curvature") -> dict[str, Interval]:
-    """The intervals by label; empty for a fit that was interrupted or is not at its optimum.
+def intervals_of(result: FitResult) -> dict[str, Interval]:
+    """The intervals by label: the wider of the posterior's and of the scatter of trajectories.
 
-    `curvature`: the wider of a likelihood's curvature and the scatter of trajectories or blocks of rows. `profile`:
-    where the profile likelihood has fallen by 1.92 nats. `bootstrap`: percentiles of fits to resampled trajectories.
-    NaN for numbers at a bound. Raises UnusableInput where the kind does not apply.
+    Empty for a fit that was interrupted or is not at its optimum; NaN for numbers at a bound.
     """
     uncertainty = result.uncertainty
-    if uncertainty is None or not uncertainty.at_optimum:
-        return {}
-    try:
-        if kind == "bootstrap":
-            return _bootstrap_intervals(result, uncertainty)
-        if kind == "profile":
-            return _profile_intervals(result, uncertainty)
-    except ValueError as error:
-        raise UnusableInput(f"intervals by {kind}: {error}") from error
-    return dict(uncertainty.intervals())
+    return {} if uncertainty is None or not uncertainty.at_optimum else dict(uncertainty.intervals())
 
 
 def without_intervals(uncertainty: Uncertainty | None, intervals: Mapping[str, Interval]) -> list[str]:
@@ -195,48 +37,10 @@ def without_intervals(uncertainty: Uncertainty | None, intervals: Mapping[str, I
         return ["no 95 % intervals: the objective has no finite curvature at these values; tune fewer numbers"]
     if np.isnan(uncertainty.observed).any() and np.isnan(uncertainty.sandwich).any():
         return [
-            "no 95 % intervals: for an objective that is not a likelihood they come from the scatter over trajectories "
-            f"and take {SCATTERED}; found {uncertainty.clusters}; give --intervals bootstrap ({MIN_TRAJECTORIES} or "
-            "more), shorter --piece-rows, or --objective nll"
+            "no 95 % intervals: of an objective that is not a likelihood they come from the scatter over trajectories "
+            f"and take {MIN_TRAJECTORIES}; found {uncertainty.clusters}; give shorter --piece-rows or --objective nll"
         ]
     return []
-
-
-def require_possible(kind: str, objective: AbstractObjective, trajectories: int) -> None:
-    """Raise UnusableInput, before any work, for a kind of interval that does not apply to so many trajectories."""
-    if kind == "profile" and not objective.is_likelihood:
-        raise UnusableInput(
-            "intervals by profile: a profile is of a likelihood; use the objective nll, or the bootstrap"
-        )
-    if kind == "bootstrap" and trajectories < MIN_TRAJECTORIES:
-        raise UnusableInput(
-            f"intervals by bootstrap: found {trajectories} segments of recordings, expected {MIN_TRAJECTORIES} or more "
-            "to draw from; cut the recordings into shorter segments, or give more of them"
-        )
-
-
-def _bootstrap_intervals(result: FitResult, uncertainty: Uncertainty) -> dict[str, Interval]:
-    at_bound = uncertainty.at_bound
-    vectors = bootstrap(result.problem, uncertainty.optimum, at_bound=at_bound)
-    return percentile_intervals(result.parameters, np.where(at_bound, np.nan, vectors))
-
-
-def _profile_intervals(result: FitResult, uncertainty: Uncertainty) -> dict[str, Interval]:
-    """Profile intervals of single numbers; a matrix keeps those by curvature, since its entries are no parameters."""
-    intervals, start = dict(uncertainty.intervals()), 0
-    for parameter in result.parameters:
-        if len(parameter.shape) < 2:
-            ends = np.array([_ends(result, uncertainty, start + k) for k in range(parameter.size)])
-            intervals[parameter.label] = ends[:, 0].reshape(parameter.shape), ends[:, 1].reshape(parameter.shape)
-        start += parameter.size
-    return intervals
-
-
-def _ends(result: FitResult, uncertainty: Uncertainty, component: int) -> tuple[float, float]:
-    if uncertainty.at_bound[component]:
-        return np.nan, np.nan
-    curve = profile(result.problem, uncertainty.optimum, component, at_bound=uncertainty.at_bound)
-    return curve.low, curve.high
 
 
 MOST_FOLDS = 10
@@ -305,7 +109,7 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float
     for start, stop in pairwise(edges.tolist()):
         part = replace(data, training=[hidden(trajectory) for trajectory in data.training])
         problem = Problem(fitted.tracker, part.batches(), fitted.objective, fitted.parameters, weights=part.weights())
-        problem.moving = fitted.moving
+        problem.moving, problem.prior, problem.discount = fitted.moving, fitted.prior, fitted.discount
         refitted = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
         vector = np.clip(refitted.vectors[0], *result.limits)
         blocks.append((start, stop, by_label(result.parameters, vector)))

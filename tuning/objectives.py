@@ -59,6 +59,10 @@ class AbstractObjective(eqx.Module):
     def value(self, sums: Any) -> Scalar:
         """The objective, from the sums (one number per term)."""
 
+    def squares(self, output: Output, truth: Truth) -> tuple[Scalar, Scalar]:
+        """The square of a row's error by its covariance, and its dof: their correlation discounts a likelihood."""
+        return output.nis, output.nis_dof
+
     def nats_per_unit(self, sums: Any) -> float:
         """The factor from the objective to a negative log-likelihood in nats; NaN for objectives that are none."""
         return math.nan
@@ -155,8 +159,8 @@ class StateLogLikelihood(AbstractObjective):
     """The mean negative log density of the truth under each row's mean and covariance, nats per row.
 
     Fields as in `RootMeanSquareError`. Unlike an RMSE it penalises overconfident and underconfident covariances. Errors
-    of consecutive rows are correlated, so it is no likelihood of a recording. `height_weight`: the power of the density
-    of a third component given the other two (composite likelihood).
+    of consecutive rows are correlated: as a likelihood it counts for fewer rows. `height_weight`: the power of the
+    density of a third component given the other two (composite likelihood).
     """
 
     quantity: str = eqx.field(static=True, default="position")
@@ -164,10 +168,6 @@ class StateLogLikelihood(AbstractObjective):
     height_weight: float = eqx.field(static=True, default=1.0)
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = True
-
-    @property
-    def has_density(self) -> bool:
-        return True
 
     @property
     def of_position(self) -> bool:
@@ -185,6 +185,13 @@ class StateLogLikelihood(AbstractObjective):
 
     def value(self, sums: Any) -> Scalar:
         return sums[0] / sums[1]
+
+    def squares(self, output: Output, truth: Truth) -> tuple[Scalar, Scalar]:
+        error = normalised_error(output, truth, self.quantity, self.dimensions)
+        return error.nees, jnp.where(error.scored, float(self.dimensions), 0.0)
+
+    def nats_per_unit(self, sums: Any) -> float:
+        return float(sums[1])
 
 
 class Weighted(AbstractObjective):
@@ -222,6 +229,9 @@ class Weighted(AbstractObjective):
 
     def value(self, sums: Any) -> Scalar:
         return total(w * part.value(s) for w, part, s in zip(self.weights, self.parts, self.split(sums), strict=True))
+
+    def squares(self, output: Output, truth: Truth) -> tuple[Scalar, Scalar]:
+        return self.parts[0].squares(output, truth)
 
     def nats_per_unit(self, sums: Any) -> float:
         if len(self.parts) > 1:

@@ -355,7 +355,7 @@ def newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimum
         _, inverse, _ = determined(best.hessian, ~driver.at_bound(best.vector, best.gradient))
         step = -inverse @ best.gradient
         # The gain that the quadratic model predicts.
-        if not -best.gradient @ step / 2 >= min_gain(best.value, best.nats_per_unit):
+        if not -best.gradient @ step / 2 >= min_gain(best.value, best.nats_per_unit / problem.discount):
             break
         step = step / max(1.0, float(np.linalg.norm(step)))
         vector = np.clip(best.vector + step, driver.low, driver.high)

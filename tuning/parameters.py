@@ -77,9 +77,13 @@ def noise_levels(tracker: AbstractTracker) -> tuple[str, ...]:
 
 
 def tuned_by_default(tracker: AbstractTracker, needs_truth: bool) -> tuple[str, ...]:
-    """The `noise_levels`, and latencies for an objective that `needs_truth`: no likelihood determines those."""
-    latencies = [name for name in tunables(tracker) if needs_truth and name.endswith(".latency")]
-    return (*noise_levels(tracker), *latencies)
+    """The `noise_levels`, and for an objective that `needs_truth` latencies, which readings alone do not determine.
+
+    For others the shape of readings' errors, dof and skew, which decides on their level.
+    """
+    last = ("latency",) if needs_truth else ("dof", "positive_skew")
+    levels, names = noise_levels(tracker), tunables(tracker)
+    return (*levels, *(name for name in names if name.rpartition(".")[2] in last and name.startswith("sensors.")))
 
 
 def select_parameters(

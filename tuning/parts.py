@@ -24,8 +24,8 @@ from trackwright.tuning.batches import lengths_of
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, Vector, with_parameters
 
-BESIDE = ("nis", "nis_dof", "log_likelihood")
-"""The numbers of a row beside the terms of the objective."""
+BESIDE = 2
+"""Numbers of a row beside the terms of the objective: its `AbstractObjective.squares`."""
 
 
 class Point(eqx.Module):
@@ -72,7 +72,7 @@ def plain_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"]]:
 
 
 def plain_rows(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"]]:
-    """The terms of every row per vector and trajectory, then `BESIDE` (S, k + 3, T, B), for few trajectories.
+    """The terms of every row per vector and trajectory, then its squares (S, k + 2, T, B), for few trajectories.
 
     The host adds the terms in double precision, and derivatives of rows come with those of the sums.
     """
@@ -103,7 +103,7 @@ def _scored(objective: AbstractObjective, run: tuple[Output, Batch]) -> Float[Ar
 
 def _scores(objective: AbstractObjective) -> Score:
     def scores(output: Output, truth: Any) -> tuple[Any, ...]:
-        return *objective.terms(output, truth), *(getattr(output, name) for name in BESIDE)
+        return *objective.terms(output, truth), *objective.squares(output, truth)
 
     return scores
 

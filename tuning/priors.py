@@ -1,22 +1,33 @@
-"""Priors of parameters: normal distributions of their unconstrained values."""
+"""The prior of a fit: Student's t distributions of the unconstrained numbers about their values before it.
+
+A fit to some recordings of a site is run on others. What its own do not tell stays at the values before the fit, the
+defaults, about which those of sites vary by `SPREADS`. Few sites are far off, and are not held back: tails are
+heavy.
+"""
 
 from __future__ import annotations
 
-import fnmatch
-import math
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from trackwright.trackers.core.model.tunable import Fraction, Real, Scale
-from trackwright.tuning.parameters import Parameter
+from trackwright.trackers.core.model.tunable import Covariance, Real
+from trackwright.tuning.parameters import Parameter, flatten
 
-NUMBER = r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)"
-FORM = re.compile(rf"(?P<pattern>[^=\s]+)\s*=\s*{NUMBER}\s*(?P<kind>x|\+-)\s*{NUMBER}")
+Kind = Literal["sites", "flat"]
+
+SPREADS = {"": 0.35, "dof": 0.5, "positive_skew": 0.5, "latency": 1.0}
+"""Scales of the distributions between sites by the last part of a tunable's name, and by none of all others.
+
+Of the logarithm of a noise level or another positive number, and of the logit of a fraction; of other numbers in their
+unit, as the latency of fixes in s.
+"""
+
+
+DOF = 3.0
+"""Degrees of freedom."""
 
 
 class Penalty(NamedTuple):
@@ -26,82 +37,36 @@ class Penalty(NamedTuple):
     gradients: Float[np.ndarray, "S p"]
 
 
-@dataclass(frozen=True)
-class Prior:
-    """A prior of the parameters that match the shell `pattern`, with its median `centre` in their unit.
+class Prior(NamedTuple):
+    """Independent distributions of p unconstrained numbers by mean and scale⁻², zero where it is flat."""
 
-    Either `factor`: the interval centre ÷ factor … centre × factor of a Scale holds 68 % (log-normal), likewise for the
-    odds of a Fraction; or `deviation`: the standard deviation of a Real, in its unit. Raises ValueError for neither or
-    both, and for a factor up to 1 or a deviation that isn't positive.
-    """
+    mean: Float[np.ndarray, " p"]
+    precision: Float[np.ndarray, " p"]
+    dof: float = DOF
 
-    pattern: str
-    centre: float
-    factor: float | None = None
-    deviation: float | None = None
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter], kind: Kind = "sites") -> Prior:
+        """The prior of the parameters about their present values; flat for matrices, and for all where `kind` is."""
+        spreads = [np.full(p.size, np.inf if kind == "flat" else _spread(p)) for p in parameters]
+        return cls(flatten(parameters), np.concatenate([np.zeros(0), *spreads]) ** -2.0)
 
-    def __post_init__(self) -> None:
-        if (self.factor is None) == (self.deviation is None):
-            raise ValueError(f"the prior of '{self.pattern}' has either a factor or a deviation")
-        if self.factor is not None and not 1.0 < self.factor < math.inf:
-            raise ValueError(f"the prior of '{self.pattern}' has a factor above 1, found {self.factor}")
-        if self.deviation is not None and not 0.0 < self.deviation < math.inf:
-            raise ValueError(f"the prior of '{self.pattern}' has a deviation above 0, found {self.deviation}")
+    def penalty(self, vectors: Float[np.ndarray, "*S p"]) -> Penalty:
+        """The penalty at vectors (S, p)."""
+        away = np.atleast_2d(np.asarray(vectors, float)) - self.mean
+        values = 0.5 * (self.dof + 1) * np.log1p(away**2 * self.precision / self.dof).sum(axis=1)
+        return Penalty(values, away * self.weights(vectors))
 
-    def raw(self, parameter: Parameter) -> tuple[float, float]:
-        """Mean and standard deviation of the parameter's unconstrained numbers; ValueError for another kind of it."""
-        example = parameter.example
-        if isinstance(example, Real) and self.deviation is not None:
-            return self.centre / example.typical, self.deviation / example.typical
-        if isinstance(example, (Scale, Fraction)) and self.factor is not None:
-            return float(np.asarray(type(example)(self.centre).raw)), math.log(self.factor)
-        wanted = "a deviation, as '0+-0.1'" if isinstance(example, Real) else "a factor, as '0.2x2'"
-        kind = type(example).__name__
-        if kind == "Covariance":
-            raise ValueError(f"{parameter.label} is a matrix, for which there is no prior; tune it without")
-        raise ValueError(f"{parameter.label} is a {kind}, whose prior has {wanted}")
+    def weights(self, vectors: Float[np.ndarray, "*S p"]) -> Float[np.ndarray, "S p"]:
+        """The precisions of normal distributions with the same slopes at vectors (S, p)."""
+        away = np.atleast_2d(np.asarray(vectors, float)) - self.mean
+        return (self.dof + 1) * self.precision / (self.dof + away**2 * self.precision)
 
 
-def penalty(priors: Sequence[Prior], parameters: Sequence[Parameter], vectors: Float[np.ndarray, "*S p"]) -> Penalty:
-    """The penalty of the priors at vectors (S, p); several priors of one parameter add up.
-
-    Raises ValueError for a prior without a matching parameter, or of another kind than its parameter.
-    """
-    vectors = np.atleast_2d(np.asarray(vectors, float))
-    values, gradients = np.zeros(len(vectors)), np.zeros(vectors.shape)
-    for prior in priors:
-        matched, start = False, 0
-        for parameter in parameters:
-            part = slice(start, start + parameter.size)
-            start = part.stop
-            if not fnmatch.filter([parameter.label, *parameter.names], prior.pattern):
-                continue
-            matched = True
-            mean, sigma = prior.raw(parameter)
-            deviation = (vectors[:, part] - mean) / sigma
-            values += 0.5 * np.sum(deviation**2, axis=1)
-            gradients[:, part] += deviation / sigma
-        if not matched:
-            labels = ", ".join(p.label for p in parameters)
-            raise ValueError(f"the prior of '{prior.pattern}' matches nothing that is tuned: {labels}")
-    return Penalty(values, gradients)
-
-
-def require_fitting(priors: Sequence[Prior], parameters: Sequence[Parameter], is_likelihood: bool) -> None:
-    """Raise ValueError for priors that don't fit the parameters, or for an objective that is no likelihood."""
-    penalty(priors, parameters, np.zeros((0, sum(p.size for p in parameters))))
-    if priors and not is_likelihood:
-        raise ValueError("a prior is weighed against a likelihood; use objective nll, or bounds")
-
-
-def parse_prior(text: str) -> Prior:
-    """The prior of a text such as `sensors.*.sigma_p=0.2x2` (a factor) or `*.offset=0+-0.1`; raises ValueError."""
-    match = FORM.fullmatch(text.strip())
-    if match is None:
-        raise ValueError(f"'{text}' is no prior; expected PATTERN=0.2x2 (within a factor of 2) or PATTERN=0+-0.1")
-    try:
-        centre, spread = float(match[2]), float(match[4])
-    except ValueError as error:
-        raise ValueError(f"'{text}' is no prior: '{match[2]}' or '{match[4]}' is no number") from error
-    by_factor = match["kind"] == "x"
-    return Prior(match["pattern"], centre, spread if by_factor else None, None if by_factor else spread)
+def _spread(parameter: Parameter) -> float:
+    """The scale of the distribution of a parameter's unconstrained numbers."""
+    example, last = parameter.example, parameter.names[0].rpartition(".")[2]
+    if isinstance(example, Covariance):
+        return np.inf
+    if isinstance(example, Real):
+        return SPREADS[last] / example.typical if last in SPREADS else 1.0
+    return SPREADS.get(last, SPREADS[""])

@@ -30,7 +30,7 @@ from trackwright.tuning.parts import (
     plain_rows,
     plain_sums,
 )
-from trackwright.tuning.priors import Penalty, Prior, penalty
+from trackwright.tuning.priors import Penalty, Prior
 
 Vectors = Float[np.ndarray, "*S p"]
 Terms = Float[np.ndarray, "many k n"]
@@ -79,8 +79,9 @@ class Evaluation(NamedTuple):
 class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
-    `priors`: added to a likelihood. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory
-    and their derivatives are multiplied by its weight. `keep`: takes the rows to where they are computed, in this
+    `prior`: added to a likelihood, of which `discount` is the part that counts: errors that last carry the information
+    of fewer rows. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory and their
+    derivatives are multiplied by its weight. `keep`: takes the rows to where they are computed, in this
     process or on workers. `sizes`: trajectories of each batch, with padding. `stochastic`: whether the tracker uses
     random numbers. `moving`: the numbers by which derivatives are computed, all unless it is known that the others have
     no effect.
@@ -99,12 +100,11 @@ class Problem:
         objective: AbstractObjective,
         parameters: Sequence[Parameter],
         chunk: int = CHUNK,
-        priors: Sequence[Prior] = (),
         weights: Sequence[Float[np.ndarray, " B"]] | None = None,
         keep: Keep = LocalParts,
     ):
-        self.priors = tuple(priors)
         self.objective, self.parameters = objective, list(parameters)
+        self.prior, self.discount = Prior.of(self.parameters, "flat"), 1.0
         dtype = batches[0].columns(0, 1).dt.dtype
         self.tracker = as_dtype(tracker, dtype)
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
@@ -184,20 +184,24 @@ class Problem:
         return self.weights * np.concatenate([t for (t,) in self._run(function, vectors, realisation)], axis=-1)
 
     def values_of(self, sums: Float[np.ndarray, "S k"]) -> Float[np.ndarray, " S"]:
-        """The objective (S,) of sums (S, k), without priors."""
+        """The objective (S,) of sums (S, k), without the prior."""
         return np.asarray(value_and_gradient(self.objective, jnp.asarray(sums))[0], float)
 
     def prior_penalty(self, vectors: Vectors, sums: Float[np.ndarray, "many k"]) -> Penalty:
-        """The priors' part of the objective (S,) and its derivatives at vectors (S, p), in the objective's unit.
+        """The prior's part of the objective (S,) and its derivatives at vectors (S, p), in the objective's unit.
 
         `sums` (S, k): those of the likelihood there.
         """
-        vectors = np.atleast_2d(np.asarray(vectors, float))
-        nats = penalty(self.priors, self.parameters, vectors)
-        if not self.priors:
+        nats = self.prior.penalty(vectors)
+        if not self.prior.precision.any():
             return nats
-        scale = 1.0 / np.array([self.objective.nats_per_unit(s) for s in sums])
-        return Penalty(nats.values * scale, nats.gradients * scale[:, None])
+        nats_per_unit = np.array([self.nats_per_unit(s) for s in sums])
+        with np.errstate(divide="ignore", invalid="ignore"):  # without a single scored row there is no likelihood
+            return Penalty(nats.values / nats_per_unit, nats.gradients / nats_per_unit[:, None])
+
+    def nats_per_unit(self, sums: Float[np.ndarray, " k"]) -> float:
+        """The nats of one unit of the objective, as far as they count; NaN for an objective that is no likelihood."""
+        return self.discount * self.objective.nats_per_unit(sums)
 
     def point(self, vectors: Vectors) -> Point:
         """The argument of `with_derivatives` at vectors (S, p)."""
@@ -254,7 +258,7 @@ def _first_vectors(count: int, sums: tuple[np.ndarray, ...], chunk: Batch) -> tu
 
 def _summed_rows(count: int, rows: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
     """The sums of the rows of few trajectories, without the numbers beside the terms, at the first `count` vectors."""
-    return tuple(np.sum(x[:count, : -len(BESIDE)], axis=-2, dtype=float) for x in rows)
+    return tuple(np.sum(x[:count, :-BESIDE], axis=-2, dtype=float) for x in rows)
 
 
 def weighted_sum(

@@ -3,24 +3,18 @@
     f  the objective        H  its Hessian with respect to the unconstrained vector        u  nats per unit of f
     ψ_n  derivative of the gradient of f with respect to the weight of trajectory n (its influence)
 
-Observed information: (uH)⁻¹, valid for a likelihood of a true model; where trajectories have weights w_n, of which
-H = Σ w_n H_n is the sum, H⁻¹ (Σ w_n² H_n) H⁻¹ / u (Lindsay 1988). Sandwich: H⁻¹ J H⁻¹ with J the scatter of the ψ_n,
-valid for any objective and a wrong model (Huber 1967). J is over trajectories where there are many; of a likelihood
-with few, over blocks of rows, and too small if errors are correlated over longer than a block. Where all ψ_n vanish, as
-at a point of symmetry, J vanishes too; so the reported interval is the wider of the two.
-
-    s_t  derivative of row t's log-likelihood by the unconstrained vector, (p,)      J = Σ s_t s_tᵀ, (p, p)
-
-At the true parameters of a true model the s_t are uncorrelated with mean zero, and J estimates the information (Berndt,
-Hall, Hall and Hausman 1974): positive semidefinite, and without second derivatives.
+Posterior: (uH)⁻¹ with f the likelihood and the prior, and u the nats of the effective rows (Pauli, Racugno and Ventura
+2011). Sandwich: H⁻¹ J H⁻¹ with J the scatter of the ψ_n over many trajectories, valid for any objective and a wrong
+model (Huber 1967). Where all ψ_n vanish, as at a point of symmetry, J vanishes too; so the reported interval is the
+wider of the two. For a particle filter J takes the place of the Hessian of the likelihood (Berndt, Hall, Hall and
+Hausman 1974).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -29,21 +23,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtri, stdtrit
 
-from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Covariance
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, physical, physical_errors, split
-from trackwright.tuning.parts import Computation, WithDerivatives, plain_rows
 from trackwright.tuning.problem import Evaluation, Problem, value_and_gradient
 
 MIN_CURVATURE = 1e-5
 """Curvature of a direction, relative to the largest, below which it is undetermined: rounding."""
 
 MIN_TRAJECTORIES = 20
-"""Trajectories from which on J is their scatter; with fewer, that of blocks of rows."""
-
-BLOCKS = 50
-"""Blocks of rows in all recordings together: few enough to be long, enough for a variance to a fifth."""
+"""Trajectories from which on there is a scatter."""
 
 MIN_COMPONENT = 0.1
 """Component of a unit direction from which on a parameter belongs to the direction."""
@@ -55,7 +44,7 @@ MIN_SLOPE_NATS = 1.0
 """Change of a likelihood, nats per factor of e, from which on it depends on a parameter."""
 
 By = Literal["curvature", "scatter", "either"]
-"""Source of an interval: the observed information, the sandwich, or the wider of the two."""
+"""Source of an interval: the posterior, the sandwich, or the wider of the two."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +54,7 @@ class Uncertainty:
     `observed`, `sandwich`: covariances (p, p) of the unconstrained vector along the determined directions; NaN where
     there is none. `undetermined` (p,): parameters with a part in an undetermined direction. `at_bound` (p,): parameters
     at a bound with the objective falling beyond it, or `kept` (p,) at their starting values; the others' covariances
-    are conditional on them. `clusters`: trajectories or blocks behind the sandwich. `distance_to_optimum`: to that of
+    are conditional on them. `clusters`: trajectories behind the sandwich. `distance_to_optimum`: to that of
     the quadratic model, in standard deviations; infinite where the model has none.
     """
 
@@ -146,11 +135,11 @@ def uncertainty_at(
     at_bound = (none if at_bound is None else at_bound) | kept
     scatter, clusters = _scatter(problem, optimum)
     if problem.stochastic:
-        optimum = _by_scatter(problem, optimum, scatter)
+        optimum = _by_scatter(problem, optimum)
     missing, inverse, undetermined = determined(optimum.hessian, ~at_bound)
     undetermined &= ~unused(problem.parameters)
     # NaN for an objective that is no likelihood
-    observed = optimum.weighted(inverse) / optimum.nats_per_unit
+    observed = inverse / optimum.nats_per_unit
     sandwich = inverse @ scatter @ inverse
     # The gradient of a particle filter is noisy and does not locate the optimum.
     distance = 0.0 if problem.stochastic else _distance(inverse @ optimum.gradient, _larger_sigmas(observed, sandwich))
@@ -175,28 +164,19 @@ def _distance(step: Float[np.ndarray, " p"], sigma: Float[np.ndarray, " p"]) -> 
 
 
 def _scatter(problem: Problem, optimum: Optimum) -> tuple[Float[np.ndarray, "p p"], int]:
-    """J and its number of clusters: trajectories, or for a likelihood of few of them blocks of rows."""
-    clusters = len(optimum.influence)
-    if clusters >= MIN_TRAJECTORIES:
-        return optimum.influence.T @ optimum.influence * (clusters / (clusters - 1)), clusters
-    p = len(optimum.vector)
-    if problem.stochastic or not optimum.nats_per_unit > 0:
+    """J over the trajectories and their number; NaN for few of them."""
+    clusters, p = optimum.influence.shape
+    if clusters < MIN_TRAJECTORIES:
         return np.full((p, p), np.nan), clusters
-    rows = np.concatenate(problem.parts.rows)
-    block = max(1, -(-int(rows.sum()) // BLOCKS))
-    by_trajectory = row_information(problem, optimum.vector, block)
-    information = np.where(optimum.used, by_trajectory * problem.weights**2, 0.0).sum(axis=-1)
-    return information / optimum.nats_per_unit**2, int(np.sum(-(-rows[optimum.used] // block)))
+    return optimum.influence.T @ optimum.influence * (clusters / (clusters - 1)), clusters
 
 
-def _by_scatter(problem: Problem, optimum: Optimum, scatter: Float[np.ndarray, "p p"]) -> Optimum:
-    """The optimum with the scatter J of the trajectories in place of their Hessians."""
-    u = optimum.nats_per_unit
-    if optimum.squared is None:
-        return optimum._replace(hessian=u * scatter)
-    count = len(optimum.influence)
-    hessian = u * count / (count - 1) * (optimum.influence.T / problem.weights[optimum.used]) @ optimum.influence
-    return optimum._replace(hessian=hessian, squared=u * scatter)
+def _by_scatter(problem: Problem, optimum: Optimum) -> Optimum:
+    """The optimum with the scatter of the trajectories in place of the likelihood's Hessian."""
+    clusters = len(optimum.influence)
+    weighted = optimum.influence.T / problem.weights[optimum.used] @ optimum.influence
+    scatter = weighted * optimum.nats_per_unit / problem.discount * (clusters / (clusters - 1))
+    return optimum._replace(hessian=scatter + np.diag(optimum.prior))
 
 
 def unused(parameters: Sequence[Parameter]) -> Bool[np.ndarray, " p"]:
@@ -245,8 +225,8 @@ STEP = 0.02
 class Optimum(NamedTuple):
     """Quadratic model of the objective: vector (p,), value, gradient (p,), H (p, p), ψ (n, p), u (NaN: no likelihood).
 
-    `used`: which of all trajectories are the n that count. `evaluation`: at the vector itself. `squared` (p, p):
-    Σ w_n² H_n, None where all trajectories have weight 1, since it is H then.
+    `used`: which of all trajectories are the n that count. `evaluation`: at the vector itself. `prior` (p,): the
+    prior's part of the diagonal of H.
     """
 
     vector: Float[np.ndarray, " p"]
@@ -257,11 +237,7 @@ class Optimum(NamedTuple):
     nats_per_unit: float
     used: Bool[np.ndarray, " all"]
     evaluation: Evaluation
-    squared: Float[np.ndarray, "p p"] | None = None
-
-    def weighted(self, inverse: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
-        """An inverse of H as the covariance of the weighted estimate, times u."""
-        return inverse if self.squared is None else inverse @ self.squared @ inverse
+    prior: Float[np.ndarray, " p"]
 
 
 def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
@@ -279,19 +255,15 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     sums = terms.sum(axis=-1)
     values, by_sum = (np.asarray(x, float) for x in value_and_gradient(problem.objective, jnp.asarray(sums)))
     gradients = np.einsum("sk,skp->sp", by_sum, term_gradients.sum(axis=-1))
-    prior = problem.prior_penalty(vectors, sums)
-    values, gradients = values + prior.values, gradients + prior.gradients
+    pull = problem.prior_penalty(vectors, sums)
+    values, gradients = values + pull.values, gradients + pull.gradients
     rows = _differences(gradients, moving)
     # Without a single usable trajectory there is no likelihood.
-    nats = problem.objective.nats_per_unit(sums[0]) if used.any() else np.nan
+    nats = problem.nats_per_unit(sums[0]) if used.any() else np.nan
     psi = influence(problem.objective, terms[0], term_gradients[0])
-    hessian, squared = 0.5 * (rows + rows.T), None
-    weights = problem.weights[used]
-    if np.any(weights != 1.0):
-        excess = np.einsum("sk,skp->sp", by_sum, term_gradients @ (weights - 1.0))
-        more = _differences(excess, moving)
-        squared = hessian + 0.5 * (more + more.T)
-    return Optimum(vector, float(values[0]), gradients[0], hessian, psi, nats, used, evaluation.at(0), squared)
+    hessian, precision = 0.5 * (rows + rows.T), problem.prior.weights(vector)[0]
+    prior = precision / nats if precision.any() else precision
+    return Optimum(vector, float(values[0]), gradients[0], hessian, psi, nats, used, evaluation.at(0), prior)
 
 
 def evaluations(problem: Problem) -> int:
@@ -325,24 +297,6 @@ def _derivatives(
 ) -> tuple[Float[jax.Array, " k"], Float[jax.Array, "k k"]]:
     """First and second derivatives of the objective with respect to the sums."""
     return jax.grad(objective.value)(sums), jax.hessian(objective.value)(sums)
-
-
-def row_information(problem: Problem, vector: Float[np.ndarray, " p"], block: int = 1) -> Float[np.ndarray, "p p n"]:
-    """The sums of the squares of the scores of each trajectory's rows at a vector (p,), nats.
-
-    Scores of `block` consecutive rows are added before they are squared, which makes the information valid for errors
-    correlated over that many rows. Padding trajectories contribute zeros. Memory grows with the rows.
-    """
-    function = WithDerivatives(plain_rows, problem.moving)
-    by_part = problem.parts.compute(Computation(function, [vector[None]], partial(_information, block)))
-    return np.concatenate([information for (information,) in by_part], axis=-1)
-
-
-def _information(block: int, results: Any, chunk: Batch) -> Float[np.ndarray, "p p n"]:
-    """The information of each trajectory of a chunk, from its rows with derivatives."""
-    scores = np.asarray(results[1][0, -1])
-    blocked = np.add.reduceat(scores.astype(float), np.arange(0, scores.shape[1], block), axis=1)
-    return np.einsum("ibn,jbn->ijn", blocked, blocked)
 
 
 class Refitted(NamedTuple):

@@ -30,7 +30,7 @@ from trackwright.experiments.cli.console import json_alone, output_folder, ready
 from trackwright.experiments.cli.evaluating import COMPARISON, code_of, condition_of
 from trackwright.experiments.cli.options import EvaluateOptions, TrackOptions
 from trackwright.experiments.cli.runtime import write_manifest
-from trackwright.experiments.cli.tracking import endings, tracker_names, write_shown
+from trackwright.experiments.cli.tracking import endings, notice_levels, tracker_names, write_shown
 from trackwright.experiments.jobs.executors import Threads, cluster_executor
 from trackwright.experiments.jobs.portable import file_of
 from trackwright.experiments.jobs.run import run as run_parts
@@ -76,6 +76,7 @@ def track_archive(
             tracks = counted(sum(run.endings.values()), "track")
             print(f"{run.short}: {tracks} of {counted(len(run.paths), 'recording')}: {endings(run.endings)}")
             put(_shown(run, evaluation))
+            notice_levels(evaluation.overall, options.fit)
             shown = []
             if not (options.no_report and options.no_figures):
                 shown = _show(run, evaluation, tracking, options, out, begin)
@@ -177,7 +178,7 @@ def _show(
     texts = dict(tracking.names)
     for name in names:
         folder, _ = ready(replace(read_recording(run.paths[name]), name=name), options.used, tracking.calibration)
-        batches += tracking.named(run.tracker, texts.get(run.tracker, ""), folder).batches(folder)
+        batches += options.valued(tracking.named(run.tracker, texts.get(run.tracker, ""), folder)).batches(folder)
         folders.append(folder)
         tables.append(read_tracks(run.folders[name]))
         events.append(pl.read_parquet(run.folders[name] / EVENTS))

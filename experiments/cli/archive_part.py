@@ -219,20 +219,19 @@ class Tracking:
         return result
 
     def named(self, name: str, text: str, folder: RecordingFolder) -> NamedTracker:
-        """A tracker for one recording; raises UnusableInput as `NamedTracker.of` and where values do not fit."""
-        made = NamedTracker.of(name, spec_here(name, text), folder, self.options.free_height, self.options.side)
-        return self.options.applied(made)
+        """A tracker for one recording; raises UnusableInput as `NamedTracker.of`."""
+        return NamedTracker.of(name, spec_here(name, text), folder, self.options.free_height, self.options.side)
 
     def _tracked(self, name: str, text: str, folder: RecordingFolder) -> tuple[Outcome, list[str]]:
         """The outcome of one tracker, and its notices."""
-        named = self.named(name, text, folder)
+        ((named, _),), fits = self.options.applied(self.named(name, text, folder), [folder], lambda done: None)
         tracks = named.run(folder, seed=self.options.seed)
         happened = events_of(tracks.table, named.spec, tracks.batches)
         association, lines = with_truth(tracks.table, named, [folder])
         scored = TrackScores.of(association, {folder.name: folder.rig.stations})
         about = {"tracker": name, "short": split_name(name)[1] or name, "endings": tracks.summaries}
         tables = {TRACKS: tracks.table, EVENTS: happened}
-        return outcome_of(about, scored, residual_ratios(tracks), tables), [*tracks.notices, *lines]
+        return outcome_of(about, scored, residual_ratios(tracks), tables), [*fits, *tracks.notices, *lines]
 
 
 Estimated = tuple[list[tuple[dict[str, Any], pl.DataFrame]], list[str], RecordingFolder]
@@ -280,7 +279,10 @@ class Scoring:
 
 
 def outcome_of(
-    about: Mapping[str, Any], scored: TrackScores, ratios: Mapping[str, float], tables: Mapping[str, pl.DataFrame]
+    about: Mapping[str, Any],
+    scored: TrackScores,
+    ratios: Mapping[str, tuple[float, float]],
+    tables: Mapping[str, pl.DataFrame],
 ) -> Outcome:
     """The outcome of the scored tracks of a recording; `about`: tracker, short name and endings; `ratios`: by name."""
     evaluation, ((name,), scores) = scored.evaluation(ratios), scored.recordings(ratios)

@@ -146,6 +146,7 @@ def compared(runs: Sequence[Run]) -> list[Section]:
         return []
     bearing, names = runs[0].bearing, [run.short for run in runs]
     metrics = [BEARING_NAMES.get(name, name) if bearing else name for name in SHOWN]
+    metrics = [name for name in metrics if all(name in recording for run in runs for recording in run.recordings[:1])]
     values = {name: common for name in metrics if (common := _common(runs, name)).size}
     rmse = values.get(metrics[0])
     if rmse is None:

@@ -6,8 +6,8 @@ import sys
 import tomllib
 from dataclasses import asdict
 
-from trackwright.experiments.cli.options import File, ReadingOptions, Recording, Tracker, run_tracker_files
-from trackwright.trackers.core.errors import UnusableInput, printable
+from trackwright.experiments.cli.options import File, ReadingOptions, Recording, Tracker, require_new, run_tracker_files
+from trackwright.trackers.core.errors import printable
 
 
 def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = False) -> int:
@@ -52,10 +52,7 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
         force: replace a file that exists, and take recordings in spite of the errors that `trackwright check` finds.
         json: print the content of that file as JSON instead of tables.
     """
-    if out.suffix != ".toml" or out.is_dir():
-        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give calibration.toml in a folder")
-    if out.exists() and not force:
-        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    require_new(out, "calibration.toml", force)
     from trackwright.experiments.cli.console import checked, json_alone, output_folder, prepared
     from trackwright.trackers.recordings.folder import read_recordings
 

@@ -42,7 +42,8 @@ def import_source(
     separator: str | None = None, decimal: Literal[".", ","] = ".",
     origin: Annotated[str, Parameter(metavar="start|S|DATE")] | None = None,
     transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
-    align_truth: bool = False, path: bool = False, interval: Seconds | None = None, skip_bad_lines: bool = False,
+    align_truth: Annotated[tuple[Literal["xy"], ...] | None, Parameter(consume_multiple=True)] = None,
+    path: bool = False, interval: Seconds | None = None, skip_bad_lines: bool = False,
     header: Annotated[str, Parameter(metavar="LINE|none")] = "", skip: int = 0,
     missing: Annotated[tuple[str, ...], Parameter(metavar="MARK")] = (),
     thousands: Annotated[str, Parameter(metavar="MARK")] = "", encoding: str = "", replace: bool = False,
@@ -74,7 +75,8 @@ def import_source(
             on its clock, or a date such as 2026-05-01T12:00:00.25, UTC without a zone; default: times stay.
         transform: brings a truth over to the frame of the rig and the clock of the readings: a turn about z by YAW, °,
             then a shift, m; S, seconds added to its times, may be left out.
-        align_truth: find these numbers by the readings of the recording in --out.
+        align_truth: find these numbers by the readings of the recording in --out; a shift in z that they do not
+            determine to 5 cm is left out where it may be zero, and in any case with xy after the option.
         path: fit a truth along [path] of the rig.toml of a recording, by least squares to its fixes, or to positions
             from its ranges: every tag travels once from the first to the last knot, at a constant speed on each
             segment, with rests at the knots; --out gets the recording with this truth.
@@ -90,25 +92,9 @@ def import_source(
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
     """
     if path:
-        reading = (
-            table,
-            columns,
-            mapping,
-            topic,
-            tag,
-            rig,
-            format,
-            separator,
-            origin,
-            interval,
-            messages,
-            header,
-            skip,
-        )
-        if (
-            any((*reading, missing, thousands, encoding, replace, transform, align_truth, skip_bad_lines))
-            or decimal != "."
-        ):
+        reading = (table, columns, mapping, topic, tag, rig, format, separator, origin, interval, messages)
+        marks = (header, skip, missing, thousands, encoding, replace, transform, skip_bad_lines, decimal != ".")
+        if align_truth is not None or any((*reading, *marks)):
             raise UnusableInput("--path: fits a truth to a recording folder; expected no other option but --out")
         return _fit_truth(source, out)
     from trackwright.experiments.text.terminal import notice
@@ -166,8 +152,8 @@ def import_source(
     for line in imported.notices:
         notice(f"notice: {line}")
     folder = assembled(title, geometry, tables, anchors or imported.anchors, preset.offsets, preset.bodies)
-    if transform is not None or align_truth:
-        folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform)
+    if transform is not None or align_truth is not None:
+        folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform, bool(align_truth))
     written = save(folder, out, imported, replace)
     for line in written.notices:
         notice(f"notice: {out}: {line}")
@@ -203,8 +189,13 @@ def _mappings(
     return []
 
 
-def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, transform: str | None) -> RecordingFolder:
-    """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it."""
+def _with_truth_moved(
+    folder: RecordingFolder, recording: RecordingFolder, transform: str | None, flat: bool
+) -> RecordingFolder:
+    """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it.
+
+    `flat`: without a shift in z.
+    """
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.exchange.truth_frame import found_placement, leaning, parsed_placement
 
@@ -219,7 +210,7 @@ def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, trans
         notice(f"notice: truth levelled, which leaned by {angle:.0f}° against the gravity that the IMU measures; then")
         truth = level.table(truth)
     tables["truth"] = truth.sort("t_s", maintain_order=True)
-    placement, words = found_placement(replaced(recording, tables=tables))
+    placement, words = found_placement(replaced(recording, tables=tables), flat)
     notice(f"notice: truth moved by --transform {placement}: {words}")
     return replaced(folder, tables=dict(folder.tables) | {"truth": placement.of_table(truth)})
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from trackwright.trackers.recordings.calibration import Calibration
+    from trackwright.trackers.recordings.folder import RecordingFolder
     from trackwright.trackers.recordings.named_tracker import NamedTracker
     from trackwright.trackers.recordings.selection import Selection
     from trackwright.tuning.tuned_file import Tuned
@@ -188,13 +189,10 @@ class TrackOptions(TrackerOptions):
 
     Args:
         noise: a tuned.toml of `trackwright tune`.
+        fit: fit noise levels and shape of errors to each recording's own readings; those of --noise and --set stay, and
+            all where errors last, which readings alone do not tell from motion.
         smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
         lag: smooth with the readings of the next so many seconds only.
-        motion: auto runs several levels of motion, horizontal and vertical, the given one and smaller, weighted by
-            how well each predicts the readings: for motion unlike that of the defaults, as of a slow trolley.
-        errors: auto scales the covariances to the errors of this recording (several levels of biases, weighted by how
-            well they predict the readings); given takes the noise levels as they are. By default auto for uwb without
-            --calibration, --noise, --set, --smooth and --motion auto.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself, as --keep-going does, on a Dask cluster, tcp://HOST:8786, or in
             processes here, local:4.
@@ -208,10 +206,9 @@ class TrackOptions(TrackerOptions):
     """
 
     noise: File | None = None
+    fit: bool = False
     smooth: bool = False
     lag: Seconds | None = None
-    motion: Literal["given", "auto"] = "given"
-    errors: Literal["given", "auto"] | None = None
     seed: int = 0
     cluster: Address | None = None
     no_figures: bool = False
@@ -230,14 +227,23 @@ class TrackOptions(TrackerOptions):
         if not 0 <= self.seed < 2**64:
             raise UnusableInput(f"--seed {self.seed}: expected a whole number from 0 to 2^64 - 1")
 
-    def applied(self, named: NamedTracker) -> NamedTracker:
-        """The tracker as `valued`, smoothed, and with several levels, where that is asked for."""
-        named = self.valued(named)
-        if self.smooth or self.lag is not None:
-            named = named.smoothing(self.lag)
-        if self.motion == "auto":
-            named = named.with_motion_levels()
-        return named if self.errors is None else named.with_error_levels(self.errors == "auto")
+    def applied(
+        self, named: NamedTracker, folders: Sequence[RecordingFolder], advance: Callable[[int], None]
+    ) -> tuple[list[tuple[NamedTracker, Sequence[RecordingFolder]]], list[str]]:
+        """The trackers `valued`, fitted and smoothed as asked for, and what each runs on; a line for each fit."""
+        named, lines = self.valued(named), list[str]()
+        parts: list[tuple[NamedTracker, Sequence[RecordingFolder]]] = [(named, folders)]
+        if self.fit:
+            from trackwright.tuning.own_levels import fitted
+
+            parts = []
+            for folder in folders:
+                own = fitted(named, folder)
+                parts.append((own.tracker, [folder]))
+                lines.append(own.line)
+                advance(1)
+        smooth = self.smooth or self.lag is not None
+        return [(each.smoothing(self.lag) if smooth else each, of) for each, of in parts], lines
 
     def manifest(self, tracker: str) -> dict[str, Any]:
         """What the manifest of a run of this tracker holds of the options."""
@@ -254,21 +260,20 @@ class TuneOptions(TrackerOptions):
             which need truth; nll, the negative log-likelihood, which needs none; or a sum, e.g. state-nll+0.1*rmse.
             Default: state-nll where there is truth, else nll.
         tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
-            levels of motion and sensors, and with truth the latency of fixes.
+            levels of motion and sensors; with truth the latency of fixes, else dof and skew of readings.
         freeze: patterns of tunables to keep.
         bound: physical bounds of tuned numbers.
-        prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; makes nll the
-            default objective.
+        prior: of nll and state-nll: sites, by which values that the recordings tell little of stay near those before
+            the fit, as sites differ; or flat.
         start: a tuned.toml to start from; --set goes before it.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too. Default: 3 for state-nll, in
-            which a height counts half a horizontal coordinate, where the truth has heights; else 2.
+            which a height counts half a horizontal coordinate, where the truth has heights and those of anchors differ
+            by more than 1 m; else 2.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for particles.
         steps: maximum number of steps per start.
-        intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood
-            (makes nll the default objective), or bootstrap over trajectories.
         resume: continue from the checkpoint in --out, with bit-identical results.
         cluster: hold the rows on the workers of a Dask cluster, tcp://HOST:8786, or of processes here, local:4, which
             all see the folder --out; for recordings that no memory holds, with the same tuned.toml.
@@ -284,7 +289,7 @@ class TuneOptions(TrackerOptions):
     tune: tuple[Pattern, ...] | None = None
     freeze: tuple[Pattern, ...] = ()
     bound: tuple[Annotated[str, Parameter(metavar="PATTERN=LOW:HIGH")], ...] = ()
-    prior: tuple[Annotated[str, Parameter(metavar="PATTERN=PRIOR")], ...] = ()
+    prior: Literal["sites", "flat"] = "sites"
     start: File | None = None
     held_out: tuple[Folder, ...] = ()
     dimensions: Literal[2, 3] | None = None
@@ -292,7 +297,6 @@ class TuneOptions(TrackerOptions):
     starts: int = 4
     optimiser: Literal["auto", "lbfgs", "adam"] = "auto"
     steps: int = 60
-    intervals: Literal["curvature", "profile", "bootstrap"] = "curvature"
     resume: bool = False
     cluster: Address | None = None
     piece_rows: int = 8000
@@ -449,6 +453,15 @@ def require_output(path: Path) -> None:
         raise UnusableInput(f"--out {path}: has a control character or bytes that are no UTF-8; choose another folder")
     if path.is_file():
         raise UnusableInput(f"--out {path}: is a file; expected a folder for results; choose another folder")
+
+
+def require_new(out: Path, name: str, force: bool) -> None:
+    """Raises UnusableInput for a file that is no .toml, as `name`, or that exists and is not to be replaced."""
+    if out.suffix != ".toml" or out.is_dir():
+        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give {name} in a folder")
+    if out.exists() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    require_output(out.parent)
 
 
 def require_least(**counts: tuple[int | None, int]) -> None:

@@ -8,8 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Recording, require_output
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.options import File, Recording, require_new
 
 Names = Annotated[str, Parameter(metavar="A1,A2,…")]
 
@@ -32,11 +31,7 @@ def survey(
         force: replace a file that exists, and take ranges in spite of the errors that `trackwright check` finds.
         json: print positions, delays, intervals and verdicts as JSON instead of a table.
     """
-    if out.suffix != ".toml" or out.is_dir():
-        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give rig.toml in a folder")
-    if out.exists() and not force:
-        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
-    require_output(out.parent)
+    require_new(out, "rig.toml", force)
     from trackwright.experiments.cli.console import checked, json_alone, output_folder
     from trackwright.experiments.text.terminal import notice, stages
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -44,6 +45,7 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackwright.trackers.recordings.trajectories import known_height
 
+CONTRADICTED = 1.5
 LATE_S = 0.1  # delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice
 APART_M, MIRRORED_SHARE = 0.5, 0.1
 """Distance of true heights from the anchors' plane, m, from which on their side counts; share of estimates on the other
@@ -164,13 +166,14 @@ def _track(
     name, folders = run
     named = build(name, folders, options.free_height, options.side)
     notice_unused_calibration(folders, name, named.spec.table)
-    named = options.applied(named)
-    batches = named.batches(folders)
+    advance = begin("fitting", len(folders)) if options.fit else (lambda done: None)
+    parts, fits = options.applied(named, folders, advance)
+    for line in fits:
+        notice(line)
+    named, batches = parts[0][0], [batch for each, of in parts for batch in each.batches(of)]
     for batch in batches:
         for line in batch.notices:
             notice(f"notice: {line}")
-    if options.errors is None and named.own_errors(named.tracker):
-        notice("covariances: follow the size of the recording's own errors, without a calibration; see --errors")
     flat = [trajectory for batch in batches if batch.planar for trajectory in batch.trajectories]
     heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
     if heights and not named.spec.bearing_only:
@@ -199,6 +202,7 @@ def _track(
             print(f"Without truth: {uncapitalised(sentence)}")
     elif of == 1:
         print(to_text(evaluation, terminal_width()), end="")
+    notice_levels(evaluation.overall, options.fit)
     metrics = to_json(evaluation)
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)
@@ -215,13 +219,21 @@ def _track(
         options.manifest(name),
         started,
         chunk=CHUNK,
-        extra={"recordings": [str(folder.path) for folder in folders], "verdicts": summaries},
+        extra={"recordings": [str(folder.path) for folder in folders], "verdicts": summaries, "fitted": fits},
     )
     for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
         print(f"event: {event} ({counted(count, 'time')})")
     written = f"{out / TRACKS} ({counted(len(table), 'estimate')}), {EVENTS}, {EVALUATION}, manifest.json"
     print(f"wrote {', '.join([written, *drawn])}")
     return json.loads(metrics), page
+
+
+def notice_levels(metrics: Mapping[str, Any], fitted: bool) -> None:
+    """A notice where innovations contradict the noise levels by more than a factor `CONTRADICTED`."""
+    ratio = None if fitted else metrics["nis_ratio"]
+    if ratio is not None and not CONTRADICTED**-2 <= ratio <= CONTRADICTED**2:
+        times = f"{math.sqrt(ratio):.2g} times what the noise levels let expect"
+        notice(f"notice: innovations are {times} (NIS/dof {ratio:.2g}); --fit fits the levels to the readings")
 
 
 def endings(summaries: Mapping[str, int]) -> str:

@@ -126,9 +126,9 @@ def _write_run(
     """Writes all files to the folder, prints what they show, and returns the content of tuned.toml."""
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
     objective, unit = str(options.objective), "rad" if data.training[0].station else "m"
-    if options.prior:
+    if options.prior != "flat" and data.objective.is_likelihood:
         objective += " + prior"
-    intervals = intervals_of(result, options.intervals)
+    intervals = intervals_of(result)
     calibration, average = options.used.calibration, options.used.average
     calibration_id = None
     if calibration is not None:

@@ -29,7 +29,6 @@ from trackwright.tuning.data import FitData, fit_data, fit_segments, judged_dime
 from trackwright.tuning.fitting import FitOptions, FitResult, Place, fit
 from trackwright.tuning.guessing import first_guess
 from trackwright.tuning.identifiability import cautions
-from trackwright.tuning.intervals import require_possible
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.optimisers import LBFGS, Adam
 from trackwright.tuning.parameters import (
@@ -41,7 +40,6 @@ from trackwright.tuning.parameters import (
     tuned_by_default,
 )
 from trackwright.tuning.parts import Keep, LocalParts
-from trackwright.tuning.priors import Prior, parse_prior, require_fitting
 
 # What a cluster or a calibration needs is imported where one is given.
 if TYPE_CHECKING:
@@ -75,7 +73,6 @@ def fit_folders(
     for line in mirror_lines(named, first):
         notice(f"notice: {line}")
     goal = options.objective
-    goal = "nll" if goal is None and (options.prior or options.intervals == "profile") else goal
     how = (options.piece_rows, options.dimensions, options.weigh)
     if workers is None:
         data = fit_data(named.only_batch(folders), goal, folders[count:], *how)
@@ -85,8 +82,7 @@ def fit_folders(
     tune = options.tune
     tune = tuned_by_default(data.tracker, data.objective.needs_truth) if tune is None else tune
     options = replace(options, tracker=named.name, objective=data.named, tune=tune)
-    parameters, bounds, priors = checked_options(data, tune, options)
-    require_possible(options.intervals, data.objective, len(data.training))
+    parameters, bounds = checked_options(data, tune, options)
     for text in cautions(data.tracker, parameters, data.objective):
         notice(f"notice: {text}")
     output_folder(options.out)
@@ -95,7 +91,7 @@ def fit_folders(
         from trackwright.experiments.jobs.held_parts import HeldParts
 
         keep = partial(HeldParts, workers, named)
-    result = _fitted(data, parameters, options, bounds, priors, begin, by_default, keep)
+    result = _fitted(data, parameters, options, bounds, begin, by_default, keep)
     if not isinstance(folders, FoldersInTurn):
         shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
         return Fitted(options, named, data, result, data, shown, others)
@@ -118,21 +114,18 @@ def tracker_for_folders(folders: Sequence[RecordingFolder], options: TrackerOpti
 
 def checked_options(
     data: FitData, tune: Sequence[str], options: TuneOptions
-) -> tuple[list[Parameter], dict[str, tuple[float, float]], list[Prior]]:
-    """Parameters, bounds and priors of the options; raises UnusableInput where the tracker's tunables don't fit."""
-    freeze, bound, prior = options.freeze, options.bound, options.prior
+) -> tuple[list[Parameter], dict[str, tuple[float, float]]]:
+    """Parameters and bounds of the options; raises UnusableInput where the tracker's tunables don't fit."""
+    freeze, bound = options.freeze, options.bound
     option = f"--tune {' '.join(tune)}" + (f" --freeze {' '.join(freeze)}" if freeze else "")
     try:
         parameters = select_parameters(data.tracker, tune, freeze)
         option = f"--bound {' '.join(bound)}"
         bounds = parse_bounds(bound)
         require_start_within(parameters, bounds)
-        option = f"--prior {' '.join(prior)}"
-        priors = [parse_prior(text) for text in prior]
-        require_fitting(priors, parameters, data.objective.is_likelihood)
     except ValueError as error:
         raise UnusableInput(f"{option}: {error}") from error
-    return parameters, bounds, priors
+    return parameters, bounds
 
 
 @contextmanager
@@ -203,13 +196,12 @@ def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[lis
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the file's spreads and quality of ranges; a map of bearings only where it has one."""
+    """The recording with the file's spreads; a map of bearings only where it has one."""
     if part.calibration is None:
         return part
     differences = replace(part.calibration.differences, spread=whole.differences.spread)
-    spread, quality = whole.range_spread, whole.range_quality
     by_place = None if whole.bearing_map is None else part.calibration.bearing_map
-    own = replace(part.calibration, range_spread=spread, range_quality=quality, differences=differences)
+    own = replace(part.calibration, range_spread=whole.range_spread, differences=differences)
     return replace(part, calibration=replace(own, bearing_map=by_place))
 
 
@@ -233,15 +225,13 @@ def _without_itself(folder: RecordingFolder, seen: Sequence[RecordingFolder], fi
 
 def _fitted(
     data: FitData, parameters: Sequence[Parameter], options: TuneOptions, bounds: Mapping[str, tuple[float, float]],
-    priors: Sequence[Prior], begin: Begin, by_default: bool, keep: Keep,
+    begin: Begin, by_default: bool, keep: Keep,
 ) -> FitResult:  # fmt: skip
     """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite.
     `by_default`: whether the objective was chosen by the data. `keep`: takes the rows to where they are computed."""
     training, held_out = data.batches(), data.batches(held_out=True)
-    # Intervals are computed from the result and don't change the fit, nor does the place where it is computed.
-    config = {
-        name: value for name, value in options.config("resume").items() if name not in ("intervals", "cluster", "check")
-    }
+    # The place where a fit is computed does not change it.
+    config = {name: value for name, value in options.config("resume").items() if name not in ("cluster", "check")}
     fingerprint = checkpoint.fingerprint(
         config, [*training, *held_out], flatten(select_parameters(data.tracker, "*", thresholds=True))
     )
@@ -281,7 +271,7 @@ def _fitted(
                 optimiser={"auto": None, "lbfgs": LBFGS(), "adam": Adam(steps)}[options.optimiser],
                 steps=steps,
                 starts=starts,
-                priors=priors,
+                prior=options.prior,
                 guesses=[first_guess(data.tracker, training, kept)] if starts > 1 and saved is None else [],
             ),
             Place(keep=keep, resume=saved, report=keep_step, stage=begin),
@@ -289,7 +279,7 @@ def _fitted(
     except FloatingPointError as error:
         raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
     if result.n_excluded == len(data.training):
-        words = "has finite gradients: repeated identical readings drive the noise to zero; give --bound or --prior"
+        words = "has finite gradients: repeated identical readings drive the noise to zero; give --bound"
         raise UnusableInput(f"at the best point ({options.objective} {result.value:.4g}) no segment {words}")
     if result.n_excluded:
         why = "non-finite likelihood, or gradients over 1000 x the median"

@@ -62,7 +62,7 @@ def demo() -> None:
 
 def _line(tracks: Path, covariances: bool = False) -> str:
     from trackwright.experiments.text.wording import shown_metric
-    from trackwright.trackers.evaluation.statements import holds
+    from trackwright.trackers.evaluation.statements import covariance_statements
 
     overall = json.loads((tracks / "evaluation.json").read_text(encoding="utf-8"))["overall"]
     spatial = shown_metric(overall, "rmse_3d_m")
@@ -70,6 +70,4 @@ def _line(tracks: Path, covariances: bool = False) -> str:
     line = f"{overall['rmse_m']:.3f} m horizontal{in_space} RMSE   {tracks}"
     if not covariances:
         return line
-    inside = f"{100 * overall['coverage_95']:.0f} % of the 95 % ellipses contain the truth"
-    verdict = "the covariances hold" if holds(overall) else "the covariances do not hold"
-    return f"{line}\n  {inside}, NEES/dof {overall['nees_ratio']:.2f}: {verdict}"
+    return "\n  ".join([line, *covariance_statements(overall, [])])

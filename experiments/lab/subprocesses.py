@@ -29,15 +29,6 @@ def required_recordings() -> Path:
     return folder
 
 
-def flights_folder() -> Path | None:
-    """The folder of flights with range differences: TRACKWRIGHT_FLIGHTS, else `recordings-tdoa` beside the other."""
-    recordings = recordings_folder()
-    beside = None if recordings is None else recordings.with_name("recordings-tdoa")
-    named = os.environ.get("TRACKWRIGHT_FLIGHTS")
-    folder = beside if named is None else Path(named)
-    return folder if folder is not None and folder.is_dir() else None
-
-
 def command(*arguments: str | Path, folder: Path | None = None) -> None:
     """Print a `trackwright` command and run it, its output to the terminal; exits with its code if it fails.
 
@@ -49,8 +40,13 @@ def command(*arguments: str | Path, folder: Path | None = None) -> None:
         sys.exit(code)
 
 
-def new_interpreter(arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
-    """A Python run with these arguments, without the user's XLA flags; raises TimeoutExpired after `limit_s`."""
+def new_interpreter(arguments: Sequence[str], limit_s: float) -> None:
+    """Run Python with these arguments, without the user's XLA flags.
+
+    Raises RuntimeError with the last line of its errors if it fails, and TimeoutExpired after `limit_s`.
+    """
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     line = [sys.executable, *arguments]
-    return subprocess.run(line, env=environment, capture_output=True, text=True, timeout=limit_s, check=False)
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=limit_s, check=False)
+    if done.returncode:
+        raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])

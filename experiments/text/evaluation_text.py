@@ -103,7 +103,8 @@ def cells(metrics: Metrics, columns: Sequence[Metric], unit: Unit) -> Iterator[s
     """The metrics in columns, lengths in this unit; of large values no digits after the point, and groups of three."""
     for column in columns:
         value = shown_metric(metrics, column.name)
-        factor, digits = SCALES.get(column.unit, (unit.factor, unit.digits))
+        power = 2 if column.unit == "m²" else 1
+        factor, digits = SCALES.get(column.unit, (unit.factor**power, unit.digits))
         scaled = None if value is None else value * factor
         yield f"{scaled:,.0f}" if scaled is not None and abs(scaled) >= LARGE else fixed(scaled, digits)
 
@@ -153,8 +154,8 @@ def _notes(evaluation: Evaluation, columns: Sequence[Metric]) -> list[str]:
     if any(overall[c.name] is not None for c in columns if c.name in ("nees_ratio", "nis_ratio")):
         notes.append(
             "% in 95 %: share of rows whose 95 % ellipse holds the truth. NEES/dof: 1 if covariances are correct, "
-            "above 1 if they are too small. NIS/dof: 1 if readings scatter as the tracker predicts, below 1 if they "
-            "scatter less. NIS r: autocorrelation of NIS, 0 if errors are independent."
+            "above 1 if they are too small. Regret: nats of log density lost by their scale, 0.1 is little, 1 much. "
+            "NIS/dof: 1 if readings scatter as the tracker predicts, below 1 if they scatter less."
         )
     if evaluation.bearing:
         notes.append("angle: between the estimated and the true direction.")

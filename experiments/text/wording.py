@@ -40,7 +40,8 @@ SHOWN = {"%": Unit("%", 100.0), "rad": Unit("°", float(np.rad2deg(1.0))), "m²"
 """The units in which metrics are shown, by those in which they are stored."""
 
 
-SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0), "rad": (SHOWN["rad"].factor, 2)}
+SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0), "nats": (1.0, 2),
+          "rad": (SHOWN["rad"].factor, 2)}  # fmt: skip
 """Factor and digits in tables of metrics that are no lengths, by the units in which they are stored."""
 
 

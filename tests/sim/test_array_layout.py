@@ -1,4 +1,4 @@
-"""The fitted array: its bounds have Table 1's ratios, and the script that fitted it still prints it."""
+"""The fitted array: its bounds have Table 1's ratios, and the fit still finds it."""
 
 import itertools
 
@@ -50,5 +50,5 @@ def test_the_antenna_sets_are_small_and_large_where_the_paper_says():
     assert np.all(extent[2, 3, 6] > 0.9 * whole)
 
 
-def test_the_script_prints_the_layout_that_is_stored():
+def test_the_fit_finds_the_layout_that_is_stored():
     np.testing.assert_allclose(fitted_layout(), DEFAULT_ANTENNAS, rtol=0, atol=1e-12)

@@ -82,7 +82,7 @@ def test_visits_are_runs_of_rows_near_their_first_one_by_recording_and_tag():
     measured[1, 1] = np.nan
     rows = Pairs(
         np.zeros((8, 2)), measured, np.column_stack([x, x * 0, x * 0]), number, *[number] * 2, tag, np.arange(8.0),
-        *[tag] * 3,
+        *[tag] * 2,
     )  # fmt: skip
     shuffled = np.random.default_rng(0).permutation(8)
     runs = runs_of(Pairs(*(column[shuffled] for column in rows)))

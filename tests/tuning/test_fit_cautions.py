@@ -74,20 +74,20 @@ def test_readings_that_repeat_stop_at_their_rounding_and_are_named():
 
 def test_a_noise_level_that_collapses_without_a_grid_is_named():
     places = _walk(np.random.default_rng(3), 600)
-    result = tw.fit(line_tracker(0.3, 30.0), _gauge(places, 0 * places), "nll", LEVELS)
+    result = tw.fit(line_tracker(0.3, 30.0), _gauge(places, 0 * places), "nll", LEVELS, tw.FitOptions(prior="flat"))
     assert any(text.startswith("sensors.gauge.sigma collapsed to ") for text in result.cautions)
     far = tw.fit(line_tracker(0.3, 1e4), walks([400], 1), "nll", LEVELS)
     assert not any("collapsed" in text for text in far.cautions), "a level that the recordings determine"
 
 
-def test_correlated_errors_are_named_with_how_much_too_narrow_intervals_are():
+def test_correlated_errors_are_named_with_the_number_of_rows_that_they_count_for():
     rng, rows = np.random.default_rng(5), 6000
     errors = _gauss_markov(rng, rows, 0.3, 2.0) * np.exp(_gauss_markov(rng, rows, 0.8, 5.0))
     result = tw.fit(line_tracker(0.2, 0.3), _gauge(_walk(rng, rows), errors), "nll", LEVELS)
     (text,) = result.cautions
     assert text.startswith("innovations are correlated over time: 5999 rows carry the information of about ")
-    factor = float(text.split(" about ")[2].split(" times")[0])
-    assert 2.0 < factor < np.sqrt(max(WINDOWS_S) / 0.1)
+    factor = 5999 / float(text.split(" about ")[1])
+    assert 4.0 < factor < max(WINDOWS_S) / 0.1
 
 
 class Stuck(AbstractOptimiser):
@@ -116,10 +116,11 @@ def _world():
 @pytest.mark.parametrize("objective", ["nll", StateLogLikelihood(dimensions=1)])
 def test_the_values_without_a_recording_are_those_of_a_fit_to_the_others(objective):
     made = _world()
-    every = tw.fit(line_tracker(), made, objective, LEVELS)
+    flat = tw.FitOptions(prior="flat")
+    every = tw.fit(line_tracker(), made, objective, LEVELS, flat)
     found = left_out_values(every)
     assert list(found) == ["1", "2", "3"]
-    alone = tw.fit(line_tracker(), made[:2], objective, LEVELS)
+    alone = tw.fit(line_tracker(), made[:2], objective, LEVELS, flat)
     for name in LEVELS:
         assert float(found["3"][name]) == pytest.approx(float(alone.values[name]), rel=0.02)
         assert abs(np.log(found["3"][name] / every.values[name])) > 0.02, "the third is noisier"
@@ -183,14 +184,14 @@ def test_the_effective_rows_in_chunks_of_few_trajectories_are_those_of_one_large
     assert factor > 2.0
 
 
-def test_the_likelihoods_interval_is_that_of_the_scatter_of_blocks_where_errors_last():
+def test_the_likelihood_of_errors_that_last_counts_for_fewer_rows():
     made = _standing(np.random.default_rng(2), 3000, 1.0)
     found = tw.fit(line_tracker(1e-4, 0.3), made, "nll", SIGMA)
     rows, factor = rows_and_inflation(found.problem, found.vector)
     assert (rows, 4.0 < factor < 20.0) == (2999, True)
-    curvature, scatter = (found.uncertainty.standard_errors(by)[SIGMA] for by in ("curvature", "scatter"))
-    assert scatter / curvature == pytest.approx(np.sqrt(factor), rel=0.4)
-    assert found.standard_errors[SIGMA] == scatter
+    assert found.problem.discount == pytest.approx(1 / factor, rel=0.2)
+    # σ / √(2 n) of n independent ones
+    assert found.standard_errors[SIGMA] == pytest.approx(0.2 / np.sqrt(2 * rows / factor), rel=0.2)
     assert any("correlated" in text for text in found.cautions)
 
 
@@ -198,11 +199,9 @@ def test_the_likelihoods_interval_is_that_of_the_scatter_of_blocks_where_errors_
 @pytest.mark.parametrize("length", [0.0, 0.5, 2.0])
 def test_intervals_hold_the_truth_where_errors_last(length):
     """Recovery over 200 simulated worlds of 10 minutes each."""
-    rng, inside, plain = np.random.default_rng(4), 0, 0
+    rng, inside = np.random.default_rng(4), 0
     for _ in range(200):
         result = tw.fit(line_tracker(1e-4, 0.2), _standing(rng, 6000, length), "nll", SIGMA)
-        (low, high), (a, b) = (result.uncertainty.intervals(by=by)[SIGMA] for by in ("either", "curvature"))
+        low, high = result.uncertainty.intervals()[SIGMA]
         inside += low < 0.2 < high
-        plain += a < 0.2 < b
     assert inside / 200 >= 0.90
-    assert length == 0 or plain / 200 < 0.75, "those of the curvature alone are too narrow"

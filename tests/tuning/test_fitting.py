@@ -19,7 +19,6 @@ from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareE
 from trackwright.tuning.optimisation import PATIENCE
 from trackwright.tuning.optimisers import LBFGS, Adam
 from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
-from trackwright.tuning.priors import Prior
 from trackwright.tuning.problem import Problem
 
 SIGMA_A, SIGMA_P = 0.15, 0.2
@@ -158,8 +157,8 @@ def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world
 def test_a_step_to_a_non_finite_objective_is_halved(monkeypatch):
     whole, tried, fence = Problem.evaluate, [], np.log(0.5)
 
-    def fenced(self, vectors, **options):
-        found = whole(self, vectors, **options)
+    def fenced(self, vectors, *weights, **options):
+        found = whole(self, vectors, *weights, **options)
         tried.append(float(np.atleast_2d(vectors)[0, 1]))
         return found._replace(values=np.where(np.atleast_2d(vectors)[:, 1] > fence, np.nan, found.values))
 
@@ -287,10 +286,18 @@ def test_held_out_recordings_select_the_best_point():
     assert result.values["sensors.gauge.sigma"] > alone.values["sensors.gauge.sigma"]
 
 
-def test_a_tight_prior_outweighs_the_measurements(line_world):
-    tight = Prior("sensors.gauge.sigma", 0.4, factor=1.0001)
-    result = fit(line_tracker(), line_world, NLL, LEVELS, FitOptions(priors=[tight]))
-    # 320 measurements determine a level to 4 %, the prior to 0.01 %
-    assert result.values["sensors.gauge.sigma"] == pytest.approx(0.4, rel=1e-3)
-    with pytest.raises(ValueError, match="likelihood"):
-        fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, FitOptions(priors=[tight]))
+def test_a_level_that_few_readings_determine_stays_near_its_value_before_the_fit():
+    made, start = walks([6], 3), line_tracker(sigma=0.4)
+    sites, flat = (fit(start, made, NLL, LEVELS, FitOptions(prior=kind)) for kind in ("sites", "flat"))
+    name = "sensors.gauge.sigma"
+    away, pulled = (abs(np.log(result.values[name] / 0.4)) for result in (flat, sites))
+    assert 0.0 < pulled < 0.8 * away
+    assert sites.standard_errors[name] / sites.values[name] < 0.35, "no wider than the prior"
+    # Many readings outweigh it.
+    long = fit(start, walks([500], 4), NLL, LEVELS).values[name]
+    assert long == pytest.approx(0.2, rel=0.15)
+
+
+def test_an_objective_that_is_no_likelihood_has_no_prior():
+    found = fit(line_tracker(), walks([30], 3), RootMeanSquareError(dimensions=1), LEVELS, FitOptions(steps=2))
+    assert not found.problem.prior.precision.any()

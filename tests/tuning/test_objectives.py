@@ -224,8 +224,7 @@ def test_the_objective_is_the_figure_of_the_estimates_shown(name, values, smooth
     model = Smoothed(data.tracker) if smooth else data.tracker
     quantity = "direction" if name == "beam" else "position"
     found = all_metrics(model, data.rows(), quantity, 2 if name == "beam" else 3)
-    as_given = tracker.with_error_levels(False)
-    shown = _shown(as_given.smoothing() if smooth else as_given, folder)
+    shown = _shown(tracker.smoothing() if smooth else tracker, folder)
     for objective, figure in shown.items():
         assert found[objective] == pytest.approx(figure, rel=rtol, abs=rtol), objective
 

@@ -1,23 +1,18 @@
 """The tuned numbers of a tracker: which ones, under what name, as one vector and back."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-import polars as pl
 import pytest
 
 import trackwright as tw
 from tests.tuning.worlds import STATION, line_tracker, walks
-from trackwright.sim import worlds
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import bearing_tracker
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale, tunables
-from trackwright.trackers.recordings.reading_grids import of_raw_readings, reading_grids
-from trackwright.tuning.data import FitArrays, fit_data
+from trackwright.trackers.recordings.reading_grids import reading_grids
 from trackwright.tuning.parameters import flatten, floors, physical, physical_errors, select_parameters, with_parameters
 
 
@@ -116,17 +111,3 @@ def test_readings_that_are_held_are_bounded_by_their_changes():
     assert text.startswith(
         f"{SIGMA} fell to {grid.change / np.sqrt(12):.3g} m, the changes of its readings (typically "
     )
-
-
-def test_averages_have_the_step_of_the_raw_readings():
-    folder = worlds.ranges(n=1, rows=200, seed=1).folder()
-    rounded = folder.tables["ranges"].with_columns(range_m=(pl.col("range_m") / 0.2).round() * 0.2)
-    used = dataclasses.replace(folder, tables=folder.tables | {"ranges": rounded}).averaged(0.37)
-    data = fit_data(tw.build("uwb", used).only_batch(used), "nll")
-    (grid,) = reading_grids(data.tracker, data.rows())
-    assert not grid.step > 0.1, "the readings that the tracker gets have no such step"
-    (raw,) = of_raw_readings([grid], [used])
-    assert raw.step == pytest.approx(0.2, rel=1e-6)
-    assert FitArrays.of(data).folders == [used]
-    without = worlds.ranges(n=1, rows=200, seed=2).folder()
-    assert of_raw_readings([grid], [used, without])[0].step == pytest.approx(grid.step, nan_ok=True)

@@ -1,59 +1,44 @@
-"""Priors: normal densities of unconstrained values, said in physical ones."""
+"""The prior of a fit: densities of unconstrained values, said in physical ones."""
 
 import numpy as np
-import pytest
 from scipy import stats
 
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
 from trackwright.tuning.parameters import Parameter
-from trackwright.tuning.priors import Prior, penalty
+from trackwright.tuning.priors import Prior
 
 PARAMETERS = [
     Parameter(("sensors.a.sigma_p", "sensors.b.sigma_p"), Scale(0.5, "rad"), "sensors.*.sigma_p"),
+    Parameter(("sensors.a.dof",), Scale(4.0), "sensors.a.dof"),
     Parameter(("filter.halting",), Fraction(0.3), "filter.halting"),
+    Parameter(("sensors.a.latency",), Real(0.1, "s", typical=0.05), "sensors.a.latency"),
     Parameter(("sensors.a.offsets",), Real(np.array([0.1, -0.2]), "rad", typical=0.1), "sensors.a.offsets"),
-]
-PRIORS = [
-    Prior("sensors.a.sigma_p", 0.2, factor=2.0),
-    Prior("*.halting", 0.6, factor=3.0),
-    Prior("*offsets", 0.05, deviation=0.3),
+    Parameter(("matrix",), Covariance(np.eye(2)), "matrix"),
 ]
 
 
 def _density(vector):
-    sigma, fraction, *offsets = np.exp(vector[0]), 1 / (1 + np.exp(-vector[1])), *(0.1 * vector[2:])
-    odds = fraction / (1 - fraction)
-    # of the logarithm, not of the number itself: what is estimated is the unconstrained value
+    """Of the logarithms of positive numbers, of the logit of a fraction, and of others in their unit or typical size."""
     return (
-        stats.norm(np.log(0.2), np.log(2.0)).logpdf(np.log(sigma))
-        + stats.norm(np.log(1.5), np.log(3.0)).logpdf(np.log(odds))
-        + stats.norm(0.05, 0.3).logpdf(offsets).sum()
+        stats.t(3, np.log(0.5), 0.35).logpdf(vector[0])
+        + stats.t(3, np.log(4.0), 0.5).logpdf(vector[1])
+        + stats.t(3, np.log(0.3 / 0.7), 0.35).logpdf(vector[2])
+        + stats.t(3, 0.1, 1.0).logpdf(0.05 * vector[3])
+        + stats.t(3, [0.1, -0.2], 0.1).logpdf(0.1 * vector[4:6]).sum()
     )
 
 
 def test_the_penalty_is_the_negative_log_density_with_its_derivatives():
-    rng = np.random.default_rng(0)
-    vectors = rng.normal(size=(5, 4))
-    found = penalty(PRIORS, PARAMETERS, vectors)
+    vectors = np.random.default_rng(0).normal(size=(5, 10))
+    found = Prior.of(PARAMETERS).penalty(vectors)
     differences = [_density(vectors[0]) - _density(v) for v in vectors]
     np.testing.assert_allclose(found.values - found.values[0], differences, atol=1e-12)
-    shifts = 1e-5 * np.eye(4)
     for k, v in enumerate(vectors):
-        numeric = [(_density(v - s) - _density(v + s)) / 2e-5 for s in shifts]
-        np.testing.assert_allclose(found.gradients[k], numeric, atol=1e-8)
+        numeric = [(_density(v - s) - _density(v + s)) / 2e-5 for s in 1e-5 * np.eye(10)]
+        np.testing.assert_allclose(found.gradients[k], numeric, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("prior", "says"),
-    [
-        (Prior("nothing", 1.0, factor=2.0), "matches nothing"),
-        (Prior("*.sigma_p", 1.0, deviation=2.0), "as '0.2x2'"),
-        (Prior("*offsets", 1.0, factor=2.0), r"as '0\+-0.1'"),
-        (Prior("*.sigma_p", -1.0, factor=2.0), "positive"),
-        (Prior("matrix", 1.0, factor=2.0), "is a matrix"),
-    ],
-)
-def test_a_prior_that_does_not_fit_is_refused(prior, says):
-    matrix = Parameter(("matrix",), Covariance(np.eye(2)), "matrix")
-    with pytest.raises(ValueError, match=says):
-        penalty([prior], [*PARAMETERS, matrix], np.zeros((1, 8)))
+def test_a_flat_prior_has_no_penalty():
+    found = Prior.of(PARAMETERS, "flat").penalty(np.full((1, 10), 7.0))
+    assert not found.values.any()
+    assert not found.gradients.any()

@@ -9,11 +9,9 @@ import pytest
 from scipy import stats
 
 from tests.known_start import NEVER_LOST, recording
-from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, LineStart, line_tracker, walks
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
-from trackwright.trackers.core.model.covariance import FEW
 from trackwright.trackers.core.model.motion import ConstantPosition
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
 from trackwright.trackers.core.model.tunable import Real, Scale
@@ -25,18 +23,19 @@ from trackwright.tuning.optimisers import AbstractOptimiser
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.priors import Prior
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import optimum, row_information
+from trackwright.tuning.uncertainty import optimum
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 
 
 @pytest.fixture(scope="module")
 def with_prior():
-    """Ten walks in chunks of four, four and two, a prior on one level, and a vector away from its centre."""
+    """Ten walks in chunks of four, four and two, a prior on one level that counts double, and a vector away from it."""
     tracker = line_tracker()
     parameters = select_parameters(tracker, LEVELS)
-    prior = Prior("sensors.gauge.sigma", 0.35, factor=1.5)
-    problem = Problem(tracker, [stack(walks([8] * 10, 2))], NegativeLogLikelihood(), parameters, 4, [prior])
+    problem = Problem(tracker, [stack(walks([8] * 10, 2))], NegativeLogLikelihood(), parameters, 4)
+    problem.prior = Prior(np.array([0.0, np.log(0.35)]), np.array([0.0, np.log(1.5) ** -2]), 1e12)
+    problem.discount = 0.5
     return problem, flatten(parameters)
 
 
@@ -46,10 +45,10 @@ def test_a_prior_is_added_to_the_likelihood_in_nats(with_prior):
     centre, deviation = np.log(0.35), np.log(1.5)
     prior = stats.norm(centre, deviation)
     evaluation = problem.evaluate(vector)
-    nats = evaluation.terms[0, 0].sum() + prior.logpdf(centre) - prior.logpdf(np.log(0.2))
+    nats = evaluation.terms[0, 0].sum() + 2.0 * (prior.logpdf(centre) - prior.logpdf(np.log(0.2)))
     assert evaluation.values[0] * evaluation.sums[0, 1] == pytest.approx(nats, rel=1e-9)
     without = evaluation.term_gradients[0, 0].sum(axis=-1)
-    slope = [0.0, (np.log(0.2) - centre) / deviation**2]
+    slope = [0.0, 2.0 * (np.log(0.2) - centre) / deviation**2]
     np.testing.assert_allclose(evaluation.gradients[0] * evaluation.sums[0, 1], without + slope, rtol=1e-9)
 
 
@@ -90,47 +89,6 @@ def test_an_error_objective_counts_the_rows_of_a_lost_track():
     parameters = select_parameters(tracker, LEVELS)
     problem = Problem(tracker, [stack([walk])], RootMeanSquareError(dimensions=1), parameters)
     np.testing.assert_allclose(problem.terms(flatten(parameters))[0, :, 0], [squares.sum(), 30], rtol=1e-9)
-
-
-STEP = 1e-5
-
-
-def _rows(r, vector):
-    """The textbook filter's log-likelihood of each row; zero for the first, which starts the track."""
-    sigma_v, sigma = np.exp(vector)
-    moves = [(np.eye(1), np.array([[sigma_v**2 * dt]])) for dt in np.diff(r.times)]
-    gauge = r.readings["gauge"]
-    start = np.zeros(1), np.eye(1) * SIGMA_START**2
-    log_likelihoods = kalman(moves, np.eye(1), np.array([[sigma**2]]), gauge.values[1:], gauge.seen[1:], *start)[2]
-    return np.concatenate([[0.0], log_likelihoods])
-
-
-@pytest.fixture(scope="module", params=[1, 3], ids=["few", "many"])
-def world(request):
-    recordings = walks([30, 45, 12] * request.param, 3)
-    tracker = line_tracker()
-    parameters = select_parameters(tracker, LEVELS)
-    return recordings, Problem(tracker, [stack(recordings)], NegativeLogLikelihood(), parameters)
-
-
-@pytest.mark.parametrize("block", [1, 7])
-def test_information_of_rows_is_that_of_the_textbook_filter(world, block):
-    recordings, problem = world
-    vectors = flatten(problem.parameters) + np.array([[0.0, 0.0], [0.7, -0.4]])
-    for vector in vectors:
-        found = row_information(problem, vector, block)
-        assert found.shape[:2] == (2, 2)
-        assert not found[..., len(recordings) :].any(), "padding trajectories have no scores"
-        if len(recordings) > FEW:
-            assert found.shape[2] > len(recordings)
-        for n, walk in enumerate(recordings):
-            differences = [
-                (_rows(walk, vector + shift) - _rows(walk, vector - shift)) / (2 * STEP) for shift in STEP * np.eye(2)
-            ]
-            starts = np.arange(0, len(walk), block)
-            blocked = np.add.reduceat(np.array(differences), starts, axis=1)
-            # the differences' own error, step² and rounding / step, is about 1e-10
-            np.testing.assert_allclose(found[..., n], blocked @ blocked.T, rtol=1e-6, atol=1e-8)
 
 
 STEEP = 1e12

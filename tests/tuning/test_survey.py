@@ -9,10 +9,8 @@ from tests.survey_sites import simulated_site
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.tuning.survey import surveying
-from trackwright.tuning.survey.frames import aligned, triangle
-from trackwright.tuning.survey.solving import FISHER, Solution, cost_of, equations, solved
-from trackwright.tuning.survey.surveying import delays_before, survey
-from trackwright.tuning.survey.walks import walks_of
+from trackwright.tuning.survey.solving import FISHER, Equations, Prior, Solution, cost_of, solved, walks_of
+from trackwright.tuning.survey.surveying import aligned, survey, triangle
 
 
 def _small(height=None, seconds=6.0):
@@ -20,11 +18,12 @@ def _small(height=None, seconds=6.0):
     (folder,), anchors, (path,) = simulated_site(4, (height,), 0.0)
     table = folder.tables["ranges"].filter(folder.tables["ranges"]["t_s"] < seconds)
     names = sorted(table["anchor"].unique())
-    (walk,) = walks_of([replace(folder, tables={"ranges": table})], names, height)
+    walk = walks_of([replace(folder, tables={"ranges": table})], names, height)
     at = np.column_stack([np.interp(walk.times, np.arange(len(path)) / 4.0, column) for column in path.T])
     unknown = np.column_stack([anchors, np.full(len(anchors), 0.1)])
     levels = np.full(len(anchors), 0.1), np.full(1, 0.5)
-    return walk, Solution(unknown, [walk.fitted(at)], *levels)
+    known = np.zeros(unknown.size), np.diag(np.tile([0.0, 0.0, 0.0, 10.0], len(unknown))), np.ones(unknown.size, bool)
+    return walk, Solution(unknown, walk.fitted(at), *levels), Prior(*known)
 
 
 def _ranges(walk, unknown, path):
@@ -34,16 +33,15 @@ def _ranges(walk, unknown, path):
     for knot, value in enumerate(path):
         t = np.abs(u - (knot - 1))
         x += np.where(t < 1, 2 / 3 - t**2 + t**3 / 2, np.where(t < 2, (2 - t) ** 3 / 6, 0.0))[:, None] * value
-    if walk.height is not None:
-        x = np.column_stack([x, np.full(len(x), walk.height)])
+    x = x if x.shape[1] == 3 else np.column_stack([x, walk.heights[walk.walk]])
     one = unknown[walk.anchor]
     return np.linalg.norm(x - one[:, :3], axis=1) + one[:, 3]
 
 
 @pytest.mark.parametrize("height", [None, 1.2])
 def test_the_information_is_the_schur_complement_of_the_dense_one(height):
-    walk, solution = _small(height)
-    (path,) = solution.paths
+    walk, solution, _ = _small(height)
+    path = solution.path.reshape(-1, 3 if height is None else 2)
     point = np.concatenate([solution.anchors.ravel(), path.ravel()])
     size = solution.anchors.size
 
@@ -57,20 +55,17 @@ def test_the_information_is_the_schur_complement_of_the_dense_one(height):
     dense[size:, size:] += np.kron(second.T @ second * 0.25, np.eye(path.shape[1])) / 0.5
     dense[size:, size:] += 1e-6 * np.eye(path.size)
     a, b, c = dense[:size, :size], dense[:size, size:], dense[size:, size:]
-    found = equations([walk], solution, expected=True).system
+    found = Equations(walk, solution, expected=True).system
     np.testing.assert_allclose(found, a - b @ np.linalg.solve(c, b.T), rtol=1e-4, atol=1e-2)
 
 
 def test_the_solution_is_a_minimum_of_the_cost():
-    walk, start = _small()
-    prior, random, h = delays_before(len(start.anchors)), np.random.default_rng(1), 1e-3
-    found = solved([walk], start, prior, levels=False)
+    (walk, start, prior), random, h = _small(), np.random.default_rng(1), 1e-3
+    found = solved(walk, start, prior, levels=False)
     for _ in range(20):
-        anchors, path = (random.standard_normal(x.shape) for x in (found.anchors, found.paths[0]))
+        anchors, path = (random.standard_normal(x.shape) for x in (found.anchors, found.path))
         below, at, above = (
-            cost_of(
-                [walk], replace(found, anchors=found.anchors + k * anchors, paths=[found.paths[0] + k * path]), prior
-            )
+            cost_of(walk, replace(found, anchors=found.anchors + k * anchors, path=found.path + k * path), prior)
             for k in (-h, 0.0, h)
         )
         # The lowest point of the parabola through the three.
@@ -78,12 +73,11 @@ def test_the_solution_is_a_minimum_of_the_cost():
 
 
 def test_a_turned_room_has_the_same_cost():
-    walk, start = _small()
+    walk, start, prior = _small()
     turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
     turned = np.column_stack([start.anchors[:, :3] @ turn.T + [1.0, 2.0, 3.0], start.anchors[:, 3]])
-    moved = replace(start, anchors=turned, paths=[start.paths[0] @ turn.T + [1.0, 2.0, 3.0]])
-    prior = delays_before(len(start.anchors))
-    assert cost_of([walk], moved, prior) == pytest.approx(cost_of([walk], start, prior), rel=1e-9)
+    moved = replace(start, anchors=turned, path=(start.path.reshape(-1, 3) @ turn.T + [1.0, 2.0, 3.0]).ravel())
+    assert cost_of(walk, moved, prior) == pytest.approx(cost_of(walk, start, prior), rel=1e-9)
 
 
 def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_heights():
@@ -133,6 +127,7 @@ def test_the_third_anchor_of_the_frame_is_the_first_that_stands_aside():
         triangle("ABCD", "ABC", anchors, 3)
 
 
+@pytest.mark.slow
 def test_given_anchors_stay_and_too_few_are_refused(monkeypatch):
     folders, anchors, _ = simulated_site(2, (0.5, 1.9), 0.0)
     names = [f"A{k:02d}" for k in range(len(anchors))]

@@ -101,6 +101,7 @@ class AbstractBearingSensor(AbstractSensor):
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
+    curved: ClassVar[bool] = True
 
     sigma_azimuth: Noise
     sigma_elevation: Noise

@@ -27,8 +27,8 @@ DEFAULT_ANTENNAS = np.array(
 """Eight antennas within ±4 cm × ±2 cm, x and y in m, in the order of antennas 1 to 8 of the paper.
 
 The figure with the true positions is lost. These are fitted: the bounds of the five antenna sets of Table 1 have the
-ratios of the printed errors; among the many such layouts this one has low ambiguity. `python -m
-trackwright.experiments.lab.papers.will_2020.fit_array_layout` prints them.
+ratios of the printed errors; among the many such layouts this one has low ambiguity, found by
+`experiments/lab/papers/will_2020/fit_array_layout.py`.
 """
 
 

@@ -56,7 +56,8 @@ def recent_points(
     `seen` (T,). With a known `height`, m, one ray can be enough; without, two directions are needed.
     """
     heights = np.array([np.nan if height is None else height], float)
-    return recent_points_of_each(np.array([0, len(times)]), times, origins, axes, angles, seen, heights, window)
+    both = np.stack([seen, seen], axis=1)
+    return recent_points_of_each(np.array([0, len(times)]), times, origins, axes, angles, both, heights, window)
 
 
 def recent_points_of_each(
@@ -71,12 +72,17 @@ def recent_points_of_each(
 ) -> np.ndarray:
     """As `recent_points`, for the rows of n tags one after another.
 
-    `starts` (n + 1,): the first row of each tag, then their number. `heights` (n,) m: NaN where unknown.
+    `starts` (n + 1,): the first row of each tag, then their number. `heights` (n,) m: NaN where unknown. `seen` (T, 2):
+    an azimuth alone counts as the plane through the array's y axis that it tells.
     """
     azimuth, elevation = angles.T
     u = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], axis=1)
     direction = np.einsum("tk,tki->ti", u, axes.reshape(-1, 3, 3))
-    projection = np.where(seen[:, None, None], np.eye(3) - direction[:, :, None] * direction[:, None, :], 0.0)
+    both, seen = np.all(seen, axis=1, keepdims=True)[..., None], seen[:, 0]
+    across = np.stack([np.cos(azimuth), 0.0 * azimuth, -np.sin(azimuth)], axis=1)
+    normal = np.einsum("tk,tki->ti", across, axes.reshape(-1, 3, 3))
+    ray, plane = np.eye(3) - direction[:, :, None] * direction[:, None, :], normal[:, :, None] * normal[:, None, :]
+    projection = np.where(seen[:, None, None], np.where(both, ray, plane), 0.0)
     lengths = np.diff(starts)
     begin = np.repeat(starts[:-1], lengths)
     first = first_not_before(times, begin, np.arange(len(times)), times - window)

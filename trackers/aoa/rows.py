@@ -61,7 +61,7 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
     if folder.calibration is not None:
         inputs["calibration"], directions, added = folder.calibration.of_bearings(list(stations), number, values)
         reported[:, ::2] += added
-    nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, directions, np.all(seen, axis=1), heights)
+    nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, directions, seen, heights)
     begin = np.repeat(rows.starts[:-1], np.diff(rows.starts))
     early = (np.arange(len(values)) - begin < MIN_RAYS - 1) & (rows.times - rows.times[begin] < PATIENCE_S)
     inputs[ROOM.name] = room_rows(np.stack([s.position for s in stations.values()]), folder.rig.outline, len(values))

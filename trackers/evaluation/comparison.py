@@ -39,13 +39,16 @@ class TrackErrors(NamedTuple):
     """Scored estimates of a track: `times` (n,) s, and of each the error, m, or of bearings the angle, rad.
 
     `error_3d` (n,): NaN of bearings. `inside` (n,): 1 where the 95 % ellipse contains the truth, else 0; NaN without a
-    covariance.
+    covariance. `density`, `energy` (n,): log density of the truth, nats, and energy score, m; NaN without a positive
+    definite covariance, and the latter of bearings.
     """
 
     times: np.ndarray
     error: np.ndarray
     error_3d: np.ndarray
     inside: np.ndarray
+    density: np.ndarray
+    energy: np.ndarray
 
 
 class Difference(NamedTuple):
@@ -69,7 +72,7 @@ class Difference(NamedTuple):
         return self.second - self.first
 
 
-METRICS = ("rmse_m", "median_m", "p95_m", "rmse_3d_m", "coverage_95")
+METRICS = ("rmse_m", "median_m", "p95_m", "rmse_3d_m", "coverage_95", "log_density", "energy_score_m")
 """The metrics of which differences are taken; those of bearings are of the angle."""
 
 
@@ -79,9 +82,14 @@ def errors_by_track(association: Association, scored: Scored) -> dict[Key, Track
     times = float_column(association.rows, "t_s")[scored.index]
     in_space = scored.sizes.get("3d_m", np.full(len(times), math.nan))
     inside = np.where(~np.isnan(scored.nees), scored.nees <= chi_square_quantile(0.95, 2), math.nan)
+    known, energy = np.isfinite(scored.nees), np.full(len(times), math.nan)
+    if scored.nees_3d is not None:
+        energy[known] = scored.energy_score(known, 2)
+    density = np.where(known, scored.log_density(2), math.nan)
     ends = np.searchsorted(scored.index, association.starts)
+    rows = TrackErrors(times, scored.size, in_space, inside, density, energy)
     return {
-        tuple(key): TrackErrors(times[a:b], scored.size[a:b], in_space[a:b], inside[a:b])
+        tuple(key): TrackErrors(*(x[a:b] for x in rows))
         for key, a, b in zip(keys, ends[:-1], ends[1:], strict=True)
         if b > a
     }
@@ -141,8 +149,14 @@ def _scores(rows: TrackErrors, kept: np.ndarray) -> Scores:
     for kind, size in (("m", rows.error), ("3d_m", rows.error_3d)):
         known = size[kept & ~np.isnan(size)]
         sums |= error_sums(kind, known, Groups(np.array([0, len(known)])))[0]
-    inside = rows.inside[kept & ~np.isnan(rows.inside)]
-    sums |= {"n nees": np.array([len(inside)]), "inside 95 nees": np.array([inside.sum()])}
+    inside, density, energy = (x[kept & ~np.isnan(x)] for x in (rows.inside, rows.density, rows.energy))
+    sums |= {
+        "n nees": np.array([len(density)]),
+        "zero nees": np.array([len(inside) - len(density)]),
+        "inside 95 nees": np.array([inside.sum()]),
+        "log density nees": np.array([density.sum()]),
+        "energy nees": np.array([energy.sum() if len(energy) else math.nan]),
+    }
     errors = rows.error[kept]
     return Scores(sums, {}, {}, {"m": Values(errors, np.array([0, len(errors)]))})
 

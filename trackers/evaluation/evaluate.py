@@ -23,7 +23,7 @@ from trackwright.trackers.evaluation.association import (
     associate_truth,
     refuse_without_overlap,
 )
-from trackwright.trackers.evaluation.metrics import MetricRows
+from trackwright.trackers.evaluation.metrics import RESIDUALS, MetricRows
 from trackwright.trackers.evaluation.scores import Scores
 from trackwright.trackers.evaluation.scoring import score, scores_of_tracks
 from trackwright.trackers.evaluation.statements import covariance_statements
@@ -101,7 +101,7 @@ def evaluate(
     return evaluate_association(association, stations, every, _ratios(estimates))
 
 
-def _ratios(estimates: Tracks | Estimates | pl.DataFrame | Association) -> dict[str, float]:
+def _ratios(estimates: Tracks | Estimates | pl.DataFrame | Association) -> dict[str, tuple[float, float]]:
     """The `residual_ratios` of tracks; none of estimates without their readings."""
     if isinstance(estimates, pl.DataFrame | Association):
         return {}
@@ -127,17 +127,17 @@ class TrackScores(NamedTuple):
         keys = rows.select(track_keys(rows))[association.starts[:-1]]
         return cls(keys, is_bearing(rows), scores_of_tracks(association, score(association, stations, every)))
 
-    def recordings(self, ratios: Mapping[str, float]) -> tuple[list[str], Scores]:
+    def recordings(self, ratios: Mapping[str, tuple[float, float]]) -> tuple[list[str], Scores]:
         """The names of the recordings and their scores; `ratios`: of their residuals, see `residual_ratios`."""
         names = self.keys["recording"].to_list()
         first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
         single = len(first) == len(names)
         scores = self.scores if single else self.scores.grouped(np.array([*first, len(names)]))
         recordings = [names[k] for k in first]
-        ratio = np.array([ratios.get(name, np.nan) for name in recordings])
-        return recordings, replace(scores, largest={**scores.largest, "residual_ratio_5s": ratio})
+        columns = np.array([ratios.get(name, (np.nan, np.nan)) for name in recordings]).T
+        return recordings, replace(scores, largest={**scores.largest, **dict(zip(RESIDUALS, columns, strict=True))})
 
-    def evaluation(self, ratios: Mapping[str, float] | None = None) -> Evaluation:
+    def evaluation(self, ratios: Mapping[str, tuple[float, float]] | None = None) -> Evaluation:
         """The metrics by track, by recording and overall."""
         names, recordings = self.recordings(ratios or {})
         (overall,) = MetricRows(recordings.grouped(np.array([0, len(names)])))
@@ -246,7 +246,7 @@ def evaluate_association(
     association: Association,
     stations: Mapping[str, Mapping[str, Station]] | None = None,
     every: float | None = None,
-    ratios: Mapping[str, float] | None = None,
+    ratios: Mapping[str, tuple[float, float]] | None = None,
 ) -> Evaluation:
     """As `evaluate`, of estimates already associated with truth; metrics are None if no row is scored.
 

@@ -68,7 +68,7 @@ def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[flo
     if trajectory.folder.rig.path_knots is None or known.is_empty():
         return []
     from trackwright.trackers.line.leaving import excursions
-    from trackwright.trackers.line.path import path_of
+    from trackwright.trackers.line.rows import path_of
 
     path = path_of(trajectory.folder)
     times, positions = float_column(known, "t_s"), np.stack([float_column(known, f"{a}_m") for a in "xy"], axis=1)

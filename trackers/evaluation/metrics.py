@@ -9,14 +9,14 @@ unless the name has `3d`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.trackers.core.data.consistency import chi_square_quantile
-from trackwright.trackers.evaluation.rank_correlation import LAGS_S, correlation, inflation
+from trackwright.trackers.core.data.consistency import NORMAL, chi_square_quantile
+from trackwright.trackers.evaluation.judge import band, regret
 from trackwright.trackers.evaluation.scores import LEVELS, Scores
 
 Formula = Callable[[Scores], np.ndarray]
@@ -25,7 +25,7 @@ Formula = Callable[[Scores], np.ndarray]
 class Metric(NamedTuple):
     """A metric: its name, what it is in words, its unit, and its formula (g,) of the scores of g groups.
 
-    `unit`: m, m², rad, s, rows, % of a share, or none. `short`: the heading of its column in tables, in up to two
+    `unit`: m, m², rad, s, rows, nats, % of a share, or none. `short`: the heading of its column in tables, in up to two
     lines; without one, files alone have it. `rank`: of a table too wide for the terminal, the columns of the highest
     rank are left out first. `page`: whether the page of `track` has it. `right`: its value for right covariances.
     """
@@ -96,6 +96,10 @@ def _quantile(kind: str, share: float) -> Formula:
     return lambda s: s.quantile(kind, share)
 
 
+def _largest(kind: str) -> Formula:
+    return lambda s: s.largest[kind]
+
+
 def _of_kind(kind: str) -> Iterator[Metric]:
     """The statistics of the sizes of errors of a kind."""
     statistics: tuple[tuple[str, str, Formula], ...] = (
@@ -105,7 +109,7 @@ def _of_kind(kind: str) -> Iterator[Metric]:
         ("p90", "90th percentile", _quantile(kind, 0.9)),
         ("p95", "95th percentile", _quantile(kind, 0.95)),
         ("p99", "99th percentile", _quantile(kind, 0.99)),
-        ("max", "largest error", lambda s: s.largest[kind]),
+        ("max", "largest error", _largest(kind)),
     )
     for name, words, formula in statistics:
         words = f"{words} {ERROR_KINDS[kind].words}".strip()
@@ -144,22 +148,37 @@ def _consistency(name: str, dof: int) -> Iterator[Metric]:
         yield Metric(f"coverage_{p}{suffix}", words, "%", formula, short, rank, flat and p == 95, p / 100)
     mean = _ratio(f"sum {name}", f"n {name}")
     yield Metric(f"{name}_mean", f"NEES{space}, {dof} expected", "", mean, right=float(dof))
-    ratio, short = f"NEES per degree of freedom{space}, 1 expected", "NEES\n/dof" if flat else ""
-    yield Metric(f"{name}_ratio", ratio, "", lambda s: mean(s) / dof, short, 0, flat, 1.0)
+    words, short = f"NEES per degree of freedom{space}, 1 expected", "NEES\n/dof" if flat else ""
+
+    def ratio(s: Scores) -> np.ndarray:
+        return mean(s) / dof
+
+    yield Metric(f"{name}_ratio", words, "", ratio, short, 0, flat, 1.0)
+    words = f"log density lost by the scale of the covariances{space}"
+    yield Metric(f"regret{suffix}", words, "nats", lambda s: regret(ratio(s)), "regret" * flat, 0, flat)
+    yield from _band(name, space, lambda s: dof)
+    words, density = f"mean log density of the true position{space}", _ratio(f"log density {name}", f"n {name}")
+    yield Metric(f"log_density{suffix}", words, "nats", density, "log\ndensity" * flat, 1, flat)
+    energy = _ratio(f"energy {name}", f"n {name}")
+    yield Metric(f"energy_score{suffix}_m", f"energy score{space}", "m", energy, "energy\nscore" * flat, 2, flat)
     small = f"reported standard deviations too small{space} by a factor of"
     middle = chi_square_quantile(0.5, dof)
     # Above 1 the 50 % ellipse holds less than half of the truth.
     yield Metric(f"sigma_factor{suffix}", small, "", lambda s: np.sqrt(s.quantile(name, 0.5) / middle))
 
 
-def _correlation(lag: str) -> Metric:
-    seconds = f"{LAGS_S[lag]:g} s"
+def _band(name: str, space: str, dof: Callable[[Scores], np.ndarray | int]) -> Iterator[Metric]:
+    """The effective samples of NEES or NIS and the band of its ratio; `dof`: the degrees of freedom of a row (g,)."""
+    what, end = name[:4].strip("_").upper(), name.removeprefix("nees_") if name != "nees" else ""
 
-    def formula(s: Scores) -> np.ndarray:
-        return correlation(*(s[f"{what} {lag}"] for what in ("product", "first", "second", "pairs")))
+    def samples(s: Scores) -> np.ndarray:
+        return s[f"n {name}"] ** 2 / s[f"slow {name}"]
 
-    words = f"autocorrelation of NIS over {seconds}"
-    return Metric(f"nis_correlation_{lag}", words, "", formula, f"NIS r\n{seconds}", int(lag != "1s"))
+    words = f"independent samples with the information of the rows' {what}{space}"
+    yield Metric(f"n_effective{end and '_'}{end}", words, "rows", samples)
+    for z, side in ((-NORMAL, "low"), (NORMAL, "high")):
+        words = f"{side}est {what}/dof of a perfect filter with such errors{space}, 95 %"
+        yield Metric(f"{name}_{side}", words, "", partial(lambda z, s: band(samples(s), dof(s), z), z))
 
 
 def _lost_fraction(s: Scores) -> np.ndarray:
@@ -170,6 +189,12 @@ def _lost_fraction(s: Scores) -> np.ndarray:
 def _variance(s: Scores) -> np.ndarray:
     return s["squares m"] / s["n m"] - (s["sum m"] / s["n m"]) ** 2
 
+
+RESIDUALS = {
+    "residual_ratio_5s": ("residuals' 5 s means, relative to most residuals", ""),
+    "residual_part_5s": ("part of the residuals' square that lasts 5 s", "%"),
+}
+"""The metrics of `residual_ratios`, of recordings alone: words and unit."""
 
 METRICS = {
     metric.name: metric
@@ -196,19 +221,8 @@ METRICS = {
         Metric(
             "nis_ratio", "NIS per degree of freedom, 1 expected", "", _ratio("nis", "dof"), "NIS\n/dof", 2, True, 1.0
         ),
-        *map(_correlation, LAGS_S),
-        Metric(
-            "nis_inflation_1s",
-            "rows of 1 s with the information of one",
-            "",
-            lambda s: inflation(s["window sums"], s["window squares"], s["window rows"]),
-        ),
-        Metric(
-            "residual_ratio_5s",
-            "residuals' 5 s means, relative to most residuals",
-            "",
-            lambda s: s.largest["residual_ratio_5s"],
-        ),
+        *_band("nis", "", _ratio("dof", "n nis")),
+        *(Metric(name, *about, _largest(name)) for name, about in RESIDUALS.items()),
         Metric("lost_s", "time lost", "s", lambda s: s["lost s"], "lost", 0, True),
         Metric("lost_fraction", "rows lost", "%", _lost_fraction),
         Metric("losses", "times lost", "", lambda s: s["losses"]),

@@ -34,12 +34,13 @@ MOST_ROWS = 100_000
 """Residuals of a recording that are looked at, whole trajectories."""
 
 
-def residual_ratios(tracks: Tracks) -> dict[str, float]:
+def residual_ratios(tracks: Tracks) -> dict[str, tuple[float, float]]:
     """Of each recording with enough readings, the size of 5 s means of residuals relative to that of most residuals.
 
     The root mean square over the means of each station or anchor, of residuals about their median, divided by the
     robust standard deviation (median absolute deviation) of all residuals. At most about 1 for normal residuals,
-    however correlated. Of sensors that measure a position, the largest of their channels.
+    however correlated. Beside it the part of the residuals' mean square that those means have beyond chance: their
+    location, which no level of white noise explains. Of sensors that measure a position, the largest of their channels.
     """
     if "x_m" not in tracks.table.columns:
         return {}
@@ -73,7 +74,7 @@ def residual_ratios(tracks: Tracks) -> dict[str, float]:
         parts, axes = [estimated[keys[k]] for k in chosen], "xy" if batch.planar else "xyz"
         first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
         position = _interpolated(estimates, parts, columns, axes)
-        for channel, values, seen in _residuals(sensors, columns, position, np.array(before)):
+        for channel, values, seen in residuals_of(sensors, columns, position, np.array(before)):
             for a, b in pairwise([*first, len(names)]):
                 part = slice(*columns.starts[[a, b]])
                 residuals[names[a]][channel].append(values[part][seen[part]])
@@ -81,7 +82,7 @@ def residual_ratios(tracks: Tracks) -> dict[str, float]:
         name: [r for values in channels.values() if (r := _ratio(np.concatenate(values))) is not None]
         for name, channels in residuals.items()
     }
-    return {name: max(each) for name, each in ratios.items() if each}
+    return {name: (max(r for r, _ in each), max(part for _, part in each)) for name, each in ratios.items() if each}
 
 
 def _interpolated(estimates: pl.DataFrame, parts: Sequence[slice], columns: Columns, axes: str) -> Vector:
@@ -94,15 +95,19 @@ def _interpolated(estimates: pl.DataFrame, parts: Sequence[slice], columns: Colu
     return Vector(*position)
 
 
-def _residuals(
-    sensors: Mapping[str, AbstractSensor], columns: Columns, position: Vector, before: Int[np.ndarray, " n"]
+def residuals_of(
+    sensors: Mapping[str, AbstractSensor],
+    columns: Columns,
+    position: Vector,
+    before: Int[np.ndarray, " n"] | None = None,
 ) -> Iterator[tuple[str, Float[np.ndarray, "N 4"], Bool[np.ndarray, " N"]]]:
-    """Residuals of each channel about the positions, with the numbers of their source, block and trajectory, `before`.
+    """Residuals of each channel about the positions, with the numbers of their source, block and trajectory (`before`).
 
     And the mask of the rows that have one.
     """
     inputs = {key: np.moveaxis(x, 0, -1) for key, x in columns.inputs.items()}
     block = (columns.times - columns.of_each(columns.times[columns.starts[:-1]])) // BLOCK_S
+    of = np.arange(len(columns.starts) - 1) if before is None else before
     for name, sensor in sensors.items():
         reading, predicted = columns.readings[name], sensor.measure(SimpleNamespace(position=position), inputs)
         given = {x.name: inputs[x.name] for x in sensor.inputs if x.name in inputs}
@@ -114,7 +119,7 @@ def _residuals(
                 # Where a lever arm points is not known from the position.
                 seen = seen & (given["levers"][3 * k : 3 * k + 3] == 0.0).all(axis=0)
             for sign, source in _sources(given, k, len(block)):
-                values = np.stack([sign * residual, source, block, columns.of_each(before)], axis=1)
+                values = np.stack([sign * residual, source, block, columns.of_each(of)], axis=1)
                 yield f"{name}.{channel.name}", values, seen
 
 
@@ -130,8 +135,8 @@ def _sources(given: Mapping[str, np.ndarray], k: int, rows: int) -> list[tuple[i
     return [(1, (numbers[k] if numbers.ndim > 1 else numbers).astype(int))]
 
 
-def _ratio(residuals: Float[np.ndarray, "n 4"]) -> float | None:
-    """The ratio of one channel; None of too few blocks."""
+def _ratio(residuals: Float[np.ndarray, "n 4"]) -> tuple[float, float] | None:
+    """The ratio and the part of one channel; None of too few blocks."""
     if not len(residuals):
         return None
     about = residuals[:, 0] - np.median(residuals[:, 0])
@@ -143,4 +148,7 @@ def _ratio(residuals: Float[np.ndarray, "n 4"]) -> float | None:
     scatter = 1.4826 * float(np.median(np.abs(about)))
     if len(means) < LEAST_BLOCKS or scatter == 0.0:
         return None
-    return float(np.sqrt(np.mean(means**2)) / scatter)
+    # Analysis of variance: the scatter within blocks against the mean square.
+    within = about - (np.bincount(block, about) / count)[block]
+    part = 1 - np.sum(within**2) / max(len(about) - len(count), 1) / np.mean(residuals[:, 0] ** 2)
+    return float(np.sqrt(np.mean(means**2)) / scatter), max(float(part), 0.0)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.consistency import nees_of_leading
+from trackwright.trackers.core.data.consistency import Entries, eliminated, nees_of_leading
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.evaluation.association import Association, true_bearings
-from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
-from trackwright.trackers.evaluation.rank_correlation import rank_sums
+from trackwright.trackers.evaluation.judge import correlation_times, energy_scores
+from trackwright.trackers.evaluation.metrics import RESIDUALS, bearing_sizes, position_sizes
 from trackwright.trackers.evaluation.scores import Groups, Scores, Values, error_sums, nees_sums
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.tracks_table import HEADING, is_bearing
@@ -25,7 +26,8 @@ class Scored:
 
     `index`: their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad; `sizes` (n,) by kind,
     NaN of rows without one; `nees` of the horizontal position or of both angles, infinite of a zero or singular
-    covariance, NaN of a missing or infinite one; `nees_3d` likewise, None for bearings.
+    covariance, NaN of a missing or infinite one; `nees_3d` likewise, None for bearings. `covariance`: its entries (n,)
+    in the upper triangle, by row and column.
     """
 
     index: np.ndarray
@@ -33,11 +35,36 @@ class Scored:
     sizes: Mapping[str, np.ndarray]
     nees: np.ndarray
     nees_3d: np.ndarray | None
+    covariance: Entries
 
     @property
     def size(self) -> np.ndarray:
         """The horizontal error (n,), m, or of bearings the angle between estimated and true direction, rad."""
         return next(iter(self.sizes.values()))
+
+    @cached_property
+    def _eliminated(self) -> tuple[np.ndarray, np.ndarray]:
+        """The parts (n, d) of errors, and their variances, of which NEES is the sum of squares, d axes."""
+        parts = eliminated(self.errors, self.covariance)
+        return np.stack([x for x, _ in parts], axis=1), np.stack([variance for _, variance in parts], axis=1)
+
+    def log_density(self, dimensions: int) -> np.ndarray:
+        """The log density (n,), nats, of the truth under the normal distribution that the row reports.
+
+        `dimensions`: 3 for positions in space, 2 for those over the floor and for bearings. NaN without a covariance.
+        """
+        square, variances = (self.nees_3d if dimensions == 3 else self.nees), self._eliminated[1][:, :dimensions]
+        return -0.5 * (square + np.log(2 * np.pi * variances).sum(axis=1))
+
+    def energy_score(self, known: np.ndarray, dimensions: int) -> np.ndarray:
+        """The energy scores, m, of the rows in the mask `known` (n,), which have a covariance."""
+        upper = {at: x[known] for at, x in self.covariance.items() if max(at) < dimensions}
+        return energy_scores(self.errors[known, :dimensions], _whole(upper, dimensions))
+
+    def error_samples(self, known: np.ndarray, dimensions: int, starts: np.ndarray) -> np.ndarray:
+        """Rows (g,) with the information of one on NEES, of the tracks of the rows in the mask `known` (n,)."""
+        errors, variances = (x[known, :dimensions] for x in self._eliminated)
+        return correlation_times(errors / np.sqrt(variances), starts)
 
 
 def score(
@@ -52,21 +79,6 @@ def score(
     return _positions(association, kept)
 
 
-def log_densities(association: Association, scored: Scored, dimensions: int) -> np.ndarray:
-    """The log density (n,), nats, of each scored row's truth under the normal distribution that the row reports.
-
-    `dimensions`: 3 for positions in space, 2 for those over the floor and for bearings. NaN without a covariance.
-    """
-    rows = association.rows[scored.index]
-    if is_bearing(rows):
-        determinant = (float_column(rows, "std_azimuth_rad") * float_column(rows, "std_elevation_rad")) ** 2
-    else:
-        determinant = np.linalg.det(covariances(rows)[:, :dimensions, :dimensions])
-    square = scored.nees_3d if dimensions == 3 and scored.nees_3d is not None else scored.nees
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return -0.5 * (square + np.log(determinant) + dimensions * np.log(2 * np.pi))
-
-
 def scores_of_tracks(association: Association, scored: Scored) -> Scores:
     """The scores of each track: errors and NEES of its scored rows, NIS and track loss of all of them."""
     all_rows, status = Groups(association.starts), association.truth_status
@@ -75,7 +87,7 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
     for name, why in EXCLUDED.items():
         sums[name] = all_rows.sum(status == why)
     # Residuals are judged by recording.
-    largest = {"residual_ratio_5s": np.full(len(rows.count), np.nan)}
+    largest = dict.fromkeys(RESIDUALS, np.full(len(rows.count), np.nan))
     values = {}
     for kind, size in scored.sizes.items():
         groups, known = rows.where(~np.isnan(size), size)
@@ -86,8 +98,13 @@ def scores_of_tracks(association: Association, scored: Scored) -> Scores:
         sums[f"bias {component}"] = groups.sum(known)
     for name, each, dof in (("nees", scored.nees, 2), ("nees_3d", scored.nees_3d, 3)):
         if each is not None:
-            groups, known = rows.where(np.isfinite(each), each)
+            finite = np.isfinite(each)
+            groups, known = rows.where(finite, each)
             sums |= nees_sums(name, known, dof, groups)
+            sums[f"slow {name}"] = groups.count * scored.error_samples(finite, dof, groups.starts)
+            sums[f"log density {name}"] = groups.sum(scored.log_density(dof)[finite])
+            if scored.nees_3d is not None:
+                sums[f"energy {name}"] = groups.sum(scored.energy_score(finite, dof))
             values[name] = Values(known, groups.starts)
             zero = rows.sum(np.isinf(each))
             total = rows.count if dof == 2 else np.where(groups.count + zero > 0, sums["n 3d_m"], 0)
@@ -131,8 +148,13 @@ def last_of_intervals(times: np.ndarray, scored: np.ndarray, every: float | None
 
 def covariances(rows: pl.DataFrame) -> np.ndarray:
     """Reported position covariances (n, 3, 3), m²; covariances missing in the table are zero."""
-    covs = np.empty((3, 3, len(rows)))
-    for (i, j), entry in _upper_entries(rows).items():
+    return _whole(_upper_entries(rows), 3)
+
+
+def _whole(upper: Entries, dimensions: int) -> np.ndarray:
+    """Covariances (n, d, d) from their entries in the upper triangle."""
+    covs = np.empty((dimensions, dimensions, len(upper[0, 0])))
+    for (i, j), entry in upper.items():
         covs[i, j] = covs[j, i] = entry
     return np.moveaxis(covs, -1, 0)
 
@@ -164,7 +186,7 @@ def _positions(association: Association, kept: np.ndarray) -> Scored:
     if association.headings is not None:
         turned = float_column(rows, HEADING) - association.headings[kept]
         sizes["heading_rad"] = np.abs(np.pi - (np.pi - turned) % (2 * np.pi))
-    return Scored(kept, errors, sizes, flat, spatial)
+    return Scored(kept, errors, sizes, flat, spatial, upper)
 
 
 def _judged(nees: np.ndarray, *reported: np.ndarray) -> np.ndarray:
@@ -183,7 +205,7 @@ def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str,
     azimuth, elevation = (float_column(rows, f"std_{name}") for name in COMPONENTS[2])
     upper = {(0, 0): azimuth * np.abs(azimuth), (0, 1): np.zeros(len(rows)), (1, 1): elevation * np.abs(elevation)}
     each = _judged(nees_of_leading(errors, upper)[-1], *errors.T, azimuth, elevation)
-    return Scored(kept, errors, sizes, each, None)
+    return Scored(kept, errors, sizes, each, None, upper)
 
 
 def in_plane(azimuth: np.ndarray) -> np.ndarray:
@@ -193,12 +215,16 @@ def in_plane(azimuth: np.ndarray) -> np.ndarray:
 
 
 def _innovations(association: Association, rows: Groups) -> dict[str, np.ndarray]:
-    """The sums of NIS, of its degrees of freedom and of its ranks; rows without a measurement have none."""
+    """The sums of NIS and of its degrees of freedom, and its rows; rows without a measurement have none."""
     nis, dof = float_column(association.rows, "nis"), float_column(association.rows, "nis_dof")
     known = np.isfinite(nis) & (dof > 0)
     nis, dof = np.where(known, nis, 0.0), np.where(known, dof, 0.0)
-    ranks = rank_sums(float_column(association.rows, "t_s"), nis, dof, association.starts)
-    return {"nis": rows.sum(nis), "dof": rows.sum(dof), **ranks}
+    total, freedom = rows.sum(nis), rows.sum(dof)
+    sums = {"nis": total, "dof": freedom, "n nis": rows.sum(known)}
+    with np.errstate(invalid="ignore"):
+        about = nis - np.repeat(total / freedom, rows.count) * dof
+    groups, about = rows.where(known, about)
+    return sums | {"slow nis": groups.count * correlation_times(about[:, None], groups.starts, power=1)}
 
 
 def _lost(association: Association, rows: Groups) -> dict[str, np.ndarray]:

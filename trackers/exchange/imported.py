@@ -29,6 +29,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder, read_recordi
 from trackwright.trackers.recordings.kinds import KINDS, first_time
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile
+from trackwright.trackers.recordings.tables import unwrapped_times
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
@@ -225,7 +226,8 @@ def _written(folder: RecordingFolder, path: Path, source: Source) -> RecordingFo
         raise UnusableInput(_REFUSED.sub(original, text)) from problem
     for name, table in tables.items():
         if not table["t_s"].is_sorted():
-            table.sort("t_s", maintain_order=True).write_parquet(path / f"{name}.parquet")
+            times, _ = unwrapped_times(table["t_s"].to_numpy())
+            table.with_columns(t_s=times).sort("t_s", maintain_order=True).write_parquet(path / f"{name}.parquet")
     return read
 
 

@@ -21,7 +21,7 @@ from trackwright.trackers.exchange.source_rows import Reading, read_rows
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.kinds import QUATERNION
-from trackwright.trackers.recordings.tables import restarted_at
+from trackwright.trackers.recordings.tables import restarted_at, unwrapped_times
 from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE
 
 AXES = ("x_m", "y_m", "z_m")
@@ -236,6 +236,8 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
         quaternions = np.roll(numbers[:, 4:8], 1, axis=1) if kind == "tum" else numbers[:, 4:8]
         if kind == "euroc":
             stamps = stamps / 1e9
+    stamps, wraps = unwrapped_times(stamps)
+    notices += wraps
     if 2 * (different := len(np.unique(stamps))) < len(stamps):
         found = "one time" if different == 1 else f"{different} times"
         raise UnusableInput(
@@ -249,7 +251,8 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
                 f"{path}: pose {at + 1}: {stamps[at]:.3f} s after {stamps[:at].max():.3f} s: the clock went back; "
                 "expected times that increase; make the poses before and after it two files"
             )
-        notices.append(f"rows earlier than the previous row: {int((np.diff(stamps) < 0).sum())}; sorted")
+        back, most = int((np.diff(stamps) < 0).sum()), -float(np.diff(stamps).min())
+        notices.append(f"rows earlier than the previous row: {back}, by {most:.6g} s at most; sorted")
         order = np.argsort(stamps, kind="stable")
         stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
     attitude = None if (quaternions == _IDENTITY).all() else quaternions

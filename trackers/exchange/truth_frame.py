@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -12,10 +13,10 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.exchange.trajectories import Similarity
-from trackwright.trackers.recordings.checks.changes import transform_text
-from trackwright.trackers.recordings.checks.compared import Compared, compared, robust_fit
-from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
+from trackwright.trackers.recordings.checks.changes import about_vertical, transform_text
+from trackwright.trackers.recordings.checks.compared import CUT, Compared, compared, robust_fit
 from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced, true_attitude
+from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 
@@ -27,6 +28,9 @@ LEANING, PUSH_S = 5.0, 0.2
 
 FEW, NEAR = 240, 3
 """Readings of the search, and how many of its 24 turns are refined at each difference of the clocks."""
+
+DETERMINED_M, SURE = 0.05, 3.0
+"""Standard error, m, up to which a shift in z is determined, and standard errors from which it is other than zero."""
 
 
 class Placement(NamedTuple):
@@ -85,10 +89,11 @@ def leaning(recording: RecordingFolder) -> tuple[Similarity, float]:
     return Similarity(np.eye(3), np.zeros(3)), 0.0
 
 
-def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:
-    """The placement of the truth that its readings fit best, and how well, in words.
+def found_placement(recording: RecordingFolder, flat: bool = False) -> tuple[Placement, str]:
+    """The placement of the truth that its readings fit best, and how well, in words, with standard errors.
 
-    Raises UnusableInput without readings at the times of the truth, and where no placement explains them.
+    Without a shift in z where `flat`, and where the readings determine it neither to `DETERMINED_M` nor as other than
+    zero. Raises UnusableInput without readings at the times of the truth, and where no placement explains them.
     """
     views = (compared(recording, table) for table in KINDS)
     view = next((view for view in views if view is not None), None)
@@ -99,8 +104,27 @@ def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:
         )
     centre = view.positions.mean(axis=0)
     start = _searched(view.thinned(FEW), centre)
-    x, _ = robust_fit(lambda x: _errors(view.later(float(x[4])), centre, x), start)
-    of_groups = view.sizes(_errors(view.later(float(x[4])), centre, x))
+
+    def errors(x: np.ndarray) -> np.ndarray:
+        return _errors(view.later(float(x[4])), centre, x)
+
+    def level(x: np.ndarray) -> np.ndarray:
+        return errors(np.array([*x[:3], centre[2], x[3]]))
+
+    x, _ = robust_fit(errors, start)
+    std, kept = _standard_errors(view, errors, x), ""
+    doubtful = std[3] > DETERMINED_M and abs(x[3] - centre[2]) < SURE * std[3]
+    if flat or doubtful:
+        if not flat:
+            kept = f"z as it was, since its shift of {x[3] - centre[2]:.2f} ± {std[3]:.2f} m may be zero; "
+        part, _ = robust_fit(level, np.delete(x, 3))
+        x = np.array([*part[:3], centre[2], part[3]])
+        std = np.insert(_standard_errors(view, level, part), 3, 0.0)
+    certain = (
+        f"standard errors {std[1]:.2g}, {std[2]:.2g}, {std[3]:.2g} m in x, y, z at the middle of the truth, "
+        f"{math.degrees(std[0]):.2g}°, {std[4]:.2g} s"
+    )
+    of_groups = view.sizes(errors(x))
     known = np.isfinite(of_groups).any(axis=0)
     sizes = np.nanmedian(of_groups[:, known], axis=0)
     unit = view.kind.unit
@@ -112,7 +136,36 @@ def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:
         )
     east, north, up = x[1:4] - about_vertical(x[0]) @ centre
     yaw = math.degrees(math.remainder(x[0], 2 * math.pi))
-    return Placement(east, north, up, yaw, float(x[4])), f"{view.kind.name} then differ by {typical} typically"
+    return (
+        Placement(east, north, up, yaw, float(x[4])),
+        f"{kept}{view.kind.name} then differ by {typical} typically; {certain}",
+    )
+
+
+def _standard_errors(view: Compared, errors: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
+    """The standard errors of numbers fitted to readings, whose errors are white and a bias of each anchor or station.
+
+    The biases have the spread of the groups' median errors, which the fit has taken part of, and of measurements other
+    than positions at least the size that cannot be told from none; those of distances may have one part in common.
+    """
+    e = errors(x)
+    of_groups = np.nan_to_num(view.medians(e))
+    groups, n = len(of_groups), len(x)
+    spread = 1.4826 * np.median(np.abs(of_groups), axis=0) * math.sqrt(groups / max(groups - n + 1, 1))
+    least = 0.0 if view.kind.position else view.kind.sizes("floor", e.shape[1])
+    bias = np.maximum(spread * (groups > 1), least)
+    size = np.nan_to_num(1.4826 * known_median(np.abs(e)), nan=1.0) + 1e-9
+    slopes = np.stack([(errors(x + 1e-6 * unit) - e) / 1e-6 for unit in np.eye(n)], axis=-1)
+    known = np.isfinite(e) & np.isfinite(slopes).all(axis=-1)
+    weights = np.where(known, 1.0 / (1.0 + (np.nan_to_num(e) / (CUT / 3 * size)) ** 2), 0.0)
+    slopes = np.where(known[..., None], slopes, 0.0)
+    pulls = np.stack([(weights[..., None] * slopes)[view.group == k].sum(axis=0) for k in range(groups)])
+    scatter = np.einsum("gci,gcj,c->ij", pulls, pulls, bias**2)
+    if view.kind.distance:
+        scatter += np.einsum("ci,cj,c->ij", pulls.sum(axis=0), pulls.sum(axis=0), bias**2)
+    scatter += np.einsum("nc,nci,ncj,c->ij", weights**2, slopes, slopes, size**2)
+    inverse = np.linalg.pinv(np.einsum("nc,nci,ncj->ij", weights, slopes, slopes))
+    return np.asarray(np.sqrt(np.diag(inverse @ scatter @ inverse)))
 
 
 def _errors(view: Compared, centre: np.ndarray, x: np.ndarray) -> np.ndarray:

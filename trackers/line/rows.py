@@ -11,11 +11,11 @@ import polars as pl
 
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.motion import HaltingMotion, LineMotion
-from trackwright.trackers.line.path import path_of
 from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import KnotTimes, knot_times
 from trackwright.trackers.parts.fixes import AXES_M, AXES_STD_M
@@ -36,6 +36,20 @@ SIGMA_FIX = 0.3
 
 SIGMA_RANGE, POSITIVE_SKEW, DOF = 0.1, 3.0, 3.0
 """Scale, m, skew and degrees of freedom of the range errors, as fitted to recordings of other rooms."""
+
+CLOSING_GAP = 0.05
+"""Largest gap between the ends of a closed path, as a fraction of its longest segment."""
+
+
+def path_of(folder: RecordingFolder) -> Polyline:
+    """The folder's known path, closed if its ends nearly meet; raises UnusableInput if there is none."""
+    if folder.rig.path_knots is None:
+        raise UnusableInput(f"{folder.path}: no [path] in rig.toml, expected its knots_m = [[x, y], …]; add them")
+    knots = np.asarray(folder.rig.path_knots, float)
+    gap = float(np.linalg.norm(knots[-1] - knots[0]))
+    if 0.0 < gap <= CLOSING_GAP * np.linalg.norm(np.diff(knots, axis=0), axis=1).max():
+        knots = np.vstack([knots, knots[:1]])
+    return Polyline(knots)
 
 
 def planar_fix_trajectories(folder: RecordingFolder) -> Trajectories:

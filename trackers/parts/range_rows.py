@@ -23,13 +23,10 @@ CARRIER = "tag of the body"
 """The column with the tag of each range where those of several tags are rows of one trajectory."""
 
 
-def range_trajectories(folder: RecordingFolder, free_height: bool, quality: bool = False) -> Trajectories:
-    """Each tag's ranges, one row per table row, with the inputs of `range_inputs`, and `room`.
-
-    `quality`: with that which the noise of the folder's calibration follows, for a sensor with `quality_slope`.
-    """
+def range_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
+    """Each tag's ranges, one row per table row, with the inputs of `range_inputs`, and `room`."""
     rows = folder.rows("ranges")
-    readings, number = range_rows(folder, rows, quality)
+    readings, number = range_rows(folder, rows)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     anchors = anchor_positions(folder)
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchors, heights, folder.rig)
@@ -37,12 +34,11 @@ def range_trajectories(folder: RecordingFolder, free_height: bool, quality: bool
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
 
 
-def range_rows(folder: RecordingFolder, rows: TagRows, quality: bool = False) -> tuple[Readings, np.ndarray]:
+def range_rows(folder: RecordingFolder, rows: TagRows) -> tuple[Readings, np.ndarray]:
     """The readings of ranges, one row per row of the table, and the number of each range's anchor (N,).
 
     Anchors are numbered in the order of their ids. Ranges that are not positive are masked. Where the folder has a
     calibration, ranges are without the systematic errors of their anchor and tag, and have the variance that these add.
-    `quality`: as of `range_trajectories`.
     """
     values, seen = rows.values(["range_m"])
     seen &= values > 0.0
@@ -56,9 +52,6 @@ def range_rows(folder: RecordingFolder, rows: TagRows, quality: bool = False) ->
         distances, added = folder.calibration.of_ranges(anchors, number, tags, tag, values[:, 0])
         values, variances = np.where(seen, distances[:, None], 0.0), variances + added[:, None]
         seen &= values > 0.0
-        known = folder.calibration.range_quality
-        if quality and known is not None:
-            variances = np.column_stack([variances, known.standardised(rows.floats([known.column]))])
     return Readings(values, seen, variances), number
 
 

@@ -46,9 +46,8 @@ class RangeSensor(AbstractSensor):
 
     Residuals follow a two-piece Student's t with `dof` degrees of freedom, of scale `sigma_r` m below zero and
     `positive_skew`·`sigma_r` above: ranges are too long more often than too short. Reported variances, m², one per
-    slot, add to that of `sigma_r`. `quality_slope`: by how much log σ of a range changes with its quality z, where
-    ranges have one; z are further reported columns, one per slot, and `sigma_r` is that at z = 0. `late`: by how many
-    seconds the times of ranges are later than those of the other readings at the same position.
+    slot, add to that of `sigma_r`. `late`: by how many seconds the times of ranges are later than those of the other
+    readings at the same position.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
@@ -57,7 +56,6 @@ class RangeSensor(AbstractSensor):
     positive_skew: Noise
     dof: Noise
     bias: Noise
-    quality_slope: Noise | None
     slots: int = eqx.field(static=True)
     late: Noise | None
 
@@ -69,19 +67,14 @@ class RangeSensor(AbstractSensor):
         positive_skew: float,
         dof: float,
         bias: float = 0.0,
-        quality_slope: float | None = None,
     ):
-        """`slots`: ranges per row; `anchors`: number of biases; `bias`: their initial value, m.
-
-        `quality_slope`: None where ranges have no quality.
-        """
+        """`slots`: ranges per row; `anchors`: number of biases; `bias`: their initial value, m."""
         self.slots = slots
         self.sigma_r = Scale(sigma_r, "m", "measurement noise")
         self.positive_skew = Scale(positive_skew)
         self.dof = Scale(dof)
         self.bias = Real(np.full(anchors, bias), "m", typical=0.1)
         self.late = None
-        self.quality_slope = None if quality_slope is None else Real(quality_slope, typical=0.3)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -113,9 +106,8 @@ class RangeSensor(AbstractSensor):
 
     @property
     def reported(self) -> tuple[Channel, ...]:
-        """The variance of the range of each slot, m², and with a slope the quality of each."""
-        kinds = {"variance": "m^2"} if self.quality_slope is None else {"variance": "m^2", "quality": ""}
-        return tuple(Channel(f"{kind}_{k + 1}", unit) for kind, unit in kinds.items() for k in range(self.slots))
+        """The variance of the range of each slot, m²."""
+        return tuple(Channel(f"variance_{k + 1}", "m^2") for k in range(self.slots))
 
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         position = delayed_position(view, inputs, self.late)
@@ -136,14 +128,11 @@ class RangeSensor(AbstractSensor):
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Each slot's difference over the scale of its sign; the two halves of the density agree at its peak."""
         positive_skew, dof = self.positive_skew.value, self.dof.value
-        reported = reading.reported if len(reading.reported) else [0.0] * len(self.reported)
-        variances, own = reported[: self.slots], [self.sigma_r.value] * self.slots
-        if self.quality_slope is not None:
-            own = [s * jnp.exp(self.quality_slope.value * z) for s, z in zip(own, reported[self.slots :], strict=True)]
+        variances = reading.reported if len(reading.reported) else [0.0] * self.slots
         whitened, log_scales = [], []
-        for z, p, seen, variance, s in zip(reading.values, predicted, reading.seen, variances, own, strict=True):
+        for z, p, seen, variance in zip(reading.values, predicted, reading.seen, variances, strict=True):
             # Long ranges are rounded in single precision.
-            sigma = jnp.sqrt(s**2 + variance + rounding_variance(z))
+            sigma = jnp.sqrt(self.sigma_r.value**2 + variance + rounding_variance(z))
             whitened.append(jnp.where(seen, (z - p) / jnp.where(z > p, sigma * positive_skew, sigma), 0.0))
             peak = student_t_log_peak(dof) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + positive_skew))
             log_scales.append(jnp.where(seen, peak, 0.0))

@@ -22,7 +22,6 @@ from trackwright.trackers.core.model.rig import Point, Rig, Station
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.input_file import TomlReader
-from trackwright.trackers.recordings.range_quality import RangeQuality
 
 ANGLES = ("azimuth", "elevation")
 ANGLE_TERMS = ("offset", "gain", "cubic", "cross")
@@ -55,7 +54,7 @@ FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
 
 _TOP = ("format", "recordings", "stations", "anchors", "tags")
-_SPREAD, _QUALITY, _MAP = "range_spread_m", "range_quality", "bearing_map"
+_SPREAD, _MAP = "range_spread_m", "bearing_map"
 _ANGLE_TERMS = ("offset_rad", "gain", "cubic_per_rad2", "cross_per_rad")
 _ANGLE = (*_ANGLE_TERMS, "lowest_rad", "highest_rad", "covariance")
 _STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
@@ -196,8 +195,8 @@ class Calibration:
     """Systematic errors of stations, anchors and tags by their ids; `recordings`: the names of those of the fit.
 
     `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
-    the anchors; None without anchors. `differences`: the biases of anchors in range differences. `range_quality`: what
-    the noise of ranges follows; None for nothing. `bearing_map`: what the stations leave of bearings by place, or None.
+    the anchors; None without anchors. `differences`: the biases of anchors in range differences. `bearing_map`: what
+    the stations leave of bearings by place, or None.
     """
 
     stations: Mapping[str, StationCalibration] = field(default_factory=dict)
@@ -206,7 +205,6 @@ class Calibration:
     recordings: tuple[str, ...] = ()
     range_spread: float | None = None
     differences: DifferenceCalibration = NO_DIFFERENCES
-    range_quality: RangeQuality | None = None
     bearing_map: BearingMap | None = None
 
     def at_rest(self, rig: Rig) -> Calibration:
@@ -229,7 +227,6 @@ class Calibration:
             stations=mounted,
             anchors=still,
             differences=self.differences.of(unmoved),
-            range_quality=self.range_quality if still else None,
             bearing_map=None if self.bearing_map is None else self.bearing_map.of(list(mounted)),
         )
 
@@ -345,7 +342,6 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
         "format": FORMAT,
         "recordings": list(calibration.recordings),
         **({} if calibration.range_spread is None else {_SPREAD: calibration.range_spread}),
-        **({} if calibration.range_quality is None else {_QUALITY: calibration.range_quality._asdict()}),
         **({} if calibration.bearing_map is None else {_MAP: calibration.bearing_map.content()}),
         "stations": stations,
         "anchors": anchors,
@@ -389,9 +385,9 @@ class _Reader(TomlReader):
     def calibration(self) -> Calibration:
         self.of_format(FORMAT)
         content = self.content
-        optional = (_SPREAD, _QUALITY, _MAP, "tdoa")
-        spread, quality, by_place, differences = ((key,) if key in content else () for key in optional)
-        self.exactly(content, (*_TOP, *spread, *quality, *by_place, *differences), "the top level")
+        optional = (_SPREAD, _MAP, "tdoa")
+        spread, by_place, differences = ((key,) if key in content else () for key in optional)
+        self.exactly(content, (*_TOP, *spread, *by_place, *differences), "the top level")
         names = content["recordings"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             self.wrong("recordings", names, "a list of names")
@@ -407,7 +403,6 @@ class _Reader(TomlReader):
             tuple(names),
             float(content[_SPREAD]) if spread else None,
             self.differences(self.table("tdoa", content["tdoa"])) if differences else NO_DIFFERENCES,
-            self.part(_QUALITY, RangeQuality) if quality else None,
             self.part(_MAP, BearingMap) if by_place else None,
         )
 

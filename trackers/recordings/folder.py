@@ -24,7 +24,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.checks.anomalies import anomalies
 from trackwright.trackers.recordings.columns import TableRows, TagRows
-from trackwright.trackers.recordings.kinds import KINDS, Layout, std_column, table_kinds
+from trackwright.trackers.recordings.kinds import KINDS, Layout, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackwright.trackers.recordings.table_file import SUFFIXES
 from trackwright.trackers.recordings.tables import read_table
@@ -130,14 +130,10 @@ class RecordingFolder:
         """This recording with systematic errors for trackers to remove; None for none.
 
         Stations and anchors that no longer stand where they were calibrated are uncalibrated, with a notice where none
-        is left, and where ranges lack the quality that their noise follows.
+        is left.
         """
         at_rest = None if calibration is None else calibration.at_rest(self.rig)
         calibrated = replace(self, calibration=at_rest)
-        quality = None if at_rest is None else at_rest.range_quality
-        if quality is not None and "ranges" in self.tables and quality.column not in self.rows("ranges"):
-            text = f"ranges: no column {quality.column!r}, which their noise follows in the calibration: not used"
-            calibrated = replace(calibrated, notices=(*self.notices, text))
         if at_rest is None or len(calibrated.uncalibrated()) < len(replace(self, calibration=None).uncalibrated()):
             return calibrated
         text = "not calibrated: the calibration has none of its stations and anchors, or they have moved"
@@ -212,7 +208,7 @@ def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
     means += [pl.col(column).mean() for column in columns.quality]
     stds = [s for s in map(std_column, columns.values) if s in table.columns]
     squares = [pl.col(std).pow(2).mean().sqrt().alias(std) for std in stds]
-    rows = table.filter(pl.any_horizontal(pl.col(columns.values).is_not_null()))
+    rows = distinct(table, kind).filter(pl.any_horizontal(pl.col(columns.values).is_not_null()))
     # No column has an empty name.
     groups = rows.group_by((pl.col("t_s") / interval).floor().alias(""), *columns.ids)
     averages = groups.agg(pl.col("t_s").mean(), *means, *squares).sort("t_s", *columns.ids)

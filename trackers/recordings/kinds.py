@@ -375,6 +375,18 @@ def layout(name: str, columns: Sequence[str]) -> Layout:
     return table_kinds()[name].layout(columns)
 
 
+def distinct(table: pl.DataFrame, kind: Kind) -> pl.DataFrame:
+    """The table without rows whose time, ids and values are those of a row before; rows without a value stay."""
+    ids, values, *_ = kind.layout(table.columns)
+    empty = pl.all_horizontal(pl.col(values).is_null())
+    return table.filter(pl.struct("t_s", *ids, *values).is_first_distinct() | empty)
+
+
+def duplicates_line(table: str, count: int) -> str:
+    """What a notice says of duplicate rows."""
+    return f"{table}: duplicate rows: {count}; counted once"
+
+
 def first_time(frames: Mapping[str, pl.DataFrame]) -> float:
     """The earliest time, s, of the measurements, or of the truth where there are none; zero without rows."""
     measured = [frames[name] for name in KINDS if name in frames]

@@ -18,7 +18,7 @@ from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, w
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.kinds import table_kinds
-from trackwright.trackers.recordings.reading_grids import above_rounding, counted_once
+from trackwright.trackers.recordings.reading_grids import counted_once, with_rounding
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec, faults_named
 from trackwright.trackers.recordings.tracks import Tracks, track
 from trackwright.trackers.recordings.trajectories import Trajectories
@@ -28,6 +28,9 @@ Recordings = RecordingFolder | Sequence[RecordingFolder]
 FAR_M = 1000.0
 """Distance of x or y from zero, m, from which on coordinates are those of a map if it is also larger than the site."""
 
+FEW_GAPS = 3
+"""Long gaps between epochs that make a rule."""
+
 
 @dataclass(frozen=True, repr=False)
 class NamedTracker:
@@ -36,9 +39,8 @@ class NamedTracker:
     `tracker`: the tracker of the first trajectory of the recordings it was made for. `side`: above or below, where tags
     are of anchors in one plane. `values`: physical numbers by tunable name or shell pattern that replace the defaults
     in every recording; `source`: where they come from, for messages. `smoothed`: whether each row uses the later rows,
-    too, `lag` seconds of them or all. `motion_levels`, `error_levels`: whether it runs at several levels of motion, and
-    of errors; None for the catalogue's choice. A recording with other stations or anchors gets a tracker of its own
-    geometry with the same numbers. `made_for`: the recordings that it was made for and their rows, made only once.
+    too, `lag` seconds of them or all. A recording with other stations or anchors gets a tracker of its own geometry
+    with the same numbers. `made_for`: the recordings that it was made for and their rows, made only once.
     """
 
     name: str
@@ -50,8 +52,6 @@ class NamedTracker:
     source: str = "values"
     smoothed: bool = False
     lag: float | None = None
-    motion_levels: bool = False
-    error_levels: bool | None = None
     made_for: tuple[list[RecordingFolder], list[TrackerBatch]] = field(default_factory=lambda: ([], []))
 
     @classmethod
@@ -85,13 +85,11 @@ class NamedTracker:
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers.
 
-        A noise level below the rounding of a recording's readings is raised to it, and values that a source repeats are
-        used once: `TrackerBatch.notices`. Recordings in map coordinates are about an origin nearby,
-        `trajectory.folder.origin`; estimates of `run` are not.
+        Values that a source repeats are used once: `TrackerBatch.notices`. Recordings in map coordinates are about an
+        origin nearby, `trajectory.folder.origin`; estimates of `run` are not.
         """
         groups = self._batches(recordings)
-        split = [part for group in groups for part in above_rounding(group)]
-        return [replace(group, tracker=self._finished(group.tracker, group.planar, True)) for group in split]
+        return [replace(g, tracker=self._finished(g.tracker), notices=(*g.notices, *rare_epochs(g))) for g in groups]
 
     def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The batches with this tracker's numbers as they are, not smoothed."""
@@ -110,7 +108,7 @@ class NamedTracker:
         groups = self._batches(recordings)
         if len(groups) != 1:
             raise self._several(len(groups))
-        return replace(groups[0], tracker=self._finished(groups[0].tracker, groups[0].planar))
+        return replace(groups[0], tracker=self._finished(groups[0].tracker))
 
     def batch_by_batch(self, recordings: Iterable[RecordingFolder]) -> Iterator[TrackerBatch]:
         """As `only_batch`, the trajectories of one recording at a time; a recording without any is passed over."""
@@ -120,7 +118,7 @@ class NamedTracker:
                 kinds.add((group.planar, self.spec.geometry(group.trajectories[0])))
                 if len(kinds) > 1:
                     raise self._several(len(kinds))
-                yield replace(group, tracker=self._finished(group.tracker, group.planar))
+                yield replace(group, tracker=self._finished(group.tracker))
 
     def _several(self, count: int) -> UnusableInput:
         return UnusableInput(
@@ -145,43 +143,12 @@ class NamedTracker:
         """
         if lag is not None and not 0 < lag < 1e6:
             raise UnusableInput(f"lag {lag}: expected seconds above zero; leave it out to use the whole recording")
-        return replace(self, smoothed=True, lag=lag)._checked()
+        smoother = replace(self, smoothed=True, lag=lag)
+        smoother._finished(self.tracker)
+        return smoother
 
-    def with_motion_levels(self) -> NamedTracker:
-        """This tracker at several levels of motion, weighted by their likelihoods: see `NoiseLevels`.
-
-        For motion unlike that of the defaults, as of a slow trolley; of an estimated height also levels of the vertical
-        motion. Raises UnusableInput for a tracker without a noise level of horizontal motion.
-        """
-        return replace(self, motion_levels=True)._checked()
-
-    def with_error_levels(self, on: bool = True) -> NamedTracker:
-        """This tracker with covariances that follow the size of the recording's own errors, or not: see `NoiseLevels`.
-
-        Estimates stay those of the given levels. By default `uwb` has them in recordings without a calibration, unless
-        it is smoothed, which has a bound of its own, or has values or levels of motion. Raises UnusableInput for a
-        tracker without biases that drift.
-        """
-        return replace(self, error_levels=on)._checked()
-
-    def _checked(self) -> NamedTracker:
-        self._finished(self.tracker, False)
-        return self
-
-    def own_errors(self, tracker: Any) -> bool:
-        """Whether estimates by `tracker` of the catalogue get the covariances of `with_error_levels`."""
-        if self.error_levels is None:
-            chosen = self.values or self.motion_levels or self.smoothed
-            return self.spec.error_levels and tracker.lasting_errors and not chosen
-        return self.error_levels
-
-    def _finished(self, tracker: Any, planar: bool, running: bool = False) -> AbstractTracker:
-        """A tracker of the catalogue, smoothed and at several levels of noise where this one is.
-
-        `planar`: whether the state lies in a plane, where only horizontal motion has levels. `running`: whether for
-        estimates; a fit has levels of errors where they were asked for alone.
-        """
-        error_levels = self.own_errors(tracker) if running else self.error_levels
+    def _finished(self, tracker: Any) -> AbstractTracker:
+        """A tracker of the catalogue, smoothed where this one is."""
         if self.smoothed:
             from trackwright.trackers.core.run.smoother import Smoothed
 
@@ -191,17 +158,11 @@ class NamedTracker:
                 raise UnusableInput(
                     f"tracker '{self.name}' cannot be smoothed: {error}; run it without smoothing"
                 ) from error
-        if self.motion_levels or error_levels:
-            from trackwright.trackers.core.run.noise_levels import ERRORS, NoiseLevels, levels_of_motion
-
-            tracker = NoiseLevels(tracker, levels_of_motion(tracker, planar)) if self.motion_levels else tracker
-            tracker = NoiseLevels(tracker, ERRORS, about_first=True) if error_levels else tracker
         finished: AbstractTracker = tracker
         return finished
 
     def __repr__(self) -> str:
         smoothed = f", smoothed over {self.lag:g} s" if self.lag else ", smoothed" if self.smoothed else ""
-        smoothed += ", at several levels of motion" * self.motion_levels + ", and of errors" * bool(self.error_levels)
         return f"<tracker {self.name}: {self.spec.about}{smoothed}; tunables {', '.join(self.tunables)}>"
 
 
@@ -213,13 +174,29 @@ def _batches(
     if side is not None:
         folders = [replace(folder, rig=replace(folder.rig, side=side)) for folder in folders]
     prepared = [counted_once(near_origin(folder), names) for folder in folders]
-    groups = spec.batches([folder for folder, _ in prepared], name, free_height)
+    groups = spec.batches([with_rounding(folder, spec.reads) for folder, _ in prepared], name, free_height)
     notices = [line for folder, lines in prepared for line in (*lines, *spec.notices(folder, free_height))]
     if spec.reads <= {"ranges", "tdoa", "imu", "odometry"}:
         solid = (Trajectories.of(group.trajectories).folders for group in groups if not group.planar)
         rigs = {id(folder.rig): folder.rig for folders in solid for folder in folders}
         notices += dict.fromkeys(line for rig in rigs.values() for line in rig.mirror_notice())
     return [replace(groups[0], notices=tuple(notices)), *groups[1:]] if groups else []
+
+
+def rare_epochs(batch: TrackerBatch) -> list[str]:
+    """A line where at least half of a track's time lies in gaps of the rows beyond the tracker's `max_gap`."""
+    limit = float(batch.tracker.track_loss.max_gap.value) if hasattr(batch.tracker, "track_loss") else np.inf
+    lines = []
+    for trajectory in batch.trajectories:
+        gaps = np.diff(trajectory.recording.times)
+        long = gaps[gaps > limit]
+        if len(long) >= FEW_GAPS and long.sum() > gaps.sum() / 2:
+            lines.append(
+                f"{trajectory.folder.name}: tag {trajectory.tag}: epochs are typically {np.median(long):.3g} s apart, "
+                f"more than track_loss.max_gap ({limit:g} s), so that each starts a new track; where the tag "
+                f"moves little in between, --set track_loss.max_gap={3 * np.median(long):.3g} keeps one"
+            )
+    return lines
 
 
 def folder_list(recordings: Recordings) -> list[RecordingFolder]:

@@ -1,6 +1,6 @@
 """Steps and repetitions of the readings of a tracker.
 
-Rounding limits its noise levels from below. Readings that a source repeats until it has a new one are given to trackers
+Readings that a source repeats until it has a new one are given to trackers
 once. A coarse grid repeats readings by chance, which are new ones. The chance is bounded by the changes after a clear
 change, when the tag or its readings move: of a log-concave distribution of the change, in steps, P(0) ≤ P(1)²/P(2).
 """
@@ -8,7 +8,7 @@ change, when the tag or its readings move: of a log-concave distribution of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 
@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.sensor import AbstractSensor
-from trackwright.trackers.core.model.tunable import Scale, tunables, with_values
+from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.recordings.checks.readings import (
     LEAST_PAIRS,
@@ -30,18 +30,13 @@ from trackwright.trackers.recordings.checks.readings import (
     repeated_share,
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS, wrapped
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch
-from trackwright.trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.recordings.kinds import KINDS, distinct, duplicates_line, std_column, wrapped
 
 MOST_ROWS = 20_000
 """Rows of a sensor that are looked at."""
 
 REPEATED = 0.5
 """Share of repeated readings from which on they are not independent."""
-
-MOST_FOLDERS = 20
-"""Recordings whose tables are looked at."""
 
 MOST_SOURCES = 64
 """Stations or anchors that readings of a channel are told apart by."""
@@ -108,28 +103,6 @@ def reading_grids(tracker: AbstractTracker, batches: Iterable[Batch]) -> list[Re
     return grids
 
 
-def of_raw_readings(grids: Sequence[ReadingGrid], folders: Sequence[RecordingFolder]) -> list[ReadingGrid]:
-    """The grids with the steps of the tables that readings were made from: averages and calibrated readings have none.
-
-    The finest step of the first `MOST_FOLDERS` recordings; of no effect where one of them has none, or a finer one than
-    the readings.
-    """
-    result = []
-    for grid in grids:
-        sources = [folder.unaveraged or folder for folder in folders[:MOST_FOLDERS] if grid.sensor in folder.tables]
-        steps = [_raw_step(folder, grid) for folder in sources if grid.sensor in KINDS]
-        raw = min((0.0 if math.isnan(step) else step for step in steps), default=0.0)
-        result.append(replace(grid, step=float(np.fmax(grid.step, raw or math.nan))))
-    return result
-
-
-def _raw_step(folder: RecordingFolder, grid: ReadingGrid) -> float:
-    """The quantisation step of the columns of a table in the grid's unit, NaN without one."""
-    read = readings(folder, grid.sensor)
-    of_unit = [k for k, column in enumerate(read.columns) if column.endswith(f"_{grid.unit}")]
-    return min((step for k in of_unit if (step := quantisation_step(read, k)) is not None), default=math.nan)
-
-
 def _typical_change(read: Readings, column: int) -> float:
     """The median difference of successive readings of a stream that differ; 0 without any."""
     x, stream = read.values[:, column], read.stream
@@ -140,52 +113,24 @@ def _typical_change(read: Readings, column: int) -> float:
     return float(np.median(differences)) if len(differences) else 0.0
 
 
-def above_rounding(group: TrackerBatch) -> list[TrackerBatch]:
-    """The batch, without the recordings whose readings are coarser than a noise level: these are batches of their own.
+def with_rounding(folder: RecordingFolder, names: Collection[str]) -> RecordingFolder:
+    """The recording with the standard deviation of their rounding, step/√12, for readings that report none.
 
-    Their trackers have that noise level raised to the rounding, with a notice. Where readings have standard deviations
-    of their own, these add to the noise level, and it is left as it is.
+    Tables of these names without standard deviations. The step of averages is that of the readings averaged.
     """
-    tracker, trajectories = group.tracker, Trajectories.of(group.trajectories)
-    levels = {name: level for name, level in tunables(tracker).items() if fnmatch(name, "sensors.*.sigma*")}
-    if not (levels and isinstance(tracker, Tracker)):
-        return [group]
-    numbers: dict[int, list[int]] = {}
-    for number, folder in enumerate(trajectories.folders):
-        numbers.setdefault(id(folder), []).append(number)
-    separate, unchanged = list[TrackerBatch](), list[int]()
-    lengths = np.diff(trajectories.columns.starts)
-    for of_folder in numbers.values():
-        enough = int(np.searchsorted(np.cumsum(lengths[of_folder]), MOST_ROWS)) + 1
-        looked_at = trajectories.chosen(np.array(of_folder[:enough]))
-        grids = reading_grids(tracker, [looked_at.columns.batch(truth=False)])
-        raised, notices = dict[str, np.ndarray](), list[str]()
-        for grid in grids:
-            reported = looked_at.columns.readings[grid.sensor].reported
-            if reported is not None and reported.any():
-                continue
-            for name, level in levels.items():
-                value = np.asarray(level.value)
-                if grid.limits(name, level) and (value < grid.floor).any():
-                    raised[name] = np.maximum(value, grid.floor)
-                    notices.append(
-                        f"{looked_at.folders[0].name}: {grid.sensor} in steps of {grid.step:.3g} {grid.unit}: {name} "
-                        f"is {float(value.min()):.3g}, expected step/√12 at least; raised to {grid.floor:.3g} "
-                        f"{grid.unit}"
-                    )
-        if raised:
-            part = trajectories.chosen(np.array(of_folder))
-            # Those of the group are told once.
-            notices = [*(() if separate else group.notices), *notices]
-            separate.append(
-                replace(group, tracker=with_values(tracker, raised), trajectories=part, notices=tuple(notices))
-            )
-        else:
-            unchanged += of_folder
-    if not separate:
-        return [group]
-    kept = [replace(group, trajectories=trajectories.chosen(np.array(unchanged)), notices=())] if unchanged else []
-    return [*kept, *separate]
+    tables = dict[str, pl.DataFrame]()
+    for name, kind in KINDS.items():
+        table = folder.tables.get(name)
+        if table is None or name not in names or not kind.averaged:
+            continue
+        if any(std_column(column) in table.columns for column in kind.least):
+            continue
+        read = readings(folder.unaveraged or folder, name, errors=False)
+        steps = ((column, quantisation_step(read, k)) for k, column in enumerate(read.columns))
+        spreads = {std_column(column): pl.lit(step / math.sqrt(12.0)) for column, step in steps if step is not None}
+        if spreads:
+            tables[name] = table.with_columns(**spreads)
+    return replace(folder, tables={**folder.tables, **tables}) if tables else folder
 
 
 def _readings(name: str, sensor: AbstractSensor, batches: Iterable[Batch]) -> Readings | None:
@@ -219,11 +164,21 @@ def _sources(inputs: Float[np.ndarray, "n i"]) -> np.ndarray:
 
 
 def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[RecordingFolder, list[str]]:
-    """The recording without the values that a source only repeats in the tables of these names, and a line for each.
+    """The recording without duplicate rows, and without the values that a source only repeats in the tables of `names`.
 
-    Rows stay, without a value. A recording with an interval of averages, zero included, is as it is.
+    Also a line for each table with repeats, and with duplicates that the folder's notices do not count. Rows of
+    repeated values stay, without a value, and so do all in a recording with an interval of averages, zero included.
     """
     tables, lines = dict[str, pl.DataFrame](), list[str]()
+    for name, kind in KINDS.items():
+        if name not in folder.tables:
+            continue
+        rows = distinct(folder.tables[name], kind)
+        if duplicates := folder.tables[name].height - rows.height:
+            tables[name], line = rows, duplicates_line(name, duplicates)
+            lines += [f"{folder.name}: {line}"] * (line not in folder.notices)
+    folder = replace(folder, tables={**folder.tables, **tables}) if tables else folder
+    tables = {}
     for name, kind in KINDS.items():
         if folder.average_s is not None or not kind.averaged or name not in names or name not in folder.tables:
             continue

@@ -40,8 +40,7 @@ class TrackerBatch:
     """Trajectories that one tracker runs as a batch.
 
     `planar`: whether the state lies in a plane: that of the floor at known heights, or that of a flat array. `notices`:
-    one line for each noise level that was raised to the rounding of the readings, for readings used once, and for what
-    a recording has that its tracker leaves out of account.
+    one line for readings used once, and for what a recording has that its tracker leaves out of account.
     """
 
     tracker: AbstractTracker
@@ -68,9 +67,8 @@ class TrackerSpec:
     `notices(folder, free_height)`: a line for each tag of which the tracker assumes what the folder contradicts.
     `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
     `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so
-    that leaving the path is an event. `error_levels`: without a calibration its covariances follow the size of the
-    recording's own errors, see `NoiseLevels`. `every_row`: the tables of which it reads rows that repeat a
-    value, too, since it averages them, counts rows, or estimates each time by itself.
+    that leaving the path is an event. `every_row`: the tables of which it reads rows that repeat a value, too, since
+    it averages them, counts rows, or estimates each time by itself.
     """
 
     about: str
@@ -84,7 +82,6 @@ class TrackerSpec:
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False
     on_path: bool = False
-    error_levels: bool = False
     every_row: Collection[str] = ()
 
     @property

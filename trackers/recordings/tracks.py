@@ -38,7 +38,7 @@ class Tracks:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """One line for each noise level that was raised to the rounding of a recording's readings."""
+        """One line for readings used once, and for what a recording has that its tracker leaves out of account."""
         return tuple(line for batch in self.batches for line in batch.notices)
 
     def to_polars(self) -> pl.DataFrame:

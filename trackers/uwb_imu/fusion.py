@@ -33,21 +33,20 @@ def range_tracker(
     time_constant: float = 65.0,
     length: float = 5.0,
     sigma_shared: float = 0.1,
-    quality_slope: float | None = None,
 ) -> Tracker:
     """Position and velocity from ranges to numbered anchors, one range per row; `planar`: at a known height.
 
     Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeSensor`; `bias`: mean of the range biases, m;
-    `sigma_shared`: standard deviation, m, of the bias of the tag, which its ranges to all anchors share;
-    `quality_slope`: how their noise follows a quality of the signal, None where they have none. One set of defaults
-    serves hand-held tags, drones, trolleys and tags on the floor; `range_levels` has the defaults of a calibrated site.
-    Above `MAX_BIASES` anchors the state has only the shared bias; the tunable ones of the sensor remain.
+    `sigma_shared`: standard deviation, m, of the bias of the tag, which its ranges to all anchors share. One set
+    of defaults serves hand-held tags, drones, trolleys and tags on the floor; `range_levels` has the defaults of a
+    calibrated site. Above `MAX_BIASES` anchors the state has only the shared bias; the tunable ones of the sensor
+    remain.
     """
     require(is_count(anchors), "range_tracker", anchors, "the number of anchors, as range_tracker(len(rig.anchors))")
     biases = anchors if anchors <= MAX_BIASES else 0
     return Tracker(
         DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length),
-        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias, quality_slope)},
+        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
         BiasedStart(
             Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases, Scale(sigma_shared, "m")
         ),
@@ -66,7 +65,6 @@ def range_levels(calibration: Calibration | None) -> dict[str, float]:
     """
     if calibration is None or not calibration.anchors:
         return {}
-    quality = calibration.range_quality
     return {
         "bias": 0.0,
         "sigma_bias": calibration.range_spread or 0.07,
@@ -75,5 +73,4 @@ def range_levels(calibration: Calibration | None) -> dict[str, float]:
         "sigma_r": 0.06,
         "positive_skew": 3.5,
         "dof": 2.0,
-        **({} if quality is None else {"quality_slope": quality.slope}),
     }

@@ -97,7 +97,7 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
     are further rows at the times of their readings.
     """
     rows = _ranges_by_body(folder)
-    readings, number = range_rows(folder, rows, quality=True)
+    readings, number = range_rows(folder, rows)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights, folder.rig)
     inputs |= {"levers": _levers(folder, rows, upright=True)}
@@ -437,11 +437,10 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     ),
     "uwb": partial(
         TrackerSpec,
-        trajectories=partial(range_trajectories, quality=True),
+        trajectories=range_trajectories,
         build=tracker_of_ranges,
         lacks=lacks_ranges,
         geometry=lambda trajectory: (bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
-        error_levels=True,
     ),
     "body": partial(
         TrackerSpec,

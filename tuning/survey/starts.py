@@ -8,15 +8,14 @@ by linear least squares (Crocco, Del Bue and Murino 2012). Wild ranges and delay
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 
-from trackwright.tuning.survey.solving import DOF, Prior, Solution, anchors_of, robust_weights, solved, tags
-from trackwright.tuning.survey.walks import LEAST_SCALE, Walk
+from trackwright.tuning.survey.solving import DOF, LEAST_SCALE, Prior, Solution, Walks, robust_weights, solved
 
 DRAWS, KEPT, REFINED = 150, 4, 3
 """Draws of times, of each walk and rank, how many of the best are tried, and how many of those are refined."""
@@ -28,7 +27,7 @@ DELAY, SCALE, DENSITY, IGNORED = 0.3, 0.2, 0.3, 1e6
 """First noise levels: of the common delay and of ranges, m, of paths, m²/s³, of ranges to anchors not found yet, m."""
 
 
-def epochs(walk: Walk, count: int) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k A"]]:
+def epochs(walk: Walks, count: int) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k A"]]:
     """Times, s, of a walk, and the ranges, m, to `count` anchors at each, interpolated; NaN where none is near."""
     times = np.linspace(walk.times[0], walk.times[-1], EPOCHS + 2)[1:-1]
     ranges = np.full((len(times), count), np.nan)
@@ -58,7 +57,7 @@ def factorised(squares: Float[np.ndarray, "k A"], rank: int) -> tuple[np.ndarray
     return left @ stretch.T + centre, anchors, heights + terms[-1] - centre @ centre
 
 
-def distance_geometry(walk: Walk, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
+def distance_geometry(walk: Walks, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
     """Anchors (count, 3), m, NaN where not found, from the ranges of a walk alone; the best draws first."""
     _, ranges = epochs(walk, count)
     seen, chosen, common = np.isfinite(ranges), np.zeros(0, int), np.ones(EPOCHS, bool)
@@ -67,7 +66,7 @@ def distance_geometry(walk: Walk, count: int, random: np.random.Generator) -> It
         if not len(chosen) or (common & seen[:, k]).sum() >= max(DRAWN // 2, 0.3 * common.sum()):
             chosen, common = np.append(chosen, k), common & seen[:, k]
     whole = ranges[common]
-    for rank in (2, 3) if walk.height is None else (2,):
+    for rank in (2, 3) if np.isnan(walk.heights[0]) else (2,):
         found = []
         for _ in range(DRAWS if len(chosen) > rank and len(whole) >= 12 else 0):
             order = random.permutation(chosen)
@@ -77,7 +76,7 @@ def distance_geometry(walk: Walk, count: int, random: np.random.Generator) -> It
             vertical = np.sqrt(np.maximum(heights, 0.0)) if rank == 2 else 0.0 * heights
             distances = np.sqrt(((tags[:, None] - anchors) ** 2).sum(axis=2) + vertical**2)
             places = np.full((count, 3), np.nan)
-            places[order] = np.column_stack([anchors, vertical + (walk.height or 0.0)])[:, :3]
+            places[order] = np.column_stack([anchors, vertical + np.nan_to_num(walk.heights[0])])[:, :3]
             found.append((float(np.median(np.abs(drawn - distances))), places))
         yield from (places for _, places in sorted(found, key=lambda pair: pair[0])[:KEPT])
 
@@ -98,38 +97,38 @@ def descended(places: np.ndarray, positions: np.ndarray, ranges: np.ndarray, axe
     return places
 
 
-def located(walk: Walk, anchors: Float[np.ndarray, "A 4"]) -> np.ndarray:
+def located(walk: Walks, anchors: Float[np.ndarray, "A 4"]) -> np.ndarray:
     """The coefficients of the path of a walk among anchors, NaN for those not known."""
     known, (times, ranges) = np.isfinite(anchors[:, 0]), epochs(walk, len(anchors))
     seen = np.isfinite(ranges[:, known]).sum(axis=1)
     rows = seen >= min(3, seen.max())
     # Aside of all planes in which anchors may be, so that all times are on one side, and below.
-    start = anchors[known, :3].mean(axis=0) + np.array([0.3, 0.5, -1.0])
-    start[2] = start[2] if walk.height is None else walk.height
-    places = descended(np.tile(start, (rows.sum(), 1)), anchors[known, :3], ranges[rows][:, known], walk.dimensions)
+    start, axes = anchors[known, :3].mean(axis=0) + np.array([0.3, 0.5, -1.0]), 3
+    if np.isfinite(walk.heights[0]):
+        start[2], axes = walk.heights[0], 2
+    places = descended(np.tile(start, (rows.sum(), 1)), anchors[known, :3], ranges[rows][:, known], axes)
     at = np.column_stack([np.interp(walk.times, times[rows], column) for column in places.T])
     prior = Prior(np.zeros(anchors.size), np.zeros((anchors.size, anchors.size)), np.zeros(anchors.size, bool))
-    begun = Solution(np.nan_to_num(anchors), [walk.fitted(at)], np.where(known, SCALE, IGNORED), np.full(1, DENSITY))
-    return solved([walk], begun, prior, steps=15, levels=False).paths[0]
+    begun = Solution(np.nan_to_num(anchors), walk.fitted(at), np.where(known, SCALE, IGNORED), np.full(1, DENSITY))
+    return solved(walk, begun, prior, steps=15, levels=False).path
 
 
 def resected(positions: np.ndarray, ranges: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """The place (3,) of an anchor with ranges (n,), m, to a tag at positions (n, 3): the best from random starts."""
-    every = max(1, len(ranges) // 100)
-    positions, ranges = positions[::every], ranges[::every]
+    positions, ranges = (of[:: max(1, len(ranges) // 100)] for of in (positions, ranges))
     starts = positions.mean(axis=0) + float(np.median(ranges)) * random.standard_normal((12, 3))
     places = descended(starts, positions, ranges)
     errors = ranges - np.linalg.norm(places[:, None] - positions, axis=2)
     return places[np.argmin(np.median(np.abs(errors), axis=1))]
 
 
-def seen_from(walks: Sequence[Walk], solution: Solution, k: int) -> tuple[np.ndarray, np.ndarray]:
+def seen_from(walks: Walks, solution: Solution, k: int) -> tuple[np.ndarray, np.ndarray]:
     """The positions (n, 3) of the tags, m, when they were these distances (n,), m, from anchor `k`."""
-    own, values = anchors_of(walks) == k, np.concatenate([walk.values for walk in walks])
-    return tags(walks, solution)[own], values[own] - solution.anchors[k, 3]
+    own = walks.anchor == k
+    return walks.positions(solution.path)[own], walks.values[own] - solution.anchors[k, 3]
 
 
-def likelier(walks: Sequence[Walk], solution: Solution, k: int, place: np.ndarray) -> float:
+def likelier(walks: Walks, solution: Solution, k: int, place: np.ndarray) -> float:
     """By how much the log-likelihood of the ranges to anchor `k` grows with it at this place, m."""
     positions, distances = seen_from(walks, solution, k)
     errors = (distances - np.linalg.norm(positions - x, axis=1) for x in (solution.anchors[k, :3], place))
@@ -137,45 +136,45 @@ def likelier(walks: Sequence[Walk], solution: Solution, k: int, place: np.ndarra
     return float(here - there)
 
 
-def completed(walks: Sequence[Walk], places: np.ndarray, first: int, random: np.random.Generator) -> Solution | None:
+def completed(walks: Walks, places: np.ndarray, first: int, random: np.random.Generator) -> Solution | None:
     """A start with all anchors and paths, from places (A, 3) that walk number `first` gave; None where some lack."""
     anchors, paths = np.column_stack([places, np.zeros(len(places))]), dict[int, np.ndarray]()
-    order = sorted(range(len(walks)), key=lambda k: k != first)
-    while len(paths) < len(walks):
-        known = np.isfinite(anchors[:, 0])
-        ready = [k for k in order if k not in paths and known[np.unique(walks[k].anchor)].sum() >= 3]
-        if not ready:
-            return None
-        walk = walks[ready[0]]
-        paths[ready[0]] = path = located(walk, anchors)
-        for new in np.setdiff1d(walk.anchor, np.flatnonzero(known)):
+    each = [walks.only(k) for k in range(len(walks.names))]
+    while ready := [
+        k for k, x in enumerate(each) if k not in paths and np.isfinite(anchors[np.unique(x.anchor), 0]).sum() >= 3
+    ]:
+        k = first if first in ready else ready[0]
+        walk, paths[k] = each[k], located(each[k], anchors)
+        for new in np.unique(walk.anchor[np.isnan(anchors[walk.anchor, 0])]):
             own = walk.anchor == new
-            anchors[new, :3] = resected(walk.positions(path)[own], walk.values[own], random)
-    levels = np.full(len(anchors), SCALE), np.full(len(walks), DENSITY)
-    return Solution(anchors, [paths[k] for k in range(len(walks))], *levels)
+            anchors[new, :3] = resected(walk.positions(paths[k])[own], walk.values[own], random)
+    if len(paths) < len(each):
+        return None
+    levels = np.full(len(anchors), SCALE), np.full(len(each), DENSITY)
+    return Solution(anchors, np.concatenate([paths[k] for k in range(len(each))]), *levels)
 
 
-def polished(walks: Sequence[Walk], solution: Solution, prior: Prior, random: np.random.Generator) -> Solution:
-    """The solution, with anchors that stand in a local minimum of their own moved to a better one."""
+def polished(walks: Walks, start: Solution, prior: Prior, random: np.random.Generator) -> Solution:
+    """The solution near a start, with anchors that stand in a local minimum of their own moved to a better one."""
+    solution = solved(walks, start, prior)
     anchors = solution.anchors.copy()
     for k in np.flatnonzero(prior.free.reshape(-1, 4)[:, :3].all(axis=1)).tolist():
         place = resected(*seen_from(walks, solution, k), random)
         if likelier(walks, solution, k, place) > 2.0 and np.linalg.norm(place - anchors[k, :3]) > 0.2:
             anchors[k, :3] = place
-    if (anchors == solution.anchors).all():
-        return solution
-    better = solved(walks, replace(solution, anchors=anchors), prior)
+    moved = (anchors != solution.anchors).any()
+    better = solved(walks, replace(solution, anchors=anchors), prior) if moved else solution
     return better if better.cost < solution.cost else solution
 
 
-def multistart(walks: Sequence[Walk], known: np.ndarray, prior: Prior, random: np.random.Generator) -> list[Solution]:
+def multistart(walks: Walks, known: np.ndarray, prior: Prior, random: np.random.Generator) -> list[Solution]:
     """The best solutions from many starts, of least cost first; `known` (A, 3), m, is one more, where all are there."""
     # A walk of known height gives the vertical.
-    longest = sorted(range(len(walks)), key=lambda k: (walks[k].height is None, -len(walks[k].values)))[:2]
-    starts = [(first, places) for first in longest for places in distance_geometry(walks[first], len(known), random)]
+    longest = np.lexsort([-np.bincount(walks.walk), np.isnan(walks.heights)])[:2].tolist()
+    starts = [(k, places) for k in longest for places in distance_geometry(walks.only(k), len(known), random)]
     if np.isfinite(known).all():
         starts.append((longest[0], known))
     whole = (completed(walks, places, first, random) for first, places in starts)
     tried = sorted((solved(walks, start, prior, 10) for start in whole if start is not None), key=lambda s: s.cost)
-    refined = (polished(walks, solved(walks, start, prior), prior, random) for start in tried[:REFINED])
+    refined = (polished(walks, start, prior, random) for start in tried[:REFINED])
     return sorted(refined, key=lambda s: s.cost)

@@ -9,7 +9,7 @@ from statistics import median
 
 from trackwright.experiments.lab.bench.timing import command
 from trackwright.experiments.lab.runner import Case, Figures, machine
-from trackwright.experiments.lab.subprocesses import required_recordings
+from trackwright.experiments.lab.validation.sites import paths
 
 WALKS = ("ble51-walk-u1-r1", "ble51-walk-u2-r1", "ble51-walk-u3-r1")
 LEVELS = ("sensors.ranges.sigma_r", "motion.noise.sigma_a")
@@ -44,11 +44,9 @@ def cases() -> Iterator[Case]:
 
 def figures(name: str) -> Figures:
     """The first run, which fills the cache of compiled programs, and medians of the runs after it."""
-    recordings = required_recordings()
     with tempfile.TemporaryDirectory() as scratch:
         log, out = Path(scratch) / "log.txt", Path(scratch) / "out"
-        there = {entry.name for entry in recordings.iterdir()}
-        words = [recordings / a if a in there else out if a == "OUT" else a for a in COMMANDS[name]]
+        words = [paths().get(a, out if a == "OUT" else a) for a in COMMANDS[name]]
         environment = {key: value for key, value in os.environ.items() if not key.startswith(SETTINGS)}
         environment["TRACKWRIGHT_CACHE"] = str(Path(scratch) / "cache")
         runs = []

@@ -35,9 +35,8 @@ WORLDS = {
 }
 """The world whose recordings a tracker reads."""
 
-SMOOTHED = ("beam", "direct", "uwb", "uwb-imu", "tdoa", "fusion", "fix-kf", "imm")
 LARGE_STATES = ("line-grid", "line-pf", "mhk")
-"""Trackers whose state is a grid or particles; of these 64 trajectories are the most on a processor."""
+"""Trackers that run forward alone; of these 64 trajectories are the most on a processor."""
 
 ON_GPU = ("beam", "uwb", "line-pf")
 ROWS = 40
@@ -65,10 +64,9 @@ def gpu_cases() -> Iterator[Case]:
 
 def of_size(tracker: str, size: int) -> Iterator[Case]:
     """Filter, smoother and gradient of a batch, as far as a tracker has them."""
-    for what in ("filter", *(("smoother",) if tracker in SMOOTHED else ()), "gradient"):
-        if what != "gradient" or tracker not in LARGE_STATES:
-            measure = partial(figures, tracker, what, size)
-            yield Case(WORLDS[tracker], tracker, f"{what}, {size} trajectories", measure)
+    for what in ("filter",) if tracker in LARGE_STATES else ("filter", "smoother", "gradient"):
+        measure = partial(figures, tracker, what, size)
+        yield Case(WORLDS[tracker], tracker, f"{what}, {size} trajectories", measure)
 
 
 def figures(name: str, what: str, size: int) -> Figures:

@@ -55,10 +55,8 @@ def split(world: str, tracker: str) -> Figures:
     study = Study("speed", "", {world: World(MAKE[world])}, {tracker: TrackerConfig(tracker)}, runs=runs)
     (condition,), config, ids = study.conditions, study.trackers[tracker], np.arange(count)
     assert study.chunk == count
-    rows = 0
 
     def one_round() -> tuple[float, ...]:
-        nonlocal rows
         simulate, folder = clocked(lambda: study.worlds[world].make(ids, study.seed))
         prepare, stacked = clocked(
             lambda: [
@@ -69,13 +67,13 @@ def split(world: str, tracker: str) -> Figures:
         )
         run, _ = clocked(lambda: [model.run(batch, count) for model, batch in stacked])
         whole, _ = clocked(lambda: run_chunk(study, condition, ids, False))
-        rows = int(sum(np.asarray(batch.valid).sum() for _, batch in stacked))
-        parts = (simulate.cpu, prepare.cpu, run.cpu)
-        return (*parts, whole.cpu - sum(parts), whole.cpu)
+        rows, parts = sum(np.asarray(batch.valid).sum() for _, batch in stacked), (simulate.cpu, prepare.cpu, run.cpu)
+        return (rows, *parts, whole.cpu - sum(parts), whole.cpu)
 
-    warm = np.median([one_round() for _ in range(ROUNDS + 1)][1:], axis=0)
+    rows, *warm = np.median([one_round() for _ in range(ROUNDS + 1)][1:], axis=0)
     names = (f"{part}_us_per_row" for part in ("simulate", "prepare", "run", "score", "whole"))
-    return {"trajectories": count, "rows": rows, **dict(zip(names, 1e6 * warm / rows, strict=True)), **machine()}
+    times = dict(zip(names, 1e6 / rows * np.array(warm), strict=True))
+    return {"trajectories": count, "rows": int(rows), **times, **machine()}
 
 
 def on_workers(place: str) -> Figures:

@@ -5,12 +5,11 @@ recordings, those on which our defaults were set, on a grid; then both are scale
 degree of freedom is 1 there. Peers run in processes that never import trackwright.
 """
 
-import os
-import subprocess
-import sys
+import pickle
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
@@ -22,9 +21,12 @@ import polars as pl
 from trackwright.experiments.cli.main import run_alone
 from trackwright.experiments.lab.benchmark import problems as data
 from trackwright.experiments.lab.runner import EVIDENCE, Case, Figures, measure, read
+from trackwright.experiments.lab.subprocesses import new_interpreter
 from trackwright.experiments.lab.validation.levels import TRACKERS
+from trackwright.experiments.lab.validation.sites import paths
 from trackwright.experiments.text.tables import markdown, replace_tables
 from trackwright.experiments.text.terminal import notice
+from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.evaluation.comparison import errors_by_track, paired_differences
 from trackwright.trackers.evaluation.evaluate import evaluate_association
@@ -32,16 +34,8 @@ from trackwright.trackers.evaluation.scoring import score
 
 PEERS, PAGE = Path(__file__).with_name("peers"), Path("docs/side-by-side.md")
 OURS, SMOOTHED, OPTIMUM = "trackwright", "trackwright-smoothed", "optimum"
-SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=3000000"
-"""The options of XLA with which cuthbert and dynamax run fastest here."""
-
-
-ESTIMATORS = {
-    "numpy-ekf": "plain:estimate", "filterpy": "with_filterpy:estimate", "stonesoup": "with_stonesoup:estimate",
-    "cuthbert": "with_cuthbert:prepared", "dynamax": "with_dynamax:prepared", "gtsam-lag": "with_gtsam:fixed_lag",
-    "gtsam": "with_gtsam:batch",
-}  # fmt: skip
-"""Module and function in `peers`."""
+ESTIMATORS = ("numpy-ekf", "filterpy", "stonesoup", "cuthbert", "dynamax", "gtsam-lag", "gtsam")
+"""Of each there is an adapter in `peers`."""
 LATER = ("dynamax", "gtsam")
 """Those that use later readings."""
 DEVELOPMENT = {
@@ -53,45 +47,33 @@ USUAL = ((0.033, 0.1, 0.3, 0.9), (0.1, 0.2, 0.4, 0.8))
 """m/s² per √Hz, and m or rad, of which all pairs are tried."""
 SEARCHED, LIMIT_S, GROUPS = 600, 900.0, ("development", "unseen", "worlds")
 """Readings of a tag of a development recording that the search uses; the longest run of a peer for a pair of levels."""
-Levels = tuple[float, float]
 
 
-def peer(name: str, recording: str, levels: Sequence[Levels], most: int) -> Iterator[tuple[Figures, Any]]:
+def peer(name: str, recording: str, levels: Sequence[tuple[float, float]], most: int) -> Iterator[tuple[Figures, Any]]:
     """For each of the levels, figures and errors by track of an estimator, run in a fresh process."""
     folder = data.folder_of(recording, most)
-    given = [(tag, problem.first(most)) for tag, problem in data.problems(folder)]
+    given = list(data.problems(folder, most))
     with tempfile.TemporaryDirectory() as place:
-        source, target = Path(place, "problems.npz"), Path(place, "estimates.npz")
-        fields = ("times", "values", "seen", "geometry", "height")
-        arrays = {f"{f}_{k}": getattr(p, f) for k, (_, p) in enumerate(given) for f in fields}
-        np.savez(source, kind=given[0][1].kind, prior=given[0][1].prior, **arrays)
-        line = [sys.executable, str(PEERS / "run_peer.py"), ESTIMATORS[name], str(source), str(target)]
-        environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {"XLA_FLAGS": SMALL_LOOPS}
-        done = subprocess.run(
-            [*line, *(f"{a},{r}" for a, r in levels)], env=environment, capture_output=True, text=True, check=False,
-            timeout=LIMIT_S * len(levels),
-        )  # fmt: skip
-        if done.returncode:
-            raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
-        with np.load(target) as kept:
-            cpu = 1e6 * float(kept["seconds"]) / sum(len(p.times) for _, p in given)
-            for number in range(len(levels)):
-                paths = [[kept.get(f"{what}_{number}_{k}") for what in ("positions", "covariances")]
-                         for k in range(len(given))]  # fmt: skip
-                tables = (_table(folder.name, *one, *path) for one, path in zip(given, paths, strict=True))
-                figures, errors = scored(pl.concat(tables), folder)
-                yield {**figures, "cpu_us": cpu}, errors
+        file, adapter = Path(place, "problems"), f"with_{name.replace('-', '_')}"
+        file.write_bytes(pickle.dumps((levels, [asdict(problem) for _, problem in given])))
+        new_interpreter(["-E", str(PEERS / "run_peer.py"), adapter, str(file)], LIMIT_S * len(levels))
+        seconds, estimates = pickle.loads(file.read_bytes())
+    for found in zip(*estimates, strict=True):
+        tables = (_table(folder.name, *one, *path) for one, path in zip(given, found, strict=True))
+        figures, errors = scored(pl.concat(tables), folder)
+        yield {**figures, "cpu_us": 1e6 * seconds / sum(len(p.times) for _, p in given)}, errors
 
 
 def _table(recording: str, tag: str, p: Any, positions: np.ndarray, P: np.ndarray | None) -> pl.DataFrame:
     """The last estimate of each time, with the columns of `track`."""
-    last, d = np.flatnonzero(np.append(np.diff(p.times) > 0, True)), p.d
-    P = np.full((len(last), d, d), np.nan) if P is None else P[last]
+    last = np.flatnonzero(np.append(np.diff(p.times) > 0, True))
+    cov = np.full((len(last), 3, 3), np.nan)
+    cov[:, 2, 2] = 0.0  # That of a known height.
+    cov[:, : p.d, : p.d] = np.nan if P is None else P[last]
     columns: dict[str, Any] = {"recording": recording, "t_s": p.times[last], "tag": tag}
     for i, a in enumerate("xyz"):
-        columns[f"{a}_m"] = p.place(positions)[last, i]
-        columns[f"std_{a}_m"] = np.sqrt(P[:, i, i]) if i < d else np.zeros(len(last))
-        columns |= {f"cov_{'xyz'[j]}{a}_m2": P[:, j, i] if i < d else np.full(len(last), np.nan) for j in range(i)}
+        columns |= {f"{a}_m": p.place(positions)[last, i], f"std_{a}_m": np.sqrt(cov[:, i, i])}
+        columns |= {f"cov_{b}{a}_m2": cov[:, j, i] for j, b in enumerate("xyz"[:i])}
     return pl.DataFrame(columns)
 
 
@@ -110,7 +92,7 @@ def scored(table: pl.DataFrame, folder: Any) -> tuple[dict[str, Any], Any]:
 def ours(name: str, recording: str) -> tuple[Figures, Any]:
     """Figures and errors by track of our tracker as a user gets it; the time is that of a second run."""
     folder = data.folder_of(recording)
-    tracker = data.tracker_of(folder)
+    tracker = build(fitting(folder), folder)
     tracker = tracker.smoothing() if name == SMOOTHED else tracker
     tracker.run(folder)
     began, table = time.process_time(), tracker.run(folder).to_polars()
@@ -122,13 +104,14 @@ def ours(name: str, recording: str) -> tuple[Figures, Any]:
 def levels_of(name: str, kind: str) -> Figures:
     """The levels of an estimator by the search."""
     grid = list(product(*GRIDS.get(kind, USUAL)))
-    names = [recording for recording in DEVELOPMENT[kind] if recording in data.places()]
+    names = [recording for recording in DEVELOPMENT[kind] if recording in paths()]
     runs = [[figures for figures, _ in peer(name, recording, grid, SEARCHED)] for recording in names]
-    mean = np.mean(np.log([[[r["rmse"] or np.inf, r["nees"] or np.nan] for r in each] for each in runs]), axis=0)
-    best = int(np.nanargmin(mean[:, 0]))
-    scale, (acceleration, reading) = float(np.exp(0.5 * mean[best, 1])), grid[best]
-    return {"acceleration": acceleration * scale, "reading": reading * scale, "scale": scale, "pairs": len(grid),
-            "recordings": len(names)}  # fmt: skip
+    logs = np.log([[[r["rmse"] or np.inf, r["nees"] or np.nan] for r in each] for each in runs])
+    best = int(np.nanargmin(np.mean(logs[..., 0], axis=0)))
+    nees = logs[np.isfinite(logs[:, best, 1]), best, 1]
+    scale = float(np.exp(0.5 * np.mean(nees))) if len(nees) else 1.0  # 1: the estimator gave no covariances.
+    motion, reading = scale * np.array(grid[best])
+    return {"acceleration": motion, "reading": reading, "scale": scale, "pairs": len(grid), "recordings": len(names)}
 
 
 def beside(name: str, recording: str) -> Figures:
@@ -137,7 +120,7 @@ def beside(name: str, recording: str) -> Figures:
         return ours(name, recording)[0]
     kind = next(data.problems(data.folder_of(recording)))[1].kind
     if name == OPTIMUM:
-        levels: Levels = data.WORLDS[recording][2:]
+        levels = data.WORLDS[recording][2:]
     else:
         row = next(r for r in read(EVIDENCE / "peer-levels.csv") if (r["recording"], r["tracker"]) == (kind, name))
         levels = float(row["acceleration"]), float(row["reading"])
@@ -150,7 +133,7 @@ def beside(name: str, recording: str) -> Figures:
 def cases() -> Iterator[Case]:
     """Every estimator on every data set; `setting`: development, unseen, or worlds."""
     seen = {recording for names in DEVELOPMENT.values() for recording in names}
-    for recording in (*data.places(), *data.WORLDS):
+    for recording in (*paths(), *data.WORLDS):
         group = "worlds" if recording in data.WORLDS else "development" if recording in seen else "unseen"
         others = [] if recording.startswith("ble51-uca") else list(ESTIMATORS)
         for name in (OURS, SMOOTHED, *others, *[OPTIMUM] * (group == "worlds")):
@@ -162,8 +145,6 @@ def headline(rows: Sequence[dict[str, str]]) -> list[tuple[str, ...]]:
     lines = [("estimator", *(f"{g}: better, equal, worse" for g in GROUPS), "NEES/dof, unseen", "µs a reading")]
     for name in (OURS, SMOOTHED, *ESTIMATORS):
         mine, told = [row for row in rows if row["tracker"] == name], []
-        if not mine:
-            continue
         for group in GROUPS if name in ESTIMATORS else ():
             part = [row for row in mine if row["setting"] == group]
             better = sum(bool(r["error"]) or float(r["low"] or "nan") > 0 for r in part)
@@ -175,19 +156,15 @@ def headline(rows: Sequence[dict[str, str]]) -> list[tuple[str, ...]]:
     return lines
 
 
-def main(*, page: Path = PAGE) -> int:
-    """Measure what docs/evidence lacks, and write the table of the page.
-
-    Args:
-        page: the page whose table is replaced.
-    """
+def main() -> int:
+    """Measure what docs/evidence lacks, and write the table of the page; 1 if a row has an error."""
     pairs = product(DEVELOPMENT, ESTIMATORS)
     levels = (Case(kind, name, "development", partial(levels_of, name, kind)) for kind, name in pairs)
     failed = measure(levels, EVIDENCE / "peer-levels.csv", report=notice)
     failed += measure(cases(), EVIDENCE / "side-by-side.csv", report=notice)
-    replace_tables(page, "make benchmark", markdown(headline(read(EVIDENCE / "side-by-side.csv"))))
-    print(f"wrote {page}; {failed} rows have an error")
-    return 0
+    replace_tables(PAGE, "make benchmark", markdown(headline(read(EVIDENCE / "side-by-side.csv"))))
+    print(f"wrote {PAGE}; {failed} rows have an error")
+    return int(bool(failed))
 
 
 if __name__ == "__main__":

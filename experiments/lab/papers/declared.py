@@ -48,10 +48,10 @@ class Printed:
         )
 
 
-CONSTANT = MappingProxyType({"motion.time_constant": 1000.0, "motion.length": 1e4, "start.sigma_shared": 1e-3})
-"""Levels of `uwb` for biases that neither time nor the way changes, and that the anchors do not share."""
-
-CONSTANT_BIASES = CONSTANT | {
+CONSTANT_BIASES = {
+    "motion.time_constant": 1000.0,
+    "motion.length": 1e4,
+    "start.sigma_shared": 1e-3,
     "motion.sigma_a": 0.3,
     "motion.memory": 5.0,
     "motion.sigma_bias": 0.025,
@@ -61,12 +61,15 @@ CONSTANT_BIASES = CONSTANT | {
     "sensors.ranges.dof": 3.0,
     "sensors.ranges.bias": [0.015] * 8,
 }
-"""Levels for constant biases of centimetres, and ranges that are too long more often than too short."""
+"""Levels of `uwb` for biases of centimetres that hardly change and that the anchors do not share, and ranges that are
+too long more often than too short."""
 
-CONSTANT_INERTIAL = MappingProxyType({"motion.noise.sigma_range_walk": 0.005})
-"""The same of `uwb-imu`: range biases that hardly change."""
-
-CONSTANT_BIASES_INERTIAL = CONSTANT_INERTIAL | {"start.sigma_bias": 0.05, "sensors.ranges.bias": [0.03] * 4}
+CONSTANT_BIASES_INERTIAL = {
+    "motion.noise.sigma_range_walk": 0.005,
+    "start.sigma_bias": 0.05,
+    "sensors.ranges.bias": [0.03] * 4,
+}
+"""The same of `uwb-imu`."""
 
 
 def built(

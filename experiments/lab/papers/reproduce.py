@@ -41,12 +41,12 @@ def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
     with progress("papers", len(chosen)) as advance:
         for study in chosen:
             folder = out / study.name
-            done = new_interpreter(
-                ["-m", "trackwright.experiments", "study", study.name, "--out", str(folder)], LIMIT_S
-            )
-            if done.returncode:
+            words = ["-m", "trackwright.experiments", "study", study.name, "--out", str(folder)]
+            try:
+                new_interpreter(words, LIMIT_S)
+            except RuntimeError as problem:
                 failed.append(study.name)
-                notice(f"{study.name} failed: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")
+                notice(f"{study.name} failed: {problem}")
             else:
                 content = json.loads((folder / "results.json").read_text("utf-8"))
                 contents.append(content)

@@ -8,7 +8,7 @@ start is wider than a linearisation is exact, and that of phases is drawn within
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,29 +18,21 @@ from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, own_wo
 from trackwright.sim import SimulatedWorld, worlds
 from trackwright.tuning.diagnostics import nis_band, student_t_dof_of
 
-TAGS, SEEDS, SETTLED, WINDOW = 24, 5, 5.0, 50
-
-
-class World(NamedTuple):
-    """Recordings for their times and geometry; `narrower`: as of `own_world`."""
-
-    make: Callable[..., SimulatedWorld]
-    narrower: float = 1.0
-
-
-WORLDS: Mapping[str, World] = {
-    "direct": World(worlds.station, 30.0),
-    "beam": World(worlds.station, 30.0),
-    "bearings": World(worlds.fusion),
-    "line-grid": World(worlds.line),
-    "line-pf": World(worlds.line),
-    "uwb": World(worlds.ranges),
-    "uwb-imu": World(worlds.tool),
-    "tdoa": World(worlds.tdoa),
-    "tdoa-imu": World(partial(worlds.tdoa, imu=True)),
-    "fix-kf": World(partial(worlds.agv, rows=500)),
-    "fix-singer": World(partial(worlds.agv, rows=500)),
+TAGS, SEEDS, SETTLED, WINDOW, NARROWER = 24, 5, 5.0, 50, 30.0
+WORLDS: Mapping[str, Callable[..., SimulatedWorld]] = {
+    "direct": worlds.station,
+    "beam": worlds.station,
+    "bearings": worlds.fusion,
+    "line-grid": worlds.line,
+    "line-pf": worlds.line,
+    "uwb": worlds.ranges,
+    "uwb-imu": worlds.tool,
+    "tdoa": worlds.tdoa,
+    "tdoa-imu": partial(worlds.tdoa, imu=True),
+    "fix-kf": partial(worlds.agv, rows=500),
+    "fix-singer": partial(worlds.agv, rows=500),
 }
+"""Recordings for their times and geometry; of phases with priors `NARROWER` times as small, as of `own_world`."""
 
 
 def cases() -> Iterator[Case]:
@@ -51,10 +43,11 @@ def cases() -> Iterator[Case]:
 
 def figures(name: str, seed: int) -> Figures:
     """NIS per degree of freedom of all settled rows, and the share of the means over `WINDOW` rows inside the band."""
-    batch = tw.TRACKERS[name].batches([WORLDS[name].make(n=TAGS, seed=seed).folder()], name, False)[0]
+    batch = tw.TRACKERS[name].batches([WORLDS[name](n=TAGS, seed=seed).folder()], name, False)[0]
     made: Any = batch.tracker
     tracker = dataclasses.replace(made, track_loss=NEVER_LOST)
-    drawn, priors, _ = own_world(tracker, [t.recording for t in batch.trajectories], seed, WORLDS[name].narrower)
+    narrower = NARROWER if WORLDS[name] is worlds.station else 1.0
+    drawn, priors, _ = own_world(tracker, [t.recording for t in batch.trajectories], seed, narrower)
     run = tracker.run(drawn, initial=priors)
     used = np.isfinite(run.nis) & (run.nis_dof > 0) & (run.times >= run.times[:, :1] + SETTLED)
     inside: list[bool] = []

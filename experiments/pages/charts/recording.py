@@ -37,7 +37,6 @@ from trackwright.experiments.text.wording import Unit, length_unit
 from trackwright.trackers.core.data.consistency import chi_square_probability
 from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.statements import COVERAGE, LIMITS
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.tuning.diagnostics import Innovations, nis_band
 
@@ -209,8 +208,6 @@ def coverage(
     levels = {k: chi_square_probability(v[np.isfinite(v)], dof) for k, (v, dof) in nees.items() if np.isfinite(v).any()}
     axes, at = _axes(ax), np.linspace(0, 100, 201)
     axes.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, linestyle="--", label="correct covariances")
-    low, high = (100 * x for x in COVERAGE)
-    axes.vlines(95, low, high, GREY, linewidth=4.0, alpha=0.45, label=f"covariances hold: {low:.0f} to {high:.0f} %")
     pooled = np.concatenate([*levels.values()])
     # Of many curves none has a colour and a name of its own.
     named, width = len(levels) <= len(LINES), 0.9 if shape and len(levels) > 1 else 1.6
@@ -285,8 +282,7 @@ def _consistency(
         axes.yaxis.set_minor_locator(NullLocator())
     bottom, top = np.median(band, axis=1)
     axes.set(ylim=(0.8 * max(min(least, bottom), 1e-3), 1.25 * max(largest, top)), xlim=_ends(at))
-    expected = LIMITS[1] if name == "NEES" else "1 expected" + (f" ({law})" if law else "")
-    text = f"mean {total.sum() / freedom.sum():.2f}, {expected}"
+    text = f"mean {total.sum() / freedom.sum():.2f}, 1 expected{f' ({law})' if law else ''}"
     axes.text(0.995, 1.02, text, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)
     return axes
 

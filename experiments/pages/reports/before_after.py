@@ -89,7 +89,8 @@ def compare(
         f"{'3-D ' if suffix else ''}RMSE, {unit.name}": (error, unit.factor, 3 if unit.name == "m" else 1),
         f"% in 95 % {shape}": (f"coverage_95{suffix}", 100.0, 0),
         "NEES/dof": (f"nees{suffix}_ratio", 1.0, 2),
-        "NIS r 1 s": ("nis_correlation_1s", 1.0, 2),
+        "regret": (f"regret{suffix}", 1.0, 2),
+        "NIS/dof": ("nis_ratio", 1.0, 2),
     }
     verdict = Verdict(None, {}, {}, why_not) if why_not else judge(sides, folders, 3 if suffix else 2)
     rows = [

@@ -30,10 +30,8 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.trackers.recordings.range_quality import RangeQuality
 from trackwright.tuning.calibrating import systematic
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
-from trackwright.tuning.lasting_errors import LastingErrors, Series, lasting_errors, series_of
 
 WIDTH = 150
 SHOWN = 12
@@ -48,8 +46,6 @@ _ERRORS = ("rows", "as measured", "calibrated", "left out")
 ANGLE_HEAD = ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS)
 RANGE_HEAD = ("anchor", "bias, m", "slope", *_ERRORS)
 DIFFERENCE_HEAD = ("anchor", "bias, m", *_ERRORS)
-_LASTS = "correlated for, s"
-LASTING_HEAD = ("source", "quantity", "lasting", "white noise", _LASTS, "and over, m")
 DIFFERENCE = "range difference"
 TABLES = ("stations", "anchors", "differences")
 NOT_LINEAR = ", not linear"
@@ -62,8 +58,6 @@ NOTES = {
     "(p < 0.001); see the figures.",
     "as measured": "As measured, calibrated: 68th percentile of the absolute error before and after.",
     "left out": "Left out: cross-validated, by a calibration on the other recordings.",
-    _LASTS: "Errors that last: standard deviations of a Gauss–Markov error and of white noise beside it, time constant "
-    "and length, with 95 % intervals, of the errors left out; – where these recordings do not determine them.",
 }
 """What the tables' marks mean, by the text that has to occur in them."""
 
@@ -105,14 +99,6 @@ class Source(NamedTuple):
             expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
         return self.pairs.measured[:, k] - expected
 
-    def series(self, errors: np.ndarray) -> Iterator[Series]:
-        """The errors (N,) along the path of each tag in each recording."""
-        pairs = self.pairs
-        for number in np.unique(pairs.recording):
-            for tag in np.unique(pairs.tag[pairs.recording == number]):
-                part = (pairs.recording == number) & (pairs.tag == tag)
-                yield series_of(pairs.time[part], pairs.positions[part], errors[part])
-
     def bend(self, calibration: Calibration) -> str:
         """`NOT_LINEAR` where the ranges contradict the line of the calibration."""
         errors = self.errors(calibration)
@@ -133,21 +119,21 @@ class Source(NamedTuple):
 class Report(NamedTuple):
     """The tables of a calibration by their part of the page, those with rows, and no column of dashes alone.
 
-    `undetermined`: each source with the terms that are not determined. `noise`: what the noise of ranges follows, and
-    what a map of bearings brings, in sentences.
+    `undetermined`: each source with the terms that are not determined. `by_place`: what a map of bearings brings, in
+    words.
     """
 
     tables: dict[str, Section]
     undetermined: list[tuple[str, str]]
     sources: list[Source]
-    noise: str
+    by_place: str
 
     @property
     def note(self) -> str:
         """What the marks mean that occur in the tables."""
         cells = [*chain.from_iterable([section.head, *section.rows] for section in self.tables.values())]
         notes = [text for mark, text in NOTES.items() if any(mark in cell for row in cells for cell in row)]
-        return " ".join([*notes, self.noise] if self.noise else notes)
+        return " ".join([*notes, self.by_place] if self.by_place else notes)
 
 
 SECTIONS = {
@@ -155,12 +141,8 @@ SECTIONS = {
     "anchors": Section("Anchors", RANGE_HEAD, [], 1, "", {"calibrated": "after"}),
     "differences": Section("Range differences", DIFFERENCE_HEAD, [], 1, "", {"calibrated": "after"}),
     "tags": Section("Tags: bias relative to their mean, and where their ranges end", TAG_HEAD, []),
-    "lasting": Section("Errors that last, left out", LASTING_HEAD, [], 2),
 }
-"""The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several.
-
-The last one: how large the errors left out are and how long they last.
-"""
+"""The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several."""
 
 
 def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
@@ -169,7 +151,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     sources = [source for source in _sources(folders) if source.table < 2 or source.name in calibration.differences]
     without = _without_each(folders)
     tables: dict[str, list[list[str]]] = {name: [] for name in SECTIONS}
-    undetermined, series = [], {}
+    undetermined = []
     for source in sources:
         terms, covariance, determined, names = _fit(calibration, source)
         sigmas = np.sqrt(np.diag(covariance))
@@ -179,8 +161,6 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
             if other is not None:
                 of_recording = source.pairs.recording == number
                 left_out[of_recording] = source.errors(other)[of_recording]
-        if source.quantity != DIFFERENCE:
-            series[source.name, source.quantity] = list(source.series(left_out))
         measured = source.errors(None)
         spreads = [source.spread(errors) for errors in (measured, source.errors(calibration), left_out)]
         factor, unit = _shown(source.quantity)
@@ -198,34 +178,24 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         for name, tag in calibration.tags.items()
         if len(calibration.tags) > 1
     ]
-    tables["lasting"] = [[*key, *_lasting(numbers, *_shown(key[1]))] for key, numbers in lasting_errors(series).items()]
     filled: dict[str, Section] = {}
     for part, rows in tables.items():
         section = SECTIONS[part]
         width = len(section.head) - (part in TABLES and all(row[-1] == MISSING for row in rows))
         if rows:
             filled[part] = section._replace(head=section.head[:width], rows=[row[:width] for row in rows])
-    return Report(filled, undetermined, sources, _in_words(calibration.range_quality, calibration.bearing_map))
+    return Report(filled, undetermined, sources, _in_words(calibration.bearing_map))
 
 
-def _in_words(quality: RangeQuality | None, by_place: BearingMap | None) -> str:
-    """What the noise of ranges follows, and what a map of the errors of bearings brings; empty for neither."""
-    said = []
-    if quality is not None:
-        factor, low, high = np.exp(quality.slope + quality.standard_error * np.array([0.0, -1.96, 1.96]))
-        said.append(
-            f"The noise of ranges follows {quality.column}: their standard deviation is {factor:.2f} times as large "
-            f"(95 % interval {low:.2f} to {high:.2f}) with each {quality.spread:.3g} by which it is above "
-            f"{quality.centre:.3g}; ranges left out are more probable by {quality.gain:.3f} nats each than with the "
-            "same noise for all."
-        )
-    if by_place is not None:
-        said.append(
-            "A map of the errors of bearings over the floor is kept, of "
-            f"{sum(len(visits) for visits in by_place.stations.values())} visits: visits left out are more probable by "
-            f"{by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
-        )
-    return " ".join(said)
+def _in_words(by_place: BearingMap | None) -> str:
+    """What a map of the errors of bearings brings; empty without one."""
+    if by_place is None:
+        return ""
+    return (
+        "A map of the errors of bearings over the floor is kept, of "
+        f"{sum(len(visits) for visits in by_place.stations.values())} visits: visits left out are more probable by "
+        f"{by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
+    )
 
 
 def _offset(value: float, sigma: float) -> str:
@@ -266,17 +236,6 @@ def _fit(calibration: Calibration, source: Source) -> tuple[np.ndarray, np.ndarr
 def _shown(quantity: str) -> tuple[float, str]:
     """The factor and the unit with which sizes of errors are shown."""
     return (DEGREES, "°") if quantity in ANGLES else (100.0, " cm")
-
-
-def _lasting(numbers: LastingErrors, factor: float, unit: str) -> list[str]:
-    """The cells of the four numbers, each with its interval where it is determined."""
-    cells = []
-    forms = zip((factor, factor, 1.0, 1.0), (unit, unit, "", ""), (1, 1, 1, 2), strict=True)
-    told = zip(numbers.values, numbers.intervals, numbers.determined, forms, strict=True)
-    for value, interval, known, (scale, of, digits) in told:
-        middle, low, high = (fixed(scale * x, digits) for x in (value, *interval))
-        cells.append(f"{middle}{of} [{low}, {high}]" if known else MISSING)
-    return cells
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:

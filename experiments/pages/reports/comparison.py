@@ -15,7 +15,16 @@ from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
 from trackwright.experiments.text.evaluation_text import COLUMNS, cells, title_of
 from trackwright.experiments.text.expectations import Value, with_interval
 from trackwright.experiments.text.tables import Section
-from trackwright.experiments.text.wording import MISSING, Unit, heading, length_unit, shown_metric, units_of, yes_no
+from trackwright.experiments.text.wording import (
+    MISSING,
+    Unit,
+    heading,
+    length_unit,
+    shown_metric,
+    unit_of,
+    units_of,
+    yes_no,
+)
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.evaluation.comparison import Difference, holm, paired_differences
 
@@ -24,8 +33,7 @@ if TYPE_CHECKING:
 
 SHOWN = (
     "rmse_m", "median_m", "p95_m", "rmse_3d_m", "p95_3d_m", "rmse_direction_rad", "nees_mean", "nees_ratio",
-    "coverage_50", "coverage_90", "coverage_95", "coverage_99", "nis_ratio", "nis_correlation_100ms",
-    "nis_correlation_1s", "nis_correlation_5s", "lost_fraction", "diverged",
+    "regret", "coverage_50", "coverage_90", "coverage_95", "coverage_99", "nis_ratio", "lost_fraction", "diverged",
 )  # fmt: skip
 """The metrics of studies that are shown where any is common; else all."""
 
@@ -114,7 +122,8 @@ def difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> S
     """The differences from the run `first`, with errors in this unit."""
     rows = []
     for contrast in contrasts:
-        of, d = Unit("%", 100.0) if contrast.metric.startswith("coverage") else unit, contrast.difference
+        own, d = unit_of(contrast.metric, ()), contrast.difference
+        of = unit if own.name in ("m", "°") else own
         p = MISSING if math.isnan(contrast.p) else "<0.001" if contrast.p < 0.001 else f"{contrast.p:.3f}"
         values = Value(d.first, math.nan, math.nan), Value(d.second, math.nan, math.nan), Value(d.value, d.low, d.high)
         shown = [with_interval(value, of) for value in values]

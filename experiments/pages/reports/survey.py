@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from matplotlib.axes import Axes
 from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan
 from trackwright.experiments.pages.charts.style import BLUE, GREY, Chart
 from trackwright.experiments.pages.reports.pages import page, write_page
-from trackwright.tuning.survey.result import DELAY_DETERMINED, Survey
+from trackwright.tuning.survey.surveying import DELAY_DETERMINED, Survey
 
 
 def survey_data(survey: Survey) -> dict[str, Any]:
@@ -31,17 +30,16 @@ def survey_data(survey: Survey) -> dict[str, Any]:
 
 def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path:
     """Writes the page beside the file `out`, with its name; returns its path."""
+
+    def draw(axes: Axes) -> None:
+        drawn = np.flatnonzero(survey.half_widths[:, :2].max(axis=1) < 2.0).tolist()
+        places, covs = survey.positions[drawn, :2], np.reshape([survey.block(k)[:2, :2] for k in drawn], (-1, 2, 2))
+        paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
+        paths.append(PlanPath("", BLUE, np.full((1, 2), np.nan), places, covs, "95 % ellipse"))
+        draw_plan(axes, paths, [], survey.rig)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)
+
+    chart = Chart("survey", "Anchors with 95 % ellipses over the walks", draw, 7.0, None)
     title = f"Survey of {survey.rig.name}"
-    chart = Chart("survey", "Anchors with 95 % ellipses over the walks", partial(_plan, survey=survey), 7.0, None)
     text = page("survey.html", command, title=title, survey=survey, chart_of=chart, out=str(out))
     return write_page(out.with_suffix(".html"), text)
-
-
-def _plan(axes: Axes, survey: Survey) -> None:
-    """Walks, and anchors with the ellipses of their intervals."""
-    drawn = np.flatnonzero(survey.half_widths[:, :2].max(axis=1) < 2.0).tolist()
-    places, covs = survey.positions[drawn, :2], np.reshape([survey.block(k)[:2, :2] for k in drawn], (-1, 2, 2))
-    paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
-    paths.append(PlanPath("", BLUE, np.full((1, 2), np.nan), places, covs, "95 % ellipse"))
-    draw_plan(axes, paths, [], survey.rig)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)

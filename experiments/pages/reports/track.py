@@ -99,7 +99,7 @@ def run_data(
     }
 
 
-HEADED = {"m": "m", "rad": "°", "s": "s"}
+HEADED = {"m": "m", "m²": "m²", "rad": "°", "s": "s"}
 """The units in headings of columns, by those in which metrics are stored."""
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +14,11 @@ from trackwright.experiments.pages.reports.before_after import Compared, ErrorTr
 from trackwright.experiments.text.wording import number, uncapitalised
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.evaluation.residuals import residuals_of
 from trackwright.trackers.recordings.tracks import batches
-from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
 from trackwright.tuning.data import FitData
 from trackwright.tuning.diagnostics import Innovations, implied_spread, innovations_of
 from trackwright.tuning.fitting import FitResult
@@ -157,7 +160,7 @@ def collect(
         objective_about=_about(objective, "rad" if angles else "m"),
         training=recording_names(training),
         held_out=recording_names(held_out),
-        parameters=_parameters(result, intervals, issues),
+        parameters=_parameters(result, intervals, issues, runs[1]),
         metrics=(*own, *_metrics(trackers, rows, weights, quantity, data.dimensions)),
         traces=traces_of(result),
         surface=surface_of(result),
@@ -208,7 +211,10 @@ def _metrics(
 
 
 def _parameters(
-    result: FitResult, intervals: Mapping[str, Interval], issues: Sequence[IdentifiabilityIssue]
+    result: FitResult,
+    intervals: Mapping[str, Interval],
+    issues: Sequence[IdentifiabilityIssue],
+    runs: Sequence[tuple[Trajectory, Estimates]] = (),
 ) -> tuple[TunedParameter, ...]:
     undetermined = {name for issue in issues for name in issue.names}
     names = component_names(result.parameters)
@@ -221,7 +227,7 @@ def _parameters(
     finite = np.isfinite(low) & np.isfinite(high)
     # Without any interval it is unknown what is determined; with some, a parameter without one is undetermined.
     known = bool(finite.any())
-    spreads = [text for p in result.parameters for text in _spread(result, p)]
+    spreads = [text for p in result.parameters for text in _spread(result, p, runs)]
     return tuple(
         TunedParameter(name, unit, float(a), float(b), float(lo) if ok else np.nan, float(hi) if ok else np.nan,
                        False if name in undetermined else bool(ok) if known else None, spread)
@@ -229,13 +235,25 @@ def _parameters(
     )  # fmt: skip
 
 
-def _spread(result: FitResult, parameter: Parameter) -> list[str]:
-    """In words, the spread of readings that each number of a fitted parameter implies; empty where it implies none."""
+def _spread(result: FitResult, parameter: Parameter, runs: Sequence[tuple[Trajectory, Estimates]]) -> list[str]:
+    """In words, the spread of readings that each number of a fitted parameter implies; empty where it implies none.
+
+    And beside it the one about the estimates, of sensors whose readings follow from the position alone.
+    """
     spread = implied_spread(result.tracker, parameter.names[0])
     if spread is None or parameter.size > 1:
         return [""] * parameter.size
-    value = f"{number(spread.value)} {parameter.example.unit}"
-    return [f"standard deviation {value}" if spread.is_deviation else f"68 % of the readings within ± {value}"]
+    sensors: Any = getattr(result.tracker, "sensors", {})
+    sensor, unit = parameter.names[0].split(".")[1], parameter.example.unit
+    words, measured = f"{number(spread.value)} {unit}", ""
+    if runs and sensors[sensor].view_fields == ("position",):
+        columns = Trajectories.of([trajectory for trajectory, _ in runs]).columns
+        place = Vector(*np.concatenate([np.array(run.mean.position, float) for _, run in runs], axis=1))
+        of_channels = residuals_of({sensor: sensors[sensor]}, columns, place)
+        low, high = np.nanquantile(np.concatenate([x[seen, 0] for _, x, seen in of_channels]), (0.16, 0.84))
+        measured = f"; measured about the estimates: 68 % within ± {number((high - low) / 2)} {unit}"
+    model = f"standard deviation {words}" if spread.is_deviation else f"68 % of the readings within ± {words}"
+    return [f"by the model: {model}{measured}"]
 
 
 def _flat(parameters: Sequence[Parameter], values: dict[str, np.ndarray]) -> np.ndarray:

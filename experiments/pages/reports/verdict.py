@@ -10,20 +10,18 @@ import numpy as np
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.evaluation.comparison import Difference, paired_means
-from trackwright.trackers.evaluation.scoring import log_densities, score
+from trackwright.trackers.evaluation.scoring import score
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibration_pairs import calibration_pairs
+from trackwright.tuning.data import FLAT_M
 
 OTHER_MOTION = 2.0
 """Ratio of true accelerations from which on a recording has another level of motion."""
 
 CONTRADICTS_M = 0.1
 """Difference, m, of an anchor's median error from that in other recordings from which on it contradicts them."""
-
-FLAT_M = 1.0
-"""Most difference in height, m, of anchors in whose plane heights may be mirrored."""
 
 
 class Verdict(NamedTuple):
@@ -86,7 +84,7 @@ def judge(sides: Sequence[Association], folders: Sequence[RecordingFolder], dime
     densities = []
     for side in sides:
         scored, full = score(side, stations), np.full(len(side.rows), np.nan)
-        full[scored.index] = log_densities(side, scored, dimensions)
+        full[scored.index] = scored.log_density(dimensions)
         densities.append(full)
     known = np.isfinite(densities).all(axis=0)
     if not known.any():

@@ -100,7 +100,6 @@ def test_errors_of_the_check_stop_whatever_is_fitted_to_a_recording(tmp_path):
     out = tmp_path / "out"
     for words in (
         ("tune", tmp_path / "feet", *few, "--out", out),
-        ("tune", tmp_path / "feet", *few, "--cluster", "local:1", "--out", out),
         ("tune", tmp_path / "late", *few, "--out", out),
         ("calibrate", tmp_path / "feet", "--out", out / "c.toml"),
         ("survey", tmp_path / "millimetres", "--out", out / "rig.toml"),

@@ -34,8 +34,8 @@ def test_differences_are_those_of_a_paired_t_test_over_common_recordings():
     for k, row in enumerate(differences.rows):
         expected = stats.ttest_rel(b[k], a[k])
         interval = expected.confidence_interval(0.95)
-        found = _numbers(row[4])
-        assert found == pytest.approx([100 * np.mean(b[k] - a[k]), 100 * interval.low, 100 * interval.high], abs=0.05)
+        found, unit = _numbers(row[4]), 1 if SHOWN[k] == "log_density" else 100  # lengths in cm, shares in %
+        assert found == pytest.approx(unit * np.array([np.mean(b[k] - a[k]), interval.low, interval.high]), abs=0.05)
     assert "Paired over 30 recordings" in differences.note
 
 

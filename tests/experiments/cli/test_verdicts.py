@@ -51,7 +51,7 @@ def unlike(tmp_path_factory):
 def worse(unlike, tmp_path_factory):
     """The folder of a fit to them, and what was said."""
     out = tmp_path_factory.mktemp("worse")
-    return out, trackwright("tune", *unlike, *FIT, "--json", "--out", out)
+    return out, trackwright("tune", *unlike, *FIT, "--prior", "flat", "--json", "--out", out)
 
 
 def test_values_with_which_a_left_out_recording_gets_worse_are_written_with_that_verdict(worse):
@@ -75,7 +75,7 @@ def test_values_with_which_a_left_out_recording_gets_worse_are_written_with_that
 
 def test_check_makes_a_worse_verdict_exit_with_one(tmp_path):
     unlike = [_walk(tmp_path / f"hall-{k}", k, sigma) for k, sigma in enumerate((0.05, 0.5))]
-    run = ("tune", *unlike, *FIT, "--set", "sensors.fixes.sigma_horizontal=0.2", "--no-report")
+    run = ("tune", *unlike, *FIT, "--prior", "flat", "--set", "sensors.fixes.sigma_horizontal=0.2", "--no-report")
     codes = [trackwright(*run, *more, "--out", tmp_path / "fit").code for more in ((), ("--check", "--resume"))]
     assert tomllib.loads((tmp_path / "fit" / "tuned.toml").read_text())["verdict"] == "worse"
     assert codes == [0, 1]
@@ -115,7 +115,18 @@ def test_without_truth_nothing_is_judged(tmp_path):
 
 def test_a_fit_that_ended_early_is_written_and_says_so(tmp_path):
     still = [_walk(tmp_path / f"still-{k}", k, 0.0) for k in (3, 4, 5)]
-    said = trackwright("tune", *still, *FIT, "--steps", 1, "--no-report", "--out", tmp_path / "early")
+    said = trackwright(
+        "tune",
+        *still,
+        *FIT,
+        "--objective",
+        "state-nll+0.1*rmse",
+        "--steps",
+        1,
+        "--no-report",
+        "--out",
+        tmp_path / "early",
+    )
     assert said.code == 0, said.err
     assert (tmp_path / "early" / "tuned.toml").exists()
     assert "notice: the fit took all its steps before it came to rest" in said.out
@@ -136,7 +147,8 @@ def test_the_values_without_a_block_of_time_are_those_of_a_fit_to_the_rest_and_c
     named = tw.build("fix-kf", folder)
     data = fit_data(named.only_batch([folder]), "state-nll")
     level = "sensors.fixes.sigma_horizontal"
-    result = tw.fit(data.tracker, data, data.objective, level)
+    flat = tw.FitOptions(prior="flat")
+    result = tw.fit(data.tracker, data, data.objective, level, flat)
     compiled = []
     jax.monitoring.register_event_duration_secs_listener(listen := lambda name, seconds, **_: compiled.append(name))
     blocks = left_out_blocks(result, data)
@@ -148,6 +160,6 @@ def test_the_values_without_a_block_of_time_are_those_of_a_fit_to_the_rest_and_c
         # In holes of that length truth is not interpolated.
         truth = folder.tables["truth"].filter(~pl.col("t_s").is_between(start, stop, "left"))
         rest = replace(folder, tables=folder.tables | {"truth": truth})
-        alone = tw.fit(named, rest, "state-nll", level)
+        alone = tw.fit(named, rest, "state-nll", level, flat)
         assert float(values[level]) == pytest.approx(float(alone.values[level]), rel=0.01)
         assert abs(np.log(values[level] / result.values[level])) > 0.005

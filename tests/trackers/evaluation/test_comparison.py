@@ -23,7 +23,8 @@ def _lasting(rng, rows, runs, tau=1.0):
 
 def _run(errors, recording="r"):
     size = np.linalg.norm(errors, axis=-1)
-    return {(recording, "T"): TrackErrors(STEP_S * np.arange(len(size)), size, size * 1.2, (size < 2.4).astype(float))}
+    times, inside = STEP_S * np.arange(len(size)), (size < 2.4).astype(float)
+    return {(recording, "T"): TrackErrors(times, size, size * 1.2, inside, -0.5 * size**2, size)}
 
 
 def test_where_no_run_differs_some_difference_is_found_in_one_family_of_twenty():

@@ -227,6 +227,15 @@ def test_time_lost_adds_up_over_tracks():
     assert (overall["lost_s"], overall["lost_fraction"]) == (3.0, 3 / 13)
 
 
+def test_without_a_span_of_time_the_share_lost_is_that_of_the_rows():
+    status = dict(zip("12345", ("lost", "ok", "lost", "ok", "ok"), strict=True))
+    tracks = pl.concat([_tracks([1.0], [0.0], tag=tag, status=[what]) for tag, what in status.items()])
+    truth = pl.concat([_truth([0.0, 9.0], [0.0, 0.0], tag) for tag in status])
+    evaluation = evaluate_table(tracks, {"hall": truth})
+    assert [track["lost_fraction"] for track in evaluation.tracks] == [1, 0, 1, 0, 0]
+    assert (evaluation["lost_s"], evaluation["lost_fraction"]) == (0.0, 0.4)
+
+
 def test_unscored_rows_are_counted_by_reason():
     tracks = _tracks([0.5, 0.6, 1.5, 2.5, 9.0], [0.0] * 5, status=["waiting", "ok", "ok", "ok", "ok"])
     overall = evaluate_table(tracks, {"hall": _truth([0.0, 1.0, 3.0], [0.0, 0.0, 5.0])}).overall

@@ -86,7 +86,7 @@ def test_rows_out_of_order_are_sorted_with_a_notice_and_kitti_rows_are_counted_w
     (tmp_path / "a.tum").write_text("# a comment\n2 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
     found = read_trajectory(tmp_path / "a.tum")
     assert found.times.tolist() == [1.0, 2.0]
-    assert "1; sorted" in found.notices[0]
+    assert "1, by 1 s at most; sorted" in found.notices[0]
     assert "without attitude" in found.notices[1]
     (tmp_path / "a.kitti").write_text("1 0 0 5 0 1 0 6 0 0 1 7\n1 0 0 5 0 1 0 6 0 0 1 8\n")
     assert "have no times" in read_trajectory(tmp_path / "a.kitti").notices[0]

@@ -13,7 +13,7 @@ from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.evaluation.events import left_the_line
 from trackwright.trackers.line import rows as line
 from trackwright.trackers.line.motion import HaltingMotion, LineMotion
-from trackwright.trackers.line.path import path_of
+from trackwright.trackers.line.rows import path_of
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 from trackwright.trackers.recordings.tracks import track
 

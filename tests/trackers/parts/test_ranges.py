@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import t as student_t
 
 from tests.known_start import Still
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
@@ -105,30 +104,3 @@ def test_a_negative_range_error_has_more_weight_than_a_positive_one(updated):
     shift[0] = 0.3
     longer, shorter = (np.linalg.norm(np.array(updated(jnp.asarray(good + s))[0]) - POSITION) for s in (shift, -shift))
     assert shorter > 1.2 * longer
-
-
-@pytest.mark.parametrize("slope", [-0.4, 0.0])
-def test_the_scale_of_a_range_follows_its_quality_and_the_gradient_by_the_slope_is_that_of_the_density(slope):
-    values, quality, variance = np.array([5.3, 6.1]), np.array([1.5, -2.0]), 0.02**2
-    predicted = np.array([5.2, 6.4])
-    reported = jnp.array([variance, variance, *quality])
-
-    def log_density(slope, reported=reported):
-        sensor = RangeSensor(2, 5, 0.1, 2.0, 4.0, quality_slope=0.0 if reported.size > 2 else None)
-        if reported.size > 2:
-            sensor = replaced(sensor, {"quality_slope": Real(slope, typical=0.3)})
-        residual = freeze(sensor).residual(Reading(values, jnp.ones(2, bool), reported), predicted)
-        dof = residual.dof
-        return residual.log_scale - 0.5 * (dof + 1) * sum(jnp.log1p(w * w / dof) for w in residual.whitened)
-
-    def expected(slope):
-        scale = np.sqrt((0.1 * np.exp(slope * quality)) ** 2 + variance)
-        side = np.where(values > predicted, 2.0, 1.0)
-        return (student_t.logpdf((values - predicted) / scale / side, 4.0) - np.log(scale * 1.5)).sum()
-
-    # 64-bit numbers, and central differences of them.
-    assert float(log_density(slope)) == pytest.approx(expected(slope), rel=1e-12)
-    difference = (expected(slope + 1e-5) - expected(slope - 1e-5)) / 2e-5
-    assert float(jax.grad(log_density)(slope)) == pytest.approx(difference, rel=1e-7)
-    if slope == 0.0:
-        assert float(log_density(slope)) == float(log_density(slope, reported[:2]))

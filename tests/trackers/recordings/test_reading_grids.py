@@ -74,31 +74,34 @@ def fine_and_coarse():
     return [fine, dataclasses.replace(coarse, tables={**coarse.tables, "fixes": fixes})]
 
 
-def test_a_noise_level_below_the_rounding_is_raised_for_that_recording_alone(fine_and_coarse):
-    small = tw.build("fix-kf", fine_and_coarse).with_values({SIGMA: 0.01})
-    raised = small.with_values({SIGMA: STEP / math.sqrt(12)})
-    tracks = small.run(fine_and_coarse)
-    (notice,) = tracks.notices
-    assert notice == (
-        f"{fine_and_coarse[1].name}: fixes in steps of 0.3 m: {SIGMA} is 0.01, expected step/√12 at least; "
-        "raised to 0.0866 m"
+def _with_std(folder, std):
+    columns = {f"{axis}_std_m": pl.lit(std) for axis in "xyz"}
+    return dataclasses.replace(
+        folder, tables={**folder.tables, "fixes": folder.tables["fixes"].with_columns(**columns)}
     )
-    table = tracks.to_polars()
-    for folder, expected in zip(fine_and_coarse, (small, raised), strict=True):
-        alone = expected.run(folder)
+
+
+def test_the_variance_of_a_step_is_added_once_in_that_recording_alone(fine_and_coarse):
+    small = tw.build("fix-kf", fine_and_coarse).with_values({SIGMA: 0.01})
+    summed = small.with_values({SIGMA: math.sqrt(0.01**2 + STEP**2 / 12)})
+    table = small.run(fine_and_coarse).to_polars()
+    for folder, expected in zip(fine_and_coarse, (small, summed), strict=True):
+        alone = expected.run(_with_std(folder, 0.0))
         own = table.filter(pl.col("recording") == folder.name)
         for name in ("x_m", "std_x_m", "nis"):
             # The step is found to a part in a million.
             np.testing.assert_allclose(own[name], alone.to_polars()[name], rtol=1e-4, atol=1e-5)
-    assert float(small.only_batch(fine_and_coarse).tracker.sensors["fixes"].sigma_horizontal.value) == pytest.approx(
-        0.01
-    )
-    assert small.smoothing().run(fine_and_coarse).notices == tracks.notices
+    (fitted,) = small.only_batch(fine_and_coarse[1]).trajectories[:1]
+    np.testing.assert_allclose(fitted.recording.readings["fixes"].reported[:, 0], STEP**2 / 12, rtol=1e-5)
 
 
-def test_no_level_is_raised_above_the_rounding_nor_where_standard_deviations_are_reported(fine_and_coarse):
-    assert tw.build("fix-kf", fine_and_coarse).run(fine_and_coarse).notices == ()
-    coarse = fine_and_coarse[1]
-    fixes = coarse.tables["fixes"].with_columns(x_std_m=pl.lit(0.2), y_std_m=pl.lit(0.2), z_std_m=pl.lit(0.2))
-    reported = dataclasses.replace(coarse, tables={**coarse.tables, "fixes": fixes})
-    assert tw.build("fix-kf", reported).with_values({SIGMA: 0.01}).run(reported).notices == ()
+def test_averages_have_the_step_of_the_readings_averaged(fine_and_coarse):
+    averaged = fine_and_coarse[1].averaged(0.5)
+    (one, *_) = tw.build("fix-kf", averaged).only_batch(averaged).trajectories
+    np.testing.assert_allclose(one.recording.readings["fixes"].reported[:, 0], STEP**2 / 12, rtol=1e-5)
+
+
+def test_no_step_is_added_where_standard_deviations_are_reported(fine_and_coarse):
+    reported = _with_std(fine_and_coarse[1], 0.2)
+    (one, *_) = tw.build("fix-kf", reported).only_batch(reported).trajectories
+    np.testing.assert_allclose(one.recording.readings["fixes"].reported[:, 0], 0.04, rtol=1e-6)

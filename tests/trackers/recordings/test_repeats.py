@@ -64,7 +64,7 @@ def test_values_that_are_held_on_the_way_to_an_anchor_or_away_from_it_are_told(s
 
 def test_estimates_are_those_without_the_rows_that_repeat():
     folder, _ = _ranges(0.5)
-    named = tw.build("uwb", folder).with_error_levels(False)
+    named = tw.build("uwb", folder)
     assert any("rows repeat" in line for batch in named.batches(folder) for line in batch.notices)
     found = named.run(folder).table
     table = counted_once(folder, NAMES)[0].tables["ranges"].drop_nulls("range_m")

@@ -89,8 +89,7 @@ def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
         trackers={"uwb": TrackerConfig("uwb"), "slow": TrackerConfig("uwb", every=0.7)},
         runs=2,
     )
-    # A study has the covariances of the noise levels.
-    tracker, ids = tw.build("uwb", one_noisy).with_error_levels(False), np.array(["a", "b"])
+    tracker, ids = tw.build("uwb", one_noisy), np.array(["a", "b"])
     for name, every in (("uwb", None), ("slow", 0.7)):
         evaluation = tw.evaluate(tracker.run(one_noisy), one_noisy, every)
         totals = Totals(2)

@@ -12,7 +12,6 @@ from trackwright.trackers.parts.range_rows import range_trajectories
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.calibration import UNCALIBRATED, AnchorCalibration, Calibration
 from trackwright.trackers.uwb_imu.fusion import range_levels
-from trackwright.tuning.lasting_errors import lasting_errors, series_of
 
 ANCHOR = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.array([0.0, 20.0]))
 
@@ -39,7 +38,7 @@ def test_biases_of_a_calibrated_site_have_its_spread_and_no_mean():
 def test_without_a_calibration_errors_of_ranges_last_and_batches_are_apart(name):
     folder = simulate.tool(n=1, seed=0, rows=40).folder()
     calibrated = replace(folder.calibrated(Calibration(anchors=dict.fromkeys(folder.rig.anchors, ANCHOR))), name="b")
-    named = build(name, [folder, calibrated]).with_error_levels(False)
+    named = build(name, [folder, calibrated])
     batches = named.batches([folder, calibrated])
     assert [batch.tracker.lasting_errors for batch in batches] == [True, False]
 
@@ -92,24 +91,3 @@ def test_smoothed_ellipses_of_a_calibrated_site_hold_the_truth_whatever_the_bias
     tracker = tw.Smoothed(tw.range_tracker(4, planar=True, **levels))
     for scales in ((2.0, 0.5), (5.0, 1.5), (30.0, 0.8)):
         assert 0.93 < _inside(tracker, *_walks(*scales)) < 0.97, scales
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scales", [(2.0, 0.5), (5.0, 1.5), (30.0, 0.8)])
-def test_ellipses_with_levels_estimated_on_other_walks_hold_93_to_97_percent_of_the_truth(scales):
-    recordings, truth = _walks(*scales)
-    height = np.full((ROWS, 1), HEIGHT)
-    series = []
-    for recording, path in zip(recordings[:40], truth[:40], strict=True):
-        ranges = recording.readings[RANGES].values[:, 0]
-        for k, anchor in enumerate(ANCHORS):
-            heard = slice(k, None, 4)
-            positions = np.hstack([path, height])[heard]
-            errors = ranges[heard] - np.linalg.norm(positions - anchor, axis=1)
-            series.append(series_of(np.asarray(recording.times)[heard], positions, errors))
-    sigma, noise, time_constant, length = lasting_errors({"all": series})["all"].values
-    levels = {"sigma_bias": sigma, "sigma_r": noise, "time_constant": time_constant, "length": length, "bias": 0.0}
-    white = {"positive_skew": 1.0, "dof": 100.0, "sigma_shared": 0.001}
-    tracker = tw.range_tracker(4, planar=True, **levels, **white)
-    for kind in (tracker, tw.Smoothed(tracker)):
-        assert 0.93 < _inside(kind, recordings[40:], truth[40:]) < 0.97, kind

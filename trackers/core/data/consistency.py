@@ -51,23 +51,35 @@ def nees_of_leading(errors: Errors, upper: Entries) -> list[Float[np.ndarray, " 
     `upper`: the `upper_entries` of P. Elimination over the d columns, for all rows at once: a singular P affects its
     row alone.
     """
+    values: list[np.ndarray] = []
+    with np.errstate(over="ignore", invalid="ignore"):
+        for reduced, pivot in eliminated(errors, upper):
+            value = reduced**2 / pivot
+            values.append(values[-1] + value if values else value)
+    return values
+
+
+def eliminated(errors: Errors, upper: Entries) -> list[tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]]:
+    """Of each axis the error less what those before predict, and its variance, NaN where P is not positive definite.
+
+    The density of the error is the product of the normal ones of these. `upper`: the `upper_entries` of P.
+    """
     remainder = [np.asarray(x, float) for x in errors.T]
     P = {at: np.asarray(x, float) for (i, j), x in upper.items() for at in ((i, j), (j, i))}
-    values: list[np.ndarray] = []
+    parts: list[tuple[np.ndarray, np.ndarray]] = []
     least = [1e-12 * P[j, j] for j in range(len(remainder))]  # what rounding leaves of a singular P
     # Covariances of a damaged file may overflow; the NEES of their rows is infinite or NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         for j, reduced in enumerate(remainder):
             positive = P[j, j] > least[j]
             pivot = P[j, j] if positive.all() else np.where(positive, P[j, j], math.nan)
-            value = reduced**2 / pivot
-            values.append(values[-1] + value if values else value)
+            parts.append((reduced, pivot))
             for a in range(j + 1, len(remainder)):
                 gain = P[a, j] / pivot
                 remainder[a] = remainder[a] - gain * reduced
                 for b in range(j + 1, len(remainder)):
                     P[a, b] = P[a, b] - gain * P[j, b]
-    return values
+    return parts
 
 
 def consistency(

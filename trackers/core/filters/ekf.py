@@ -14,7 +14,7 @@ density that is a t of the same ν and scale √s.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -31,6 +31,7 @@ from trackwright.trackers.core.model.algebra import (
     Vector,
     compute_once,
     congruence,
+    inverse_or_zero,
     total,
 )
 from trackwright.trackers.core.model.covariance import (
@@ -51,7 +52,16 @@ from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.linearise import jacobian, linearise
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
-from trackwright.trackers.core.model.state import State, coordinates, local_after, retract
+from trackwright.trackers.core.model.state import State, component_names, coordinates, local_after, retract
+
+SPREAD = 3.0
+"""Standard deviations of the position within which a reading's bend adds to the noise."""
+
+ANY = (1.0, 0.6, 0.35)
+"""Any combination of the axes of the position, of which what the others leave is taken."""
+
+BENT = 0.2
+"""Variance of what a reading bends, over that of its linear part, above which it counts."""
 
 
 class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
@@ -96,6 +106,11 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
 
         (*whitened, log_scale, nis_dof, wrapped, dof), rows = linearise(residual_of, point)
         jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
+        if sensor.curved:
+            factors = flattening(residual_of, point, whitened, jacobian, belief)
+            whitened = [f * x for f, x in zip(factors, whitened, strict=True)]
+            jacobian = [{j: f * v for j, v in row.items()} for f, row in zip(factors, jacobian, strict=True)]
+            log_scale = log_scale + total(jnp.log(f) for f in factors)
         # Student's t weights each channel by itself; compression would spread an outlier over all of them.
         student_t = has_student_t[0]
         channels = compute_once((whitened, jacobian))
@@ -125,6 +140,63 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
     def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
         """The smoothed beliefs of a time step, given those of the next one."""
         return rts_step(rts_gain, after)
+
+
+def flattening(
+    residual: Callable[..., Sequence[Scalar]],
+    point: Sequence[Scalar],
+    whitened: Sequence[Scalar],
+    rows: Sequence[SparseRow],
+    belief: Gaussian,
+) -> list[Scalar]:
+    """By what whitened channels are multiplied, so that the noise covers what bends within the spread of the position.
+
+    The bend is what a residual differs from its tangent `SPREAD` standard deviations off in independent directions: one
+    that each of the first channels sees, and the one that is left, which turn with the world. A quarter of its mean
+    square adds to the variance where it counts; other updates stay as they are.
+    """
+    first = component_names(belief.mean).index("position.0")
+    place = range(first, first + len(belief.mean.position))
+    axes = [{i: v for i, v in row.items() if i in place} for row in rows[: len(place) - 1]]
+    axes.append({i: ANY[i - first] for i in place})
+    roots, factor = square_roots(belief.cov, axes, len(point))
+    # More than one direction that is left would not turn with the world.
+    for i in range(len(axes) - 1):
+        roots[-1] = roots[-1] * jnp.where(factor[i, i] > 0.0, 1.0, 0.0)
+    steps = [[sign * SPREAD * root[i] for i in range(len(point))] for root in roots for sign in (1.0, -1.0)]
+    away = [residual(*(x + s for x, s in zip(point, step, strict=True))) for step in steps]
+    factors = []
+    for k, (value, row) in enumerate(zip(whitened, rows, strict=True)):
+        linear = [total(v * step[i] for i, v in row.items()) for step in steps]
+        bend = total((r[k] - value + t) ** 2 for r, t in zip(away, linear, strict=True)) / len(steps)
+        counts = bend > BENT / (2.0 * SPREAD**2) * total(t * t for t in linear)
+        factors.append(jax.lax.stop_gradient(jnp.where(counts, 1.0 / jnp.sqrt(1.0 + 0.25 * bend), 1.0)))
+    return factors
+
+
+def square_roots(
+    cov: AnyCovariance, rows: Sequence[SparseRow], n: int
+) -> tuple[list[Any], dict[tuple[int, int], Scalar]]:
+    """Of combinations h of the state by `rows`: covariances (n each) of the state with independent unit normals.
+
+    Also the combinations in these, a lower triangle, by which h − its mean = factor·y. Components without variance
+    drop out.
+    """
+    tolerance = 16 * float(jnp.finfo(jnp.result_type(cov[0])).eps)
+    roots: list[Any] = []
+    factor: dict[tuple[int, int], Scalar] = {}
+    for i, row in enumerate(rows):
+        h = row_for(cov, row, n)
+        rest = product(cov, h, n)
+        whole = dot(h, rest)
+        for j, root in enumerate(roots):
+            factor[i, j] = dot(h, root)
+            rest = rest - root * factor[i, j]
+        pivot = whole - total(factor[i, j] ** 2 for j in range(i))
+        positive = pivot > tolerance * whole
+        factor[i, i] = jnp.where(positive, jnp.sqrt(jnp.where(positive, pivot, 1.0)), 0.0)
+        roots.append(compute_once(rest * inverse_or_zero(factor[i, i])))
+    return roots, factor
 
 
 def above_resolution(cov: AnyCovariance, point: Sequence[Scalar]) -> AnyCovariance:

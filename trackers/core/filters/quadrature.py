@@ -23,11 +23,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.core.filters.ekf import ExtendedKalman, above_resolution
+from trackwright.trackers.core.filters.ekf import ExtendedKalman, above_resolution, square_roots
 from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
 from trackwright.trackers.core.filters.rts import RtsGain
-from trackwright.trackers.core.model.algebra import Scalar, SparseRow, compute_once, inverse_or_zero, select, total
-from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, dot, product, row_for
+from trackwright.trackers.core.model.algebra import Scalar, compute_once, select, total
+from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.linearise import linearise
@@ -150,31 +150,6 @@ def gauss_hermite(points: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2), np.outer(
         weights, weights
     ).ravel()
-
-
-def square_roots(
-    cov: AnyCovariance, rows: Sequence[SparseRow], n: int
-) -> tuple[list[Any], dict[tuple[int, int], Scalar]]:
-    """Of combinations h of the state by `rows`: covariances (n each) of the state with independent unit normals.
-
-    Also the combinations in these, a lower triangle, by which h − its mean = factor·y. Components without variance
-    drop out.
-    """
-    tolerance = 16 * float(jnp.finfo(jnp.result_type(cov[0])).eps)
-    roots: list[Any] = []
-    factor: dict[tuple[int, int], Scalar] = {}
-    for i, row in enumerate(rows):
-        h = row_for(cov, row, n)
-        rest = product(cov, h, n)
-        whole = dot(h, rest)
-        for j, root in enumerate(roots):
-            factor[i, j] = dot(h, root)
-            rest = rest - root * factor[i, j]
-        pivot = whole - total(factor[i, j] ** 2 for j in range(i))
-        positive = pivot > tolerance * whole
-        factor[i, i] = jnp.where(positive, jnp.sqrt(jnp.where(positive, pivot, 1.0)), 0.0)
-        roots.append(compute_once(rest * inverse_or_zero(factor[i, i])))
-    return roots, factor
 
 
 def changed(cov: AnyCovariance, roots: Sequence[Any], change: dict[tuple[int, int], Scalar]) -> AnyCovariance:

@@ -82,10 +82,12 @@ class Residual(NamedTuple):
 class AbstractSensor(eqx.Module):
     """A source of readings with a fixed number of channels.
 
-    `view_fields`: the fields of `motion.view` that `measure` needs, as `("position", "velocity")`.
+    `view_fields`: the fields of `motion.view` that `measure` needs, as `("position", "velocity")`. `curved`: whether
+    there are positions about which its readings bend within the spread of a position, as angles below a station.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ()
+    curved: ClassVar[bool] = False
 
     @property
     @abstractmethod

@@ -255,7 +255,11 @@ def freeze(tree: Tree) -> Tree:
 
 
 def tunables(tree: Any) -> dict[str, AbstractTunable]:
-    """Every tunable of the tree by its dotted name, as `motion.sigma_a` or `sensors.north.sigma_p`."""
+    """Every tunable of the tree by its dotted name, as `motion.sigma_a` or `sensors.north.sigma_p`.
+
+    Those of a tracker by name, as `build` makes, are those of its tracker.
+    """
+    tree = tree.tracker if hasattr(tree, "only_batch") else tree
     paths, _ = jax.tree_util.tree_flatten_with_path(tree, is_leaf=is_tunable)
     return {path_name(path): node for path, node in paths if is_tunable(node)}
 

@@ -188,13 +188,17 @@ class AbstractEpochwiseTracker(AbstractTracker):
         return scores if every_row else tuple(jnp.sum(x, axis=0) for x in scores)
 
 
-def filter_batch(tracker: AbstractTracker, batch: Batch) -> Output:
+def filter_batch(tracker: AbstractTracker | Any, batch: Batch | Any) -> Output:
     """The estimates of a tracker for a batch, a pure function of both for jax.grad, jax.vmap and jax.jit.
 
     Arrays are batch-last: fields of the mean (T, …, B), entries of the covariance's upper triangle (T, B). Every number
     of the tracker and of the batch may be traced; the truth is unused. `tracker.scan` also returns the state after the
-    last row.
+    last row. A tracker by name takes its recordings' folders in place of the batch; raises UnusableInput where these
+    need several trackers.
     """
+    if hasattr(tracker, "only_batch"):
+        group = tracker.only_batch(batch)
+        tracker, batch = group.tracker, stack([trajectory.recording for trajectory in group.trajectories])
     return as_dtype(tracker, jnp.asarray(batch.dt).dtype).scan(batch)[0]
 
 

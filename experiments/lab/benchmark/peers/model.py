@@ -1,15 +1,14 @@
 """What every estimator is given, and its model of constant velocity; peers never import trackwright."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
 Path = tuple[np.ndarray, np.ndarray | None]
 """Positions (N, d), m, and covariances (N, d, d), m², at the times of the readings."""
-CHANNELS = {"ranges": 1, "tdoa": 1, "bearings": 2, "fixes": 3}
 EPOCH_S, LEAST = 5e-3, 6
 """Readings no farther apart are of one state of a batch; the fewest readings of a start."""
 
@@ -22,17 +21,13 @@ class Problem:
     estimated; `prior`: standard deviations of the start, m and m/s.
     """
 
-    kind: str  # A key of CHANNELS.
+    kind: str  # ranges, tdoa, bearings or fixes
     times: np.ndarray  # (N,) s
     values: np.ndarray  # (N, m), as `seen`
     seen: np.ndarray
     geometry: np.ndarray
     height: float
     prior: tuple[float, float] = (1.0, 1.0)
-
-    def first(self, most: int) -> Self:
-        """The first readings."""
-        return replace(self, **{f: getattr(self, f)[:most] for f in ("times", "values", "seen", "geometry")})
 
     @property
     def d(self) -> int:
@@ -78,7 +73,7 @@ class Problem:
             return place
         ray = place - geometry[..., :3]
         if self.kind == "bearings":
-            u = _turned(geometry, ray, xp)
+            u = xp.sum(geometry[..., 3:12].reshape((*geometry.shape[:-1], 3, 3)) * ray[..., None, :], axis=-1)
             flat = xp.hypot(u[..., 0], u[..., 2])
             turn = xp.stack([xp.arctan2(u[..., 0], u[..., 2]), xp.arctan2(u[..., 1], flat)], -1) - near
             return near + turn - 2 * np.pi * xp.round(turn / (2 * np.pi))
@@ -88,26 +83,28 @@ class Problem:
             length = length - xp.sqrt(xp.sum(other * other, axis=-1, keepdims=True))
         return length
 
-    def slopes(self, x: np.ndarray, geometry: np.ndarray) -> np.ndarray:
-        """The gradients (m, 2d) of `predicted` with respect to a state."""
+    def off(self, x: np.ndarray, row: int) -> np.ndarray:
+        """How much more the seen channels of a reading are than is expected of a state."""
+        z = self.values[row]
+        return (z - self.predicted(x, self.geometry[row], z))[self.seen[row]]
+
+    def slopes(self, x: np.ndarray, row: int) -> np.ndarray:
+        """The gradients (…, 2d) of the seen channels of a reading with respect to a state."""
+        place, geometry, seen = self.place(x), self.geometry[row], self.seen[row]
         if self.kind == "fixes":
-            return np.eye(3)[:, : self.d] @ np.eye(self.d, 2 * self.d)
-        place = self.place(x)
+            return np.eye(3, 2 * self.d)[seen]
         ray = place - geometry[:3]
         full = ray[None] / np.linalg.norm(ray)
         if self.kind == "tdoa":
             full = full - (place - geometry[3:6]) / np.linalg.norm(place - geometry[3:6])
         if self.kind == "bearings":
-            x_, y, z = _turned(geometry, ray, np)
+            axes = geometry[3:12].reshape(3, 3)
+            x_, y, z = np.sum(axes * ray, axis=-1)
             flat, square = np.hypot(x_, z), ray @ ray
             of_u = [[z / flat**2, 0.0, -x_ / flat**2]]
             of_u += [[-x_ * y / (flat * square), flat / square, -z * y / (flat * square)]]
-            full = np.array(of_u) @ geometry[3:12].reshape(3, 3)
-        return full[:, : self.d] @ np.eye(self.d, 2 * self.d)
-
-
-def _turned(geometry: Any, ray: Any, xp: Any) -> Any:
-    return xp.sum(geometry[..., 3:12].reshape((*geometry.shape[:-1], 3, 3)) * ray[..., None, :], axis=-1)
+            full = np.array(of_u) @ axes
+        return full[seen, : self.d] @ np.eye(self.d, 2 * self.d)
 
 
 def transition(d: int, dt: float) -> np.ndarray:

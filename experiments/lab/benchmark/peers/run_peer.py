@@ -1,44 +1,40 @@
-"""One estimator on one recording: `python run_peer.py MODULE:FUNCTION PROBLEMS.npz ESTIMATES.npz LEVELS…`.
+"""One estimator on one recording: `python run_peer.py ADAPTER FILE`.
 
-LEVELS are pairs such as 0.3,0.2: m/s² per √Hz, and m or rad. The processor time is that of the last pair, of functions
-that compile that of a second call.
+FILE, a pickle of pairs of levels, m/s² per √Hz and m or rad, and of the problem of each tag, is replaced by one of
+seconds and, for each tag, the paths by pair. The processor time is that of the last pair, of functions that compile
+that of a second call.
 """
 
 import os
+import pickle
 import sys
 import time
 import warnings
+from functools import partial
 from importlib import import_module
-from typing import Any
+from pathlib import Path
 
-import numpy as np
 from model import Problem
 
+SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=3000000"
+"""The options of XLA with which cuthbert and dynamax run fastest here."""
 
-def main(function: str, source: str, target: str, *levels: str) -> None:
-    """Run it, and keep `positions_L_K` and `covariances_L_K` of level L and tag K, and `seconds`."""
+
+def main(adapter: str, file: str) -> None:
+    """Run it, and replace the file."""
     assert "trackwright" not in sys.modules
     warnings.simplefilter("ignore")
-    module, _, name = function.partition(":")
-    os.environ["JAX_ENABLE_X64"] = "1"
-    made, kept = getattr(import_module(module), name), dict[str, Any]()
-    with np.load(source) as arrays:
-        kind, prior, seconds = str(arrays["kind"]), tuple(arrays["prior"].tolist()), 0.0
-        tags = range(sum(key.startswith("times") for key in arrays))
-        fields = ("times", "values", "seen", "geometry", "height")
-        problems = [Problem(kind, *(arrays[f"{f}_{k}"] for f in fields), prior) for k in tags]
-    for k, problem in enumerate(problems):
-        run = made(problem) if name == "prepared" else lambda *pair, problem=problem: made(problem, *pair)
-        for number, pair in enumerate(levels):
-            numbers, last = tuple(map(float, pair.split(","))), number == len(levels) - 1
-            if last and name == "prepared":
-                run(*numbers)
-            began = time.process_time()
-            kept[f"positions_{number}_{k}"], covariances = run(*numbers)
-            seconds += (time.process_time() - began) * last
-            if covariances is not None:
-                kept[f"covariances_{number}_{k}"] = covariances
-    np.savez(target, seconds=seconds, **kept)
+    os.environ |= {"JAX_ENABLE_X64": "1", "XLA_FLAGS": SMALL_LOOPS}
+    (*pairs, last), problems = pickle.loads(Path(file).read_bytes())
+    module, seconds, paths = import_module(adapter), 0.0, []
+    for problem in (Problem(**fields) for fields in problems):
+        compiled = hasattr(module, "prepared")
+        run = module.prepared(problem) if compiled else partial(module.estimate, problem)
+        found = [run(*pair) for pair in (*pairs, *[last] * compiled)]
+        began = time.process_time()
+        paths.append([*found[: len(pairs)], run(*last)])
+        seconds += time.process_time() - began
+    Path(file).write_bytes(pickle.dumps((seconds, paths)))
 
 
 if __name__ == "__main__":

@@ -21,10 +21,8 @@ def prepared(p: Problem) -> Any:
             return (lambda x: (x.at[: p.d].add(row["dt"] * x[p.d :]), scale[:, None] * unit)), state.mean
 
         def observation(state: Any, row: Any) -> Any:
-            def expected(x: Any) -> Any:
-                return p.predicted(x, row["geometry"], row["values"], jnp)[:m], reading * jnp.eye(m)
-
-            return expected, state.mean, jnp.where(row["seen"], row["values"], jnp.nan)
+            root_R, z = reading * jnp.eye(m), jnp.where(row["seen"], row["values"], jnp.nan)
+            return (lambda x: (p.predicted(x, row["geometry"], row["values"], jnp), root_R)), state.mean, z
 
         kalman = moments.build_filter(mean, root, dynamics, observation)
         return cuthbert.filter(kalman, rows, kalman.init_prepare())

@@ -17,13 +17,11 @@ def estimate(p: Problem, acceleration: float, reading: float) -> Path:
         kalman.F, kalman.Q = transition(p.d, dt), diffusion(p.d, dt, acceleration)
         kalman.predict()
         waited += dt
-        z, H = p.values[row], p.slopes(kalman.x, p.geometry[row])
-        off, seen = z - p.predicted(kalman.x, p.geometry[row], z), p.seen[row]
-        variances = np.einsum("ki,ij,kj->k", H, kalman.P, H) + reading**2
-        inside = seen & (off**2 <= GATE**2 * variances)
-        if seen.any() and not inside.any() and waited > OPENED_S:
+        off, H = p.off(kalman.x, row), p.slopes(kalman.x, row)
+        inside = off**2 <= GATE**2 * (np.einsum("ki,ij,kj->k", H, kalman.P, H) + reading**2)
+        if not inside.any() and waited > OPENED_S:
             kalman.P[: p.d, : p.d] += np.eye(p.d)
-            inside = seen
+            inside[:] = True
         if inside.any():
             waited, R = 0.0, reading**2 * np.eye(inside.sum())
             kalman.update(off[inside], lambda x, rows=H[inside]: rows, lambda x: 0.0, R=R)

@@ -8,11 +8,10 @@ from model import Path, Problem
 from stonesoup.base import Property
 from stonesoup.hypothesiser.distance import DistanceHypothesiser
 from stonesoup.measures import Mahalanobis
-from stonesoup.models.base import GaussianModel
-from stonesoup.models.measurement.base import MeasurementModel
+from stonesoup.models.measurement.nonlinear import NonLinearGaussianMeasurement
 from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
 from stonesoup.predictor.kalman import KalmanPredictor
-from stonesoup.types.array import CovarianceMatrix, StateVector, StateVectors
+from stonesoup.types.array import StateVector
 from stonesoup.types.detection import Detection
 from stonesoup.types.state import GaussianState
 from stonesoup.types.track import Track
@@ -22,31 +21,22 @@ MISSED = {1: 3.0, 2: 3.44, 3: 3.76}
 """Mahalanobis distance within which 99.7 % of the readings of so many channels are."""
 
 
-class Reading(MeasurementModel, GaussianModel):  # type: ignore[misc]
+class Reading(NonLinearGaussianMeasurement):  # type: ignore[misc]
     """The channels seen of one reading; states are x, its velocity, y, …"""
 
     p: Any = Property()
     row: int = Property()
-    seen: Any = Property()
-    sigma: float = Property()
-    ndim_state, mapping = 0, ()
-    rvs = pdf = None  # Nothing is drawn.
-    ndim_meas = property(lambda self: len(self.seen), doc="Channels.")
+    ndim_meas = property(lambda self: len(self.noise_covar), doc="Channels.")
+
+    def function(self, state: Any, noise: Any = False, **kwargs: Any) -> Any:
+        """The expected reading."""
+        x, z = np.asarray(state.state_vector, float).ravel()[::2], self.p.values[self.row]
+        return StateVector(self.p.predicted(x, self.p.geometry[self.row], z)[self.p.seen[self.row]])
 
     def jacobian(self, state: Any, **kwargs: Any) -> Any:
         """The slopes (m, 2d)."""
-        x, d = np.asarray(state.state_vector, float).ravel()[::2], self.p.d
-        return np.kron(self.p.slopes(x, self.p.geometry[self.row])[self.seen, :d], [1.0, 0.0])
-
-    def covar(self, **kwargs: Any) -> Any:
-        """The covariance."""
-        return CovarianceMatrix(self.sigma**2 * np.eye(self.ndim_meas))
-
-    def function(self, state: Any, noise: Any = False, **kwargs: Any) -> Any:
-        """The expected reading of one state or of several."""
-        points = np.asarray(state.state_vector, float)[::2].T
-        z = self.p.predicted(points, self.p.geometry[self.row], self.p.values[self.row]).T[self.seen]
-        return StateVectors(z) if z.shape[1] > 1 else StateVector(z)
+        x = np.asarray(state.state_vector, float).ravel()[::2]
+        return np.kron(self.p.slopes(x, self.row)[:, : self.p.d], [1.0, 0.0])
 
 
 def estimate(p: Problem, acceleration: float, reading: float) -> Path:
@@ -58,11 +48,10 @@ def estimate(p: Problem, acceleration: float, reading: float) -> Path:
     state = GaussianState(mean[order, None], P[np.ix_(order, order)], at[0])
     positions, covariances = np.empty((len(at), p.d)), np.empty((len(at), p.d, p.d))
     for row, time in enumerate(at):
-        seen = np.flatnonzero(p.seen[row])
-        model = Reading(p=p, row=row, seen=seen, sigma=reading)
-        found = {Detection(p.values[row, seen][:, None], time, measurement_model=model)}
-        gate = DistanceHypothesiser(predictor, updater, Mahalanobis(), MISSED[len(seen)])
-        best = gate.hypothesise(Track([state]), found, time)[0]
+        z = p.values[row, p.seen[row], None]
+        model = Reading(2 * p.d, range(0, 2 * p.d, 2), reading**2 * np.eye(len(z)), p=p, row=row)
+        gate = DistanceHypothesiser(predictor, updater, Mahalanobis(), MISSED[len(z)])
+        best = gate.hypothesise(Track([state]), {Detection(z, time, measurement_model=model)}, time)[0]
         state = updater.update(best) if best else best.prediction
         positions[row] = np.asarray(state.mean, float).ravel()[::2]
         covariances[row] = np.asarray(state.covar, float)[::2, ::2]

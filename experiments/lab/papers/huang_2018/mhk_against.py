@@ -48,7 +48,8 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
             added["0.7 cm"][name].low > value.high for name, value in added["5 cm"].items()
         )
         how = "with less without: " + "; ".join(
-            f"noise of a displacement {noise}: " + ", ".join(f"{_text(v)} {name}" for name, v in values.items())
+            f"noise of a displacement {noise}: "
+            + ", ".join(f"{fixed_interval(v, '+.2f', ' mm')} {name}" for name, v in values.items())
             for noise, values in added.items()
         )
         yield mc.Conclusion(says, holds, how, mc.PREDICTED)
@@ -66,10 +67,6 @@ def _added(results: mc.Results, world: str, suffix: str) -> dict[str, mc.Value]:
         name: results.difference(metric, world, f"{tracker}{suffix}", "no chain").times(1e3)
         for name, (metric, tracker) in compared.items()
     }
-
-
-def _text(mm: mc.Value) -> str:
-    return fixed_interval(mm, "+.2f", " mm")
 
 
 STUDY = mc.Study(

@@ -10,7 +10,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import polars as pl
 
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import RAW, Printed, window
@@ -18,9 +17,8 @@ from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
 from trackwright.sim.corruptions import gauss_markov
 from trackwright.sim.imu import constant_bias, level, simulate_uwb_imu, white_density
 from trackwright.sim.ranging import Protocol, chamber, on_anchors
-from trackwright.trackers.catalogue import spec_of
+from trackwright.trackers.catalogue import build
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks import batches
 
 TAG = np.array([2.7, 2.7, 1.8])
 RATE_HZ, SCORED, SETTLING = 40.0, 380, 300
@@ -55,23 +53,10 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
         accel={"bias": constant_bias(0.1), "noise": white_density(SIGMA_ACCEL)},
         gyro={"bias": constant_bias(0.01), "noise": white_density(0.002)},
     )  # fmt: skip
-    return _with_fixes(world.folder("still tag"))
-
-
-def _with_fixes(folder: RecordingFolder) -> RecordingFolder:
-    """The folder with a table of fixes: the usable positions that trilateration estimates from its ranges."""
-    tables = []
-    for group in spec_of("trilateration").batches([folder], "trilateration", False):
-        for trajectories, batch in batches(group.trajectories):
-            estimates, columns = group.tracker.run(batch), trajectories.columns
-            rows = np.arange(estimates.status.shape[1]) < np.diff(columns.starts)[:, None]
-            axes = [np.asarray(x, float)[rows] for x in estimates.mean.position]
-            axes += [columns.of_each(trajectories.heights)] * (3 - len(axes))
-            tag = pl.Series(trajectories.tags).gather(columns.of_each(np.arange(len(columns))))
-            places = {f"{a}_m": x for a, x in zip("xyz", axes, strict=True)}
-            fixes = pl.DataFrame({"t_s": columns.times, "tag": tag, **places})
-            tables.append(fixes.filter(pl.Series(estimates.usable[rows])))
-    return replace(folder, tables={**folder.tables, "fixes": pl.concat(tables).sort("t_s", maintain_order=True)})
+    folder = world.folder("still tag")
+    places = build("trilateration", folder).run(folder).to_polars().select("t_s", "tag", "x_m", "y_m", "z_m")
+    fixes = places.drop_nulls().sort("t_s", maintain_order=True)
+    return replace(folder, tables={**folder.tables, "fixes": fixes})
 
 
 def _spread(axis: int) -> Callable[[mc.TrackedRuns], np.ndarray]:

@@ -64,7 +64,7 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
         yield mc.Conclusion(says, bool((gain > 0).all()), how, mc.DERIVED)
     inside = {}
     for k, tracker in enumerate(line.COLUMNS):
-        low, high = _middle(errors[tracker])
+        low, high = np.quantile(100 * errors[tracker], [0.025, 0.975], axis=1)
         inside[tracker] = sum(bool(low[r] <= line.PRINTED[n][k] <= high[r]) for r, n in enumerate(line.RECORDINGS))
     how = "inside the middle 95 % of single recordings: " + ", ".join(f"{n} of 9 ({t})" for t, n in inside.items())
     yield mc.Conclusion("each printed figure could be a draw of this world", min(inside.values()) >= 7, how, mc.DERIVED)
@@ -80,11 +80,6 @@ def _improvement(results: mc.Results, particle: np.ndarray, other: np.ndarray) -
     picks = np.random.default_rng(results.study.seed).integers(len(mine), size=(1000, len(mine)))
     drawn = 100 * (1 - mine[picks].mean(axis=1) / its[picks].mean(axis=1))
     return line.with_middle_95(100 * (1 - mine.mean() / its.mean()), drawn)
-
-
-def _middle(errors: np.ndarray) -> np.ndarray:
-    """The bounds (2, 9), cm, of the middle 95 % of single recordings."""
-    return np.quantile(100 * errors, [0.025, 0.975], axis=1)
 
 
 STUDY = mc.Study(

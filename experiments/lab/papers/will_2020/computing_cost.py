@@ -36,7 +36,6 @@ def _grid(station: Station, resolution: float) -> Grid:
 
 def _searching(resolution: float) -> mc.TrackerConfig:
     """The beamformer on such a grid."""
-
     about = spec_of("das").about
     return built("das", about, lambda t, _: DelayAndSum(_grid(t.folder.rig.stations[t.station], resolution), PHASES))
 

@@ -1,14 +1,14 @@
 """Fit of the default array: positions of eight antennas whose Cramér–Rao bounds have the ratios of Table 1's errors.
 
-`python -m trackwright.experiments.lab.papers.will_2020.fit_array_layout` prints the layout of
-trackers/aoa/layout.py. Gauss-Newton iterations over seeded starts find some hundred exact layouts; of these, scaled to
-fill the box, the one with the lowest side lobes is chosen, so that a beamformer rarely starts a track on a wrong lobe.
-The printed errors are a filter's, not bounds: this is a fit, not a reconstruction of the array.
+`fitted_layout` gives the layout of trackers/aoa/layout.py. Gauss-Newton iterations over seeded starts find some hundred
+exact layouts; of these, scaled to fill the box, the one with the lowest side lobes is chosen, so that a beamformer
+rarely starts a track on a wrong lobe. The printed errors are a filter's, not bounds: this is a fit, not a
+reconstruction of the array.
 """
 
 import numpy as np
 
-from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH, boresight_bounds
+from trackwright.trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
 
 TABLE_1_DEG = {
     (1, 2, 3, 4, 5, 6, 7, 8): (0.583, 0.893),
@@ -70,14 +70,3 @@ def _jacobian(layouts: np.ndarray) -> np.ndarray:
         moved[:, i // 2, i % 2] += 1e-30j
         columns.append(log_ratios(moved).imag / 1e-30)
     return np.stack(columns, axis=-1)
-
-
-def main() -> None:
-    """Print the fitted layout, and whether it is the stored one."""
-    layout = fitted_layout()
-    print(f"{layout.tolist()}\nhighest side lobe {side_lobe(layout):.2f}")
-    print("as stored" if np.array_equal(layout, DEFAULT_ANTENNAS) else "NOT as stored in trackers/aoa/layout.py")
-
-
-if __name__ == "__main__":
-    main()

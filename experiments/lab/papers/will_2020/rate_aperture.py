@@ -6,6 +6,7 @@ exceeds half the distance to the next ambiguous one, the wavelength over twice t
 """
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
@@ -31,8 +32,8 @@ def astray(tracked: mc.TrackedRuns) -> np.ndarray:
 def expected(results: mc.Results) -> Iterator[mc.Claim]:
     """The paper's conclusions on the trade-off."""
     fast, slow, large = RATES[-1], RATES[0], APERTURES[-1]
-    usual = [_degrees(results, ALL, fast, a, "median") for a in APERTURES]
-    lost = {(w, r, a): 100 * _astray(results, w, r, a) for w in (ALL, THREE) for r in RATES for a in APERTURES}
+    usual = [180 / np.pi * _number(results, "median_direction_rad", ALL, fast, a) for a in APERTURES]
+    lost = {p: 100 * _number(results, "astray", *p) for p in product((ALL, THREE), RATES, APERTURES)}
     sure = {w: [max([a for a in APERTURES if lost[w, r, a] < HELD], default=0.0) for r in RATES] for w in (ALL, THREE)}
     largest = {
         w: ", ".join(f"{a:g} x at {r:g} Hz" for a, r in zip(apertures, RATES, strict=True))
@@ -58,13 +59,8 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
     yield mc.Conclusion("three antennas lose the track sooner than eight", holds, how, mc.PREDICTED)
 
 
-def _degrees(results: mc.Results, world: str, rate: float, aperture: float, metric: str = "rmse") -> float:
-    point = {"world.rate_hz": rate, "world.aperture": aperture}
-    return results.value(f"{metric}_direction_rad", world, "EKF", **point).times(180 / np.pi).value
-
-
-def _astray(results: mc.Results, world: str, rate: float, aperture: float) -> float:
-    return results.value("astray", world, "EKF", **{"world.rate_hz": rate, "world.aperture": aperture}).value
+def _number(results: mc.Results, metric: str, world: str, rate: float, aperture: float) -> float:
+    return results.value(metric, world, "EKF", **{"world.rate_hz": rate, "world.aperture": aperture}).value
 
 
 STUDY = mc.Study(

@@ -229,11 +229,14 @@ def test_the_figures_are_those_of_evaluate_and_recordings_have_the_same_say(walk
         change = found.verdict.recordings[name]
         assert density == f"{change.first:.2f} → {change.second:.2f}"
         assert difference == f"{change.value:+.2f} ± {change.high - change.value:.2f}"
-        error, share, nees, correlation = (cell.split(" → ") for cell in cells)
+        error, share, nees, lost, nis = (cell.split(" → ") for cell in cells)
         assert error == [f"{100 * m[f'rmse{suffix}_m']:.1f}" for m in (before, after)]
         assert share == [f"{100 * m[f'coverage_95{suffix}']:.0f}" for m in (before, after)]
         assert nees == [f"{m[f'nees{suffix}_ratio']:.2f}" for m in (before, after)]
-        assert correlation == [f"{m['nis_correlation_1s'] + 0.0:.2f}" for m in (before, after)]
+        assert lost == [
+            f"{m[f'nees{suffix}_ratio'] - 1 - np.log(m[f'nees{suffix}_ratio']):.2f}" for m in (before, after)
+        ]
+        assert nis == [f"{m['nis_ratio']:.2f}" for m in (before, after)]
     mean = np.mean([sides[1][name][f"rmse{suffix}_m"] for name in ("short", "long")])
     assert found.rows[2][1].split(" → ")[1] == f"{100 * mean:.1f}"
     assert found.statements[0].startswith("Reported ")
@@ -251,8 +254,8 @@ def test_a_recording_without_truth_has_no_errors(walks):
     own = [folders[0], walk("blind", 3, 100, truth=False)]
     found = compare(_both(trackers, own), own, 2, "recordings tuned on")
     blind = next(row for row in found.rows if row[0] == "blind")
-    assert blind[1:4] == ("– → –",) * 3
-    assert "–" not in blind[4]
+    assert blind[1:5] == ("– → –",) * 4
+    assert "–" not in blind[5]
 
 
 def test_recordings_tracked_beside_those_shown_change_nothing(walks):

@@ -15,7 +15,7 @@ def test_a_short_recording_counts_as_much_as_a_long_one_in_the_spread_of_errors(
     errors = np.array([0.1, -1.0, -0.3, 0.2, np.nan, 0.4])
     number = np.array([0, 1, 0, 0, 0, 0])
     values, none = np.zeros((6, 1)), np.zeros(6, int)
-    source = Source("1", "range", 0, Pairs(values, values, np.zeros((6, 3)), number, *[none] * 7))
+    source = Source("1", "range", 0, Pairs(values, values, np.zeros((6, 3)), number, *[none] * 6))
     # Half of the weight is that of the one row of 1 m: it holds the percentiles above the 50th.
     assert source.spread(errors) == 1.0
     assert source.spread(np.where(number == 0, errors, np.nan)) == 0.3

@@ -40,6 +40,12 @@ def test_lengths_side_by_side_have_one_unit():
     assert [units[k].name for k in units] == ["cm", "cm", "%", "°"]
 
 
+def test_a_variance_is_in_the_square_of_the_unit_of_its_table():
+    variance = METRICS["variance_m2"]
+    assert [*cells({"variance_m2": 0.0168}, [variance], Unit("cm", 100.0))] == ["168.0"]
+    assert [*cells({"variance_m2": 0.0168}, [variance], Unit("m", 1.0))] == ["0.017"]
+
+
 def test_large_numbers_are_written_without_powers_of_ten():
     assert [significant(x, 2) for x in (1000.0, 1234.5, 180.0, 12.34, 0.00012, -0.5)] == [
         "1,000", "1,200", "180", "12", "0.00012", "-0.5",

@@ -48,6 +48,7 @@ print(min(times))
 """
 
 
+@pytest.mark.slow
 def test_another_program_takes_as_long_after_an_import_and_a_run_and_no_setting_changes():
     """Six arrays stored in each step: with options that were good for our own filters it took 70 times as long."""
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}

@@ -11,12 +11,11 @@ def states(p: Problem, acceleration: float, reading: float) -> tuple[np.ndarray,
     for row, dt in enumerate(p.steps):
         F = transition(p.d, dt)
         x, P = F @ x, F @ P @ F.T + diffusion(p.d, dt, acceleration)
-        z, H = p.values[row], p.slopes(x, p.geometry[row])
-        off, step = z - p.predicted(x, p.geometry[row], z), np.zeros(len(x))
-        for k in np.flatnonzero(p.seen[row]):
-            gain = P @ H[k] / (H[k] @ P @ H[k] + reading**2)
-            step = step + gain * (off[k] - H[k] @ step)
-            rest = eye - np.outer(gain, H[k])
+        step = np.zeros(len(x))
+        for off, H in zip(p.off(x, row), p.slopes(x, row), strict=True):
+            gain = P @ H / (H @ P @ H + reading**2)
+            step = step + gain * (off - H @ step)
+            rest = eye - np.outer(gain, H)
             P = rest @ P @ rest.T + reading**2 * np.outer(gain, gain)
         x = x + step
         means[row], covariances[row] = x, P

@@ -1,0 +1,113 @@
+"""The band of a perfect filter on worlds of known correlation, and energy scores against sampling."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from trackwright.trackers.evaluation.judge import (
+    LEAST_SAMPLES,
+    UNCERTAIN,
+    band,
+    correlation_times,
+    energy_scores,
+    regret,
+)
+
+WORLDS = 400
+
+
+def _errors(rng, rows, step, lasts):
+    """Unit normal errors (WORLDS, rows, 2) whose correlation falls by e every `lasts` s."""
+    a = math.exp(-step / lasts)
+    x = rng.normal(size=(WORLDS, rows, 2))
+    for k in range(1, rows):
+        x[:, k] = a * x[:, k - 1] + math.sqrt(1 - a * a) * x[:, k]
+    return x
+
+
+def _judged(worlds, factor=1.0):
+    """Effective samples of each world, and whether NEES/dof of errors times `factor` lies in the band."""
+    rows = worlds.shape[1]
+    samples = rows / correlation_times(factor * worlds.reshape(-1, 2), np.arange(0, WORLDS * rows + 1, rows))
+    low, high = (band(samples, 2, z) for z in (-1.96, 1.96))
+    ratio = factor**2 * (worlds**2).mean(axis=(1, 2))
+    return samples, (low <= ratio) & (ratio <= high)
+
+
+@pytest.mark.parametrize(
+    ("rows", "step", "lasts"), [(400, 0.5, 0.6), (200, 0.5, 2.0), (400, 0.5, 5.0), (150, 0.5, 5.0), (900, 1.0, 30.0)]
+)
+def test_the_band_holds_a_perfect_filter_in_95_of_100_worlds_and_none_that_is_wrong_by_two(rows, step, lasts):
+    worlds = _errors(np.random.default_rng(5), rows, step, lasts)
+    samples, inside = _judged(worlds)
+    long = samples >= LEAST_SAMPLES
+    assert long.mean() > 0.8
+    assert 0.92 <= inside[long].mean() <= 0.985
+    for factor in (0.5, 2.0):
+        assert _judged(worlds, factor)[1][long].mean() < 0.1
+
+
+def test_the_band_holds_a_kalman_filter_of_its_own_model():
+    rng, rows, q, r = np.random.default_rng(6), 500, 0.02, 1.0
+    state, mean, variance = np.zeros((WORLDS, 2)), np.zeros((WORLDS, 2)), 1e-6
+    errors, variances = np.empty((WORLDS, rows, 2)), np.empty(rows)
+    for k in range(rows):
+        state = state + math.sqrt(q) * rng.normal(size=state.shape)
+        gain = (variance + q) / (variance + q + r)
+        mean = mean + gain * (state + math.sqrt(r) * rng.normal(size=state.shape) - mean)
+        variance = (1 - gain) * (variance + q)
+        errors[:, k], variances[k] = mean - state, variance
+    samples, inside = _judged(errors / np.sqrt(variances)[:, None])
+    assert samples.min() > LEAST_SAMPLES
+    assert 0.92 <= inside.mean() <= 0.98
+
+
+def test_effective_samples_are_those_of_the_known_correlation():
+    worlds = _errors(np.random.default_rng(7), 2000, 0.5, 2.0)
+    a = math.exp(-2 * 0.5 / 2.0)
+    assert np.median(_judged(worlds)[0]) == pytest.approx(2000 * (1 - a) / (1 + a), rel=0.06)
+
+
+def test_tracks_of_other_lengths_do_not_change_the_correlation_of_one():
+    x = _errors(np.random.default_rng(9), 300, 0.5, 2.0)[0]
+    x[-1] = 0.0
+    together = correlation_times(np.concatenate([x, x[:1], x[:120], x]), np.array([0, 300, 301, 301, 421, 721]))
+    alone = [*correlation_times(x, np.array([0, 300])), 1.0, 1.0, *correlation_times(x[:120], np.array([0, 120]))]
+    np.testing.assert_allclose(together, [*alone, alone[0]])
+    assert (correlation_times(np.zeros((5, 2)), np.array([0, 5])) == 1.0).all()
+
+
+@pytest.mark.parametrize("samples", [10.0, 100.0, 10_000.0])
+def test_the_band_is_that_of_chi_square(samples):
+    n = 3 * samples**2 / (samples + UNCERTAIN)
+    found = [band(np.array([samples]), 3, z)[0] for z in (-1.96, 1.96)]
+    np.testing.assert_allclose(found, chi2.ppf([0.025, 0.975], n) / n, rtol=2e-3)
+
+
+def test_regret_is_the_log_density_that_the_scale_loses():
+    ratio = np.array([0.16, 0.41, 0.62, 1.0, 1.52, 1.98, 3.15])
+    np.testing.assert_allclose(regret(ratio), [1.0, 0.3, 0.1, 0.0, 0.1, 0.3, 1.0], atol=0.011)
+    assert np.isnan(regret(np.zeros(1)))
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("smallest", [1.0, 0.1, 1e-3])
+@pytest.mark.parametrize("size", [0.0, 1.0, 20.0])
+def test_energy_scores_are_those_of_samples(dimensions, smallest, size):
+    rng = np.random.default_rng(8)
+    root = np.linalg.qr(rng.normal(size=(dimensions, dimensions)))[0] * np.linspace(1.0, smallest, dimensions)
+    x, y = (rng.normal(size=(400_000, dimensions)) @ root.T for _ in range(2))
+    error = np.full(dimensions, size / math.sqrt(dimensions))
+    sampled = np.linalg.norm(x + error, axis=1) - 0.5 * np.linalg.norm(x - y, axis=1)
+    (found,) = energy_scores(error[None], (root @ root.T)[None])
+    assert found == pytest.approx(sampled.mean(), abs=5 * sampled.std() / math.sqrt(len(sampled)))
+
+
+def test_the_energy_score_along_one_axis_is_the_closed_form():
+    flat = np.array([[[1.0, 0.0], [0.0, 0.0]]])
+    for x in (0.0, 0.3, 4.0):
+        inside = math.erf(x / math.sqrt(2))
+        expected = x * inside + 2 * math.exp(-x * x / 2) / math.sqrt(2 * math.pi) - 1 / math.sqrt(math.pi)
+        assert energy_scores(np.array([[x, 0.0]]), flat)[0] == pytest.approx(expected, abs=2e-4)

@@ -1,0 +1,99 @@
+"""Noise levels by a recording's own readings, beside a Kalman filter in NumPy that knows them."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+import trackwright as tw
+from tests.in_process import trackwright
+from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
+from trackwright.tuning.own_levels import fitted
+
+STEP_S, ROWS = 0.1, 400
+TIMES = STEP_S * np.arange(ROWS)
+
+
+def _walk(sigma_a, errors):
+    """Fixes with these errors (n, 2), m, of a tag at 1 m whose acceleration is white, and the truth."""
+    kicks = sigma_a * np.sqrt(STEP_S) * np.random.default_rng(5).normal(size=(ROWS, 2))
+    place = np.cumsum(STEP_S * np.cumsum(kicks, axis=0), axis=0) + [3.0, 2.0]
+    tables = {
+        kind: pl.DataFrame({"t_s": TIMES, "tag": "T", "x_m": at[:, 0], "y_m": at[:, 1], "z_m": np.ones(ROWS)})
+        for kind, at in (("fixes", place + errors), ("truth", place))
+    }
+    return RecordingFolder("walk", None, Rig("walk", tags={"T": Tag(height=1.0)}), tables)
+
+
+def _white(sigma):
+    return sigma * np.random.default_rng(7).normal(size=(ROWS, 2))
+
+
+def _kalman_rmse(folder, sigma_a, sigma):
+    """The RMSE of the filter that knows both levels."""
+    fixes, truth = (folder.tables[kind].select("x_m", "y_m").to_numpy() for kind in ("fixes", "truth"))
+    move = np.array([[1.0, STEP_S], [0.0, 1.0]])
+    noise = sigma_a**2 * np.array([[STEP_S**3 / 3, STEP_S**2 / 2], [STEP_S**2 / 2, STEP_S]])
+    errors = []
+    for fix, true in zip(fixes.T, truth.T, strict=True):
+        mean, cov = np.array([fix[0], 0.0]), np.diag([sigma**2, 1.0])
+        errors.append([mean[0] - true[0]])
+        for z, x in zip(fix[1:], true[1:], strict=True):
+            mean, cov = move @ mean, move @ cov @ move.T + noise
+            gain = cov[:, 0] / (cov[0, 0] + sigma**2)
+            mean, cov = mean + gain * (z - mean[0]), cov - np.outer(gain, cov[0])
+            errors[-1].append(mean[0] - x)
+    return np.sqrt(np.sum(np.square(errors)) / ROWS)
+
+
+@pytest.mark.parametrize(("sigma_a", "sigma"), [(0.02, 0.3), (2.0, 0.03)])
+def test_a_recording_tells_the_levels_of_white_noise_and_motion(sigma_a, sigma):
+    folder = _walk(sigma_a, _white(sigma))
+    named = tw.build("fix-kf", folder)
+    own, known = fitted(named, folder), _kalman_rmse(folder, sigma_a, sigma)
+    rmse = [tw.evaluate(x.run(folder), folder).overall["rmse_m"] for x in (named, own.tracker)]
+    assert rmse[0] > 1.2 * known
+    assert rmse[1] < 1.15 * known
+    assert own.tracker.tunables["sensors.fixes.sigma_horizontal"].value == pytest.approx(sigma, rel=0.15)
+    assert "sensors.fixes.sigma_horizontal 0.1 → " in own.line
+
+
+def test_levels_stay_where_errors_last():
+    walk, random = _walk(0.3, _white(0.0)), np.random.default_rng(3)
+    anchors = {name: np.array([x, y, 2.5]) for name, x, y in (("A", 0, 0), ("B", 6, 0), ("C", 6, 5), ("D", 0, 5))}
+    ranges = []
+    for name, anchor in anchors.items():
+        # An error of each anchor that lasts for some 10 s, and a tenth of it that is white.
+        lasting = np.convolve(random.normal(size=2 * ROWS), np.exp(-TIMES / 10.0), "valid")[:ROWS]
+        range_m = np.linalg.norm(walk.tables["truth"].select("x_m", "y_m", "z_m").to_numpy() - anchor, axis=1)
+        range_m += 0.2 * lasting / lasting.std() + 0.02 * random.normal(size=ROWS)
+        ranges.append(pl.DataFrame({"t_s": TIMES, "tag": "T", "anchor": name, "range_m": range_m}))
+    rig = Rig("walk", anchors=anchors, tags=walk.rig.tags)
+    folder = RecordingFolder(
+        "walk", None, rig, {"ranges": pl.concat(ranges).sort("t_s"), "truth": walk.tables["truth"]}
+    )
+    named = tw.build("uwb", folder)
+    own = fitted(named, folder)
+    assert own.tracker is named
+    assert own.line.startswith("walk: levels stay: ")
+    assert "errors that last look like motion" in own.line
+
+
+def test_numbers_that_were_set_stay():
+    folder = _walk(0.02, _white(0.3))
+    own = fitted(tw.build("fix-kf", folder).with_values({"motion.sigma_a": 0.5}), folder)
+    assert own.tracker.values["motion.sigma_a"] == 0.5
+    assert own.tracker.tunables["sensors.fixes.sigma_horizontal"].value > 0.2
+
+
+def test_track_names_the_fit_where_innovations_contradict_the_levels_and_does_it(tmp_path):
+    write_recording(_walk(0.02, _white(0.02)), tmp_path / "walk")
+    plain = ("track", tmp_path / "walk", "--no-figures", "--no-report", "--out")
+    said = trackwright(*plain, tmp_path / "a")
+    assert "--fit fits the levels to the readings" in " ".join(said.err.split())
+    line = "walk: fitted to its readings: motion.sigma_a 1 → "
+    said = trackwright(*plain, tmp_path / "b", "--fit")
+    assert (said.code, "--fit" in said.err) == (0, False)
+    assert line in " ".join(said.err.split())
+    assert trackwright(*plain, tmp_path / "c", "--fit", "--keep-going").code == 0
+    assert line in (tmp_path / "c" / "results.csv").read_text("utf-8")
