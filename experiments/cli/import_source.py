@@ -59,12 +59,10 @@ def import_source(
         out: the recording folder to write, whose name is that of the recording; tables are added to an existing one.
         table: what the rows or messages are.
         columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
-            "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "in hh:mm:ss", "in matlab", "in excel",
-            "t_s=secs+nsecs*1e-9", "t_s=date+time in iso", "anchor=header.frame_id", "range_m[A1]=d1" for a column of
-            each anchor.
-        mapping: a TOML file with the table, columns, topic, tag and form of several tables, instead of
-            these options, or a preset for logs of a data set or kit: crazyflie, crazyflie-tdoa, isas-walk, miluv,
-            starloc, util.
+            "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "t_s=secs+nsecs*1e-9",
+            "anchor=header.frame_id", "range_m[A1]=d1" for a column of each anchor.
+        mapping: a TOML file with the table, columns, topic, tag and form of several tables, instead of these options,
+            or a preset for logs of a data set or kit: crazyflie, crazyflie-tdoa, isas-walk, miluv, starloc, util.
         topic: of a bag.
         tag: the id of the tag, where no column has it.
         rig: a rig.toml with the positions of anchors or stations, a table of anchors with columns anchor, x, y, z, or,
@@ -81,8 +79,7 @@ def import_source(
             from its ranges: every tag travels once from the first to the last knot, at a constant speed on each
             segment, with rests at the knots; --out gets the recording with this truth.
         interval: s between the lines of a log without times.
-        header: the line of a table in text that names the columns; none: they are column1, column2 and so on; default:
-            the first line that is no comment.
+        header: the line of a table in text with the names of columns, or none; default: the first that is no comment.
         skip: lines above a table in text to leave out.
         missing: marks of missing values, such as N/A.
         thousands: the mark that groups thousands in numbers.
@@ -102,12 +99,12 @@ def import_source(
     from trackwright.trackers.core.wording import counted
     from trackwright.trackers.exchange.expressions import columns_of
     from trackwright.trackers.exchange.formats import format_of, has_tables
-    from trackwright.trackers.exchange.imported import assembled, origin_of, read_anchors, read_source, save, since
+    from trackwright.trackers.exchange.imported import assembled, origin_of, read_geometry, read_source, save, since
     from trackwright.trackers.exchange.mapping import Asked, TableMapping
     from trackwright.trackers.exchange.mapping_file import PRESETS, MappingFile, read_mapping
     from trackwright.trackers.exchange.source_rows import Reading
     from trackwright.trackers.recordings.folder import read_recording
-    from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
+    from trackwright.trackers.recordings.rig_file import RIG_FILE
 
     preset = MappingFile(()) if mapping is None else read_mapping(mapping)
     name = format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
@@ -124,9 +121,7 @@ def import_source(
     if origin == "start" and there:
         words = "expected their origin, as its first import printed it: --origin SECONDS, or none where that had none"
         raise UnusableInput(f"--origin start: {out} has tables already; {words}")
-    geometry, anchors = read_rig(out / RIG_FILE)[0] if there else None, {}
-    if geometry is not None and rig is not None and (geometry.anchors or geometry.stations):
-        raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
+    geometry, anchors, lines = read_geometry(rig, out, preset, form)
     try:
         imported = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
     except UnusableInput as problem:
@@ -141,15 +136,8 @@ def import_source(
         tables = since(tables, begin)
         notice(f"notice: t_s = 0 is {moment(begin)} of {source}; give further tables the same --origin {begin!r}")
     # Recordings of one installation share its rig, but not their name.
-    title = geometry.name if geometry is not None else out.resolve().name
-    if rig is not None and preset.anchors is not None and rig.suffix != ".toml":
-        anchors = preset.positions(rig)
-    elif rig is not None and rig.suffix == ".toml":
-        geometry = read_rig(rig)[0]
-    elif rig is not None:
-        anchors, lines = read_anchors(rig, form)
-        imported.notices += [f"{rig}: {line}" for line in lines]
-    for line in imported.notices:
+    title = None if there else out.resolve().name
+    for line in (*imported.notices, *lines):
         notice(f"notice: {line}")
     folder = assembled(title, geometry, tables, anchors or imported.anchors, preset.offsets, preset.bodies)
     if transform is not None or align_truth is not None:
@@ -192,10 +180,7 @@ def _mappings(
 def _with_truth_moved(
     folder: RecordingFolder, recording: RecordingFolder, transform: str | None, flat: bool
 ) -> RecordingFolder:
-    """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it.
-
-    `flat`: without a shift in z.
-    """
+    """The imported tables, the truth moved by `transform` or as readings fit it, without a shift in z where `flat`."""
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.exchange.truth_frame import found_placement, leaning, parsed_placement
 

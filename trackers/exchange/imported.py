@@ -22,6 +22,7 @@ from trackwright.trackers.core.user_file import fault_of, from_file, split_name
 from trackwright.trackers.exchange.expressions import UNITS, columns_of
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
 from trackwright.trackers.exchange.mapping import ORIGIN, Asked, Source, TableMapping, checked, numbers_of
+from trackwright.trackers.exchange.mapping_file import MappingFile
 from trackwright.trackers.exchange.ros_reader import topics_in
 from trackwright.trackers.exchange.source_rows import Reading, read_rows
 from trackwright.trackers.recordings.atomic import beside
@@ -226,9 +227,13 @@ def _written(folder: RecordingFolder, path: Path, source: Source) -> RecordingFo
         raise UnusableInput(_REFUSED.sub(original, text)) from problem
     for name, table in tables.items():
         if not table["t_s"].is_sorted():
-            times, _ = unwrapped_times(table["t_s"].to_numpy())
-            table.with_columns(t_s=times).sort("t_s", maintain_order=True).write_parquet(path / f"{name}.parquet")
+            _by_time(table).write_parquet(path / f"{name}.parquet")
     return read
+
+
+def _by_time(table: pl.DataFrame) -> pl.DataFrame:
+    times, _ = unwrapped_times(table["t_s"].to_numpy())
+    return table.with_columns(t_s=times).sort("t_s", maintain_order=True)
 
 
 def _read(path: Path) -> RecordingFolder:
@@ -236,7 +241,28 @@ def _read(path: Path) -> RecordingFolder:
     return read_recording(path, placed=bool(read_rig(path / RIG_FILE)[0].anchors))
 
 
-def read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, ...]], list[str]]:
+def read_geometry(
+    path: Path | None, out: Path, preset: MappingFile, reading: Reading
+) -> tuple[Rig | None, dict[str, tuple[float, ...]], list[str]]:
+    """The rig of the recording in `out`, or where it is empty, of `path`, or the positions, m, there, and notices.
+
+    `path`: a rig.toml, a file of the makers, which the pattern of the `preset` reads, or a table of anchors. Tags of
+    the empty rig are kept. Raises UnusableInput.
+    """
+    there = read_rig(out / RIG_FILE)[0] if (out / RIG_FILE).is_file() else None
+    if path is None:
+        return there, {}, []
+    if there is not None and (there.anchors or there.stations):
+        raise UnusableInput(f"--rig {path}: {out} has a rig.toml already; expected one; leave --rig out")
+    if path.suffix != ".toml":
+        return there, *((preset.positions(path), []) if preset.anchors else _read_anchors(path, reading))
+    rig = read_rig(path)[0]
+    if there is not None:
+        rig = replace(rig, name=there.name, tags=dict(there.tags) | dict(rig.tags))
+    return rig, {}, []
+
+
+def _read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, ...]], list[str]]:
     """The positions, m, of anchors in a table with their ids and columns x, y, z, and notices; raises UnusableInput.
 
     The columns may be `X`, `x_mm`, `x [mm]`, `X (m)`; ids are in the column `anchor` or `id`, or the only other one.
@@ -264,7 +290,7 @@ def read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, .
             )
         anchors[anchor] = tuple(place)
     units = ", ".join(name for name, _ in axes.values())
-    return anchors, [*notices, f"anchors are in column {ids[0]}, positions in {units}"]
+    return anchors, [f"{path}: {line}" for line in (*notices, f"ids are in column {ids[0]}, positions in {units}")]
 
 
 def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
@@ -274,7 +300,7 @@ def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
     UnusableInput for another text.
     """
     if text == "start":
-        return first_time(tables)
+        return first_time({name: _by_time(table) for name, table in tables.items()})
     try:
         seconds = float(text)
     except ValueError:

@@ -238,12 +238,7 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
             stamps = stamps / 1e9
     stamps, wraps = unwrapped_times(stamps)
     notices += wraps
-    if 2 * (different := len(np.unique(stamps))) < len(stamps):
-        found = "one time" if different == 1 else f"{different} times"
-        raise UnusableInput(
-            f"{path}: {len(stamps)} poses, {found}: the stamps have lost their digits; expected a time for each pose; "
-            "write them with all digits"
-        )
+    refuse_lost_digits(path, stamps)
     if (np.diff(stamps) < 0).any():
         at = restarted_at(stamps)
         if at is not None:
@@ -259,6 +254,16 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
     if attitude is None:
         notices.append("every quaternion is the identity; read as positions without attitude")
     return PoseTrajectory(stamps, positions, attitude, path.name, tuple(notices))
+
+
+def refuse_lost_digits(path: Path, stamps: np.ndarray) -> None:
+    """Raises UnusableInput where most of the poses have the time, s, of another."""
+    if 2 * (different := len(np.unique(stamps))) < len(stamps):
+        found = "one time" if different == 1 else f"{different} times"
+        raise UnusableInput(
+            f"{path}: {len(stamps)} poses, {found}: the stamps have lost their digits; expected a time for each pose; "
+            "write them with all digits"
+        )
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:

@@ -156,6 +156,15 @@ def test_rows_in_any_order_are_sorted_at_import_and_noticed_there_alone(there):
         assert "sorted" not in trackwright("check", out).out
 
 
+def test_a_counter_that_wraps_starts_at_its_first_row(there):
+    rows = [f"{(4294900000 + 100000 * k) % 2**32},A1,{2000 + k}" for k in range(30)]
+    (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
+    micros = [word.replace("stamp*0.001", "stamp in us") for word in CSV]
+    said = trackwright("import", "log.csv", *micros, "--origin", "start", "--rig", "rig.toml", "--out", "hall")
+    assert "a counter that wraps; unwrapped" in said.err
+    assert pl.read_parquet("hall/ranges.parquet")["t_s"].to_list() == pytest.approx([0.1 * k for k in range(30)])
+
+
 def test_a_clock_that_went_back_is_refused_at_import_before_rows_are_sorted(there):
     rows = [f"{100 * k},A1,{2000 + 7 * j}" for j, k in enumerate((*range(60), *range(20, 50)))]
     (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")

@@ -8,6 +8,7 @@ import pytest
 
 from tests.in_process import assert_refused_last, trackwright
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.exchange.estimates import read_estimates
 from trackwright.trackers.exchange.expressions import columns_of
 from trackwright.trackers.exchange.mapping import TableMapping, mapped_table
 from trackwright.trackers.exchange.pose_errors import compare_trajectories
@@ -133,16 +134,21 @@ def test_a_refused_value_is_named_by_line_and_column_of_the_users_file_in_any_pa
     assert not (tmp_path / "hall").exists()
 
 
-def test_a_truth_may_come_first_and_a_table_is_replaced_where_that_is_asked_for(tmp_path, monkeypatch):
+@pytest.mark.parametrize("given", ["anchors.csv", "site.toml"])
+def test_a_truth_may_come_first_and_a_table_is_replaced_where_that_is_asked_for(tmp_path, monkeypatch, given):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "anchors.csv").write_text("id;X_mm;Y_mm;Z_mm\nA1;0;0;2500\nA2;10000;0;400\n")
+    (tmp_path / "site.toml").write_text("format = 1\n[anchors]\nA1 = [0.0, 0.0, 2.5]\nA2 = [10.0, 0.0, 0.4]\n")
     (tmp_path / "truth.tum").write_text("".join(f"0.{k} {k} 0 1 0 0 0 1\n" for k in range(9)))
     (tmp_path / "log.csv").write_text("t,d1,d2\n0,1.5,2.5\n0.1,1.6,1.5\n")
     assert trackwright("import", "truth.tum", "--table", "truth", "--tag", "T", "--out", "hall").code == 0
+    with (tmp_path / "hall" / "rig.toml").open("a") as rig:
+        rig.write("\n[tags.T]\nheight_m = 1.2\n")
     ranges = ("import", "log.csv", "--table", "ranges", "--tag", "T", "--out", "hall", "--columns", *WIDE)
-    said = trackwright(*ranges, "--rig", "anchors.csv")
+    said = trackwright(*ranges, "--rig", given)
     assert said.code == 0, said.err
-    assert read_recording(tmp_path / "hall").rig.anchors["A2"].tolist() == [10.0, 0.0, 0.4]
+    filled = read_recording(tmp_path / "hall").rig
+    assert (filled.anchors["A2"].tolist(), filled.tags["T"].height) == ([10.0, 0.0, 0.4], 1.2)
     (tmp_path / "log.csv").write_text("t,d1,d2\n0,7,2.5\n")
     assert_refused_last(trackwright(*ranges), "has the table ranges already", "--replace")
     assert trackwright(*ranges, "--replace").code == 0
@@ -162,8 +168,14 @@ def test_a_tag_at_rest_is_aligned_by_none_or_origin_alone(align, shaking):
 
 
 @pytest.mark.parametrize(("digits", "words"), [(-3, "40 poses, one time"), (0, "40 poses, 5 times")])
-def test_stamps_that_have_lost_their_digits_are_refused(tmp_path, digits, words):
-    path = tmp_path / "own.tum"
-    path.write_text("".join(f"{round(1604644000 + 0.1 * k, digits)} {k} 0 1 0 0 0 1\n" for k in range(40)))
+def test_stamps_that_have_lost_their_digits_are_refused_in_poses_and_in_tables_for_each_tag(tmp_path, digits, words):
+    path, stamps = tmp_path / "own.tum", [round(1604644000 + 0.1 * k, digits) for k in range(40)]
+    path.write_text("".join(f"{t} {k} 0 1 0 0 0 1\n" for k, t in enumerate(stamps)))
     with pytest.raises(UnusableInput, match=words):
         read_trajectory(path)
+    table = pl.DataFrame({"t_s": stamps, "tag": "T1", "x_m": 1.0, "y_m": 2.0})
+    table.write_csv(tmp_path / "own.csv")
+    with pytest.raises(UnusableInput, match=words):
+        read_estimates(tmp_path / "own.csv")
+    table.with_columns(tag=pl.Series([f"T{k}" for k in range(40)])).write_csv(tmp_path / "own.csv")
+    assert len(read_estimates(tmp_path / "own.csv")[0]) == 40
