@@ -129,7 +129,7 @@ def not_wrapped(angles: pl.Series, bound: float) -> bool:
     """Whether angles, rad, some of them beyond their bound, are from 0 to 2π and within it when wrapped."""
     x = angles.drop_nulls().to_numpy()
     turned = np.mod(x + np.pi, 2 * np.pi) - np.pi
-    return bool(x.min() >= -1e-3 and x.max() <= 2 * np.pi + 1e-3 and np.abs(turned).max() <= bound + 1e-3)
+    return bool(((x >= -1e-3) & (x <= 2 * np.pi + 1e-3) & (np.abs(turned) <= bound + 1e-3)).all())
 
 
 def _outliers(

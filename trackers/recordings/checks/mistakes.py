@@ -103,8 +103,9 @@ def _explains(view: Compared, other: Compared, groups: np.ndarray, sizes: np.nda
     own = np.isfinite(sizes[groups])
     if (sizes[groups] <= EXPLAINED * limit)[own].mean() < NEARLY:
         return False
-    left = [np.abs(one.errors()) <= 3 * limit + view.kind.sizes("bias", len(limit)) for one in (other, view)]
-    rows, sound = groups[view.group], ~large[view.group]
+    errors, most = view.errors(), 3 * limit + view.kind.sizes("bias", len(limit))
+    left = np.abs(other.errors()) <= most, np.abs(errors) <= most
+    rows, sound = (part[view.group][:, None] & np.isfinite(errors) for part in (groups, ~large))
     share, usual = (
         float(inside[part].mean()) if part.any() else 1.0 for inside, part in zip(left, (rows, sound), strict=True)
     )

@@ -24,6 +24,9 @@ CASES = {
         "truth", "error", "truth turned by -127.0", {"x_m": -0.6 * X - 0.8 * Y + 10.0, "y_m": 0.8 * X - 0.6 * Y, "z_m": pl.col("z_m") + 1.5},
     ),
     "azimuths from 0 to 2π": ("bearings", "warning", "from 0 to 2π", {"azimuth_rad": pl.col("azimuth_rad") % (2 * np.pi)}),
+    "azimuths alone, of another sign": (
+        "bearings", "error", "flip its sign", {"azimuth_rad": -pl.col("azimuth_rad"), "elevation_rad": pl.lit(None, pl.Float64)},
+    ),
     "many wild readings": ("ranges", "warning", "outliers of range_m", {"range_m": pl.when(WILD > 150).then(WILD - 200).otherwise(R)}),
     "one time for all rows": ("ranges", "error", "lost their digits", {"t_s": pl.lit(5.0)}),
     "a clock that jumps by years": ("ranges", "warning", "the clock jumps by 52.", {"t_s": T + pl.when(T > 30).then(1.66e9).otherwise(0.0)}),
