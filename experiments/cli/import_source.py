@@ -51,8 +51,7 @@ def import_source(
 ) -> int:  # fmt: skip
     """Import CSV, JSON lines, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
 
-    Nothing is guessed: unmapped columns and topics are skipped with a notice; an unreadable line stops the import.
-    docs/import.md has an example of each.
+    Nothing is guessed: what is not mapped is skipped with a notice. docs/import.md has an example of each.
 
     Args:
         source: a file, or the folder of a ROS 2 bag; with --path a recording folder.
@@ -75,9 +74,8 @@ def import_source(
             then a shift, m; S, seconds added to its times, may be left out.
         align_truth: find these numbers by the readings of the recording in --out; a shift in z that they do not
             determine to 5 cm is left out where it may be zero, and in any case with xy after the option.
-        path: fit a truth along [path] of the rig.toml of a recording, by least squares to its fixes, or to positions
-            from its ranges: every tag travels once from the first to the last knot, at a constant speed on each
-            segment, with rests at the knots; --out gets the recording with this truth.
+        path: fit a truth along [path] of the rig.toml of a recording to its fixes, or to positions from its ranges, at
+            a constant speed on each segment, with rests at the knots; --out gets the recording with this truth.
         interval: s between the lines of a log without times.
         header: the line of a table in text with the names of columns, or none; default: the first that is no comment.
         skip: lines above a table in text to leave out.
