@@ -45,7 +45,7 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackwright.trackers.recordings.trajectories import known_height
 
-CONTRADICTED = 1.5
+CONTRADICTED, CORRELATED = 1.5, 3.0  # by what factor innovations are off, and rows that carry the information of one
 LATE_S = 0.1  # delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice
 APART_M, MIRRORED_SHARE = 0.5, 0.1
 """Distance of true heights from the anchors' plane, m, from which on their side counts; share of estimates on the other
@@ -229,11 +229,15 @@ def _track(
 
 
 def notice_levels(metrics: Mapping[str, Any], fitted: bool) -> None:
-    """A notice where innovations contradict the noise levels by more than a factor `CONTRADICTED`."""
-    ratio = None if fitted else metrics["nis_ratio"]
-    if ratio is not None and not CONTRADICTED**-2 <= ratio <= CONTRADICTED**2:
-        times = f"{math.sqrt(ratio):.2g} times what the noise levels let expect"
-        notice(f"notice: innovations are {times} (NIS/dof {ratio:.2g}); --fit fits the levels to the readings")
+    """A notice where innovations contradict the noise levels by a factor, or by correlation, as of fast motion."""
+    ratio, rows, samples = (metrics[name] for name in ("nis_ratio", "n_rows", "n_effective_nis"))
+    if fitted or ratio is None:
+        return
+    wrong = f"{math.sqrt(ratio):.2g} times what the noise levels let expect (NIS/dof {ratio:.2g})"
+    if CONTRADICTED**-2 <= ratio <= CONTRADICTED**2:
+        wrong = f"correlated, {rows} rows with the information of {samples:.0f}" if rows > CORRELATED * samples else ""
+    if wrong:
+        notice(f"notice: innovations are {wrong}; --fit fits noise levels to the readings")
 
 
 def endings(summaries: Mapping[str, int]) -> str:

@@ -199,7 +199,8 @@ def sensor_checks(
     return [measure, residual, mask, finite, derivatives, density]
 
 
-check_motion, check_sensor = contract.reported(motion_checks), contract.reported(sensor_checks)
+check_motion = contract.reported(motion_checks)
+check_sensor = contract.reported(sensor_checks)
 
 
 class _At:

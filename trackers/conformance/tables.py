@@ -151,4 +151,5 @@ def importer_checks(
     return [tables, again, recording, early_end, empty_log]
 
 
-check_kind, check_importer = contract.reported(kind_checks), contract.reported(importer_checks)
+check_kind = contract.reported(kind_checks)
+check_importer = contract.reported(importer_checks)
