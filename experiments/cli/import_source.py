@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import replace as replaced
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
@@ -44,56 +44,65 @@ def import_source(
     transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
     align_truth: Annotated[tuple[Literal["xy"], ...] | None, Parameter(consume_multiple=True)] = None,
     path: bool = False, interval: Seconds | None = None, skip_bad_lines: bool = False,
+    header: Annotated[str, Parameter(metavar="LINE|none")] = "", skip: int = 0,
+    missing: Annotated[tuple[str, ...], Parameter(metavar="MARK")] = (),
+    thousands: Annotated[str, Parameter(metavar="MARK")] = "", encoding: str = "", replace: bool = False,
     messages: tuple[File, ...] = (),
 ) -> int:  # fmt: skip
-    """Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
+    """Import CSV, JSON lines, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
 
-    Nothing is guessed: unmapped columns and topics are skipped with a notice; an unreadable line stops the import.
-    docs/import.md has an example of each.
+    Nothing is guessed: what is not mapped is skipped with a notice. docs/import.md has an example of each.
 
     Args:
         source: a file, or the folder of a ROS 2 bag; with --path a recording folder.
         out: the recording folder to write, whose name is that of the recording; tables are added to an existing one.
         table: what the rows or messages are.
         columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
-            "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "anchor=header.frame_id", "range_m[A1]=d1"
-            for a column of each anchor.
-        mapping: a TOML file with the table, columns, topic, tag, separator and decimal of several tables, instead of
-            these options, or a preset for logs of a data set or kit: crazyflie, crazyflie-tdoa, isas-walk, miluv,
-            starloc, util.
+            "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "t_s=secs+nsecs*1e-9",
+            "anchor=header.frame_id", "range_m[A1]=d1" for a column of each anchor.
+        mapping: a TOML file with the table, columns, topic, tag and form of several tables, instead of these options,
+            or a preset for logs of a data set or kit: crazyflie, crazyflie-tdoa, isas-walk, miluv, starloc, util.
         topic: of a bag.
         tag: the id of the tag, where no column has it.
-        rig: a rig.toml with the positions of anchors or stations, or, with a preset, the makers' file of anchors;
-            default: those in the log, if it has any.
-        separator: of the cells of a CSV file; default: a semicolon or tab where the header has one and no comma.
-        decimal: the mark in the numbers of a CSV file.
+        rig: a rig.toml with the positions of anchors or stations, a table of anchors with columns anchor, x, y, z, or,
+            with a preset, the makers' file of anchors; default: those in the log, if it has any.
+        separator: of the cells of a table in text, ' ' for blanks; default: the one in its header.
+        decimal: the mark in the numbers of a table in text.
         origin: the time of the source that becomes t_s = 0 in every table: start (the earliest measurement), seconds
             on its clock, or a date such as 2026-05-01T12:00:00.25, UTC without a zone; default: times stay.
         transform: brings a truth over to the frame of the rig and the clock of the readings: a turn about z by YAW, °,
             then a shift, m; S, seconds added to its times, may be left out.
         align_truth: find these numbers by the readings of the recording in --out; a shift in z that they do not
             determine to 5 cm is left out where it may be zero, and in any case with xy after the option.
-        path: fit a truth along [path] of the rig.toml of a recording, by least squares to its fixes, or to positions
-            from its ranges: every tag travels once from the first to the last knot, at a constant speed on each
-            segment, with rests at the knots; --out gets the recording with this truth.
+        path: fit a truth along [path] of the rig.toml of a recording to its fixes, or to positions from its ranges, at
+            a constant speed on each segment, with rests at the knots; --out gets the recording with this truth.
         interval: s between the lines of a log without times.
+        header: the line of a table in text with the names of columns, or none; default: the first that is no comment.
+        skip: lines above a table in text to leave out.
+        missing: marks of missing values, such as N/A.
+        thousands: the mark that groups thousands in numbers.
+        encoding: of a text, such as cp1252; default: UTF-8, or UTF-16 with its mark.
+        replace: a table that the recording in --out has already.
         skip_bad_lines: leave lines of a log that are not understood out, and count them.
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
     """
     if path:
         reading = (table, columns, mapping, topic, tag, rig, format, separator, origin, interval, messages)
-        if align_truth is not None or any((*reading, transform, skip_bad_lines)) or decimal != ".":
+        marks = (header, skip, missing, thousands, encoding, replace, transform, skip_bad_lines, decimal != ".")
+        if align_truth is not None or any((*reading, *marks)):
             raise UnusableInput("--path: fits a truth to a recording folder; expected no other option but --out")
         return _fit_truth(source, out)
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.core.data.seconds import moment
     from trackwright.trackers.core.wording import counted
+    from trackwright.trackers.exchange.expressions import columns_of
     from trackwright.trackers.exchange.formats import format_of, has_tables
-    from trackwright.trackers.exchange.imported import assembled, origin_of, read_source, save, since
-    from trackwright.trackers.exchange.mapping import Asked, TableMapping, columns_of
+    from trackwright.trackers.exchange.imported import assembled, origin_of, read_geometry, read_source, save, since
+    from trackwright.trackers.exchange.mapping import Asked, TableMapping
     from trackwright.trackers.exchange.mapping_file import PRESETS, MappingFile, read_mapping
+    from trackwright.trackers.exchange.source_rows import Reading
     from trackwright.trackers.recordings.folder import read_recording
-    from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
+    from trackwright.trackers.recordings.rig_file import RIG_FILE
 
     preset = MappingFile(()) if mapping is None else read_mapping(mapping)
     name = format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
@@ -103,14 +112,14 @@ def import_source(
         notice(f"notice: {mapping}: its entries for {kind} are skipped ({', '.join(left)})")
     own_tables = has_tables(name)
     notice(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
-    given = TableMapping(table or "", columns_of(columns), topic, tag, separator, decimal)
+    form = Reading(separator, decimal, thousands, header, skip, missing, encoding)
+    given = TableMapping(table or "", columns_of(columns), topic, tag, form)
     mappings = _mappings(source, own_tables, given, asked)
     there = (out / RIG_FILE).is_file()
     if origin == "start" and there:
         words = "expected their origin, as its first import printed it: --origin SECONDS, or none where that had none"
         raise UnusableInput(f"--origin start: {out} has tables already; {words}")
-    if there and rig is not None:
-        raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
+    geometry, anchors, lines = read_geometry(rig, out, preset, form)
     try:
         imported = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
     except UnusableInput as problem:
@@ -119,8 +128,6 @@ def import_source(
         text, add, _ = str(problem).partition("; add --columns")
         other = f"; another mapping? presets: {', '.join(sorted(PRESETS))}" if add else ""
         raise UnusableInput(f"{text}{other}") from None
-    for line in imported.notices:
-        notice(f"notice: {line}")
     tables = imported.tables
     if origin is not None:
         begin = origin_of(origin, tables)
@@ -128,16 +135,12 @@ def import_source(
         notice(f"notice: t_s = 0 is {moment(begin)} of {source}; give further tables the same --origin {begin!r}")
     # Recordings of one installation share its rig, but not their name.
     title = None if there else out.resolve().name
-    known = out / RIG_FILE if there else rig
-    geometry, anchors = None, imported.anchors
-    if known is not None and preset.anchors is not None and known.suffix != ".toml":
-        anchors = preset.positions(known)
-    elif known is not None:
-        geometry = read_rig(known)[0]
-    folder = assembled(title, geometry, tables, anchors, preset.offsets, preset.bodies)
+    for line in (*imported.notices, *lines):
+        notice(f"notice: {line}")
+    folder = assembled(title, geometry, tables, anchors or imported.anchors, preset.offsets, preset.bodies)
     if transform is not None or align_truth is not None:
         folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform, bool(align_truth))
-    written = save(folder, out)
+    written = save(folder, out, imported, replace)
     for line in written.notices:
         notice(f"notice: {out}: {line}")
     rows = ", ".join(f"{table} {counted(len(rows), 'row')}" for table, rows in tables.items())
@@ -152,19 +155,19 @@ def _mappings(
     source: Path, own_tables: bool, given: TableMapping, tables: Sequence[TableMapping]
 ) -> list[TableMapping]:
     """The mappings of the tables of a source, by the options `given`, or the `tables` of the file of --mapping."""
-    plain = not given.columns and given.topic is None and given.separator is None and given.decimal == "."
+    plain = not given.columns and given.topic is None and given.reading == type(given.reading)()
     if tables:
         if own_tables:
             raise UnusableInput("--mapping: a file of this format has its tables; leave it out")
         if given.table or not plain:
             raise UnusableInput(
-                "--mapping and --table, --columns, --topic, --separator or --decimal; give one or the other"
+                "--mapping and --table, --columns, --topic or the form of a text; give one or the other"
             )
-        return [m if m.tag else replace(m, tag=given.tag) for m in tables]
+        return [m if m.tag else replaced(m, tag=given.tag) for m in tables]
     if own_tables:
         if given.table or given.topic is not None:
             raise UnusableInput(f"{source}: a file of this format has its tables; leave --table and --topic out")
-        return [replace(given, table="ranges")]
+        return [replaced(given, table="ranges")]
     if given.table:
         return [given]
     if given.columns:
@@ -175,10 +178,7 @@ def _mappings(
 def _with_truth_moved(
     folder: RecordingFolder, recording: RecordingFolder, transform: str | None, flat: bool
 ) -> RecordingFolder:
-    """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it.
-
-    `flat`: without a shift in z.
-    """
+    """The imported tables, the truth moved by `transform` or as readings fit it, without a shift in z where `flat`."""
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.exchange.truth_frame import found_placement, leaning, parsed_placement
 
@@ -186,16 +186,16 @@ def _with_truth_moved(
     if truth is None:
         raise UnusableInput("--transform and --align-truth: move a truth; expected --table truth")
     if transform is not None:
-        return replace(folder, tables=dict(folder.tables) | {"truth": parsed_placement(transform).of_table(truth)})
+        return replaced(folder, tables=dict(folder.tables) | {"truth": parsed_placement(transform).of_table(truth)})
     tables = dict(recording.tables) | {"truth": truth.sort("t_s", maintain_order=True)}
-    level, angle = leaning(replace(recording, tables=tables))
+    level, angle = leaning(replaced(recording, tables=tables))
     if angle:
         notice(f"notice: truth levelled, which leaned by {angle:.0f}° against the gravity that the IMU measures; then")
         truth = level.table(truth)
     tables["truth"] = truth.sort("t_s", maintain_order=True)
-    placement, words = found_placement(replace(recording, tables=tables), flat)
+    placement, words = found_placement(replaced(recording, tables=tables), flat)
     notice(f"notice: truth moved by --transform {placement}: {words}")
-    return replace(folder, tables=dict(folder.tables) | {"truth": placement.of_table(truth)})
+    return replaced(folder, tables=dict(folder.tables) | {"truth": placement.of_table(truth)})
 
 
 def _fit_truth(recording: Path, out: Path) -> int:

@@ -95,7 +95,7 @@ def test_a_line_of_another_system_within_a_table_with_semicolons_is_refused(tmp_
         "import", tmp_path / "log.csv", "--table", "fixes", "--separator", ";", "--tag", "T", "--out", tmp_path / "out"
     )
     assert said.code == 2
-    assert "log.csv: row 1 (line 2) has 2 cells, expected 3 as in the header" in said.err.splitlines()[-1]
+    assert "log.csv: line 2 has 2 cells, expected 3 as in line 1, the header" in said.err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 60])

@@ -1,4 +1,4 @@
-"""Dates in columns of text as seconds since 1970: the order of day, month and year is stated, and never guessed."""
+"""Dates and times of day in columns of text as seconds: the order of day, month and year is stated, never guessed."""
 
 from __future__ import annotations
 
@@ -11,26 +11,44 @@ from trackwright.trackers.recordings.table_file import TableFile, first_row
 
 ISO, DOTTED = "yyyy-mm-dd", "dd.mm.yyyy"
 ORDERS = {"iso": ISO, **{o: o for m in "/.-" for o in (f"dd{m}mm{m}yyyy", f"mm{m}dd{m}yyyy", f"yyyy{m}mm{m}dd")}}
+ORDERS["dd-mmm-yyyy"] = "dd-mmm-yyyy"
 """The orders of dates by the name that `t_s=COLUMN in NAME` has."""
 
-_PARTS = {"yyyy": r"(?P<y>\d{4})", "mm": r"(?P<m>\d{1,2})", "dd": r"(?P<d>\d{1,2})"}
+CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}
+"""The name of times of day; the names of counts of days, with the count at the begin of 1970."""
+
+_NAMES = "jan feb mar apr may jun jul aug sep oct nov dec"
+_MONTHS = {name: f"{k:02d}" for k, name in enumerate(_NAMES.split(), 1)}
+_PARTS = {"mmm": r"(?P<m>[A-Za-z]{3})", "yyyy": r"(?P<y>\d{4})", "mm": r"(?P<m>\d{1,2})", "dd": r"(?P<d>\d{1,2})"}
 _SECONDS = r"(?::(?P<S>\d\d)(?:[.,](?P<f>\d{1,9})\d*)?)?"
 _TIME = rf"(?:[T ]+(?P<H>\d\d?):(?P<M>\d\d){_SECONDS}\s*(?P<z>Z|[+-]\d\d:?(?:\d\d)?)?)?"
 
 
-def order_in(file: TableFile, column: str, order: str) -> str:
+def order_in(dates: pl.Series, order: str) -> str:
     """The order of the dates in a column: dotted ones, unknown to ISO, are day, month, year everywhere."""
-    first = str(next(iter(file.frame[column]), "")).strip()
+    first = str(next(iter(dates), "")).strip()
     return DOTTED if order == ISO and re.match(r"\d{1,2}\.\d{1,2}\.\d{4}\b", first) else order
 
 
-def seconds_of(file: TableFile, column: str, order: str) -> pl.Series:
+def clock_of(file: TableFile, texts: pl.Series, column: str, order: str = CLOCK) -> pl.Series:
+    """Times of day, s, which go on after midnight; raises UnusableInput with the row of another text."""
+    parts = texts.cast(pl.String).str.strip_chars().str.extract_groups(r"^(\d\d?):(\d\d)(?::(\d\d(?:[.,]\d*)?))?$")
+    h, m, s = (part.str.replace(",", ".").cast(pl.Float64) for part in parts.struct.unnest())
+    seconds = h * 3600 + m * 60 + s.fill_null(0.0)
+    if (wrong := seconds.is_null() & texts.is_not_null() & (texts.cast(pl.String) != "")).any():
+        row = first_row(wrong)
+        raise UnusableInput(f"{file.location(row, column)}: {texts[row]!r}; expected a time of day such as 14:00:00.25")
+    return seconds + 86400.0 * (seconds.forward_fill().diff() < -43200.0).fill_null(False).cum_sum()
+
+
+def seconds_of(file: TableFile, texts: pl.Series, column: str, order: str) -> pl.Series:
     """Dates as seconds since 1970, UTC where they name no zone; raises UnusableInput with the row of another text."""
-    dates = texts = file.frame[column]
+    dates = texts
     if dates.dtype not in (pl.Datetime, pl.Date):
-        order = order_in(file, column, order)
-        pattern = re.sub("yyyy|mm|dd", lambda match: _PARTS[match[0]], re.escape(order))
+        order = order_in(texts, order)
+        pattern = re.sub("yyyy|mmm|mm|dd", lambda match: _PARTS[match[0]], re.escape(order))
         parts = dates.cast(pl.String).str.strip_chars().str.extract_groups(f"^{pattern}{_TIME}$").struct.unnest()
+        parts = parts.with_columns(pl.col("m").str.to_lowercase().replace(_MONTHS))
         time, zone = (pl.col(x).fill_null("00") for x in "HMSf"), pl.col("z").replace("Z", "+00").fill_null("+00")
         date = pl.format("{}-{}-{} {}:{}:{}.{} {}", "y", "m", "d", *time, zone)
         dates = parts.select(date.str.to_datetime("%Y-%m-%d %H:%M:%S%.f %#z", time_unit="ns", strict=False))["y"]
@@ -39,7 +57,9 @@ def seconds_of(file: TableFile, column: str, order: str) -> pl.Series:
         if wrong.any():
             row, mark = first_row(wrong), "-" if "-" in str(texts[first_row(wrong)]) else "/"
             fix = f"name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd{mark}mm{mark}yyyy'"
-            example = order.replace("yyyy", "2026").replace("mm", "05").replace("dd", "31")
+            if re.search("-[A-Za-z]{3}-", str(texts[row])):
+                fix = f"name it: 't_s={column} in dd-mmm-yyyy'"
+            example = order.replace("yyyy", "2026").replace("mmm", "May").replace("mm", "05").replace("dd", "31")
             expected = f"expected a date such as {example} 14:00:00.25; no order is guessed: {fix}"
             if dates[row] is not None:
                 expected = f"row 1 {texts[0]!r}; expected a time zone in every row, or in none"

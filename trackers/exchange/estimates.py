@@ -23,7 +23,7 @@ from trackwright.trackers.exchange.pose_errors import (
     compare_trajectories,
     step_of,
 )
-from trackwright.trackers.exchange.trajectories import Kind, read_trajectory, trajectory_of_table
+from trackwright.trackers.exchange.trajectories import Kind, read_trajectory, refuse_lost_digits, trajectory_of_table
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 from trackwright.trackers.recordings.tables import check_stds
@@ -98,6 +98,9 @@ def _table(file: TableFile) -> pl.DataFrame:
     # That of a known height is 0.
     stds = frame.select(pl.col("^std_.*$").replace(0.0, None))
     check_stds(file, stds, stds.columns)
+    of_track = [name for name in ("recording", "tag", "station") if name in columns]
+    for rows in frame.partition_by(of_track) if of_track else [frame]:
+        refuse_lost_digits(file.path, rows["t_s"].to_numpy())
     return frame
 
 

@@ -36,7 +36,8 @@ def _first_line(pattern: str) -> re.Pattern[str]:
 
 
 FORMATS: Mapping[str, Format] = {
-    "csv": Format("a table (.csv, .csv.gz, .parquet)", "mapping", (".csv", ".csv.gz", ".parquet")),
+    "csv": Format("a table (.csv, .csv.gz, .tsv, .parquet; other text by --format csv)", "mapping",
+        (".csv", ".csv.gz", ".tsv", ".parquet")),
     "ros": Format(
         "a ROS bag (.bag, .db3, .mcap, or the folder of a ROS 2 bag)", "ros_reader", (".bag", ".mcap", ".db3"),
         folder="metadata.yaml",
@@ -63,6 +64,10 @@ FORMATS: Mapping[str, Format] = {
         "a EuRoC trajectory", "trajectories", (".euroc",),
         begins=_first_line(r"-?\d+[ \t]*(?:,[ \t]*[^,\s][^,\n]*){7,},?"),
     ),
+    "json": Format(
+        "JSON lines (.jsonl, .ndjson, .json)", "mapping", (".jsonl", ".ndjson", ".json"),
+        begins=re.compile(r"^[^{\n]*\{.*\}\s*$", re.MULTILINE),
+    ),
 }  # fmt: skip
 """The formats by their names."""
 
@@ -80,9 +85,12 @@ def format_of(path: Path) -> str:
     ending = path.name.lower()
     named = next((name for name, entry in FORMATS.items() if ending.endswith(entry.endings)), None)
     # EuRoC's own files are called data.csv.
-    if named is not None and not (named == "csv" and beginning_of(path).startswith("#timestamp")):
+    begin = beginning_of(path) if named in (None, "csv", "json") else ""
+    fira = FORMATS["fira"].begins
+    if named == "json" and fira is not None and fira.search(begin):
+        return "fira"
+    if named is not None and not (named == "csv" and begin.startswith("#timestamp")):
         return named
-    begin = beginning_of(path)
     for name, entry in FORMATS.items():
         if entry.begins is not None and entry.begins.search(begin):
             return name

@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import FunctionType
@@ -20,14 +19,18 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.user_file import fault_of, from_file, split_name
+from trackwright.trackers.exchange.expressions import UNITS, columns_of
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
-from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, checked, columns_of, mapped_table
+from trackwright.trackers.exchange.mapping import ORIGIN, Asked, Source, TableMapping, checked, numbers_of
+from trackwright.trackers.exchange.mapping_file import MappingFile
 from trackwright.trackers.exchange.ros_reader import topics_in
-from trackwright.trackers.recordings.atomic import atomic_write, beside
+from trackwright.trackers.exchange.source_rows import Reading, read_rows
+from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackwright.trackers.recordings.kinds import KINDS, first_time
-from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
-from trackwright.trackers.recordings.table_file import TableFile
+from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
+from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile
+from trackwright.trackers.recordings.tables import unwrapped_times
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
@@ -62,15 +65,10 @@ def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
     source = Source()
     for table, frame in frames.items():
         try:
-            source.add(table, *_of_frame(path, frame, TableMapping(table, tag=mapping.tag)))
+            source.read(TableFile(path, _polars(frame, table)), checked(TableMapping(table, tag=mapping.tag)))
         except UnusableInput as problem:
             raise UnusableInput(f"{name}: {str(problem).partition('; add --columns')[0]}") from problem
     return source
-
-
-def _of_frame(path: Path, frame: Any, mapping: TableMapping) -> tuple[pl.DataFrame, list[str]]:
-    """The table that the mapping makes of a pandas or polars frame, named as `path`, and notices."""
-    return mapped_table(TableFile(path, _polars(frame, mapping.table)), checked(mapping))
 
 
 def import_frames(
@@ -92,20 +90,20 @@ def import_frames(
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
     fits = columns is None or isinstance(columns, Mapping)
     require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
-    tables, notices = {}, []
+    source = Source()
     for table, frame in frames.items():
         try:
-            mapping = TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag)
-            tables[table], lines = _of_frame(Path(f"frame {table}"), frame, mapping)
+            mapping = checked(TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag))
+            source.read(TableFile(Path(f"frame {table}"), _polars(frame, table)), mapping)
         except UnusableInput as problem:
             raise UnusableInput(_in_python(str(problem), table)) from None
-        notices += [f"{table}: {line}" for line in lines]
+    tables = source.tables
     if origin is not None:
         tables = since(tables, origin_of(str(origin), tables))
     folder = assembled(name, read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig, tables)
     with tempfile.TemporaryDirectory() as scratch:
-        read = _written(folder, Path(scratch) / "recording")
-    return replace(read, path=None, notices=(*notices, *read.notices))
+        read = _written(folder, Path(scratch) / "recording", source)
+    return replace(read, path=None, notices=(*source.notices, *read.notices))
 
 
 def _in_python(message: str, table: str) -> str:
@@ -149,9 +147,10 @@ def assembled(
     `name`: of the recording, by default that of the rig. `offsets`, `bodies`: places of tags on their body, m, and the
     tags of each, of which those of the tables are added to the rig's.
     """
-    to_survey = "ranges" if rig is not None and not rig.anchors else None
-    if rig is None:
-        rig = Rig(name or "imported", {key: np.array(place) for key, place in (anchors or {}).items()})
+    to_survey = "ranges" if rig is not None and not rig.anchors and not anchors else None
+    rig = Rig(name or "imported") if rig is None else rig
+    if not rig.anchors:
+        rig = replace(rig, anchors={key: np.array(place) for key, place in (anchors or {}).items()})
     there = {tag for table in tables.values() for tag in table["tag"].unique()}
     tags = {tag: Tag(offset=np.array(place)) for tag, place in (offsets or {}).items() if tag in there}
     on_bodies = {body: tuple(t for t in names if t in there) for body, names in (bodies or {}).items()}
@@ -171,23 +170,33 @@ def assembled(
     return RecordingFolder(rig.name, None, rig, dict(tables))
 
 
-def save(folder: RecordingFolder, out: Path) -> RecordingFolder:
+def save(folder: RecordingFolder, out: Path, source: Source, replaced: bool = False) -> RecordingFolder:
     """Writes the recording, or adds its tables to the recording in `out`; returns it as read back, with new notices.
 
-    Nothing is written of one that cannot be read, and no table is replaced. Rows are checked in the order of the source
-    and written in that of time. Raises UnusableInput.
+    Nothing is written of one that cannot be read; a table that is there is replaced where that is asked for alone. Rows
+    are checked in the order of the source and written in that of time. Raises UnusableInput.
     """
-    if (out / RIG_FILE).is_file():
-        return _added(folder, out)
-    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+    there = _read(out) if (out / RIG_FILE).is_file() else None
+    if there is None and out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise UnusableInput(f"--out {out}: exists; expected a new folder, or a recording to add tables to")
+    twice = [name for name in folder.tables if there is not None and name in there.tables]
+    if twice and not replaced:
+        raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another; --replace replaces it")
+    known = {} if there is None else there.tables
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with beside(out, Path.mkdir) as scratch:
-            read = _written(folder, scratch / "recording")
-            for name, table in folder.tables.items():
-                if not table["t_s"].is_sorted():
-                    _by_time(table).write_parquet(scratch / "recording" / f"{name}.parquet")
+            whole = replace(folder, tables=dict(known) | dict(folder.tables))
+            read = _written(whole, scratch / "recording", source)
+            if there is not None:
+                for name in folder.tables:
+                    for old in out.glob(f"{name}.*"):
+                        if old.name.endswith(SUFFIXES):
+                            old.unlink()
+                    (scratch / "recording" / f"{name}.parquet").replace(out / f"{name}.parquet")
+                if rig_text(folder.rig) != rig_text(there.rig):
+                    (scratch / "recording" / RIG_FILE).replace(out / RIG_FILE)
+                return replace(read, path=out, notices=tuple(x for x in read.notices if x not in there.notices))
             if out.exists():
                 out.rmdir()
             (scratch / "recording").rename(out)
@@ -196,35 +205,92 @@ def save(folder: RecordingFolder, out: Path) -> RecordingFolder:
     return replace(read, path=out)
 
 
-def _added(folder: RecordingFolder, out: Path) -> RecordingFolder:
-    there = _read(out)
-    twice = [name for name in folder.tables if name in there.tables]
-    if twice:
-        raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another table; remove it first")
-    with tempfile.TemporaryDirectory() as scratch:
-        read = _written(replace(there, tables=dict(there.tables) | dict(folder.tables)), Path(scratch) / out.name)
-    for name, table in folder.tables.items():
-        atomic_write(out / f"{name}.parquet", partial(pl.DataFrame.write_parquet, _by_time(table)))
-    new = tuple(line for line in read.notices if line not in there.notices)
-    return replace(read, path=out, notices=new)
+_REFUSED = re.compile(r"imported (\w+)\.parquet(?:: row (\d+), column (\w+))?")
+
+
+def _written(folder: RecordingFolder, path: Path, source: Source) -> RecordingFolder:
+    """The recording after it was written to `path` and read back, its tables then in the order of time.
+
+    A refusal names the place in the source.
+    """
+    tables = {name: table.drop(ORIGIN, strict=False) for name, table in folder.tables.items()}
+    write_recording(replace(folder, tables=tables), path)
+
+    def original(match: re.Match[str]) -> str:
+        row = match[2] and match[1] in source.tables and source.location(match[1], int(match[2]) - 1, match[3])
+        return row or match[0].replace(".parquet", "")
+
+    try:
+        read = _read(path)
+    except UnusableInput as problem:
+        text = str(problem).replace(f"{path}/", "imported ").replace(str(path), "imported")
+        raise UnusableInput(_REFUSED.sub(original, text)) from problem
+    for name, table in tables.items():
+        if not table["t_s"].is_sorted():
+            _by_time(table).write_parquet(path / f"{name}.parquet")
+    return read
 
 
 def _by_time(table: pl.DataFrame) -> pl.DataFrame:
-    return table.sort("t_s", maintain_order=True)
-
-
-def _written(folder: RecordingFolder, path: Path) -> RecordingFolder:
-    """The recording after it was written to `path` and read back."""
-    write_recording(folder, path)
-    try:
-        return _read(path)
-    except UnusableInput as problem:
-        raise UnusableInput(str(problem).replace(f"{path}/", "imported ").replace(str(path), "imported")) from problem
+    times, _ = unwrapped_times(table["t_s"].to_numpy())
+    return table.with_columns(t_s=times).sort("t_s", maintain_order=True)
 
 
 def _read(path: Path) -> RecordingFolder:
     """The recording; its ranges may be to anchors that are to be surveyed where its rig has none."""
     return read_recording(path, placed=bool(read_rig(path / RIG_FILE)[0].anchors))
+
+
+def read_geometry(
+    path: Path | None, out: Path, preset: MappingFile, reading: Reading
+) -> tuple[Rig | None, dict[str, tuple[float, ...]], list[str]]:
+    """The rig of the recording in `out`, or where it is empty, of `path`, or the positions, m, there, and notices.
+
+    `path`: a rig.toml, a file of the makers, which the pattern of the `preset` reads, or a table of anchors. Tags of
+    the empty rig are kept. Raises UnusableInput.
+    """
+    there = read_rig(out / RIG_FILE)[0] if (out / RIG_FILE).is_file() else None
+    if path is None:
+        return there, {}, []
+    if there is not None and (there.anchors or there.stations):
+        raise UnusableInput(f"--rig {path}: {out} has a rig.toml already; expected one; leave --rig out")
+    if path.suffix != ".toml":
+        return there, *((preset.positions(path), []) if preset.anchors else _read_anchors(path, reading))
+    rig = read_rig(path)[0]
+    if there is not None:
+        rig = replace(rig, name=there.name, tags=dict(there.tags) | dict(rig.tags))
+    return rig, {}, []
+
+
+def _read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, ...]], list[str]]:
+    """The positions, m, of anchors in a table with their ids and columns x, y, z, and notices; raises UnusableInput.
+
+    The columns may be `X`, `x_mm`, `x [mm]`, `X (m)`; ids are in the column `anchor` or `id`, or the only other one.
+    """
+    file, notices = read_rows(path, reading)
+    axes, others = dict[str, tuple[str, float]](), list[str]()
+    for name in file.frame.columns:
+        match = re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", name.strip().lower())
+        if match and (match[2] or "m") in UNITS["m"] and match[1] not in axes:
+            axes[match[1]] = (name, UNITS["m"][match[2] or "m"])
+        else:
+            others.append(name)
+    ids = [n for n in others if n.lower() in ("anchor", "anchor_id", "id", "name")] or others
+    if {*axes} != {*"xyz"} or not ids or (len(ids) > 1 and ids == others):
+        found = listed(map(repr, file.frame.columns), 12)
+        raise UnusableInput(
+            f"--rig {path}: columns {found}; expected anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
+        )
+    places = [(numbers_of(file, name) * factor).alias(axis) for axis, (name, factor) in sorted(axes.items())]
+    table, anchors = pl.DataFrame([file.frame[ids[0]].cast(pl.String).str.strip_chars(), *places]), {}
+    for row, (anchor, *place) in enumerate(table.rows()):
+        if not anchor or None in place or anchor in anchors:
+            raise UnusableInput(
+                f"--rig {file.location(row, ids[0])}: {anchor!r} at {place}; expected each id once, with x, y, z"
+            )
+        anchors[anchor] = tuple(place)
+    units = ", ".join(name for name, _ in axes.values())
+    return anchors, [f"{path}: {line}" for line in (*notices, f"ids are in column {ids[0]}, positions in {units}")]
 
 
 def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
@@ -234,7 +300,7 @@ def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
     UnusableInput for another text.
     """
     if text == "start":
-        return first_time(tables)
+        return first_time({name: _by_time(table) for name, table in tables.items()})
     try:
         seconds = float(text)
     except ValueError:

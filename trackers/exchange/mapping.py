@@ -1,4 +1,4 @@
-"""Mappings from the columns or message fields of other programs to those of a recording: `range_m=distance in mm`."""
+"""Mappings from the columns or message fields of other programs to the tables of a recording."""
 
 from __future__ import annotations
 
@@ -15,49 +15,14 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.exchange.dates import ORDERS, order_in, seconds_of
-from trackwright.trackers.exchange.formats import beginning_of
+from trackwright.trackers.exchange.dates import CLOCK, DAYS, clock_of, order_in, seconds_of
+from trackwright.trackers.exchange.expressions import Expression, sensor_of
+from trackwright.trackers.exchange.source_rows import Reading, read_json, read_rows
 from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
-from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file, remedy
+from trackwright.trackers.recordings.table_file import TableFile, first_row, remedy
 
-# fmt: off
-UNITS: dict[str, dict[str, float]] = {
-    "m": {
-        "m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048,
-        "s": 299792458.0, "us": 299.792458, "ns": 0.299792458, "ps": 2.99792458e-4,
-    },
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, **dict.fromkeys(ORDERS, 1.0)},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
-    "mps": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 0.2777777777777778},
-    "radps": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": 0.017453292519943295, "rpm": 0.10471975511965977},
-    "mps2": {"m/s^2": 1.0, "cm/s^2": 1e-2, "mm/s^2": 1e-3, "g": 9.80665, "mg": 9.80665e-3},
-}
-# fmt: on
-"""By the ending of a column's name: units and their factors to it. `iso`, `dd/mm/yyyy` …: dates in this order.
-
-A length in a unit of time is the way of light in that time."""
-
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_EXPRESSION = re.compile(
-    rf"(?P<source>.+?)\s*(?:(?P<times>[*/])\s*(?P<factor>{_NUMBER}))?\s*"
-    rf"(?:(?P<sign>[-+])\s*(?P<shift>{_NUMBER.removeprefix('[-+]?')}))?(?:\s+in\s+(?P<unit>\S+))?"
-)
-_TARGET = re.compile(r"(?P<name>[\w{}]+)(?:\[(?P<sensor>[^\]]+)\])?")
 _HOLE = re.compile(r"\{(\w+)\}")
 _UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|ns|deg|km|ft)[\])]$", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class Expression:
-    """`source` · `factor` + `shift`, or the text `constant`; `root`: root of the source; `date`: order of dates."""
-
-    text: str
-    source: str = ""
-    factor: float = 1.0
-    shift: float = 0.0
-    root: bool = False
-    date: str = ""
-    constant: str | None = None
 
 
 @dataclass(frozen=True)
@@ -66,18 +31,16 @@ class TableMapping:
 
     `columns`: by target, or by target and sensor as `range_m[A1]`, an expression; a column of the source that has the
     name of a target needs none; `{a}` in both stands for all that names of the source have there. `topic`: of a bag.
-    `tag`: the id of all rows, where no column has it. `separator`: of the cells of a CSV file, None for the one in its
-    header. `decimal`: the mark in numbers of a CSV file, `.` or `,`. `file`: of a folder; `{a}` in it may stand in
-    `tag`. `where`: by column, the texts of the rows that are read. `anchors`: x_m, y_m, z_m of each row's anchor.
-    `offsets`: the places of tags on the body whose poses the rows are, (3,) m.
+    `tag`: the id of all rows, where no column has it. `reading`: of a file of text. `file`: of a folder; `{a}` in it
+    may stand in `tag`. `where`: by column, the texts of the rows that are read. `anchors`: x_m, y_m, z_m of each row's
+    anchor. `offsets`: the places of tags on the body whose poses the rows are, (3,) m.
     """
 
     table: str
     columns: Mapping[str, Expression] = field(default_factory=dict)
     topic: str | None = None
     tag: str | None = None
-    separator: str | None = None
-    decimal: str = "."
+    reading: Reading = field(default_factory=Reading)
     file: str | None = None
     where: Mapping[str, Sequence[str]] = field(default_factory=dict)
     anchors: Mapping[str, Expression] = field(default_factory=dict)
@@ -87,89 +50,45 @@ class TableMapping:
     def sources(self) -> set[str]:
         """The columns, or fields of messages, of the source that are asked for."""
         expressions = (*self.columns.values(), *self.anchors.values())
-        return {e.source for e in expressions if e.constant is None} | set(self.where)
-
-
-def parsed(target: str, text: str) -> Expression:
-    """The expression for a target as `range_m`: `COLUMN`, `COLUMN*0.001+5`, `COLUMN in mm`, `sqrt(COLUMN)` or `'T1'`.
-
-    A number is scaled before it is shifted; the unit applies to both. Raises UnusableInput.
-    """
-    text, name = text.strip(), target.partition("[")[0]
-    if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
-        return Expression(text, constant=text[1:-1])
-    match = _EXPRESSION.fullmatch(text)
-    if match is None:
-        raise UnusableInput(
-            f"{target}={text!r}: cannot be read; expected COLUMN, COLUMN*NUMBER+NUMBER, COLUMN in UNIT or 'TEXT'"
-        )
-    factor = float(match["factor"] or 1.0)
-    if match["times"] == "/":
-        if factor == 0:
-            raise UnusableInput(f"{target}={text}: a division by zero")
-        factor = 1.0 / factor
-    shift = float(match["shift"] or 0.0) * (-1.0 if match["sign"] == "-" else 1.0)
-    scales, unit = UNITS.get(name.rpartition("_")[2], {}), match["unit"] or ""
-    unit = unit.lower() if "YYYY" in unit else unit
-    if unit and unit not in scales:
-        fitting = ", ".join(scales) or "none: it has no unit"
-        raise UnusableInput(f"{target}: unit {unit!r} does not fit {name}; expected one of {fitting}")
-    scale = scales[unit] if unit else 1.0
-    source, root = match["source"].strip(), False
-    if source.startswith("sqrt(") and source.endswith(")"):
-        source, root = source[5:-1].strip(), True
-    return Expression(text, source.strip("`"), factor * scale, shift * scale, root, ORDERS.get(unit, ""))
-
-
-def columns_of(entries: Sequence[str]) -> dict[str, Expression]:
-    """The expressions of entries TARGET=EXPRESSION, by target; raises UnusableInput."""
-    expressions: dict[str, Expression] = {}
-    for entry in entries:
-        target, sign, text = entry.partition("=")
-        target = target.strip()
-        if not sign or not text.strip() or _TARGET.fullmatch(target) is None:
-            raise UnusableInput(
-                f"--columns {entry!r}: expected TARGET=EXPRESSION, such as 'range_m=distance_mm*0.001' or "
-                "'range_m=distance in mm'"
-            )
-        if target in expressions:
-            raise UnusableInput(f"--columns {entry!r}: {target} is given twice; expected it once")
-        expressions[target] = parsed(target, text)
-    return expressions
-
-
-def sensor_of(target: str) -> tuple[str, str | None]:
-    """The column of a target and what is in its brackets, an anchor or station: `range_m[A1]` gives range_m, A1."""
-    match = _TARGET.fullmatch(target)
-    assert match is not None
-    return match["name"], match["sensor"]
+        return {source for e in expressions for source in e.sources} | set(self.where)
 
 
 def checked(mapping: TableMapping) -> TableMapping:
     """The mapping; raises UnusableInput for a table that a recording does not have."""
     if mapping.table not in table_kinds():
         raise UnusableInput(f"table {mapping.table!r}; expected one of {', '.join(table_kinds())}")
-    if mapping.decimal not in (".", ","):
-        raise UnusableInput(f"decimal {mapping.decimal!r}; expected '.' or ','")
     return mapping
 
 
 @dataclass
 class Source:
-    """Tables by name, notices on how they were read, and the positions of anchors, m, if the source has them."""
+    """Tables by name, notices on how they were read, and the positions of anchors, m, if the source has them.
+
+    `parts`: by table, the columns of each file with their names there; the column ORIGIN of a table has part and row.
+    """
 
     tables: dict[str, pl.DataFrame] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
     anchors: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    parts: dict[str, list[tuple[TableFile, dict[str, str]]]] = field(default_factory=dict)
 
     def read(self, file: TableFile, mapping: TableMapping) -> None:
         """Adds the table that a mapping makes of the columns of a file, and its anchors; raises UnusableInput."""
-        self.add(mapping.table, *mapped_table(file, mapping))
+        self.add(mapping.table, *_mapped(file, mapping, self.parts.setdefault(mapping.table, [])))
         if mapping.anchors:
             places = {name: _values(file, name, text) for name, text in mapping.anchors.items()}
             places = {"anchor": _identifiers(file, "anchor", mapping.columns["anchor"]), **places}
             for anchor, *place in pl.DataFrame(places).unique(maintain_order=True).rows():
                 put(self.anchors, str(file.path), anchor, tuple(x + 0.0 for x in place))
+
+    def location(self, table: str, row: int, column: str) -> str:
+        """Where a cell of a table stands in the source, in words; empty where that is not known."""
+        origins = self.tables[table]
+        if ORIGIN not in origins.columns:
+            return ""
+        part, row = divmod(origins[ORIGIN][row], 2**40)
+        file, names = self.parts[table][part]
+        return file.location(row, names.get(column, column))
 
     def add(self, name: str, table: pl.DataFrame, notices: Sequence[str]) -> None:
         """Adds a table, after the rows of another part of it."""
@@ -188,6 +107,10 @@ def put(anchors: dict[str, tuple[float, ...]], where: str, anchor: str, place: t
         )
 
 
+ORIGIN = "_origin"
+"""The column of a table while it is imported: the number of its part times 2⁴⁰, and of the row there."""
+
+
 class Asked(NamedTuple):
     """What is asked of a source: `mappings`, one for each table; of a log its tag alone.
 
@@ -202,15 +125,14 @@ class Asked(NamedTuple):
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
-    """The tables that the mappings make of a CSV or Parquet file; raises UnusableInput with file and line."""
+    """The tables that the mappings make of a file of text or Parquet; raises UnusableInput with file and line."""
     source = Source()
     for file, mapping in (pair for one in asked.mappings for pair in _files(path, one)):
-        separator = mapping.separator or _separator_of(file, mapping.decimal)
-        if mapping.separator is None and separator != ",":
-            source.notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
-        if len(separator) != 1:
-            raise UnusableInput(f"--separator {separator!r}; expected one character, such as ';'")
-        rows = replace(read_table_file(file, separator), decimal=mapping.decimal)
+        if name == "json":
+            rows, notices = read_json(file, mapping.reading, asked.interval, asked.skip)
+        else:
+            rows, notices = read_rows(file, mapping.reading)
+        source.notices += [line for line in notices if line not in source.notices]
         if mapping.table == "truth" and len(asked.mappings) > 1 and mapping.sources.isdisjoint(rows.frame.columns):
             source.notices.append(f"{file.name}: no truth, which has none of the columns of its mapping")
             continue
@@ -282,31 +204,35 @@ def _at_the_tags(table: pl.DataFrame, mapping: TableMapping) -> pl.DataFrame:
     return table.with_columns(pl.col(f"{a}_m") + pl.Series(x) for a, x in zip("xyz", moved.T, strict=True))
 
 
-def _separator_of(path: Path, decimal: str) -> str:
-    """A semicolon or tab where the header has one and no comma, or numbers have decimal commas; else a comma."""
-    if path.name.lower().endswith((".gz", ".parquet")):
-        return ","
-    head = beginning_of(path).partition("\n")[0]
-    return next((mark for mark in ";\t" if mark in head and (decimal == "," or "," not in head)), ",")
-
-
 def mapped_table(file: TableFile, mapping: TableMapping) -> tuple[pl.DataFrame, list[str]]:
     """The table that the mapping makes of the columns of a file, and notices; rows without any value are left out.
 
     A target without an expression is taken from the source's column of the same name. Raises UnusableInput for a
     missing column, one that the table does not have, and a cell that is not a number, with its row.
     """
+    table, notices = _mapped(file, mapping, [])
+    return table.drop(ORIGIN), notices
+
+
+def _mapped(
+    file: TableFile, mapping: TableMapping, known: list[tuple[TableFile, dict[str, str]]]
+) -> tuple[pl.DataFrame, list[str]]:
+    """As `mapped_table`, with the column ORIGIN; its parts are added to those `known`."""
     by_sensor: dict[str | None, dict[str, Expression]] = {}
     file, mapping, notices = _asked(file, mapping)
     for target, expression in mapping.columns.items():
-        if order := expression.date and order_in(file, source := _source(file, target, expression), expression.date):
-            notices += [f"column {source}: dates are read as {order}"] * (order != expression.date)
+        if order := expression.date and order_in(_dates(file, target, expression), expression.date):
+            notices += [f"column {expression.source}: dates are read as {order}"] * (order != expression.date)
         name, sensor = sensor_of(target)
         by_sensor.setdefault(sensor, {})[name] = expression
     shared = by_sensor.pop(None, {})
-    parts = [_part(file, mapping, shared | columns, sensor) for sensor, columns in by_sensor.items()] or [
-        _part(file, mapping, shared, None)
-    ]
+    parts = []
+    for sensor, columns in by_sensor.items() if by_sensor else [(None, {})]:
+        expressions = shared | columns
+        rows = _part(file, mapping, expressions, sensor)
+        origin = pl.int_range(len(rows), dtype=pl.Int64, eager=True) + len(known) * 2**40
+        known.append((file, {name: e.source or e.text for name, e in expressions.items()}))
+        parts.append(rows.with_columns(origin.alias(ORIGIN)))
     table = pl.concat(parts)
     wanted = layout(mapping.table, table.columns)
     filled = table.filter(pl.any_horizontal(pl.col(wanted.values).is_not_null()))
@@ -358,13 +284,20 @@ def _part(
     attitude = [name for name in QUATERNION if name in expressions]
     if attitude and len(attitude) < 4:
         raise UnusableInput(f"{file.path}: {', '.join(attitude)} alone; expected all of qw, qx, qy, qz or none")
-    return pl.DataFrame(
-        [
-            (_identifiers if name in ids else _values)(file, name, expressions[name]).alias(name)
-            for name in (*known, *quality)
-            if name in expressions
-        ]
+    values = [
+        _values(file, n, expressions[n]).alias(n) for n in (*known, *quality) if n in expressions and n not in ids
+    ]
+    table = pl.DataFrame([*values, *(_identifiers(file, n, expressions[n]).alias(n) for n in ids)])
+    # Rows without a value are left out, whatever else they lack.
+    filled = table.select(
+        pl.any_horizontal(pl.col(n).is_not_null() for n in wanted.values if n in table.columns) | pl.lit(False)
     )
+    for name in ("t_s", *ids):
+        lost = (table[name].is_null() | (table[name].cast(pl.String) == "")) & filled.to_series()
+        if lost.any():
+            what = "no time; remove the row" if name == "t_s" else f"empty; expected the id for {name}"
+            raise UnusableInput(f"{file.location(first_row(lost), expressions[name].source)}: {what}")
+    return table.select(n for n in (*known, *quality) if n in expressions)
 
 
 def _refuse_other_tags(file: TableFile, tag: str | None, own: Expression) -> None:
@@ -385,6 +318,8 @@ def _missing(file: TableFile, table: str, name: str) -> str:
         unmapped += "; expected a column, an empty one where no height is measured"
     if name == "tag":
         return f"{unmapped}; give --tag ID"
+    if file.lines is not None and any(c[:1].isdigit() or c[:1] in "-." for c in columns):
+        unmapped += "; a file without a header: --header none"
     near = get_close_matches(name.rpartition("_")[0] or name, [c for c in columns if c not in standard], 1, 0.3)
     source = near[0] if near else "COLUMN"
     unit = _UNIT_IN_NAME.search(source)
@@ -394,7 +329,7 @@ def _missing(file: TableFile, table: str, name: str) -> str:
 
 def _source(file: TableFile, name: str, expression: Expression) -> str:
     """The column of the source; the whole expression is tried first, so that a name may hold a sign."""
-    for column in (expression.text.strip("`"), expression.source):
+    for column in (expression.text.strip("`"), expression.source, expression.source.lstrip("#%/ ")):
         if column in file.frame.columns:
             return column
     near = get_close_matches(expression.source, file.frame.columns, 1, 0.5)
@@ -410,13 +345,7 @@ def _identifiers(file: TableFile, name: str, expression: Expression) -> pl.Serie
     column = file.frame[_source(file, name, expression)]
     if not (column.dtype.is_integer() or column.dtype in (pl.String, pl.Categorical, pl.Enum)):
         raise UnusableInput(f"{file.path}: {name} from a column of type {column.dtype}; expected text or whole numbers")
-    text = _texts(column)
-    missing = text.is_null() | (text == "")
-    if missing.any():
-        raise UnusableInput(
-            f"{file.location(first_row(missing), expression.source)}: empty; expected the id for {name}"
-        )
-    return text
+    return _texts(column)
 
 
 def _texts(column: pl.Series) -> pl.Series:
@@ -428,13 +357,19 @@ def _texts(column: pl.Series) -> pl.Series:
 def _values(file: TableFile, name: str, expression: Expression) -> pl.Series:
     if expression.constant is not None:
         raise UnusableInput(f"{name}={expression.text}: a text; expected a column of numbers")
+    if expression.terms and expression.text.strip("`") not in file.frame.columns:
+        if expression.date:
+            return _moments(file, name, expression)
+        first, *others = (_values(file, name, term) for term in expression.terms)
+        numbers = sum(others, first)
+        return (
+            (numbers - DAYS[expression.text.split()[-1]]) * 86400.0 if expression.days else numbers * expression.factor
+        )
     source = _source(file, name, expression)
     if expression.date or file.frame[source].dtype in (pl.Datetime, pl.Date):
-        numbers = seconds_of(file, source, expression.date)
+        numbers = _moments(file, name, expression)
     else:
         numbers = numbers_of(file, source)
-    if name == "t_s" and numbers.has_nulls():
-        raise UnusableInput(f"{file.location(first_row(numbers.is_null()), source)}: no time; remove the row")
     if source == expression.text.strip("`"):
         return numbers
     if expression.root:
@@ -442,9 +377,25 @@ def _values(file: TableFile, name: str, expression: Expression) -> pl.Series:
         if negative.any():
             raise UnusableInput(f"{file.location(first_row(negative), source)}: a negative number under the root")
         numbers = numbers.sqrt()
-    return (
-        numbers * expression.factor + expression.shift if (expression.factor, expression.shift) != (1, 0) else numbers
-    )
+    if (expression.factor, expression.shift) != (1, 0):
+        numbers = numbers * expression.factor + expression.shift
+    return numbers * 86400.0 if expression.days else numbers
+
+
+def _dates(file: TableFile, name: str, expression: Expression) -> pl.Series:
+    """The texts or dates of a column, or of several joined by blanks."""
+    terms = () if expression.text.strip("`") in file.frame.columns else expression.terms
+    columns = [_source(file, name, term) for term in terms] or [_source(file, name, expression)]
+    if len(columns) == 1:
+        return file.frame[columns[0]]
+    return file.frame.select(
+        pl.concat_str(pl.col(columns).cast(pl.String).str.strip_chars(), separator=" ")
+    ).to_series()
+
+
+def _moments(file: TableFile, name: str, expression: Expression) -> pl.Series:
+    texts, place = _dates(file, name, expression), " + ".join(sorted(expression.sources))
+    return (clock_of if expression.date == CLOCK else seconds_of)(file, texts, place, expression.date)
 
 
 def numbers_of(file: TableFile, column: str) -> pl.Series:
@@ -456,9 +407,14 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
         return cells.cast(pl.Float64).fill_nan(None)
     text = cells.str.strip_chars()
     points = text
+    if file.thousands:
+        mark, point = re.escape(file.thousands), re.escape(file.decimal)
+        groups = rf"^[-+]?\d{{1,3}}(?:{mark}\d{{3}})+(?:{point}\d*)?$"
+        plain = pl.when(text.str.contains(groups)).then(text.str.replace_all(file.thousands, "", literal=True))
+        points = pl.select(plain.otherwise(text)).to_series()
     if file.decimal == ",":
         # A point, as it groups thousands, is then no part of a number.
-        points = text.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)
+        points = points.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)
     numbers = points.cast(pl.Float64, strict=False)
     wrong = numbers.is_null() & text.is_not_null() & (text != "")
     if wrong.any():

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from trackwright.trackers.core.errors import UnusableInput, listed, near
-from trackwright.trackers.exchange.mapping import TableMapping, checked, columns_of, put
+from trackwright.trackers.exchange.expressions import columns_of
+from trackwright.trackers.exchange.mapping import TableMapping, checked, put
+from trackwright.trackers.exchange.source_rows import Reading
 from trackwright.trackers.recordings.input_file import file_bytes, read_toml
 from trackwright.trackers.recordings.kinds import table_kinds
 
 PRESETS = {path.stem: path for path in (Path(__file__).parent / "presets").glob("*.toml")}
 """The presets by name; the head of each says what it reads, the units and frames, and where anchors come from."""
 
-_TEXTS = ("table", "topic", "tag", "separator", "decimal", "file")
-_KEYS = (*_TEXTS, "columns", "where", "anchors", "body")
+_READING = {f.name for f in fields(Reading)}
+_TEXTS = ("table", "topic", "tag", "file", *sorted(_READING - {"skip", "missing"}))
+_KEYS = (*_TEXTS, "skip", "missing", "columns", "where", "anchors", "body")
 
 
 class MappingFile(NamedTuple):
@@ -84,6 +88,10 @@ def _entry(where: str, entry: dict[str, Any], offsets: Mapping[str, Sequence[flo
     columns, anchors, rows = ({} if found else part for part in parts.values())
     found += [f"{k} = {x!r}" for one in (texts, columns, anchors) for k, x in one.items() if not isinstance(x, str)]
     found += [f"{column} = {x!r}" for column, x in rows.items() if not isinstance(x, list)]
+    missing, skip = entry.get("missing", []), entry.get("skip", 0)
+    found += [f"missing = {missing!r}"] * (not isinstance(missing, list)) + [f"skip = {skip!r}"] * (
+        not isinstance(skip, int)
+    )
     if anchors and (set(anchors) != {"x_m", "y_m", "z_m"} or "anchor" not in columns):
         found.append(f"anchors with {listed(anchors)}, columns with {listed(columns) or 'none'}")
     if found:
@@ -95,6 +103,10 @@ def _entry(where: str, entry: dict[str, Any], offsets: Mapping[str, Sequence[flo
     try:
         columns, anchors = (columns_of([f"{k}={v}" for k, v in one.items()]) for one in (columns, anchors))
         of_body = offsets if entry.get("body") else {}
-        return checked(TableMapping(columns=columns, where=kept, anchors=anchors, offsets=of_body, **texts))
+        how = {key: texts.pop(key) for key in _READING & texts.keys()}
+        reading = Reading(**how, skip=skip, missing=tuple(map(str, missing)))
+        return checked(
+            TableMapping(columns=columns, where=kept, anchors=anchors, offsets=of_body, reading=reading, **texts)
+        )
     except UnusableInput as problem:
         raise UnusableInput(f"{where}: {problem}") from problem

@@ -18,6 +18,8 @@ from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarit
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 Statistics = dict[str, float]
+ALIKE = 0.3
+"""The least correlation of aligned positions with the true ones from which an alignment is taken."""
 WINDOW_S, GRID_S, LONGEST_S = 0.5, 0.05, 10_000.0
 """Speeds are centred distances over `WINDOW_S`; for a time offset every `GRID_S` of at most `LONGEST_S`."""
 
@@ -46,12 +48,15 @@ def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) 
     n, x, y = len(x), x[:, :axes], y[:, :axes]
     from_x, from_y = x - x.mean(axis=0), y - y.mean(axis=0)
     u, d, v = np.linalg.svd(from_y.T @ from_x / n)
-    if np.count_nonzero(d > np.finfo(float).eps) < axes - 1:
-        where = f"{estimate.name}: its {n} poses with truth lie on a line or at a point"
-        fix = "--align none" if axes == 2 else "--align se2, or --align none"
-        raise UnusableInput(f"{where}, so that --align {kind} finds no rotation; expected motion; use {fix}")
     signs = np.ones(axes)
     signs[-1] = -1.0 if np.linalg.det(u) * np.linalg.det(v) < 0 else 1.0
+    # A tag at rest turns as the noise of its positions does, which does not follow the truth.
+    still = n * (d * signs).sum() <= ALIKE * np.linalg.norm(from_x) * np.linalg.norm(from_y)
+    if still or np.count_nonzero(d > np.finfo(float).eps) < axes - 1:
+        what = "do not move with it" if still else "lie on a line"
+        fix = "--align none, or origin where heights are known" if still or axes == 2 else "--align se2, none or origin"
+        where = f"{estimate.name}: its {n} poses with truth {what}"
+        raise UnusableInput(f"{where}, so that --align {kind} finds no rotation; expected motion; use {fix}")
     scale = float((d * signs).sum() / ((from_x**2).sum() / n)) if kind in ("sim3", "scale") else 1.0
     if kind != "scale":
         rotation[:axes, :axes] = (u * signs) @ v

@@ -15,7 +15,8 @@ from typing import Any
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, parsed, sensor_of, spelled_out
+from trackwright.trackers.exchange.expressions import parsed, sensor_of
+from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, spelled_out
 from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, size_of
 from trackwright.trackers.recordings.kinds import layout, table_kinds
 from trackwright.trackers.recordings.table_file import TableFile

@@ -13,10 +13,11 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
+from trackwright.trackers.exchange.expressions import Expression
 from trackwright.trackers.exchange.formats import FORMATS
-from trackwright.trackers.exchange.mapping import Asked, Expression, Source, put
+from trackwright.trackers.exchange.mapping import Asked, Source, put
+from trackwright.trackers.exchange.source_rows import text_of
 from trackwright.trackers.exchange.trajectories import AXES
-from trackwright.trackers.recordings.input_file import file_bytes
 
 _N = r"-?\d+(?:\.\d+)?"
 _LES = re.compile(rf"([0-9A-Fa-f]{{4}})\[({_N}),({_N}),({_N})\]=({_N})")
@@ -54,7 +55,7 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
     read = {"dwm1001": log.dwm1001, "trek1000": log.trek1000, "fira": log.fira}[name]
     begins = FORMATS[name].begins
     assert begins is not None
-    lines = _text(path).rstrip().splitlines()
+    lines = text_of(path, errors="replace").rstrip().splitlines()
     for number, line in enumerate(lines, 1):
         line, where = line.strip(), f"{path}: line {number}"
         begin = begins.search(line)
@@ -104,13 +105,6 @@ _EXPECTED = {
     "fira": 'lines such as \'{"Block":0,"results":[{"Addr":"0x0001","Status":"Ok","D_cm":87}]}\'',
     "trek1000": "TREK1000 lines such as 'mc 07 00000663 000005a3 00000512 ffffffff 095f c1 00024c24 a0:0'",
 }
-
-
-def _text(path: Path) -> str:
-    try:
-        return file_bytes(path).decode("utf-8-sig", errors="replace")
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
 
 
 class _NoSuchLine(UnusableInput):

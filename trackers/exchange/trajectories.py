@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,14 +13,15 @@ import polars as pl
 from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.exchange.formats import FORMATS, beginning_of
-from trackwright.trackers.exchange.mapping import Asked, Source
+from trackwright.trackers.exchange.mapping import Asked, Source, numbers_of
+from trackwright.trackers.exchange.source_rows import Reading, read_rows
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.kinds import QUATERNION
-from trackwright.trackers.recordings.tables import restarted_at
+from trackwright.trackers.recordings.tables import restarted_at, unwrapped_times
 from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE
 
 AXES = ("x_m", "y_m", "z_m")
@@ -236,6 +236,9 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
         quaternions = np.roll(numbers[:, 4:8], 1, axis=1) if kind == "tum" else numbers[:, 4:8]
         if kind == "euroc":
             stamps = stamps / 1e9
+    stamps, wraps = unwrapped_times(stamps)
+    notices += wraps
+    refuse_lost_digits(path, stamps)
     if (np.diff(stamps) < 0).any():
         at = restarted_at(stamps)
         if at is not None:
@@ -243,13 +246,24 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
                 f"{path}: pose {at + 1}: {stamps[at]:.3f} s after {stamps[:at].max():.3f} s: the clock went back; "
                 "expected times that increase; make the poses before and after it two files"
             )
-        notices.append(f"rows earlier than the previous row: {int((np.diff(stamps) < 0).sum())}; sorted")
+        back, most = int((np.diff(stamps) < 0).sum()), -float(np.diff(stamps).min())
+        notices.append(f"rows earlier than the previous row: {back}, by {most:.6g} s at most; sorted")
         order = np.argsort(stamps, kind="stable")
         stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
     attitude = None if (quaternions == _IDENTITY).all() else quaternions
     if attitude is None:
         notices.append("every quaternion is the identity; read as positions without attitude")
     return PoseTrajectory(stamps, positions, attitude, path.name, tuple(notices))
+
+
+def refuse_lost_digits(path: Path, stamps: np.ndarray) -> None:
+    """Raises UnusableInput where most of the poses have the time, s, of another."""
+    if 2 * (different := len(np.unique(stamps))) < len(stamps):
+        found = "one time" if different == 1 else f"{different} times"
+        raise UnusableInput(
+            f"{path}: {len(stamps)} poses, {found}: the stamps have lost their digits; expected a time for each pose; "
+            "write them with all digits"
+        )
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
@@ -311,71 +325,34 @@ def _text(rows: np.ndarray, separator: str) -> str:
     return "".join(separator.join(map(repr, row)) + "\n" for row in rows.tolist())
 
 
-def _lines(path: Path) -> list[tuple[int, str]]:
-    """The lines that are neither empty nor comments, with their numbers."""
-    try:
-        text = file_bytes(path).decode("utf-8-sig")
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
-    except UnicodeDecodeError as error:
-        raise UnusableInput(f"{path}: is not UTF-8 text at byte {error.start}; expected a text file") from error
-    stripped = ((number, line.strip()) for number, line in enumerate(text.splitlines(), 1))
-    return [(number, line) for number, line in stripped if line and not line.startswith("#")]
-
-
 def _numbers(path: Path, kind: Kind) -> np.ndarray:
     """The numbers of all rows; raises UnusableInput with the line of the first that is not `kind`."""
-    lines, separator = _lines(path), "," if kind == "euroc" else None
-    if not lines:
-        raise UnusableInput(f"{path}: holds no poses; expected lines of {_COLUMNS[kind]}")
     wanted = 12 if kind == "kitti" else 8
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            numbers = np.loadtxt([line for _, line in lines], delimiter=separator, ndmin=2)
-        enough = numbers.shape[1] >= wanted if kind == "euroc" else numbers.shape[1] == wanted
-        if enough and np.isfinite(numbers[:, :wanted]).all():
-            return numbers[:, :wanted]
-    except (ValueError, UserWarning):
-        pass  # the loop below finds the line
-    for number, line in lines:
-        cells = line.split(separator)
-        if len(cells) < wanted or (kind != "euroc" and len(cells) > wanted):
-            raise UnusableInput(
-                f"{path}: line {number} has {len(cells)} {'number' if len(cells) == 1 else 'numbers'}; expected "
-                f"{_COLUMNS[kind]}{_other_separator(line, kind)}"
-            )
-        for column, cell in enumerate(cells[:wanted], 1):
-            if not _is_finite(cell):
-                raise UnusableInput(
-                    f"{path}: line {number}, column {column}: {cell.strip()[:40]!r}; expected a finite number; "
-                    f"a line has {_COLUMNS[kind]}" + ("; decimals have a point" if "," in cell else "")
-                )
-    raise UnusableInput(f"{path}: lines of different lengths; expected {_COLUMNS[kind]}")
-
-
-def _other_separator(line: str, kind: Kind) -> str:
-    """The fix, where the cells of a line are separated as those of another format."""
-    if kind == "euroc":
-        return "; it has blanks: put commas in their place" if "," not in line else ""
-    return "; it has commas: put blanks in their place" if "," in line else ""
-
-
-def _is_finite(cell: str) -> bool:
-    try:
-        return bool(np.isfinite(float(cell)))
-    except ValueError:
-        return False
+    file, _ = read_rows(path, Reading("," if kind == "euroc" else " ", header="none"))
+    numbers = file.frame.select(pl.all().str.strip_chars().cast(pl.Float64, strict=False)).to_numpy()
+    count = file.frame.select(pl.sum_horizontal(pl.all().str.strip_chars() != "")).to_series().to_numpy()
+    fitting = (count >= wanted) if kind == "euroc" else (count == wanted)
+    usable = fitting & np.isfinite(numbers[:, :wanted]).all(axis=1)
+    if usable.all():
+        return numbers[:, :wanted]
+    row = int(usable.argmin())
+    cells, where = file.frame.row(row), f"{path}: line {(file.lines or ())[row]}"
+    if not fitting[row]:
+        other = " " if kind == "euroc" else ","
+        marks = f"; the separator seems to be {other!r}" if any(other in cell.strip() for cell in cells) else ""
+        raise UnusableInput(f"{where} has {counted(int(count[row]), 'number')}; expected {_COLUMNS[kind]}{marks}")
+    column = int(np.isfinite(numbers[row, :wanted]).argmin())
+    point = "; decimals have a point" * ("," in cells[column])
+    found = f"{where}, column {column + 1}: {cells[column][:40]!r}"
+    raise UnusableInput(f"{found}; expected a finite number; a line has {_COLUMNS[kind]}{point}")
 
 
 def _stamps(path: Path, poses: int) -> np.ndarray:
-    lines = _lines(path)
-    for number, line in lines:
-        if not _is_finite(line):
-            raise UnusableInput(f"{path}: line {number}: {line[:40]!r}; expected one time in s")
-    if len(lines) != poses:
-        raise UnusableInput(f"{path}: {len(lines)} times for {poses} poses; expected as many")
-    return np.array([float(line) for _, line in lines])
+    file, _ = read_rows(path, Reading(header="none"))
+    times = numbers_of(file, file.frame.columns[0])
+    if len(times) != poses or times.has_nulls():
+        raise UnusableInput(f"{path}: {len(times)} times for {poses} poses; expected as many, in s")
+    return times.to_numpy()
 
 
 def _check_rotations(path: Path, matrices: np.ndarray) -> None:

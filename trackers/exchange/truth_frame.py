@@ -13,9 +13,8 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.exchange.trajectories import Similarity
-from trackwright.trackers.recordings.checks.changes import transform_text
+from trackwright.trackers.recordings.checks.changes import about_vertical, transform_text
 from trackwright.trackers.recordings.checks.compared import CUT, Compared, compared, robust_fit
-from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
 from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced, true_attitude
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder

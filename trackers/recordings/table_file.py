@@ -40,7 +40,9 @@ _PAGES_AT, _DICTIONARY_AT = 9, 11  # of a column in a group
 _PAGE_PACKED, _PAGES, _PAGE_VALUES = 3, (5, 7, 8), 1  # of the header of a page: its data or dictionary
 
 
-_DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}(?:[T ]|$)")
+_DATE = re.compile(r"\d{1,4}([-/.])(?:\d{1,2}|[A-Za-z]{3})\1\d{1,4}(?:[T ]|$)")
+_CLOCK = re.compile(r"\d{1,2}:\d\d(?::|$)")
+_GROUPED = re.compile(r"[-+]?\d{1,3}([,.' ])\d{3}(?:\1\d{3}|[.,]\d)\d*.*|[-+]?\d{1,3}[' ]\d{3}")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 
@@ -48,13 +50,14 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 class TableFile:
     """The columns of a file before any check.
 
-    `lines`: the line number of each row, None for Parquet. `decimal`: the mark in numbers that are text.
+    `lines`: the line number of each row, None for Parquet. `decimal`, `thousands`: the marks in numbers that are text.
     """
 
     path: Path
     frame: pl.DataFrame
     lines: Sequence[int] | None = None
     decimal: str = "."
+    thousands: str = ""
 
     def location(self, row: int, column: str) -> str:
         """File, row and column in words, for messages; `row` is counted from 0."""
@@ -71,23 +74,26 @@ def first_row(rows: pl.Series) -> int:
 
 def remedy(text: str, column: str) -> str:
     """What to do about a text where a number is expected."""
-    if _DATE.match(text):
+    if _DATE.match(text) or _CLOCK.match(text):
         order = "iso'" if text[4:5] == "-" else "dd/mm/yyyy', or its own order instead of that"
-        return f"it looks like a date, which `trackwright import` reads by 't_s={column} in {order}"
+        what, order = ("time of day", "hh:mm:ss'") if _CLOCK.match(text) else ("date", order)
+        return f"it looks like a {what}, which `trackwright import` reads by 't_s={column} in {order}"
     if _DECIMAL_COMMA.fullmatch(text):
         return "it looks like a decimal comma, which `trackwright import --decimal ,` reads"
+    if _GROUPED.fullmatch(text):
+        mark = text.lstrip("+-0123456789")[0]
+        return f"thousands are grouped in it, which `trackwright import --thousands {mark!r}` reads"
+    if " " not in text and not any(map(str.isdigit, text)):
+        return f"leave a missing cell empty, or name its mark: `trackwright import --missing={text[:20]}`"
     return "leave a missing cell empty"
 
 
-def read_table_file(path: Path, separator: str = ",") -> TableFile:
-    """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file.
-
-    `separator`: the character between the cells of text.
-    """
+def read_table_file(path: Path) -> TableFile:
+    """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file."""
     if path.name.endswith(".parquet"):
         file = TableFile(path, read_parquet(path))
     else:
-        file = _text(path, _unpacked(path, _content(path)), separator)
+        file = _text(path, _unpacked(path, _content(path)))
     if file.frame.height == 0:
         raise UnusableInput(f"{path}: the table has no rows, expected at least one; remove the file if there are none")
     return file
@@ -156,7 +162,7 @@ def _unpacked(path: Path, data: bytes) -> bytes:
         raise UnusableInput(f"{path}: is not valid gzip data ({error}); copy it again or pack it with gzip") from error
 
 
-def _text(path: Path, data: bytes, separator: str) -> TableFile:
+def _text(path: Path, data: bytes) -> TableFile:
     if b"\0" in data:
         raise UnusableInput(f"{path}: holds binary data, expected CSV text in UTF-8; export it again as CSV")
     try:
@@ -167,8 +173,8 @@ def _text(path: Path, data: bytes, separator: str) -> TableFile:
         ) from error
     text = text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
     head, _, body = text.partition("\n")
-    names = [name.strip() for name in next(csv.reader([head], delimiter=separator), [])]
-    if separator == "," and len(names) == 1 and (head.startswith("#") or any(mark in head for mark in ";\t")):
+    names = [name.strip() for name in next(csv.reader([head]), [])]
+    if len(names) == 1 and (head.startswith("#") or any(mark in head for mark in ";\t")):
         raise UnusableInput(f"{path}: line 1 is {head[:60]!r}, expected names separated by commas; export it again")
     repeated = {name for name in names if names.count(name) > 1}
     if repeated:
@@ -177,24 +183,22 @@ def _text(path: Path, data: bytes, separator: str) -> TableFile:
     if not body.strip():
         return TableFile(path, pl.DataFrame(schema=dict.fromkeys(names, pl.String)), ())
     rows = body.count("\n") + 1
-    # polars takes separators of one byte.
-    plain = separator.isascii() and '"' not in text and "\n\n" not in body and not body.startswith("\n")
-    if plain and body.count(separator) == (len(names) - 1) * rows:
+    plain = '"' not in text and "\n\n" not in body and not body.startswith("\n")
+    if plain and body.count(",") == (len(names) - 1) * rows:
         try:
             frame = pl.read_csv(
-                body.encode(), has_header=False, schema=dict.fromkeys(names, pl.String), quote_char=None,
-                separator=separator,
+                body.encode(), has_header=False, schema=dict.fromkeys(names, pl.String), quote_char=None
             )  # fmt: skip
             if frame.height == rows:
                 return TableFile(path, frame, range(2, rows + 2))
         except pl.exceptions.PolarsError:
             pass  # rows too long and too short in equal measure: the slow reader names the first
-    return _row_by_row(path, names, text, separator)
+    return _row_by_row(path, names, text)
 
 
-def _row_by_row(path: Path, names: list[str], text: str, separator: str) -> TableFile:
+def _row_by_row(path: Path, names: list[str], text: str) -> TableFile:
     """Slow reader for quotes and blank lines; refuses rows of a wrong length by their line."""
-    reader = csv.reader(io.StringIO(text), delimiter=separator)
+    reader = csv.reader(io.StringIO(text))
     rows, lines = [], []
     try:
         next(reader)

@@ -22,6 +22,9 @@ JITTER_S, JITTER = 1.0, 5.0
 LEAST_AGAIN = 5
 """Rows that repeat earlier times from which a clock went back."""
 
+WRAPS = {2.0**32 * 1e-6: "2³² µs (4294.967 s)", 2.0**32 * 1e-3: "2³² ms (4294967.296 s)"}
+"""Periods of counters of 32 bits, s, in words."""
+
 _CONTROL = r"\p{Cc}"
 _LARGEST = 1e15  # its square is within the range of a 32-bit float
 _LATEST = 1e20  # beyond nanoseconds since 1970
@@ -56,10 +59,15 @@ def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl
             text = f"{name}: {name} of 0 {unit_of(column)}: {zero}; not used: leave the cell of a missing reading empty"
             notices.append(text)
             frame = frame.with_columns(pl.when(pl.col(column) != 0).then(column).alias(column))
+    unwrapped, wraps = unwrapped_times(frame["t_s"].to_numpy())
+    notices += [f"{name}: {wrap}" for wrap in wraps]
+    frame = frame.with_columns(t_s=unwrapped) if wraps else frame
     unordered = int((frame["t_s"].diff() < 0).sum())
     if unordered:
         _refuse_restart(file, frame.drop(column.name for column in quality), expected.ids)
-        notices.append(f"{name}: rows earlier than the previous row: {unordered} of {frame.height}; sorted")
+        most = -float(frame["t_s"].diff().min())  # type: ignore[arg-type]
+        count = f"{unordered} of {frame.height}, by {most:.6g} s at most"
+        notices.append(f"{name}: rows earlier than the previous row: {count}; sorted")
         frame = frame.sort("t_s", maintain_order=True)
     return frame, notices, ignored
 
@@ -237,6 +245,20 @@ def _refuse_restart(file: TableFile, frame: pl.DataFrame, ids: tuple[str, ...]) 
                 f"{' and '.join(reversed(ids))}: the clock went back; expected times that increase; make the rows "
                 "before and after it two recordings"
             )
+
+
+def unwrapped_times(t: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Times (n,), s, of a counter that wrapped, each part after the one before, and a notice that says so."""
+    steps = np.diff(t)
+    for period, words in WRAPS.items():
+        # Messages may be missing at the wrap.
+        back = np.abs(steps + period) < max(1e-3 * period, 5.0 * float(np.median(np.abs(steps)) if len(steps) else 0.0))
+        if back.any():
+            turns = back.astype(int) - (np.abs(steps - period) < 1e-3 * period)
+            times = np.concatenate([t[:1], t[1:] + period * np.cumsum(turns)])
+            at = ", ".join(str(k + 2) for k in np.flatnonzero(back)[:4])
+            return times, [f"the clock goes back by {words} at row {at}: a counter that wraps; unwrapped"]
+    return t, []
 
 
 def restarted_at(t: np.ndarray) -> int | None:

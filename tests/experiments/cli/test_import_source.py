@@ -150,10 +150,19 @@ def test_rows_in_any_order_are_sorted_at_import_and_noticed_there_alone(there):
             assert trackwright("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", out).code == 0
             (there / out / "rig.toml").write_text(RIG)
         said = trackwright("import", log, *CSV, *(("--rig", "rig.toml") if out == "new" else ()), "--out", out)
-        assert said.err.count("ranges: rows earlier than the previous row: 1 of 5; sorted") == 1
+        assert said.err.count("ranges: rows earlier than the previous row: 1 of 5, by") == 1
         written = pl.read_parquet(f"{out}/ranges.parquet")["range_m"].to_list()
         assert written == pytest.approx([2.0, 2.002, 2.001, 2.003, 2.004], abs=1e-9)
         assert "sorted" not in trackwright("check", out).out
+
+
+def test_a_counter_that_wraps_starts_at_its_first_row(there):
+    rows = [f"{(4294900000 + 100000 * k) % 2**32},A1,{2000 + k}" for k in range(30)]
+    (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
+    micros = [word.replace("stamp*0.001", "stamp in us") for word in CSV]
+    said = trackwright("import", "log.csv", *micros, "--origin", "start", "--rig", "rig.toml", "--out", "hall")
+    assert "a counter that wraps; unwrapped" in said.err
+    assert pl.read_parquet("hall/ranges.parquet")["t_s"].to_list() == pytest.approx([0.1 * k for k in range(30)])
 
 
 def test_a_clock_that_went_back_is_refused_at_import_before_rows_are_sorted(there):

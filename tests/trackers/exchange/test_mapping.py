@@ -13,8 +13,9 @@ import pytest
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.exchange.expressions import columns_of, parsed
 from trackwright.trackers.exchange.imported import import_frames
-from trackwright.trackers.exchange.mapping import TableMapping, columns_of, mapped_table, parsed
+from trackwright.trackers.exchange.mapping import TableMapping, mapped_table
 from trackwright.trackers.exchange.mapping_file import read_mapping
 from trackwright.trackers.recordings.kinds import layout
 from trackwright.trackers.recordings.table_file import TableFile, read_table_file

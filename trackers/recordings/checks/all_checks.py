@@ -16,6 +16,7 @@ from trackwright.trackers.recordings.checks.coverage import (
     check_ids,
     check_overlap,
     check_rates,
+    check_stamps,
     check_time_base,
     check_time_unit,
     check_truth,
@@ -48,7 +49,8 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     results += check_rates(tables)
     results += check_ids(rig, measured)
     results += check_units(rig, tables)
-    results += check_heights(rig, tables)
+    results += check_stamps(tables)
+    results += check_heights(rig, tables) if "truth" not in tables else ()
     results += check_fix_heights(rig, recording.rows("fixes")) if "fixes" in tables else ()
     results += check_truth(tables["truth"], measured) if measured and "truth" in tables else ()
     results += check_geometry(rig, tables)
@@ -56,12 +58,8 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     sound = all(result.level != "error" for result in results)
     if "imu" in tables and sound:
         from trackwright.trackers.recordings.checks.imu import check_imu
-        from trackwright.trackers.recordings.checks.imu_clock import check_imu_clock
 
-        of_imu = check_imu(tables)
-        # With wrong axes, an IMU fits the ranges at no delay, or at a wrong one; those of the truth may differ.
-        alone = check_imu(tables, against_truth=False) if "truth" in tables else of_imu
-        results += of_imu if alone else [*of_imu, *check_imu_clock(recording)]
+        results += check_imu(tables)
     for name in measured:
         results += check_readings(recording, name)
         view = compared(recording, name)
@@ -71,6 +69,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
             # A mistake has one cause: what errors with it look like is no second one.
             against_truth = [result for result in against_truth if result.level == "info"]
         results += [*against_truth, *check_marks(recording, name), *mistakes]
+    results += _heights(recording, results)
     results += _of_motion(recording, results)
     return sorted(results, key=lambda result: LEVELS.index(result.level))
 
@@ -86,7 +85,8 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
     results = list(check_time_unit(measured or tables))
     results += check_clocks(measured)
     results += [result for result in check_units(rig, tables) if result.level != "info"]
-    results += check_heights(rig, tables)
+    results += check_stamps(tables)
+    results += check_heights(rig, tables) if "truth" not in tables else ()
     results += check_overlap(tables["truth"], measured) if measured and "truth" in tables else ()
     if any(result.level == "error" for result in results):
         return results
@@ -96,7 +96,16 @@ def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[Ch
         results += check_imu(tables)
     for name in measured:
         results += _mistakes(recording, name, compared(recording, name), calibrated)
+    results += _heights(recording, results)
     return [*results, *_of_motion(recording, results)]
+
+
+def _heights(recording: RecordingFolder, results: Iterable[CheckResult]) -> list[CheckResult]:
+    """Heights that contradict the truth, unless that is in another frame, of which heights are a part."""
+    if "truth" not in recording.tables:
+        return []
+    known = any(one.level == "error" and ("the truth" in one.message or "positions" in one.message) for one in results)
+    return [] if known else list(check_heights(recording.rig, recording.tables))
 
 
 def _of_motion(recording: RecordingFolder, results: Iterable[CheckResult]) -> list[CheckResult]:

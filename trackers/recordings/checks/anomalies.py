@@ -19,7 +19,10 @@ from trackwright.trackers.recordings.columns import codes, stable_order
 from trackwright.trackers.recordings.kinds import QUATERNION, Kind, duplicates_line, first_time, table_kinds
 
 DT = pl.col("dt")
-LONG_GAP = DT.gt(1.0) & DT.gt(5.0 * DT.filter(DT > 0).median())
+JUMP_S = 1e7
+"""Time between two rows, s, that is a jump of the clock and no gap."""
+
+LONG_GAP = DT.gt(1.0) & DT.gt(5.0 * DT.filter(DT > 0).median()) & DT.lt(JUMP_S)
 """Of the rows of one stream: those after a gap longer than 1 s and than five times its median interval."""
 
 _LEAST_JUMP = {"m": 1.0, "mps": 5.0, "mps2": 20.0, "radps": 5.0}
@@ -36,6 +39,7 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> Iterator[str]:
         if unknown:
             yield f"{name}: tags that are not in rig.toml: {len(unknown)} ({listed(map(repr, unknown))})"
         yield from _impossible(kind, table, values)
+        yield from _jumps(name, table)
         present = with_value(table, values)
         ordered = streams(present, ids)
         if (ordered["dt"] == 0).any():
@@ -81,7 +85,20 @@ def _duplicates(name: str, ordered: pl.DataFrame, values: Sequence[str]) -> Iter
     if exact:
         yield duplicates_line(name, exact)
     if times:
-        yield f"{name}: rows with the time of another row of the same sensor and tag: {times}; kept"
+        few = "; the stamps have lost digits" if times > ordered.height / 2 else ""
+        yield f"{name}: rows with the time of another row of the same sensor and tag: {times}; kept{few}"
+
+
+def _jumps(name: str, table: pl.DataFrame) -> Iterator[str]:
+    """Clocks that jump by months or more, and times of 0 among others far away."""
+    times = table["t_s"].sort().to_numpy()
+    steps = np.diff(times)
+    for k in np.flatnonzero(steps > JUMP_S).tolist():
+        if times[0] == 0.0 == times[k]:
+            yield f"{name}: times of 0 in {k + 1} rows, the others from {times[k + 1]:.10g} s: missing; remove the rows"
+        else:
+            jump = f"the clock jumps by {steps[k] / 31_557_600:.3g} years at row {k + 2} in order of time"
+            yield f"{name}: {jump}, from {times[k]:.10g} to {times[k + 1]:.10g} s: make two recordings"
 
 
 def _place(row: Mapping[str, Any], ids: Sequence[str], zero: float) -> str:
@@ -100,9 +117,19 @@ def _impossible(kind: Kind, table: pl.DataFrame, values: Sequence[str]) -> Itera
         else:
             broken, words = x < (0.0 if column.positive else -math.inf), f"negative values of {name}"
         if n := table.select(broken.sum()).item():
-            yield f"{kind.name}: {words}: {n}" + ("; degrees, or not wrapped" if column.unit == "rad" else "")
+            why = "; degrees, or not wrapped"
+            if column.unit != "rad" or not_wrapped(table[name], column.bound):
+                why = "; from 0 to 2π, not wrapped: trackers wrap them" if column.unit == "rad" else ""
+            yield f"{kind.name}: {words}: {n}{why}"
     if {*QUATERNION} <= {*table.columns} and (n := table.select(((norm - 1).abs() > 0.01).sum()).item()):
         yield f"{kind.name}: quaternions more than 1 % from unit length: {n}"
+
+
+def not_wrapped(angles: pl.Series, bound: float) -> bool:
+    """Whether angles, rad, some of them beyond their bound, are from 0 to 2π and within it when wrapped."""
+    x = angles.drop_nulls().to_numpy()
+    turned = np.mod(x + np.pi, 2 * np.pi) - np.pi
+    return bool(((x >= -1e-3) & (x <= 2 * np.pi + 1e-3) & (np.abs(turned) <= bound + 1e-3)).all())
 
 
 def _outliers(
@@ -114,9 +141,17 @@ def _outliers(
             continue
         x = pl.col(column)
         rows = ordered.select("stream", "t_s", *ids, column).drop_nulls(column)
-        steps = x.diff().abs().median().over("stream").fill_null(0.0)
-        rows = rows.with_columns(allowed=(14.826 * steps).clip(least), typical=x.abs().median().over("stream"))
+        steps, away = (
+            x.diff().abs().median().over("stream").fill_null(0.0),
+            (x - x.rolling_median(9, center=True)).abs(),
+        )
+        rows = rows.with_columns(
+            allowed=(14.826 * steps).clip(least), typical=x.abs().median().over("stream"), away=away.over("stream")
+        ).with_columns(middle=pl.col("away").median().over("stream"), jumping=steps > 3 * least)
         broken = (x.abs() > 100 * pl.col("typical")) & (x.abs() > least)
+        # Where many are wild, so are the neighbours of most.
+        many = (pl.col("away") > (14.826 * pl.col("middle")).clip(2 * least)) & pl.col("jumping")
+        broken = broken | many.fill_null(False)
         for reach in (1, 2):  # 2 finds two adjacent outliers
             before, after = (x.shift(way).over("stream") for way in (reach, -reach))
             middle = x.clip(pl.min_horizontal(before, after), pl.max_horizontal(before, after))

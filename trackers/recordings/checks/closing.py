@@ -18,8 +18,7 @@ from jaxtyping import Float, Int
 from trackwright.trackers.core.model.rig import angles_in_array
 from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult
-from trackwright.trackers.recordings.checks.changes import exchanged, value_changes
-from trackwright.trackers.recordings.checks.fitted_changes import about_vertical
+from trackwright.trackers.recordings.checks.changes import about_vertical, exchanged, value_changes
 from trackwright.trackers.recordings.checks.readings import MOST_ROWS
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped

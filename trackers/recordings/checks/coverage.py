@@ -20,6 +20,9 @@ from trackwright.trackers.recordings.truth import TruePaths, TruthStatus
 STREAMS_SHOWN = 24
 """Tables of more streams get one summary line."""
 
+LEAST_STAMPS = 10
+"""Rows of a sensor and tag that cannot all have one time."""
+
 _OUTSIDE = "no measurement lies inside the time span of the truth"
 _FINER_UNITS = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"))
 _SINCE_1970_S = 1e8
@@ -117,6 +120,16 @@ def check_time_unit(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]
     elif shortest >= 5 and last - first > 1000:
         message = f"rows {shortest:.4g} s apart over {last - first:.6g} s: looks like milliseconds, expected seconds"
         yield CheckResult("warning", "t_s", message)
+
+
+def check_stamps(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
+    """An error for each table in which all rows of a sensor and tag have one time."""
+    for name, table in tables.items():
+        of_streams = table.group_by(layout(name, table.columns).ids).agg(rows=pl.len(), times=pl.col("t_s").n_unique())
+        same = of_streams.filter((pl.col("times") == 1) & (pl.col("rows") >= LEAST_STAMPS))["rows"]
+        if len(same):
+            message = f"{same.sum()} rows have one time per sensor and tag: the stamps have lost their digits"
+            yield CheckResult("error", name, f"{message}; export them again with fractions of a second")
 
 
 def check_time_base(tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:

@@ -3,7 +3,7 @@
 Without truth: gravity, a constant vector of the world, turns in body axes by du/dt = -ω × u, whatever the heading, so
 that the specific force tests the signs and axes of the turn rates. With the true attitude: turn rates and gravity in
 body axes are known, and sizes of turn rates, which no axes change, tell scale and delay. With true heights alone,
-sizes of the specific force tell the delay, since they follow the vertical acceleration; without truth, `imu_clock`.
+sizes of the specific force tell the delay, since they follow the vertical acceleration.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ RATE_S = 0.1
 """Half the time over which the rate of a true attitude is taken, s."""
 
 
-def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) -> list[CheckResult]:
+def check_imu(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
     """Signs, axes, mounting and clock of the IMU of the first tags; an attitude of the sensor's own excuses it."""
     table, results = tables["imu"], list[CheckResult]()
     if set(QUATERNION) <= set(table.columns):
@@ -92,7 +92,7 @@ def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) ->
         rows, found = imu_rows(table, tag), None
         if rows is None:
             continue
-        if against_truth and "truth" in tables:
+        if "truth" in tables:
             truth = tables["truth"].filter(pl.col("tag") == tag)
             found = _against_attitude(rows, truth)
             found = _against_heights(rows, truth) if found is None else found
@@ -123,7 +123,7 @@ def _by_gravity(rows: ImuRows) -> Iterator[CheckResult]:
     fits = [(_correlation(change, -np.cross(turned @ axes.matrix.T, middle)), axes) for axes in tried]
     best, axes = max(fits, key=lambda fit: fit[0] - SIMPLER * fit[1].changes)
     if best >= FIT and best - given >= BETTER:
-        also = ", or two axes of both sensors swapped" if axes.signs.prod() < 0 and axes.order == (0, 1, 2) else ""
+        also = ", or two axes of both sensors swapped" if np.array_equal(axes.matrix, -np.eye(3)) else ""
         message = f"turn rates fit the turn of gravity in the acceleration only with {axes.words}{also} (correlation "
         message += f"{best:.2f}, {given:.2f} as they are); correct the axes of the gyro or of the accelerometer"
         yield CheckResult("error", "imu", message)

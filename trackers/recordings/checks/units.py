@@ -12,6 +12,7 @@ import polars as pl
 from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
 from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
+from trackwright.trackers.recordings.checks.anomalies import not_wrapped
 from trackwright.trackers.recordings.columns import TableRows
 from trackwright.trackers.recordings.kinds import KINDS, QUATERNION, Kind, table_kinds
 
@@ -26,15 +27,16 @@ X = pl.col("size")
 
 
 class Rule(NamedTuple):
-    """A number of the sizes of values, reported by `message` where it is above `above`, by default their bound."""
+    """A number of the sizes of values, reported by `message` where it is above `above`."""
 
     level: Level
     number: pl.Expr
-    above: float | None
+    above: float
     message: str
 
 
-_BEYOND = "10 % of {name} lie beyond ±{above:.3g}: looks like "
+BEYOND = X.gt(pl.col("bound") + 1e-3).mean()
+_BEYOND = "{share:.0f} % of {name} lie beyond ±{bound:.3g}: looks like "
 _DEGREES = ": looks like degrees, expected radians wrapped to (-π, π]"
 _UNWRAPPED = "{name} are not wrapped to (-π, π]; harmless, since trackers wrap phase differences"
 _TURNS = "turn rates reach {size} rad/s: looks like degrees per second, expected radians"
@@ -44,9 +46,9 @@ RULES = {
         Rule("warning", X.gt(math.pi + 1e-3).mean(), 0.01, _UNWRAPPED),
     ),
     "gyro": (Rule("error", X.quantile(0.95), 35.0, _TURNS),),  # the full scale of common gyroscopes
-    "rad": (Rule("error", X.quantile(0.9), None, _BEYOND + "degrees, expected radians"),),
-    "mps": (Rule("error", X.quantile(0.9), None, _BEYOND + "millimetres or centimetres per second, expected metres"),),
-    "radps": (Rule("error", X.quantile(0.9), None, _BEYOND + "degrees per second, expected radians"),),
+    "rad": (Rule("error", BEYOND, 0.1, _BEYOND + "degrees, expected radians"),),
+    "mps": (Rule("error", BEYOND, 0.1, _BEYOND + "millimetres or centimetres per second, expected metres"),),
+    "radps": (Rule("error", BEYOND, 0.1, _BEYOND + "degrees per second, expected radians"),),
 }
 """By unit; the first that is broken is reported."""
 
@@ -78,7 +80,7 @@ def _of_table(kind: Kind, table: pl.DataFrame, rig: Rig, size: float | None) -> 
             if column.unit == "m":
                 what = column.name.removesuffix("_m").replace("_", " ")
                 found += _lengths(what, table[column.name].abs(), size)
-            else:
+            elif column.unit != "rad" or not not_wrapped(table[column.name], column.bound):
                 found += _broken(column.unit, column.name, column.bound, table[column.name])
         yield from found or (_differences(kind, table, rig) if kind.difference else ())
 
@@ -86,10 +88,11 @@ def _of_table(kind: Kind, table: pl.DataFrame, rig: Rig, size: float | None) -> 
 def _broken(of: str, name: str, bound: float, *columns: pl.Series) -> Iterator[Found]:
     """The first broken rule of values in one or several columns."""
     sizes = pl.concat([column.abs().alias("size") for column in columns]).drop_nulls().to_frame()
-    for level, number, limit, message in RULES.get(of, ()):
-        n, above = sizes.select(number).item() or 0.0, bound if limit is None else limit
+    sizes = sizes.with_columns(bound=bound)
+    for level, number, above, message in RULES.get(of, ()):
+        n = sizes.select(number).item() or 0.0
         if n > above:
-            yield level, message.format(name=name, n=n, size=significant(n, 3), above=above)
+            yield level, message.format(name=name, n=n, share=100 * n, size=significant(n, 3), bound=bound)
             return
 
 
