@@ -16,7 +16,7 @@ LINES = {
     "tuning": 6_045,
     "experiments": 16_130,
     "trackwright": 30,
-    "tests": 35_065,
+    "tests": 35_080,
 }
 """The most lines of Python of each folder at the top."""
 

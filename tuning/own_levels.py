@@ -21,7 +21,7 @@ LEAST_GAIN = 2.0
 LASTING = 1.5
 """Ratio of the levels of errors that last and those that do not from which on the first pass for motion.
 
-It is 1.8 at least on the real ranges and bearings used for development, and below 1.5 with simulated white noise.
+It is larger on the real ranges and bearings used for development, 1.7 and less on two, and smaller with white noise.
 """
 
 INFLATION = 3.0

@@ -71,6 +71,7 @@ def _chunks(out: Path) -> set[tuple[str, int]]:
     return {(path.name, path.stat().st_ino) for path in out.glob("chunks/[0-9]*.npz")}
 
 
+@pytest.mark.slow
 def test_a_study_that_is_killed_goes_on_without_losing_a_chunk_to_the_same_bits(tmp_path):
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
     words = ["study", str(tmp_path / "study.toml"), "--no-figures", "--out"]

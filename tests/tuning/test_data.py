@@ -126,6 +126,7 @@ def test_recordings_in_arrays_with_true_heights_are_judged_in_space_by_default()
     assert fit_arrays(tw.fix_tracker(), recording, "rmse", ()).objective.dimensions == 2
 
 
+@pytest.mark.slow
 def test_the_latency_of_fixes_is_fitted_by_default_where_there_is_truth():
     rng, times = np.random.default_rng(3), np.arange(300) * 0.1
     place = np.stack([4 * np.sin(0.4 * times), 3 * np.cos(0.3 * times), 1.2 + 0 * times], axis=1)
@@ -207,6 +208,7 @@ def test_a_long_recording_decides_a_fit_only_by_rows():
     assert 0.45 < sigma["recordings"] < 0.65
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objective", [pytest.param("rmse", marks=pytest.mark.slow), "state-nll"])
 def test_vertical_noise_keeps_its_start_where_the_position_over_the_floor_is_judged(objective):
     folder = ranges(n=1, seed=3, rows=120).folder()

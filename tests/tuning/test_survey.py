@@ -80,6 +80,7 @@ def test_a_turned_room_has_the_same_cost():
     assert cost_of(walk, moved, prior) == pytest.approx(cost_of(walk, start, prior), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_heights():
     folders, anchors, _ = simulated_site(2, (0.5, 1.9), 0.0)
     ((turn, shift),) = aligned(anchors[:3], triangle(range(3), (), anchors, 2)[1], 2)

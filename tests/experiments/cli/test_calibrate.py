@@ -51,6 +51,7 @@ def test_the_file_the_page_and_the_figures_are_written(walks):
     assert f"wrote {there / 'site' / 'calibration.toml'}, calibration.html and {len(charts)} figures (" in said.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", ["bearings", pytest.param("uwb", marks=pytest.mark.slow)])
 def test_a_calibrated_track_is_nearer_to_the_truth(walks, tmp_path, table):
     there, _, _ = walks

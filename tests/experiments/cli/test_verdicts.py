@@ -91,6 +91,7 @@ def test_values_that_serve_every_recording_are_called_better(tmp_path):
     assert "Verdict: better. Mean log density of the true position, recordings tuned on" in said.out
 
 
+@pytest.mark.slow
 def test_one_recording_is_judged_by_blocks_of_time_and_the_table_says_so(tmp_path):
     said = trackwright("tune", _walk(tmp_path / "one", 4, 0.3), *FIT, "--out", tmp_path / "fit")
     assert said.code == 0, said.err

@@ -102,6 +102,7 @@ def test_a_difference_counts_for_both_its_anchors():
     assert ratios[0] < 1.1 < LASTING < ratios[1]
 
 
+@pytest.mark.slow
 def test_only_ranges_of_a_tag_itself_count_on_a_body_of_several():
     clear = tw.simulate.body(n=1, rows=600, seed=4, tags=3, bias=0.0, hidden=0.0, sigma_r=0.05).folder()
     folders = clear, _obstructed(clear, 1.0)
@@ -110,6 +111,7 @@ def test_only_ranges_of_a_tag_itself_count_on_a_body_of_several():
     assert ratios[1] > LASTING
 
 
+@pytest.mark.slow
 def test_ranges_are_told_apart_by_their_anchors_beside_bearings():
     folder = _obstructed(tw.simulate.fusion(n=3, rows=600, seed=4, hidden=0.0, bias_angle=0.0).folder())
     tracks = tw.build("fusion", folder).run(folder)

@@ -63,6 +63,7 @@ def test_the_posterior_mean_is_bayes_rule_over_all_states(sigma):
     np.testing.assert_allclose(_mean(sigma, displacement, elapsed), expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sigma", [pytest.param(0.3, marks=pytest.mark.slow), 0.03, pytest.param(0.002, marks=pytest.mark.slow)]
 )

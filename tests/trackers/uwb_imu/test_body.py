@@ -69,6 +69,7 @@ def test_position_and_heading_are_found_whatever_the_first_heading_with_covarian
     assert 0.85 < (np.abs(np.concatenate(errors)) < 1.96).mean() <= 1.0
 
 
+@pytest.mark.slow
 def test_a_body_is_found_by_tags_of_which_none_hears_enough_anchors(folder):
     heard = {"front": ["A0", "A1"], "left": ["A1", "A2"], "right": ["A2", "A3"]}
     table = folder.tables["ranges"]
@@ -90,6 +91,7 @@ def test_a_place_without_ranges_is_estimated_too(folder):
     assert np.allclose(tip - front, 0.2 * ahead, atol=0.02)
 
 
+@pytest.mark.slow
 def test_calibration_finds_where_the_ranges_of_a_tag_end_and_headings_follow():
     ends = {"front": (0.01, -0.04), "left": (-0.03, -0.02), "right": (0.03, -0.02)}
     known = [_folder(seed, first, ends, name=f"known {seed}") for seed, first in ((11, 0.0), (12, 2.0), (13, 4.0))]

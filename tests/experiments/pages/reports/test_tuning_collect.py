@@ -88,6 +88,7 @@ def test_without_any_interval_it_is_unknown_what_is_determined(run):
     ]
 
 
+@pytest.mark.slow
 def test_the_spread_of_readings_that_a_heavy_tail_implies_is_said():
     folder = tw.simulate.ranges(n=1, seed=3, rows=40).folder()
     data = fit_data(tw.build("uwb", folder).only_batch([folder]), NLL)

@@ -113,6 +113,7 @@ def _set(tracker, **values):
     return tracker.with_values({f"sensors.fixes.{name}": value for name, value in values.items()})
 
 
+@pytest.mark.slow
 def test_ellipses_with_an_unknown_latency_hold_the_truth_of_vehicles_that_differ_in_theirs():
     """Delays are drawn, not modelled: normal ones, of which each vehicle has one."""
     rng, std, n = np.random.default_rng(5), 0.2, 300
