@@ -286,9 +286,8 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         bound, hidden = driver.at_bound(vector, best.gradient), driver.low == driver.high
         uncertainty = uncertainty_at(problem, best, bound, hidden)
         kept = None
-        if (
-            driver.held_out is None and not best.prior.any()
-        ):  # a point that others select is no optimum, and its curvature shows nothing
+        # A point that others select is no optimum, and its curvature shows nothing.
+        if driver.held_out is None and not best.prior.any():
             kept = kept_at_start(problem, uncertainty, start, float(state.past_values[0, 0]) - best.value)
         if kept is not None and kept.at_start.any():
             best = optimum(problem, kept.vector)

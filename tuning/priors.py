@@ -25,7 +25,6 @@ Of the logarithm of a noise level or another positive number, and of the logit o
 unit, as the latency of fixes in s.
 """
 
-
 DOF = 3.0
 """Degrees of freedom."""
 

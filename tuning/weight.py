@@ -59,10 +59,8 @@ def tempered_anew(driver: MultiStart, state: FitState) -> FitState:
     again = initial_state(driver, vector[None], 1)
     while not driver.done(again):
         again = driver.step(again)
-    best_vectors, best_scores = state.best_vectors.copy(), state.best_scores.copy()
-    best_vectors[winner], best_scores[winner] = again.best_vectors[0], again.best_scores[0]
-    runs = state.filter_runs + again.filter_runs
-    return state._replace(best_vectors=best_vectors, best_scores=best_scores, filter_runs=runs)
+    best = _with_best(state, winner, again.best_vectors[0], again.best_scores[0])
+    return best._replace(filter_runs=state.filter_runs + again.filter_runs)
 
 
 def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str]) -> FitState:
@@ -102,6 +100,11 @@ def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str])
         return state
     vector = fitted(best, every)[0]
     problem.discount *= best
+    return _with_best(state, winner, vector, problem.values(vector)[0])
+
+
+def _with_best(state: FitState, winner: int, vector: Float[np.ndarray, " p"], score: float) -> FitState:
+    """The state with another best point (p,) of the start that won, and its score."""
     best_vectors, best_scores = state.best_vectors.copy(), state.best_scores.copy()
-    best_vectors[winner], best_scores[winner] = vector, problem.values(vector)[0]
+    best_vectors[winner], best_scores[winner] = vector, score
     return state._replace(best_vectors=best_vectors, best_scores=best_scores)

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
+from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.trackers.recordings.rig_file import mounted
 from trackwright.tuning.own_levels import fitted
 
@@ -26,7 +27,6 @@ MOTIONS, FACTORS = (0.01, 0.2, 2.0), (1 / 3, 1.0, 3.0)
 READING = ("sigma_r", "sigma_d", "sigma_horizontal", "sigma_azimuth", "sigma_elevation")
 ROWS, STEP_S, HEIGHT_M = 400, 0.1, 1.2
 CORNERS = np.array([[0, 0, 2.5], [10, 0, 2.5], [10, 8, 2.5], [0, 8, 2.5], [5, 0, 0.5], [5, 8, 0.5]], float)
-COLUMNS = {"ranges": ["range_m"], "tdoa": ["range_difference_m"], "bearings": ["azimuth_rad", "elevation_rad"]}
 WHITE = {"sigma_bias": 1e-3, "sigma_shared": 1e-3, "dof": 1e3, "positive_skew": 1.0, "latency_std": 1e-3}
 """Numbers of a tracker, by the last part of their names, whose readings have white normal noise."""
 
@@ -81,11 +81,11 @@ def _table(kind: str, times: np.ndarray, readings: np.ndarray) -> pl.DataFrame:
     """The readings (n, m) as a table of their kind."""
     if kind == "fixes":
         return pl.DataFrame({"t_s": times, "tag": "T", "x_m": readings[:, 0], "y_m": readings[:, 1], "z_m": HEIGHT_M})
-    columns = COLUMNS[kind]
+    columns = KINDS[kind].least
     values = np.split(readings, len(columns), axis=1)
     names = [f"A{k}" for k in range(values[0].shape[1])]
-    ids = {"station" if kind == "bearings" else "anchor": names * ROWS}
-    ids |= {"anchor": [*names[1:], names[0]] * ROWS, "anchor_2": names * ROWS} if kind == "tdoa" else {}
+    *first, last = KINDS[kind].sensors
+    ids = {column: [*names[1:], names[0]] * ROWS for column in first} | {last: names * ROWS}
     measured = {column: x.ravel() for column, x in zip(columns, values, strict=True)}
     return pl.DataFrame({"t_s": np.repeat(times, len(names)), "tag": "T", **ids, **measured})
 
