@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 
+import jax
 import numpy as np
 import polars as pl
 import pytest
@@ -178,6 +179,7 @@ def test_a_tracker_by_name_lists_its_tunables_and_filters_a_folder_as_a_pure_fun
     assert tw.tunables(named).keys() == named.tunables.keys() != set()
     (batch,) = named.batches(folder)
     rows = tw.stack([trajectory.recording for trajectory in batch.trajectories])
+    jax.tree.map(np.testing.assert_array_equal, tw.stack(folder, tracker=named), rows)
     found, expected = tw.filter_batch(named, folder), tw.filter_batch(batch.tracker, rows)
     for one, other in zip(found.mean.position, expected.mean.position, strict=True):
         np.testing.assert_array_equal(one, other)

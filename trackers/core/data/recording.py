@@ -275,15 +275,22 @@ def _joined_rows(parts: Sequence[Recording] | Sequence[Columns], names: Sequence
 
 
 def stack(
-    recordings: Sequence[Recording], rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0
+    recordings: Sequence[Recording] | Any,
+    rows: int | None = None,
+    dtype: DTypeLike | None = None,
+    seed: int = 0,
+    tracker: Any = None,
 ) -> Batch:
     """The recordings as one batch, padded to `rows` (default: the longest), floats in `dtype` (default: jax's).
 
-    `seed`: of the random keys, with the ids of the recordings, for filters that draw random numbers.
+    `seed`: of the random keys, with the ids of the recordings, for filters that draw random numbers. `tracker`: by
+    name, where the recordings are folders.
 
     All recordings have the same sensors, inputs and truths; `dt` is computed here, in float64. Raises UnusableInput for
-    no recording.
+    no recording, and where folders need several trackers.
     """
+    if tracker is not None:
+        recordings = [trajectory.recording for trajectory in tracker.only_batch(recordings).trajectories]
     if not len(recordings):
         raise UnusableInput("stack: found no recording; expected one or more; usual fix: look at how the list is made")
     return Columns.of(recordings).batch(rows, dtype, seed)
