@@ -11,6 +11,8 @@ import tempfile
 from pathlib import Path
 
 import matplotlib as mpl
+import matplotlib.pyplot as plt
+import polars as pl
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
@@ -72,6 +74,27 @@ def main() -> None:
         pages(folder)
         for name, (_, figure) in MADE.items():
             _small(folder / figure, name)
+        generalisation(folder / "generalisation.png")
+        _small(folder / "generalisation.png", "generalisation")
+
+
+def generalisation(picture: Path) -> None:
+    """Draws what fits gain on a recording that they have not seen, over the number of recordings they have."""
+    rows = pl.read_csv(ROOT / "docs/evidence/generalisation.csv")
+    rows = rows.with_columns(pl.col("setting").str.split(",").list.first().alias("prior"))
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), sharex=True, layout="constrained")
+    for axis, (tracker, what) in zip(axes, {"bearings": "six walks", "fix-kf": "four flights"}.items(), strict=True):
+        for prior, colour in (("sites", "tab:blue"), ("flat", "tab:orange")):
+            found = rows.filter(pl.col("tracker") == tracker, pl.col("prior") == prior)
+            axis.plot(found["recordings"], found["gain_nats"], ".", color=colour, alpha=0.5)
+            mean = found.group_by("recordings").agg(pl.col("gain_nats").mean()).sort("recordings")
+            axis.plot(mean["recordings"], mean["gain_nats"], "-", color=colour, label=f"--prior {prior}, mean")
+        axis.axhline(0.0, color="0.6", linewidth=0.8)
+        axis.set(title=f"`{tracker}`, {what}", xlabel="recordings fitted to", xticks=[1, 2, 3, 5])
+    axes[0].set_ylabel("gain in log density\non an unseen recording [nats]")
+    axes[0].legend(frameon=False)
+    figure.savefig(picture, dpi=120)
+    plt.close(figure)
 
 
 def _small(picture: Path, name: str) -> None:
