@@ -35,11 +35,11 @@ rows = 80
 
 COMMANDS = """
 simulate ranges --out hall --n 1 --rows 500
-track hall --out track
+track hall --figures png --out track
 simulate fusion --out monday --n 2 --rows 300 --seed 1
 simulate fusion --out tuesday --n 2 --rows 300 --seed 2
 calibrate monday tuesday --out calibrate/calibration.toml
-study noise.toml --out study
+study noise.toml --figures png --out study
 """
 
 MADE = {

@@ -170,7 +170,7 @@ def of_study(name: str) -> dict[str, np.ndarray]:
         declared = Path(folder, "study.toml")
         text = [f'name = "{name}"', 'about = "digests"', "runs = 24", f'[worlds.one]\nkind = "{name}"', parameters]
         declared.write_text("\n".join([*text, *(f"[trackers.{t}]" for t in trackers)]))
-        _run("study", declared, "--out", Path(folder, "out"), "--no-figures", "--no-report")
+        _run("study", declared, "--out", Path(folder, "out"), "--figures", "none")
         results = json.loads(Path(folder, "out", "results.json").read_text())
     return {
         f"{cell['tracker']}, {metric}": np.array([x if x is not None else np.nan for x in figures.values()], float)
@@ -185,7 +185,7 @@ def of_recording(name: str) -> dict[str, np.ndarray]:
     import polars as pl
 
     with tempfile.TemporaryDirectory() as folder:
-        _run("track", required_recordings() / name, "--out", Path(folder, "out"), "--no-figures", "--no-report")
+        _run("track", required_recordings() / name, "--out", Path(folder, "out"), "--figures", "none")
         tracks = pl.read_parquet(Path(folder, "out", "tracks.parquet"))
     columns = {c.name: c.to_numpy() for c in tracks}
     return {name: x if x.dtype != object else x.astype(str) for name, x in columns.items()}

@@ -17,7 +17,7 @@ from trackwright.experiments.pages.charts import style
 from trackwright.experiments.text import terminal
 from trackwright.trackers.programs import traced_programs
 
-PLAIN = ("--no-figures", "--no-report")
+PLAIN = ("--figures", "none")
 """Options of a command whose pictures and pages a test does not look at."""
 
 

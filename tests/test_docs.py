@@ -178,7 +178,7 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
     done = trackwright("trackers", "bistatic.py:TRACKER", "hall")
     assert (done.code, "sensors.bistatic.sigma_p" in done.out, done.err) == (0, True, "")
     _as_in_a_new_process()
-    done = trackwright("track", "hall", *OWN, "--out", "out", "--no-figures")
+    done = trackwright("track", "hall", *OWN, "--out", "out")
     assert done.code == 0, done.err
     assert "path" in Path("out/report.html").read_text("utf-8")
     _as_in_a_new_process()

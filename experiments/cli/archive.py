@@ -77,15 +77,13 @@ def track_archive(
             print(f"{run.short}: {tracks} of {counted(len(run.paths), 'recording')}: {endings(run.endings)}")
             put(_shown(run, evaluation))
             notice_levels(evaluation.overall, options.fit)
-            shown = []
-            if not (options.no_report and options.no_figures):
-                shown = _show(run, evaluation, tracking, options, out, begin)
+            shown = [] if options.figures == "none" else _show(run, evaluation, tracking, options, out, begin)
             extra = {"recordings": len(run.paths), "verdicts": run.endings}
             write_manifest(out, sys.argv, options.manifest(run.tracker), started, chunk=CHUNK, extra=extra)
             written = f"{out / TRACKS} ({counted(count, 'estimate')})"
             print(f"wrote {', '.join([written, EVENTS, EVALUATION, *shown, 'manifest.json'])}")
         tables = _compare(runs)
-        if tables and not options.no_report:
+        if tables and options.figures != "none":
             page = write_comparison(options.out / COMPARISON, [run.short for run in runs], tables, [], sys.argv)
             print(f"wrote {page}")
         return _ended("tracked", options.out, noticed, [refused[path] for path in paths if path in refused], len(paths))
@@ -190,12 +188,11 @@ def _show(
         chosen,
         [metrics for metrics in evaluation.tracks if metrics["recording"] in names],
     )
-    tracks, page = ScoredTracks(association, folders, batches), None
-    if not options.no_report:
-        known = part if association.scored.any() else None
-        about = f"{run.tracker}: {spec_of(run.tracker).about}"
-        page = run_data(tracks, pl.concat(events, how="diagonal"), known, about, run.short)
-        page |= {"recordingCount": len(run.paths), "statements": evaluation.statements if known else []}
+    tracks = ScoredTracks(association, folders, batches)
+    known = part if association.scored.any() else None
+    about = f"{run.tracker}: {spec_of(run.tracker).about}"
+    page = run_data(tracks, pl.concat(events, how="diagonal"), known, about, run.short)
+    page |= {"recordingCount": len(run.paths), "statements": evaluation.statements if known else []}
     return write_shown(tracks, page, options, out, begin)
 
 

@@ -273,7 +273,7 @@ class Scoring:
             except UnusableInput as problem:
                 result.refused.append(f"{folder.path}: {about['short']}: {problem}")
                 continue
-            scored = TrackScores.of(association, {folder.name: folder.rig.stations}, self.part.every)
+            scored = TrackScores.of(association, {folder.name: folder.rig.stations})
             result.outcomes.append(outcome_of(about, scored, {}, {}))
         return result
 

@@ -8,6 +8,7 @@ given twice the last counts, lists are joined.
 from __future__ import annotations
 
 import re
+import sys
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -39,6 +40,20 @@ EXPECTED: Mapping[Any, str] = {int: "a whole number", float: "a number", bool: "
 
 WIDTH = 80
 
+SECTIONS = {
+    "Input": "tag from to calibration truth held-out table columns mapping topic rig format origin header missing "
+    "given",
+    "Tracker": "tracker set noise fit smooth lag",
+    "Fit": "objective tune freeze bound prior start over repeats",
+    "Output": "out figures json fail-if check replace path align-truth transform",
+    "Running": "runs seed until shard cluster keep-going resume force",
+    "Rarely needed": "average free-height side dimensions weigh starts optimiser steps piece-rows all-pairs "
+    "time-tolerance separator decimal skip encoding thousands messages interval skip-bad-lines",
+}
+"""The options of each section of help; those of the last are explained by `--help-all` alone."""
+
+RARE, ALL = "Rarely needed", "--help-all"
+
 COLUMNS = {"command": 16, "parameter": 24}  # where the texts on names begin
 
 
@@ -60,6 +75,7 @@ def new_app(name: str, about: str | None = None, version: Callable[[], str] | No
         help=about,
         version=version,
         version_flags=() if version is None else ("--version", "-V"),
+        help_flags=("--help", "-h", ALL),
         help_format="plaintext",
         help_formatter=_Help(),
         default_parameter=Parameter(
@@ -90,16 +106,22 @@ class _Help:
             print("\n" + textwrap.fill(" ".join(text.split()), WIDTH))
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
-        """Prints one group of arguments or the list of commands."""
-        pairs = []
+        """Prints one group of arguments, options by their sections, or the list of commands."""
+        found: dict[str, list[tuple[str, str]]] = {title: [] for title in (panel.title, *SECTIONS)}
         for entry in panel.entries:
             about = [str(entry.description.primary_renderable).rstrip(".")]
             about += [f"({', '.join(entry.choices)})"] if entry.choices else []
             about += ["(required)"] if entry.required else []
             about += [f"(default: {entry.default})"] if entry.default and "default:" not in about[0] else []
-            pairs.append((", ".join(entry.display_labels_with_metavar), " ".join(about)))
-        if pairs:
-            print("\n".join([f"\n{panel.title}:", *rows(pairs, COLUMNS[panel.format])]))
+            name = entry.display_labels_with_metavar[0]
+            of = (title for title, names in SECTIONS.items() if name.split()[0][2:] in names.split())
+            section = next(of, panel.title) if name.startswith("--") and panel.title == "Parameters" else panel.title
+            found[section].append((", ".join(entry.display_labels_with_metavar), " ".join(about)))
+        if (rare := found[RARE]) and ALL not in sys.argv:
+            found[RARE] = [(ALL, "explains " + ", ".join(name.split()[0] for name, _ in rare))]
+        for title, pairs in found.items():
+            if pairs:
+                print("\n".join([f"\n{title}:", *rows(pairs, COLUMNS[panel.format])]))
 
 
 def rows(pairs: Iterable[tuple[str, str]], column: int) -> list[str]:

@@ -43,7 +43,7 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     folders = read_with_notices(options.truth or sources(folder))
     if options.fail_if is not None:
         condition_of(options.fail_if, metric_names(tracks))
-    evaluation = evaluate(tracks, folders, part.every)
+    evaluation = evaluate(tracks, folders)
     text = to_json(evaluation)
     atomic_write(folder / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
     print(text if options.json else to_text(evaluation, terminal_width()), end="")
@@ -145,7 +145,7 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
     align = poses.align or "none"
     tolerance = DEFAULT_TOLERANCE if poses.time_tolerance is None else poses.time_tolerance
     moved, compared = compare_tracks(tracks, truths, align, offset, tolerance, steps, poses.all_pairs)
-    evaluation = evaluate(moved, folders, part.every)
+    evaluation = evaluate(moved, folders)
     evaluation = dataclasses.replace(evaluation, overall=evaluation.overall | pooled(compared))
     text = json_text(
         content(evaluation) | {"poses": {"align": align, "tracks": [track.to_dict() for track in compared]}}

@@ -33,6 +33,7 @@ Setting = Annotated[str, Parameter(metavar="NAME=VALUE")]
 Address = Annotated[str, Parameter(metavar="ADDRESS")]
 
 FigureFormat = Literal["png", "pdf"]  # the kinds of figures in files, by their endings
+Figures = Literal["none", "page", "png", "pdf"]
 
 
 def _names_of_trackers(context: Any) -> list[str]:
@@ -62,13 +63,11 @@ class PartOptions:
         tag: these tags alone.
         from_: rows from this time on.
         to: rows up to this time.
-        every: only the last row of each tag, and anchor or station, in every so many seconds.
     """
 
     tag: tuple[Annotated[str, Parameter(metavar="TAG")], ...] = ()
     from_: Seconds | None = None
     to: Seconds | None = None
-    every: Seconds | None = None
 
     def __post_init__(self) -> None:
         for option, value in (("--from", self.from_), ("--to", self.to)):
@@ -76,15 +75,13 @@ class PartOptions:
                 raise UnusableInput(f"{option} {value:.12g}: expected seconds, a time of the recording")
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
             raise UnusableInput(f"--from {self.from_:.12g} --to {self.to:.12g}: expected the first below the second")
-        if self.every is not None and not 0 < self.every < math.inf:
-            raise UnusableInput(f"--every {self.every:g}: expected seconds above zero")
 
     @property
     def part(self) -> Selection:
         """The part of each recording."""
         from trackwright.trackers.recordings.selection import Selection
 
-        return Selection(self.tag, self.from_, self.to, self.every)
+        return Selection(self.tag, self.from_, self.to)
 
 
 @OPTIONS
@@ -176,7 +173,7 @@ class TrackerOptions:
 
     def config(self, *without: str) -> dict[str, Any]:
         """The options as a manifest holds them, without those that change no result: what is written, and these."""
-        silent = {"out", "set_", "used", "no_figures", "no_report", "format", "json", *without}
+        silent = {"out", "set_", "used", "figures", "json", *without}
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in silent}
         used = {"calibration": self.used.calibration, "part": asdict(self.used.part), "average": self.used.average}
         return fields | {"set": self.set_} | used
@@ -196,9 +193,7 @@ class TrackOptions(TrackerOptions):
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself, as --keep-going does, on a Dask cluster, tcp://HOST:8786, or in
             processes here, local:4.
-        no_figures: draw no figures.
-        no_report: write no report.html, the page with playback and linked charts.
-        format: of the figures.
+        figures: page, report.html with playback and linked charts; png or pdf, also the charts as files; or none.
         force: track recordings in spite of the errors that `trackwright check` finds.
         keep_going: track each recording by itself, keep finished ones for the same command again, and leave out those
             that fail, with exit code 1; always with a folder of folders, more than 60 recordings, or --cluster.
@@ -211,9 +206,7 @@ class TrackOptions(TrackerOptions):
     lag: Seconds | None = None
     seed: int = 0
     cluster: Address | None = None
-    no_figures: bool = False
-    no_report: bool = False
-    format: FigureFormat = "png"
+    figures: Figures = "page"
     force: bool = False
     keep_going: bool = False
     json: bool = False
@@ -279,9 +272,7 @@ class TuneOptions(TrackerOptions):
             all see the folder --out; for recordings that no memory holds, with the same tuned.toml.
         piece_rows: rows of the segments into which long recordings are cut.
         check: exit code 1 where the verdict is worse: the log density of true positions of left-out recordings fell.
-        no_figures: draw no figure.
-        no_report: write no report.html.
-        format: of the figures, png or pdf.
+        figures: page, report.html; png or pdf, also the chart of the objective as a file; or none.
         json: print the content of tuned.toml as JSON instead of tables.
     """
 
@@ -301,9 +292,7 @@ class TuneOptions(TrackerOptions):
     cluster: Address | None = None
     piece_rows: int = 8000
     check: bool = False
-    no_figures: bool = False
-    no_report: bool = False
-    format: FigureFormat = "png"
+    figures: Figures = "page"
     json: bool = False
 
     def __post_init__(self) -> None:
@@ -323,8 +312,7 @@ class SweepOptions(TrackerOptions):
         weigh: recordings or rows: which of them have the same weight.
         repeats: runs of a particle filter per value, with different random numbers.
         noise: a tuned.toml for the other parameters.
-        piece_rows: rows of the segments into which long recordings are cut, as in `tune`.
-        format: of the figure, sweep.png or sweep.pdf.
+        figures: kind of the figure, sweep.png or sweep.pdf.
         json: print the best point as JSON instead of a line.
     """
 
@@ -334,12 +322,11 @@ class SweepOptions(TrackerOptions):
     weigh: Literal["recordings", "rows"] = "recordings"
     repeats: int = 10
     noise: File | None = None
-    piece_rows: int = 8000
-    format: FigureFormat = "png"
+    figures: FigureFormat = "png"
     json: bool = False
 
     def __post_init__(self) -> None:
-        require_least(piece_rows=(self.piece_rows, 10), repeats=(self.repeats, 1))
+        require_least(repeats=(self.repeats, 1))
         super().__post_init__()
 
     @cached_property
@@ -426,6 +413,11 @@ class EvaluateOptions:
     fail_if: Annotated[str, Parameter(metavar="CONDITION")] | None = None
     cluster: Address | None = None
     poses: PoseOptions = field(default_factory=PoseOptions)
+
+
+def file_format(figures: Figures) -> FigureFormat | None:
+    """The kind of the figures in files, None for none."""
+    return figures if figures == "png" or figures == "pdf" else None
 
 
 def run_tracker_files(trackers: str | None) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import Address, FigureFormat, Folder, require_output
+from trackwright.experiments.cli.options import Address, Figures, Folder, file_format, require_output
 from trackwright.trackers.core.errors import UnusableInput
 
 MERGE = "merge"
@@ -23,11 +23,11 @@ def study(
     *what: Annotated[str, Parameter(name="STUDY")], out: Folder | None = None, runs: int | None = None,
     seed: int | None = None, until: Annotated[str, Parameter(metavar="METRIC±WIDTH")] | None = None,
     shard: Annotated[str, Parameter(metavar="I/N")] = "1/1", cluster: Address | None = None, list: bool = False,
-    no_figures: bool = False, no_report: bool = False, format: FigureFormat = "png",
+    figures: Figures = "page",
 ) -> int:  # fmt: skip
     """Run a Monte Carlo study: worlds × trackers × a grid × runs.
 
-    Writes report.html, results.json and figures. `trackwright study NAME`, `FILE.toml` or `FILE.py` runs a study, or
+    Writes report.html and results.json. `trackwright study NAME`, `FILE.toml` or `FILE.py` runs a study, or
     continues an interrupted one. `trackwright study merge DIR DIR … --out DIR` merges shards; run the study again with
     that --out for its report.
 
@@ -40,9 +40,7 @@ def study(
         shard: run only part i of n of the chunks, e.g. 2/8, for an array of jobs.
         cluster: run the chunks on a Dask cluster, tcp://HOST:8786, or in processes here, local:4 (docs/cluster.md).
         list: list the studies that come with the package.
-        no_figures: write no charts as files.
-        no_report: write no report.html.
-        format: of the charts.
+        figures: page, report.html; png or pdf, also its charts as files; or none.
     """
     if out is not None:
         require_output(out)
@@ -101,10 +99,11 @@ def study(
     expected = [] if declared.expected is None else [*declared.expected(results)]
     print(to_text(results, expected), end="")
     atomic_write(folder / RESULTS, lambda path: path.write_text(to_json(results, expected), "utf-8"))
-    charts = [] if no_figures else [chart for group in study_charts(results) for chart in group]
-    figures = write_charts(folder, charts, format)
-    written = [RESULTS, "manifest.json", *([figures_drawn(figures)] if figures else [])]
-    if not no_report:
+    written = [RESULTS, "manifest.json"]
+    if kind := file_format(figures):
+        charts = [chart for group in study_charts(results) for chart in group]
+        written.append(figures_drawn(write_charts(folder, charts, kind)))
+    if figures != "none":
         written.insert(0, write_page(folder / REPORT, study_page(results, expected, sys.argv)).name)
     write_manifest(folder, sys.argv, {"study": declared.name, "runs": declared.runs}, started, (declared.seed,),
                    declared.chunk)  # fmt: skip

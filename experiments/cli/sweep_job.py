@@ -35,7 +35,7 @@ def sweep_folders(
     named = tracker_for_folders(folders, options)
     group = named.only_batch(folders)
     model = group.tracker
-    data = fit_data(group, objective, (), options.piece_rows, options.dimensions, options.weigh)
+    data = fit_data(group, objective, (), dimensions=options.dimensions, weigh=options.weigh)
     try:
         parameters = swept_parameters(model, list(grids))
         points = grid_vectors(parameters, list(grids.values()))
@@ -52,7 +52,7 @@ def sweep_folders(
         raise UnusableInput("the objective is not finite at any grid point; run `trackwright check` on the recordings")
     _write(out / "sweep.csv", swept, objective)
     unit = "rad" if group.trajectories[0].station else "m"
-    drawn = out / f"sweep.{options.format}"
+    drawn = out / f"sweep.{options.figures}"
     sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective)
     least = float(swept.mean[swept.best_index])
     result = {"best": swept.best, "least": least, "filter_runs": swept.filter_runs, "seconds": seconds}

@@ -11,7 +11,7 @@ from trackwright.trackers.core.errors import UnusableInput
 def track(*recordings: Recording, options: TrackOptions) -> int:
     """Track recordings: estimates, events, error metrics, a page with playback.
 
-    Writes tracks.parquet, events.parquet, report.html, figures and manifest.json; prints error metrics where there is
+    Writes tracks.parquet, events.parquet, report.html and manifest.json; prints error metrics where there is
     truth.
 
     Args:

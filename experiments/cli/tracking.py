@@ -18,7 +18,7 @@ import polars as pl
 
 from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.console import notice_unused_calibration, output_folder
-from trackwright.experiments.cli.options import TrackOptions
+from trackwright.experiments.cli.options import TrackOptions, file_format
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
@@ -150,8 +150,8 @@ def track_folders(
             print_comparison(
                 [options.out / run.short for run in runs],
                 options.out,
-                None if options.no_figures else options.format,
-                page=not options.no_report,
+                file_format(options.figures),
+                page=options.figures != "none",
                 playback=PAGE if pages else None,
             )
     for line in (*refused, *unfit):
@@ -207,10 +207,11 @@ def _track(
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)
     page, drawn = None, list[str]()
-    if not options.no_report:
+    if options.figures != "none":
         begin("report")
         known, about = evaluation if association.scored.any() else None, f"{name}: {named.spec.about}"
-        page = run_data(scored, happened, known, about, run.short, of, not options.no_figures and of == 1)
+        files = of == 1 and file_format(options.figures) is not None
+        page = run_data(scored, happened, known, about, run.short, of, files)
     if of == 1:
         drawn = write_shown(scored, page, options, out, begin)
     write_manifest(
@@ -253,12 +254,12 @@ def write_shown(
     if page is not None:
         _write_page(out, [page])
         written.append(PAGE)
-    if not options.no_figures:
+    if kind := file_format(options.figures):
         begin("figures")
         # matplotlib takes a third of a second to import.
         from trackwright.experiments.pages.charts.figures import plot_tracks
 
-        drawn = plot_tracks(out, tracks, options.format)
+        drawn = plot_tracks(out, tracks, kind)
         written.append(figures_drawn(drawn))
     return written
 

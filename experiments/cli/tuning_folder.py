@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.cli.console import FoldersInTurn
-from trackwright.experiments.cli.options import TuneOptions
+from trackwright.experiments.cli.options import TuneOptions, file_format
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
 from trackwright.experiments.pages.charts.objective import named
@@ -64,7 +64,7 @@ def tune_folders(
         before = tracked(fitted.named, fitted.shown)
         compared = judged(fitted, before)
         begin("comparing before and after")
-        plans = None if options.no_report else _plans(fitted, before)
+        plans = None if options.figures == "none" else _plans(fitted, before)
         begin("report")
         content = _write_run(fitted, recordings, time.perf_counter() - clock, started, compared, plans)
     if fitted.result.uncertainty is None:
@@ -137,8 +137,7 @@ def _write_run(
         calibration_id = identity(calibration)
     content = compared.content() | tuned_content(fitted.named.name, objective, result, intervals, calibration_id)
     write_tuned(out / "tuned.toml", content)
-    figures = None if options.no_figures else options.format
-    drawn = _write_trace(out, result, objective, unit, figures)
+    drawn = _write_trace(out, result, objective, unit, file_format(options.figures))
     issues, cautions = list[IdentifiabilityIssue](), without_intervals(result.uncertainty, intervals)
     if result.uncertainty is not None:
         gradients, cautions = result.evaluation.term_gradients, [*result.cautions, *cautions]
@@ -148,7 +147,7 @@ def _write_run(
     use += "" if calibration is None else f" --calibration {calibration}"
     use += "" if average is None else f" --average {average:g}"
     written = ["trace.csv", *drawn, "manifest.json"]
-    if not options.no_report:
+    if options.figures != "none":
         written.insert(0, "report.html")
         known = collect(result, fitted.reported, objective, intervals, issues)
         notes = [*_notes(data, result, fitted.reported), *known.notes]

@@ -52,7 +52,7 @@ def demo() -> None:
     fitted = next(entry for name, entry in tunables.items() if name.endswith("sigma_p"))
     print(f"Phase noise of {SIGMA_P} rad, started from {3 * SIGMA_P:.1f} and fitted without truth, all stations tied:")
     print(f"  {fitted['value']:.4f} ± {fitted['standard_error']:.4f} rad   {OUT / 'tuned'}")
-    print(f"Plots to look at first: floor-plan.png, error-over-time-x.png and nees-over-time.png in {OUT / 'direct'}.")
+    print(f"A page to look at first: {OUT / 'direct' / 'report.html'}.")
     if walk is None:
         print(f"A recorded walk is left out: no recording {WALK} in the folder of TRACKWRIGHT_RECORDINGS.")
     else:

@@ -43,7 +43,7 @@ def test_a_damaged_recording_is_read_or_refused_in_a_line(command, count, tmp_pa
         words = (
             ("check", folder)
             if command == "check"
-            else ("track", folder, "--tracker", "fix-kf", "--no-figures", "--no-report", "--out", out / str(number))
+            else ("track", folder, "--tracker", "fix-kf", "--figures", "none", "--out", out / str(number))
         )
         if wrong := _wrong(words, folder, out / str(number)):
             failed.append(f"{number}: {faults}: {wrong}")

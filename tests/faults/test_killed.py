@@ -74,7 +74,7 @@ def _chunks(out: Path) -> set[tuple[str, int]]:
 @pytest.mark.slow
 def test_a_study_that_is_killed_goes_on_without_losing_a_chunk_to_the_same_bits(tmp_path):
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
-    words = ["study", str(tmp_path / "study.toml"), "--no-figures", "--out"]
+    words = ["study", str(tmp_path / "study.toml"), "--out"]
     whole, out = tmp_path / "whole", tmp_path / "killed"
     line = [sys.executable, "-m", "trackwright.experiments", *words]
     subprocess.run([*line, str(whole)], check=True, capture_output=True)

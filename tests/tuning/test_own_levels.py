@@ -88,7 +88,7 @@ def test_numbers_that_were_set_stay():
 
 def test_track_names_the_fit_where_innovations_contradict_the_levels_and_does_it(tmp_path):
     write_recording(_walk(0.02, _white(0.02)), tmp_path / "walk")
-    plain = ("track", tmp_path / "walk", "--no-figures", "--no-report", "--out")
+    plain = ("track", tmp_path / "walk", "--figures", "none", "--out")
     said = trackwright(*plain, tmp_path / "a")
     assert "--fit fits noise levels to the readings" in " ".join(said.err.split())
     line = "walk: fitted to its readings: motion.sigma_a 1 → "

@@ -1,4 +1,4 @@
-"""A part of a recording: some of its tags, a span of time, and one reading in each interval."""
+"""A part of a recording: some of its tags, and a span of time."""
 
 from __future__ import annotations
 
@@ -16,14 +16,12 @@ from trackwright.trackers.recordings.kinds import KINDS, first_time
 class Selection:
     """Which rows of recordings are used; by default all.
 
-    `tags`: those kept, none for all. `start`, `stop`: s, the rows from `start` to `stop`, both included. `every`: s,
-    only the last reading of each tag, and anchor or station, in each interval of that length; IMU samples stay.
+    `tags`: those kept, none for all. `start`, `stop`: s, the rows from `start` to `stop`, both included.
     """
 
     tags: tuple[str, ...] = ()
     start: float | None = None
     stop: float | None = None
-    every: float | None = None
 
     def of(self, folder: RecordingFolder) -> RecordingFolder:
         """The recording with these rows alone; its truth is that of the tags, at all times.
@@ -43,7 +41,7 @@ class Selection:
         for name, table in folder.tables.items():
             rows = table.filter(pl.col("tag").is_in(list(self.tags))) if self.tags else table
             if name in KINDS:
-                kept = self._rows(rows, name)
+                kept = self._in_time(rows)
                 if rows.height and not kept.height:
                     raise UnusableInput(
                         f"{path}: {name} has no row in the span of time asked for; expected a part of {_span(rows)}"
@@ -71,15 +69,6 @@ class Selection:
                 f"no estimate is of these tags and times; expected tags among {tags} and a part of {_span(tracks)}"
             )
         return kept
-
-    def _rows(self, table: pl.DataFrame, name: str) -> pl.DataFrame:
-        kept = self._in_time(table)
-        kind = KINDS[name]
-        if self.every is None or kind.predicted is None:  # an IMU is integrated over its rows
-            return kept
-        ids = kind.layout(table.columns).ids
-        interval = (pl.col("t_s") / self.every).floor()
-        return kept.filter(pl.int_range(pl.len()).over(*ids, interval) == pl.len().over(*ids, interval) - 1)
 
     def _refuse_after_start(self, first: float, where: str = "") -> None:
         for time in (self.start, self.stop):

@@ -162,16 +162,16 @@ def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch
     assert again == tracked
     with monkeypatch.context() as patched:
         patched.setattr(part, "TrackScores", None)
-        refused = trackwright("evaluate", out, "--every", 2, "--fail-if", "rmse > 10")
+        refused = trackwright("evaluate", out, "--fail-if", "rmse > 10")
     assert_refused(refused, "no metric 'rmse' (did you mean rmse_m?)")
-    failed = trackwright("evaluate", out, "--every", 1, "--fail-if", "rmse_m > 0.001")
+    failed = trackwright("evaluate", out, "--fail-if", "rmse_m > 0.001")
     assert failed.code == 1
     assert "fails: fix-kf: rmse_m > 0.001 (rmse_m is " in failed.err
     assert set(_results(out)["n"]) == {4}
     (paths[2] / "truth.parquet").unlink()
     scored, associate = [], part.associate_truth
     monkeypatch.setattr(part, "associate_truth", lambda *rest: scored.append(1) or associate(*rest))
-    done = trackwright("evaluate", out, "--every", 1)
+    done = trackwright("evaluate", out)
     assert done.code == 1
     assert "not evaluated: " in done.err
     assert "no truth table" in done.err
@@ -182,7 +182,7 @@ def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch
 
 def test_several_trackers_have_a_folder_each_and_one_table_of_results(tmp_path):
     write_archive(tmp_path / "archive", 3)
-    options = ("--tracker", "fix-kf,uwb,median", "--no-figures", "--json")
+    options = ("--tracker", "fix-kf,uwb,median", "--json")
     done = trackwright("track", tmp_path / "archive", *options, "--out", tmp_path / "out")
     assert done.code == 1
     assert list(json.loads(done.out)) == ["fix-kf", "median"]
@@ -205,7 +205,7 @@ def test_recordings_of_one_name_are_named_by_their_paths_before_the_first_is_tra
     monkeypatch.chdir(tmp_path)
     for k, name in enumerate(("same", "other", "same", "archive/r0")):
         write_recording(recording(name, k), tmp_path / "archive" / f"r{k}")
-    done = trackwright("track", "archive", "--no-figures", "--out", "out")
+    done = trackwright("track", "archive", "--out", "out")
     assert done.code == 0, done.err
     assert "notice: 3 recordings, as archive/r0, are named by their paths: others have their names" in done.err
     names = ["archive/r0", "other", "archive/r2", "archive/r3"]

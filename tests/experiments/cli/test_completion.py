@@ -27,7 +27,7 @@ def script():
         ("trackwright tra", {"track", "trackers"}),
         ("trackwright simulate li", {"line"}),
         ("trackwright tune x --held", {"--held-out"}),
-        ("trackwright track x --format p", {"pdf", "png"}),
+        ("trackwright track x --figures p", {"page", "pdf", "png"}),
         ("trackwright track x --tracker multi", {"multilateration"}),
     ],
 )

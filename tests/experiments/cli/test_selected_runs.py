@@ -12,7 +12,6 @@ import pytest
 from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.sim import worlds
 from trackwright.trackers.recordings.folder import read_recording, write_recording
-from trackwright.trackers.recordings.selection import Selection
 
 
 @pytest.fixture(scope="module")
@@ -36,18 +35,7 @@ def test_a_part_of_a_recording_is_tracked(room, tmp_path):
     assert 1 <= tracks["t_s"].min() < 1.2
     assert 3.8 < tracks["t_s"].max() <= 4
     config = json.loads((tmp_path / "manifest.json").read_text())["config"]
-    assert config["part"] == {"tags": ["1"], "start": 1.0, "stop": 4.0, "every": None}
-
-
-def test_the_last_reading_of_each_anchor_and_interval_is_kept(room):
-    whole = read_recording(room)
-    kept, every = Selection(every=1.0).of(whole).tables["ranges"], whole.tables["ranges"]
-    chosen = {(t, tag, anchor) for t, tag, anchor in kept.select("t_s", "tag", "anchor").iter_rows()}
-    last = {}
-    for t, tag, anchor in every.select("t_s", "tag", "anchor").iter_rows():
-        last[int(t // 1.0), tag, anchor] = t
-    assert chosen == {(t, tag, anchor) for (_, tag, anchor), t in last.items()}
-    assert Selection(every=1.0).of(whole).tables["truth"].equals(whole.tables["truth"])
+    assert config["part"] == {"tags": ["1"], "start": 1.0, "stop": 4.0}
 
 
 def test_seconds_after_the_start_are_refused_where_times_count_from_1970(room, tmp_path):

@@ -17,7 +17,9 @@ def compared(tmp_path_factory):
     """Two trackers of fixes on one recording, and a third run for a report; the folder and what was printed."""
     folder = tmp_path_factory.mktemp("several")
     write_good(folder / "good")
-    said = trackwright("track", folder / "good", "--tracker", "moving-average,median", "--out", folder / "two")
+    said = trackwright(
+        "track", folder / "good", "--tracker", "moving-average,median", "--figures", "png", "--out", folder / "two"
+    )
     alone = trackwright("track", folder / "good", "--tracker", "fix-kf", "--out", folder / "kf", *PLAIN)
     assert said.code == alone.code == 0, (said, alone)
     return folder, said

@@ -33,7 +33,7 @@ def fixes(tmp_path_factory):
 def once(fixes):
     """One number by RMSE; what was said, and the folder."""
     out = fixes.parent / "once"
-    options = "--over", f"{SIGMA_P}=0.05:1.2:6", "--format", "pdf"
+    options = "--over", f"{SIGMA_P}=0.05:1.2:6", "--figures", "pdf"
     return trackwright("sweep", fixes, *KALMAN, *options, "--out", out), out
 
 

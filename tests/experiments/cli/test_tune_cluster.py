@@ -23,7 +23,6 @@ FIT = (
     "sensors.*.sigma*",
     "--objective",
     "nll",
-    "--no-figures",
 )
 
 
@@ -60,7 +59,7 @@ def _assert_same_files(tmp_path):
 
 @pytest.mark.slow
 def test_a_fit_on_a_cluster_writes_the_numbers_of_a_fit_here(paths, elsewhere, tmp_path):
-    words = (*paths[:2], "--held-out", paths[2], "--steps", 1, "--starts", 2, "--piece-rows", 30, "--no-report")
+    words = (*paths[:2], "--held-out", paths[2], "--steps", 1, "--starts", 2, "--piece-rows", 30, "--figures", "none")
     here, there = _both(tmp_path, *words)
     assert (here.code, there.code) == (0, 0), there.err
     _assert_same_files(tmp_path)
@@ -72,7 +71,7 @@ def test_a_fit_on_a_cluster_writes_the_numbers_of_a_fit_here(paths, elsewhere, t
 def test_a_fit_interrupted_on_a_cluster_is_resumed_with_the_same_bits_there_or_here(
     paths, elsewhere, tmp_path, monkeypatch
 ):
-    run = ("tune", *paths[:2], *FIT, "--steps", 2, "--starts", 1, "--no-report")
+    run = ("tune", *paths[:2], *FIT, "--steps", 2, "--starts", 1, "--figures", "none")
     assert trackwright(*run, "--out", tmp_path / "whole").code == 0
 
     def interrupted(*arguments):

@@ -22,7 +22,7 @@ from trackwright.tuning.intervals import left_out_blocks
 from trackwright.tuning.parameters import by_label, flatten, select_parameters
 from trackwright.tuning.tuned_file import read_tuned
 
-FIT = ("--tracker", "fix-kf", "--tune", "sensors.fixes.sigma_horizontal", "--starts", 1, "--no-figures")
+FIT = ("--tracker", "fix-kf", "--tune", "sensors.fixes.sigma_horizontal", "--starts", 1)
 
 
 def _walk(path, seed, sigma, rows=200, truth=True):
@@ -75,7 +75,7 @@ def test_values_with_which_a_left_out_recording_gets_worse_are_written_with_that
 
 def test_check_makes_a_worse_verdict_exit_with_one(tmp_path):
     unlike = [_walk(tmp_path / f"hall-{k}", k, sigma) for k, sigma in enumerate((0.05, 0.5))]
-    run = ("tune", *unlike, *FIT, "--prior", "flat", "--set", "sensors.fixes.sigma_horizontal=0.2", "--no-report")
+    run = ("tune", *unlike, *FIT, "--prior", "flat", "--set", "sensors.fixes.sigma_horizontal=0.2", "--figures", "none")
     codes = [trackwright(*run, *more, "--out", tmp_path / "fit").code for more in ((), ("--check", "--resume"))]
     assert tomllib.loads((tmp_path / "fit" / "tuned.toml").read_text())["verdict"] == "worse"
     assert codes == [0, 1]
@@ -83,7 +83,7 @@ def test_check_makes_a_worse_verdict_exit_with_one(tmp_path):
 
 def test_values_that_serve_every_recording_are_called_better(tmp_path):
     alike = [_walk(tmp_path / f"walk-{k}", k, 0.3) for k in (1, 2, 3)]  # as many as above: the same programs
-    said = trackwright("tune", *alike, *FIT, "--no-report", "--check", "--out", tmp_path / "fit")
+    said = trackwright("tune", *alike, *FIT, "--figures", "none", "--check", "--out", tmp_path / "fit")
     assert said.code == 0, said.err
     written = tomllib.loads((tmp_path / "fit" / "tuned.toml").read_text())
     assert written["verdict"] == "better"
@@ -105,7 +105,7 @@ def test_one_recording_is_judged_by_blocks_of_time_and_the_table_says_so(tmp_pat
 
 def test_without_truth_nothing_is_judged(tmp_path):
     blind = [_walk(tmp_path / f"blind-{k}", k, 0.3, truth=False) for k in (1, 2)]
-    said = trackwright("tune", *blind, *FIT, "--no-report", "--check", "--out", tmp_path / "fit")
+    said = trackwright("tune", *blind, *FIT, "--figures", "none", "--check", "--out", tmp_path / "fit")
     assert said.code == 0, said.err
     written = tomllib.loads((tmp_path / "fit" / "tuned.toml").read_text())
     assert written["verdict"] == "not judged"
@@ -124,7 +124,8 @@ def test_a_fit_that_ended_early_is_written_and_says_so(tmp_path):
         "state-nll+0.1*rmse",
         "--steps",
         1,
-        "--no-report",
+        "--figures",
+        "none",
         "--out",
         tmp_path / "early",
     )

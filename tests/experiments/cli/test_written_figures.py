@@ -31,11 +31,9 @@ def rooms(tmp_path_factory):
 @pytest.mark.parametrize(
     ("options", "left"),
     [
-        pytest.param(("--no-figures",), {"report.html"}, marks=pytest.mark.slow),
-        (("--no-report",), {"tuning.png", "tuning-motion.sigma_a.png"}),
-        pytest.param(
-            ("--no-report", "--format", "pdf"), {"tuning.pdf", "tuning-motion.sigma_a.pdf"}, marks=pytest.mark.slow
-        ),
+        ((), {"report.html"}),
+        (("--figures", "png"), {"report.html", "tuning.png", "tuning-motion.sigma_a.png"}),
+        (("--figures", "pdf"), {"report.html", "tuning.pdf", "tuning-motion.sigma_a.pdf"}),
     ],
 )
 def test_tune_writes_the_figures_and_the_page_that_are_asked_for(rooms, tmp_path, options, left):
@@ -56,9 +54,9 @@ CHARTS = {"rmse_m", "errors-1"}
 @pytest.mark.parametrize(
     ("options", "figures", "report"),
     [
-        ((), {f"{name}.png" for name in CHARTS}, True),
-        (("--format", "pdf", "--no-report"), {f"{name}.pdf" for name in CHARTS}, False),
-        (("--no-figures", "--no-report"), set(), False),
+        ((), set(), True),
+        (("--figures", "pdf"), {f"{name}.pdf" for name in CHARTS}, True),
+        (("--figures", "none"), set(), False),
     ],
 )
 def test_study_writes_the_figures_and_the_page_that_are_asked_for(tmp_path, options, figures, report):

@@ -56,7 +56,7 @@ def test_track_estimates_the_same_without_any_private_part(tmp_path):
     assert trackwright("simulate", "agv", "--out", tmp_path / "world", "--n", 2, "--rows", 50).code == 0
     tracks = []
     for name, begin in [("with", ["-m", "trackwright.experiments"]), ("without", ["-c", WITHOUT])]:
-        line = [sys.executable, *begin, "track", tmp_path / "world", "--out", tmp_path / name, "--no-figures"]
+        line = [sys.executable, *begin, "track", tmp_path / "world", "--out", tmp_path / name]
         done = subprocess.run([*map(str, line)], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         tracks.append(pl.read_parquet(tmp_path / name / "tracks.parquet"))

@@ -54,7 +54,7 @@ def _check_pages(folder: Path, least: int) -> None:
 
 
 def test_pages_of_tracks_escape_every_name(marked, tmp_path):
-    said = trackwright("track", marked, "--tracker", "fix-kf,median", "--no-figures", "--out", tmp_path / "out")
+    said = trackwright("track", marked, "--tracker", "fix-kf,median", "--out", tmp_path / "out")
     assert said.code == 0, said
     _check_pages(tmp_path / "out", 2)
 
@@ -73,6 +73,6 @@ def test_pages_of_a_fit_and_a_calibration_escape_every_name(marked, tmp_path):
 def test_a_study_whose_name_is_markup_has_an_escaped_page_or_is_refused(tmp_path):
     text = 'name = "x"\nabout = ABOUT\nruns = 2\nmetrics = ["rmse_m"]\n[worlds.line]\nrate_hz = 1.0\n[trackers.ID]\ntracker = "fix-kf"\n'
     (tmp_path / "study.toml").write_text(text.replace("ABOUT", _named("about")).replace("ID", _named("kalman")))
-    said = trackwright("study", tmp_path / "study.toml", "--no-figures", "--out", tmp_path / "out")
+    said = trackwright("study", tmp_path / "study.toml", "--out", tmp_path / "out")
     assert said.code == 0, said
     _check_pages(tmp_path / "out", 1)
