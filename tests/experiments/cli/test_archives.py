@@ -167,7 +167,7 @@ def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch
     failed = trackwright("evaluate", out, "--fail-if", "rmse_m > 0.001")
     assert failed.code == 1
     assert "fails: fix-kf: rmse_m > 0.001 (rmse_m is " in failed.err
-    assert set(_results(out)["n"]) == {4}
+    assert set(_results(out)["n"]) == {40}
     (paths[2] / "truth.parquet").unlink()
     scored, associate = [], part.associate_truth
     monkeypatch.setattr(part, "associate_truth", lambda *rest: scored.append(1) or associate(*rest))

@@ -50,7 +50,9 @@ def runs(there, world, vehicles):
     class Runs(dict):
         def __missing__(self, tracker):
             read = vehicles if tracker == "fix-kf" else world
-            self[tracker] = trackwright("track", read, "--tracker", tracker, "--out", there / tracker)
+            self[tracker] = trackwright(
+                "track", read, "--tracker", tracker, "--figures", "png", "--out", there / tracker
+            )
             return self[tracker]
 
     return Runs()
@@ -202,7 +204,7 @@ def test_without_truth_tracks_are_written_but_not_evaluated(runs, there, vehicle
     blind = there / "blind"
     shutil.copytree(vehicles, blind)
     (blind / "truth.parquet").unlink()
-    said = trackwright("track", blind, "--tracker", "fix-kf", "--out", there / "blind-run")
+    said = trackwright("track", blind, "--tracker", "fix-kf", "--figures", "png", "--out", there / "blind-run")
     assert said.code == 0
     assert "errors in" not in said.out
     assert _pictures(there / "blind-run") == {"floor-plan"}
