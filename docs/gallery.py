@@ -54,7 +54,7 @@ def pages(folder: Path) -> dict[str, str]:
     """Runs the commands in a folder; their pages by name."""
     (folder / "noise.toml").write_text(STUDY, encoding="utf-8")
     for line in COMMANDS.strip().splitlines():
-        command = [sys.executable, "-m", "trackwright.experiments", *line.split()]
+        command = [sys.executable, "-m", "trackwright", *line.split()]
         there = {**os.environ, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(command, cwd=folder, env=there, capture_output=True, text=True, check=False)
         if done.returncode:

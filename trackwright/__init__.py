@@ -9,11 +9,6 @@ recording into estimates. Tuning returns the same tracker with better noise leve
     tracker = tw.tracker_for(recording)
     estimates = tracker.run(recording)
     print(tw.evaluate(estimates, recording))
-
-Each name is imported when it is first used. Names needed more rarely are in modules, such as `tw.exchange` for files
-of other programs; docs/api.md lists all, and docs/concepts.md shows how they fit.
-
-Importing it changes nothing for other programs of the process: XLA's options go to single compilations.
 """
 
 from importlib.metadata import PackageNotFoundError, version

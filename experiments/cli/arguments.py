@@ -132,7 +132,8 @@ def rows(pairs: Iterable[tuple[str, str]], column: int) -> list[str]:
         fits = len(first) + 2 <= column
         lines += [] if fits else [first]
         begin = f"{first:<{column}}" if fits else indent
-        lines += textwrap.wrap(text, WIDTH, initial_indent=begin, subsequent_indent=indent) or [first][:fits]
+        filled = textwrap.wrap(text, WIDTH, initial_indent=begin, subsequent_indent=indent, break_on_hyphens=False)
+        lines += filled or [first][:fits]
     return lines
 
 

@@ -1,4 +1,4 @@
-"""The command line: `trackwright COMMAND …`, also `python -m trackwright.experiments`."""
+"""The command line: `trackwright COMMAND …`, also `python -m trackwright`."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def command(*arguments: str | Path, folder: Path | None = None) -> None:
     `folder`: the one it runs in; the current one by default.
     """
     print(f"\n$ trackwright {shlex.join(map(str, arguments))}", flush=True)
-    line = [sys.executable, "-m", "trackwright.experiments", *map(str, arguments)]
+    line = [sys.executable, "-m", "trackwright", *map(str, arguments)]
     if code := subprocess.run(line, check=False, cwd=folder).returncode:
         sys.exit(code)
 

@@ -76,7 +76,7 @@ def test_a_study_that_is_killed_goes_on_without_losing_a_chunk_to_the_same_bits(
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
     words = ["study", str(tmp_path / "study.toml"), "--out"]
     whole, out = tmp_path / "whole", tmp_path / "killed"
-    line = [sys.executable, "-m", "trackwright.experiments", *words]
+    line = [sys.executable, "-m", "trackwright", *words]
     subprocess.run([*line, str(whole)], check=True, capture_output=True)
     with subprocess.Popen([*line, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         while process.poll() is None and len(_chunks(out)) < len(_chunks(whole)) // 2:

@@ -43,7 +43,7 @@ def command(words: Sequence[str | Path], log: Path, environment: Mapping[str, st
     """The time of `trackwright` with these words in a process, children included, its peak in MB, and its exit code."""
     began = time.perf_counter()
     with log.open("w", encoding="utf-8") as said:
-        line = [sys.executable, "-m", "trackwright.experiments", *words]
+        line = [sys.executable, "-m", "trackwright", *words]
         child = subprocess.Popen(line, cwd=REPOSITORY, env=environment, stdout=said, stderr=said)
         _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)

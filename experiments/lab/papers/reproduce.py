@@ -41,7 +41,7 @@ def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
     with progress("papers", len(chosen)) as advance:
         for study in chosen:
             folder = out / study.name
-            words = ["-m", "trackwright.experiments", "study", study.name, "--out", str(folder)]
+            words = ["-m", "trackwright", "study", study.name, "--out", str(folder)]
             try:
                 new_interpreter(words, LIMIT_S)
             except RuntimeError as problem:

@@ -87,7 +87,7 @@ def test_an_interrupted_command_prints_one_line(beginnings, monkeypatch):
 
 
 def test_a_closed_pipe_causes_no_traceback():
-    pipe = f"{sys.executable} -m trackwright.experiments --help | true; echo ${{PIPESTATUS[0]}}"
+    pipe = f"{sys.executable} -m trackwright --help | true; echo ${{PIPESTATUS[0]}}"
     run = subprocess.run(["bash", "-c", pipe], capture_output=True, text=True, check=True)
     assert (run.stdout, run.stderr) == ("141\n", "")
 

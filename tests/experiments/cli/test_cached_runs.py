@@ -16,7 +16,7 @@ def _started(*words, cache=None) -> subprocess.Popen:
     """A command begun in a process of its own, with a cache directory of its own."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
     environment["TRACKWRIGHT_CACHE"] = str(cache)
-    command = [sys.executable, "-m", "trackwright.experiments", *map(str, words)]
+    command = [sys.executable, "-m", "trackwright", *map(str, words)]
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

@@ -33,7 +33,7 @@ def script():
 )
 def test_bash_completes(script, line, expected, tmp_path):
     program = tmp_path / "trackwright"
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m trackwright.experiments "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m trackwright "$@"\n')
     program.chmod(0o755)
     words = line.split(" ")
     script += (

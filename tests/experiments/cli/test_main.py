@@ -12,6 +12,7 @@ from importlib.metadata import version
 import pytest
 
 from tests.in_process import trackwright
+from trackwright.experiments.cli.arguments import SECTIONS
 from trackwright.experiments.cli.commands import COMMANDS, application
 from trackwright.sim import worlds
 from trackwright.trackers.recordings.folder import write_recording
@@ -34,10 +35,10 @@ def test_the_help_has_a_line_for_each_command_and_fits_a_terminal():
 
 @pytest.mark.parametrize("command", EVERY)
 def test_the_help_of_each_command_explains_every_argument_in_80_columns(command):
-    done = trackwright(*command.split(), "--help")
-    assert (done.code, done.err) == (0, "")
+    done, every = (trackwright(*command.split(), flag) for flag in ("--help", "--help-all"))
+    assert (done.code, done.err, every.code) == (0, "", 0)
     assert done.out.startswith(f"usage: trackwright {command}")
-    assert max(map(len, done.out.splitlines())) <= 80
+    assert max(map(len, (done.out + every.out).splitlines())) <= 80
     app = application()
     for word in command.split():
         app = app[word]
@@ -45,6 +46,13 @@ def test_the_help_of_each_command_explains_every_argument_in_80_columns(command)
         if argument.show:
             assert argument.parameter.help, argument.name
             assert argument.name in done.out
+            assert f"\n  {argument.name}" in every.out
+
+
+def test_every_option_in_a_section_of_help_is_one_of_a_command():
+    app = application()
+    known = {argument.name for name in COMMANDS for argument in app[name].assemble_argument_collection()}
+    assert {f"--{name}" for names in SECTIONS.values() for name in names.split()} <= known
 
 
 def test_the_version_is_printed():
@@ -90,7 +98,7 @@ def test_a_track_imports_its_own_system_and_nothing_of_studies_clusters_and_othe
 
 
 def _started(words, **environment):
-    line = [sys.executable, "-m", "trackwright.experiments", *map(str, words)]
+    line = [sys.executable, "-m", "trackwright", *map(str, words)]
     return subprocess.run(line, env={**os.environ, **environment}, capture_output=True, timeout=120, check=False)
 
 
@@ -104,7 +112,7 @@ def test_a_code_page_without_our_characters_gets_plain_ones(beginnings):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 @pytest.mark.parametrize("words", [("--help",), ("check", "GOOD")])
 def test_a_full_output_is_one_line(beginnings, words):
-    line = " ".join([sys.executable, "-m", "trackwright.experiments", *words]).replace("GOOD", str(beginnings / "good"))
+    line = " ".join([sys.executable, "-m", "trackwright", *words]).replace("GOOD", str(beginnings / "good"))
     done = subprocess.run(f"{line} > /dev/full", shell=True, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("trackwright: standard output cannot be written (No space left on device)")

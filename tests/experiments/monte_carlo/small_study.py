@@ -43,7 +43,7 @@ def study_command(*words, devices=None):
     if devices:
         environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"
     return subprocess.run(
-        [sys.executable, "-m", "trackwright.experiments", "study", *map(str, words)],
+        [sys.executable, "-m", "trackwright", "study", *map(str, words)],
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
 

@@ -55,7 +55,7 @@ def test_settings_of_jax_change_what_programs_depend_on():
 def test_track_estimates_the_same_without_any_private_part(tmp_path):
     assert trackwright("simulate", "agv", "--out", tmp_path / "world", "--n", 2, "--rows", 50).code == 0
     tracks = []
-    for name, begin in [("with", ["-m", "trackwright.experiments"]), ("without", ["-c", WITHOUT])]:
+    for name, begin in [("with", ["-m", "trackwright"]), ("without", ["-c", WITHOUT])]:
         line = [sys.executable, *begin, "track", tmp_path / "world", "--out", tmp_path / name]
         done = subprocess.run([*map(str, line)], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""`python -m trackwright.experiments` is `trackwright`."""
+"""`python -m trackwright` is `trackwright`."""
 
 from trackwright.experiments.cli.main import main
 
