@@ -193,9 +193,7 @@ def of_recording(name: str) -> dict[str, np.ndarray]:
 
 def _run(*arguments: Any) -> None:
     """Run a command of this tree; its output in the error that it raises."""
-    done = subprocess.run(
-        [sys.executable, "-m", "trackwright", *map(str, arguments)], capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-m", "trackwright", *map(str, arguments)], capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(f"trackwright {' '.join(map(str, arguments))}: {done.stdout[-500:]}{done.stderr[-2000:]}")
 
