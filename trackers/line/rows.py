@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 import polars as pl
@@ -15,7 +16,6 @@ from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
-from trackwright.trackers.line.motion import HaltingMotion, LineMotion
 from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import KnotTimes, knot_times
 from trackwright.trackers.parts.fixes import AXES_M, AXES_STD_M
@@ -34,8 +34,15 @@ from trackwright.trackers.recordings.trajectories import (
 SIGMA_FIX = 0.3
 """Standard deviation of a fix per axis, m; the raw error in the thesis is 0.39 m over both axes."""
 
-SIGMA_RANGE, POSITIVE_SKEW, DOF = 0.1, 3.0, 3.0
-"""Scale, m, skew and degrees of freedom of the range errors, as fitted to recordings of other rooms."""
+CALIBRATED, OBSTRUCTED = (0.1, 3.0, 3.0), (0.06, 10.0, 4.0)
+"""Scale, m, skew and degrees of freedom of range errors at sites with and without a calibration.
+
+Where no calibration has taken it, obstruction makes an anchor's ranges too long by decimetres for as long as the tag
+stays at a place. A skew that takes all these ranges for independent has to be wide.
+"""
+
+HALTS_ANYWHERE = MappingProxyType({"sigma_a": 0.03, "travel": 20.0, "rest": 10.0})
+"""Levels of `line_motion` without a calibration: a speed that never falls carries a tag at rest on along long ranges."""
 
 CLOSING_GAP = 0.05
 """Largest gap between the ends of a closed path, as a fraction of its longest segment."""
@@ -137,16 +144,25 @@ def _geometry(trajectory: Trajectory) -> Hashable:
         np.asarray(trajectory.folder.rig.path_knots).tobytes(),
         *trajectory.recording.readings,
         len(trajectory.folder.rig.anchors) if RANGES in trajectory.recording.readings else 0,
+        _calibrated(trajectory),
     )
+
+
+def _calibrated(trajectory: Trajectory) -> bool:
+    calibration = trajectory.folder.calibration
+    return calibration is not None and bool(calibration.anchors)
 
 
 def _builder(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], AbstractTracker]:
     def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        motion: LineMotion | HaltingMotion = line_motion(path_of(trajectory.folder))
+        line, motion = path_of(trajectory.folder), line_motion
         sensors: dict[str, AbstractSensor] = {FIXES: FloorFixes(SIGMA_FIX)}
         if RANGES in trajectory.recording.readings:
-            sensors = {RANGES: RangeSensor(1, len(trajectory.folder.rig.anchors), SIGMA_RANGE, POSITIVE_SKEW, DOF)}
-        return make(motion, sensors)
+            calibrated = _calibrated(trajectory)
+            levels = CALIBRATED if calibrated else OBSTRUCTED
+            sensors = {RANGES: RangeSensor(1, len(trajectory.folder.rig.anchors), *levels)}
+            motion = line_motion if calibrated else partial(line_motion, **HALTS_ANYWHERE)
+        return make(motion(line), sensors)
 
     return build
 

@@ -138,10 +138,16 @@ class ElsewherePolicy(AbstractTrackLoss):
         return statistic > 1.0
 
 
-def line_motion(line: Polyline, sigma_a: float = SIGMA_A) -> LineMotion | HaltingMotion:
-    """`HaltingMotion`; `LineMotion` for a path without joins, or with knots that draw a curve; `sigma_a` m/s per √s."""
-    curved = line.length < CURVE_SPACING * len(line.lengths)
-    return LineMotion(line, sigma_a) if curved or not len(line.joins) else HaltingMotion(line, sigma_a)
+def line_motion(
+    line: Polyline, sigma_a: float = SIGMA_A, travel: float | None = None, rest: float = 5.0
+) -> LineMotion | HaltingMotion:
+    """`HaltingMotion`; `LineMotion` for knots that draw a curve, and for a path without joins unless `travel` is given.
+
+    `sigma_a` m/s per √s, `rest` and `travel` s as in `HaltingMotion`.
+    """
+    if line.length < CURVE_SPACING * len(line.lengths) or not (len(line.joins) or travel):
+        return LineMotion(line, sigma_a)
+    return HaltingMotion(line, sigma_a, rest=rest, travel=travel)
 
 
 def line_tracker(
