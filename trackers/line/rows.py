@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 import polars as pl
@@ -13,7 +12,6 @@ import polars as pl
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.polyline import Polyline
-from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
@@ -41,8 +39,9 @@ Where no calibration has taken it, obstruction makes an anchor's ranges too long
 stays at a place. A skew that takes all these ranges for independent has to be wide.
 """
 
-HALTS_ANYWHERE = MappingProxyType({"sigma_a": 0.03, "travel": 20.0, "rest": 10.0})
-"""Levels of `line_motion` without a calibration: a speed that never falls carries a tag at rest on along long ranges."""
+HALTS_ANYWHERE = 0.03, 20.0, 10.0
+"""The motion without a calibration, `sigma_a`, `travel` and `rest` of `line_motion`: a speed that never falls carries a
+tag at rest on along ranges that are too long."""
 
 CLOSING_GAP = 0.05
 """Largest gap between the ends of a closed path, as a fraction of its longest segment."""
@@ -155,14 +154,12 @@ def _calibrated(trajectory: Trajectory) -> bool:
 
 def _builder(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], AbstractTracker]:
     def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        line, motion = path_of(trajectory.folder), line_motion
-        sensors: dict[str, AbstractSensor] = {FIXES: FloorFixes(SIGMA_FIX)}
-        if RANGES in trajectory.recording.readings:
-            calibrated = _calibrated(trajectory)
-            levels = CALIBRATED if calibrated else OBSTRUCTED
-            sensors = {RANGES: RangeSensor(1, len(trajectory.folder.rig.anchors), *levels)}
-            motion = line_motion if calibrated else partial(line_motion, **HALTS_ANYWHERE)
-        return make(motion(line), sensors)
+        line, anchors = path_of(trajectory.folder), len(trajectory.folder.rig.anchors)
+        if RANGES not in trajectory.recording.readings:
+            return make(line_motion(line), {FIXES: FloorFixes(SIGMA_FIX)})
+        if _calibrated(trajectory):
+            return make(line_motion(line), {RANGES: RangeSensor(1, anchors, *CALIBRATED)})
+        return make(line_motion(line, *HALTS_ANYWHERE), {RANGES: RangeSensor(1, anchors, *OBSTRUCTED)})
 
     return build
 
