@@ -39,10 +39,6 @@ Where no calibration has taken it, obstruction makes an anchor's ranges too long
 stays at a place. A skew that takes all these ranges for independent has to be wide.
 """
 
-HALTS_ANYWHERE = 0.03, 20.0, 10.0
-"""The motion without a calibration, `sigma_a`, `travel` and `rest` of `line_motion`: a speed that never falls carries a
-tag at rest on along ranges that are too long."""
-
 CLOSING_GAP = 0.05
 """Largest gap between the ends of a closed path, as a fraction of its longest segment."""
 
@@ -159,7 +155,8 @@ def _builder(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], Abstr
             return make(line_motion(line), {FIXES: FloorFixes(SIGMA_FIX)})
         if _calibrated(trajectory):
             return make(line_motion(line), {RANGES: RangeSensor(1, anchors, *CALIBRATED)})
-        return make(line_motion(line, *HALTS_ANYWHERE), {RANGES: RangeSensor(1, anchors, *OBSTRUCTED)})
+        # A speed that never falls would carry a tag at rest on along ranges that are too long.
+        return make(line_motion(line, anywhere=True), {RANGES: RangeSensor(1, anchors, *OBSTRUCTED)})
 
     return build
 
