@@ -493,6 +493,7 @@ MOTIONS = {
     "line": MotionCase(LineMotion(LINE, 0.1), PathState(3.99, 0.5)),
     "halting, on the way": MotionCase(HaltingMotion(LINE, 0.1), HaltingState(3.99, 0.5, 0.0)),
     "halting, at rest": MotionCase(HaltingMotion(LINE, 0.1), HaltingState(4.0, 0.0, 1.0)),
+    "halting anywhere": MotionCase(HaltingMotion(LINE, 0.1, travel=20.0), HaltingState(2.0, 0.5, 0.0)),
     **dict(_inertial_motions()),
 }
 

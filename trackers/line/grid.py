@@ -83,6 +83,9 @@ class GridFilter(AbstractFilter[GridBelief]):
             departing = _bin_masses(fast, 0.0 * dt, motion.sigma_departure.value)
             departing = departing.at[1:].add(departing[1:]).at[0].set(2.0 * departing[0] - 1.0)
         travelling = self._advanced(travelling, fast * (dt / along[1]))
+        if isinstance(motion, HaltingMotion) and motion.travel is not None:
+            stopped = travelling * motion.stopping(dt)
+            travelling, halted = travelling - stopped, halted + jnp.sum(stopped, axis=1)
         transition = self._speed_transition(motion.sigma_a.value * jnp.sqrt(dt) / fast[1])
         travelling = jnp.matmul(travelling, transition, precision="highest")
         if isinstance(motion, HaltingMotion):

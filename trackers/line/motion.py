@@ -1,4 +1,4 @@
-"""Motions along a known path: the thesis's (2.1), (2.2), and one with halts at the joins of segments."""
+"""Motions along a known path: the thesis's (2.1), (2.2), and one with halts at the joins of segments or anywhere."""
 
 from __future__ import annotations
 
@@ -66,7 +66,9 @@ class HaltingMotion(AbstractMotion):
     """`LineMotion`, with halts: at a join the tag rests with probability `halting`, for `rest` s on average.
 
     `sigma_a`: white acceleration along the path, m/s per √s. The speed after a rest is half-normal with scale
-    `sigma_departure` m/s. Future work in chapter 4 of the thesis: `LineMotion` overshoots rests at joins.
+    `sigma_departure` m/s. `travel`: mean time of travel, s, after which the tag halts away from joins, too; None for
+    never. Future work in chapter 4 of the thesis: `LineMotion` overshoots rests at joins. Its speed, never negative,
+    also carries a tag at rest on wherever readings are weak.
     """
 
     line: Polyline
@@ -74,15 +76,23 @@ class HaltingMotion(AbstractMotion):
     halting: Noise
     rest: Noise
     sigma_departure: Noise
+    travel: Noise | None
 
     def __init__(
-        self, line: Polyline, sigma_a: float, halting: float = 0.5, rest: float = 5.0, sigma_departure: float = 0.5
+        self,
+        line: Polyline,
+        sigma_a: float,
+        halting: float = 0.5,
+        rest: float = 5.0,
+        sigma_departure: float = 0.5,
+        travel: float | None = None,
     ):
         self.line = line
         self.sigma_a = Scale(sigma_a, "m/s/sqrt(s)", "process noise")
         self.halting = Fraction(halting)
         self.rest = Scale(rest, "s")
         self.sigma_departure = Scale(sigma_departure, "m/s", "process noise")
+        self.travel = None if travel is None else Scale(travel, "s")
 
     @property
     def noise_dimension(self) -> int:
@@ -90,8 +100,8 @@ class HaltingMotion(AbstractMotion):
 
     def step(self, state: HaltingState, inputs: Inputs, dt: Scalar, w: Vector) -> HaltingState:
         travelled, ahead = self._travelled(state, inputs, dt, w)
-        resting, halts, leaves = self._choices(state, ahead, dt, w)
-        there = self.line.on_path(jnp.where(halts, ahead, travelled.arclength))
+        resting, at_join, halts, leaves = self._choices(state, ahead, dt, w)
+        there = self.line.on_path(jnp.where(at_join, ahead, travelled.arclength))
         arclength = jnp.where(resting, self.line.on_path(state.arclength), there)
         # At rest the speed is zero; the speed of departure uses the same noise component as a change of speed.
         departure = jnp.where(leaves, jnp.abs(w[0]) * self.sigma_departure.value, 0.0)
@@ -101,14 +111,14 @@ class HaltingMotion(AbstractMotion):
 
     def log_density(self, state: HaltingState, inputs: Inputs, dt: Scalar, w: Vector) -> Scalar:
         _, ahead = self._travelled(state, inputs, dt, w)
-        resting, halts, leaves = self._choices(state, ahead, dt, w)
+        resting, at_join, halts, leaves = self._choices(state, ahead, dt, w)
         travels = draw_log_density(w[0], self.sigma_a.value)
-        halting, rate = self.halting.value, 1.0 / self.rest.value
-        passes = travels + jnp.where(jnp.isfinite(ahead), jnp.log1p(-halting), 0.0)
+        rate, (join, either) = 1.0 / self.rest.value, self._halting(ahead, dt)
         chance = jnp.where(dt > 0, self.leaving(dt), 1.0)
         departs = jnp.log(chance) + draw_log_density(w[0], self.sigma_departure.value)
         rests = jnp.where(leaves, departs, -dt * rate)
-        return jnp.where(resting, rests, jnp.where(halts, jnp.log(halting), passes))
+        halting = jnp.where(at_join, join, jnp.where(halts, either - join, 1.0))
+        return jnp.where(resting, rests, jnp.where(halts, jnp.log(halting), travels + jnp.log1p(-either)))
 
     def _travelled(self, state: HaltingState, inputs: Inputs, dt: Scalar, w: Vector) -> tuple[PathState, Scalar]:
         """The state after travel without halts, and the arclength of the first join reached; infinite for none."""
@@ -117,11 +127,20 @@ class HaltingMotion(AbstractMotion):
         ahead = self.line.next_join(arclength)
         return travelled, jnp.where(ahead <= arclength + speed * dt, ahead, jnp.inf)
 
-    def _choices(self, state: HaltingState, ahead: Scalar, dt: Scalar, w: Vector) -> tuple[Scalar, Scalar, Scalar]:
-        """Whether the tag rests, whether it halts at the join ahead, and whether it leaves its rest."""
+    def _choices(self, state: HaltingState, ahead: Scalar, dt: Scalar, w: Vector) -> tuple[Scalar, ...]:
+        """Whether the tag rests, halts at the join ahead, halts there or elsewhere, and leaves its rest."""
         resting = jnp.asarray(state.resting) > 0.5
-        halts = jnp.isfinite(ahead) & (w[1] < ndtri(self.halting.value)) & ~resting
-        return resting, halts, resting & (w[1] < ndtri(self.leaving(dt)))
+        at_join, halts = ((w[1] < ndtri(p)) & ~resting for p in self._halting(ahead, dt))
+        return resting, at_join, halts, resting & (w[1] < ndtri(self.leaving(dt)))
+
+    def _halting(self, ahead: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+        """The probabilities of a halt within `dt` s at the join `ahead`, infinite for none, and of one anywhere."""
+        join = jnp.where(jnp.isfinite(ahead), self.halting.value, 0.0)
+        return join, join + (1.0 - join) * self.stopping(dt)
+
+    def stopping(self, dt: Scalar) -> Scalar:
+        """The probability that a tag halts away from joins within `dt` s of travel."""
+        return 0.0 * dt if self.travel is None else -jnp.expm1(-dt / self.travel.value)
 
     def leaving(self, dt: Scalar) -> Scalar:
         """The probability that a rest ends within `dt` s."""

@@ -12,10 +12,8 @@ import polars as pl
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.polyline import Polyline
-from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
-from trackwright.trackers.line.motion import HaltingMotion, LineMotion
 from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import KnotTimes, knot_times
 from trackwright.trackers.parts.fixes import AXES_M, AXES_STD_M
@@ -34,8 +32,12 @@ from trackwright.trackers.recordings.trajectories import (
 SIGMA_FIX = 0.3
 """Standard deviation of a fix per axis, m; the raw error in the thesis is 0.39 m over both axes."""
 
-SIGMA_RANGE, POSITIVE_SKEW, DOF = 0.1, 3.0, 3.0
-"""Scale, m, skew and degrees of freedom of the range errors, as fitted to recordings of other rooms."""
+CALIBRATED, OBSTRUCTED = (0.1, 3.0, 3.0), (0.06, 10.0, 4.0)
+"""Scale, m, skew and degrees of freedom of range errors at sites with and without a calibration.
+
+Where no calibration has taken it, obstruction makes an anchor's ranges too long by decimetres for as long as the tag
+stays at a place. A skew that takes all these ranges for independent has to be wide.
+"""
 
 CLOSING_GAP = 0.05
 """Largest gap between the ends of a closed path, as a fraction of its longest segment."""
@@ -137,16 +139,24 @@ def _geometry(trajectory: Trajectory) -> Hashable:
         np.asarray(trajectory.folder.rig.path_knots).tobytes(),
         *trajectory.recording.readings,
         len(trajectory.folder.rig.anchors) if RANGES in trajectory.recording.readings else 0,
+        _calibrated(trajectory),
     )
+
+
+def _calibrated(trajectory: Trajectory) -> bool:
+    calibration = trajectory.folder.calibration
+    return calibration is not None and bool(calibration.anchors)
 
 
 def _builder(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], AbstractTracker]:
     def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        motion: LineMotion | HaltingMotion = line_motion(path_of(trajectory.folder))
-        sensors: dict[str, AbstractSensor] = {FIXES: FloorFixes(SIGMA_FIX)}
-        if RANGES in trajectory.recording.readings:
-            sensors = {RANGES: RangeSensor(1, len(trajectory.folder.rig.anchors), SIGMA_RANGE, POSITIVE_SKEW, DOF)}
-        return make(motion, sensors)
+        line, anchors = path_of(trajectory.folder), len(trajectory.folder.rig.anchors)
+        if RANGES not in trajectory.recording.readings:
+            return make(line_motion(line), {FIXES: FloorFixes(SIGMA_FIX)})
+        if _calibrated(trajectory):
+            return make(line_motion(line), {RANGES: RangeSensor(1, anchors, *CALIBRATED)})
+        # A speed that never falls would carry a tag at rest on along ranges that are too long.
+        return make(line_motion(line, anywhere=True), {RANGES: RangeSensor(1, anchors, *OBSTRUCTED)})
 
     return build
 

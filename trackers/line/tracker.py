@@ -39,6 +39,9 @@ SIGMA_A = 0.05
 SIGMA_LINE = 0.02
 """Standard deviation of a marked path, m."""
 
+STEADY, TRAVEL, REST = 0.03, 20.0, 10.0
+"""Of a tag that may halt anywhere: change of speed, m/s per √s, and mean times of travel and of rest, s."""
+
 CURVE_SPACING = 0.5
 """Mean distance between knots, m, below which they are treated as points on a curve."""
 
@@ -138,10 +141,15 @@ class ElsewherePolicy(AbstractTrackLoss):
         return statistic > 1.0
 
 
-def line_motion(line: Polyline, sigma_a: float = SIGMA_A) -> LineMotion | HaltingMotion:
-    """`HaltingMotion`; `LineMotion` for a path without joins, or with knots that draw a curve; `sigma_a` m/s per √s."""
-    curved = line.length < CURVE_SPACING * len(line.lengths)
-    return LineMotion(line, sigma_a) if curved or not len(line.joins) else HaltingMotion(line, sigma_a)
+def line_motion(line: Polyline, sigma_a: float = SIGMA_A, anywhere: bool = False) -> LineMotion | HaltingMotion:
+    """`HaltingMotion`; `LineMotion` for a path without joins, or with knots that draw a curve; `sigma_a` m/s per √s.
+
+    With `anywhere` the tag may halt away from joins, too, and on a path without any, with the levels `STEADY`, `TRAVEL`
+    and `REST`.
+    """
+    if line.length < CURVE_SPACING * len(line.lengths) or not (len(line.joins) or anywhere):
+        return LineMotion(line, sigma_a)
+    return HaltingMotion(line, STEADY, rest=REST, travel=TRAVEL) if anywhere else HaltingMotion(line, sigma_a)
 
 
 def line_tracker(
