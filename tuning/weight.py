@@ -66,8 +66,8 @@ def tempered_anew(driver: MultiStart, state: FitState) -> FitState:
 def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str]) -> FitState:
     """The state of a finished fit, or with another best point, where recordings left out ask for another weight.
 
-    That of the likelihood is divided by `RATIO`, or else multiplied, while fits without a part of the recordings get
-    better on it. `recordings`: of each trajectory, empty for padding.
+    That of the likelihood is divided by `RATIO`, or with three or more else multiplied, while fits without a part of
+    the recordings get better on it, by more than a standard error. `recordings`: of each trajectory, empty for padding.
     """
     problem, winner = driver.problem, int(np.argmin(state.best_scores))
     names, of_trajectory = list(dict.fromkeys(name for name in recordings if name)), np.asarray(recordings)
@@ -84,18 +84,18 @@ def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str])
         found = refit(problem, starts, hessian, None, factor * count, ROUNDS).vectors
         return np.clip(found, driver.low, driver.high)
 
-    def score(factor: float) -> float:
+    def scores(factor: float) -> Float[np.ndarray, " S"]:
         terms = problem.terms(fitted(factor, others))
-        sums = weighted_sum(terms, np.isfinite(terms).all(axis=1) & left_out)
-        return float(problem.values_of(sums.sum(axis=0, keepdims=True))[0])
+        return problem.values_of(weighted_sum(terms, np.isfinite(terms).all(axis=1) & left_out))
 
-    best, least = 1.0, score(1.0)
-    for ratio in (1 / RATIO, RATIO):
+    best, least = 1.0, scores(1.0)
+    # Two recordings have one difference, which does not tell by how much recordings differ.
+    for ratio in (1 / RATIO, RATIO)[: len(names) - 1]:
         for factor in (ratio, ratio**2) if best == 1.0 else ():
-            value = score(factor)
-            if not value < least - BETTER:
+            gains = least - (values := scores(factor))
+            if not gains.mean() > max(BETTER, gains.std(ddof=1) / len(gains) ** 0.5):
                 break
-            best, least = factor, value
+            best, least = factor, values
     if best == 1.0:
         return state
     vector = fitted(best, every)[0]
