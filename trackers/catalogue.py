@@ -153,7 +153,7 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
 """The trackers by kind of readings, in the order in which these are tried where none is named.
 
 The order within a kind is that of the errors on recordings on which the levels of neither tracker were fitted, named
-above; docs/which-tracker.md has the figures.
+above.
 """
 
 ENTRIES: Mapping[str, Entry] = MappingProxyType(
