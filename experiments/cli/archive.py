@@ -29,7 +29,7 @@ from trackwright.experiments.cli.archive_tables import Refusals, Run, compared, 
 from trackwright.experiments.cli.console import json_alone, output_folder, ready
 from trackwright.experiments.cli.evaluating import COMPARISON, code_of, condition_of
 from trackwright.experiments.cli.options import EvaluateOptions, TrackOptions
-from trackwright.experiments.cli.runtime import write_manifest
+from trackwright.experiments.cli.runtime import LEFT_OUT, write_manifest
 from trackwright.experiments.cli.tracking import endings, notice_levels, tracker_names, write_shown
 from trackwright.experiments.jobs.executors import Threads, cluster_executor
 from trackwright.experiments.jobs.portable import file_of
@@ -215,7 +215,7 @@ def _ended(verb: str, out: Path, noticed: int, refused: Sequence[Sequence[str]],
     if refused:
         notice(f"not {verb}: {len(refused)} of {counted(of, 'recording')}")
     _list_refused(verb, refused, table)
-    return int(bool(refused))
+    return LEFT_OUT if refused else 0
 
 
 def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
@@ -244,4 +244,4 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
             failed |= bool(code_of(evaluation, fail_if, f"{run.short}: "))
         _compare(runs)
         code = _ended("evaluated", out, noticed, [lines[path] for path in paths if path in lines], len(paths))
-    return int(failed or code)
+    return 1 if failed else code

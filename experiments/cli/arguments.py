@@ -107,7 +107,8 @@ class _Help:
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
         """Prints one group of arguments, options by their sections, or the list of commands."""
-        found: dict[str, list[tuple[str, str]]] = {title: [] for title in (panel.title, *SECTIONS)}
+        own = str(panel.title)
+        found: dict[str, list[tuple[str, str]]] = {title: [] for title in (own, *SECTIONS)}
         for entry in panel.entries:
             about = [str(entry.description.primary_renderable).rstrip(".")]
             about += [f"({', '.join(entry.choices)})"] if entry.choices else []
@@ -115,7 +116,7 @@ class _Help:
             about += [f"(default: {entry.default})"] if entry.default and "default:" not in about[0] else []
             name = entry.display_labels_with_metavar[0]
             of = (title for title, names in SECTIONS.items() if name.split()[0][2:] in names.split())
-            section = next(of, panel.title) if name.startswith("--") and panel.title == "Parameters" else panel.title
+            section = next(of, own) if name.startswith("--") and own == "Parameters" else own
             found[section].append((", ".join(entry.display_labels_with_metavar), " ".join(about)))
         if (rare := found[RARE]) and ALL not in sys.argv:
             found[RARE] = [(ALL, "explains " + ", ".join(name.split()[0] for name, _ in rare))]

@@ -29,7 +29,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # errors of a standard output th
 
 
 def main() -> None:
-    """Run one command. Exit code 0, 1 (a check failed) or 2 (unusable input, one line on standard error)."""
+    """Run one command. Exit code 0, 1 (a check failed), 2 (unusable input, one line) or 3 (recordings left out)."""
     try:
         plain_streams()
         settle_memory()

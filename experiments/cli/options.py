@@ -196,7 +196,7 @@ class TrackOptions(TrackerOptions):
         figures: page, report.html with playback and linked charts; png or pdf, also the charts as files; or none.
         force: track recordings in spite of the errors that `trackwright check` finds.
         keep_going: track each recording by itself, keep finished ones for the same command again, and leave out those
-            that fail, with exit code 1; always with a folder of folders, more than 60 recordings, or --cluster.
+            that fail, with exit code 3; always with a folder of folders, more than 60 recordings, or --cluster.
         json: print the error metrics as JSON, by tracker, instead of tables.
     """
 

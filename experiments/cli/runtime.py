@@ -18,16 +18,21 @@ from typing import Any
 COLLECT_AFTER = 500_000
 """Allocations between garbage collections: imports and tracing make many lasting objects, 300,000 before a track."""
 
+LEFT_OUT = 3
+"""The exit code where recordings were left out, and the others done."""
+
 PACKAGES = ("jax", "jaxlib", "numpy")  # those whose versions a manifest names, beside our own
 
 
 def settle_memory() -> None:
-    """Collect garbage less often, and let polars give memory back."""
+    """Collect garbage less often, let polars give memory back, and keep alarms of XLA off the terminal."""
     gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
     # What lives to the end needs no last collection, which took 0.6 s after jax was used.
     atexit.register(gc.freeze)
     # The allocator of polars, which is to give memory back while jax is imported.
     os.environ.setdefault("_RJEM_MALLOC_CONF", "dirty_decay_ms:100,muzzy_decay_ms:0")
+    # XLA reports a slow compilation as an error; those that fail reach us as exceptions.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 
 def keep_programs() -> None:

@@ -19,7 +19,7 @@ import polars as pl
 from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.console import notice_unused_calibration, output_folder
 from trackwright.experiments.cli.options import TrackOptions, file_format
-from trackwright.experiments.cli.runtime import write_manifest
+from trackwright.experiments.cli.runtime import LEFT_OUT, write_manifest
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.text.evaluation_text import to_json, to_text
@@ -111,8 +111,8 @@ def track_folders(
     folders: Sequence[RecordingFolder], refused: Sequence[str], options: TrackOptions, started: datetime, begin: Begin,
     put: Callable[[Mapping[str, Any]], None],
 ) -> int:  # fmt: skip
-    """Tracks the recordings, writes all files and prints the metrics; the exit code, 1 if some were `refused`. Several
-    trackers get a folder each; those that the user named are compared. `put`: of the metrics, by tracker."""
+    """Tracks the recordings, writes all files and prints the metrics; the exit code. Several trackers get a folder
+    each; those that the user named are compared. `put`: of the metrics, by tracker."""
     of_file = None if options.tuned is None else options.tuned.tracker
     runs, unfit = tracked_by(folders, options.tracker or of_file, options.noise)
     for name, chosen in runs if options.tracker is None else ():
@@ -156,7 +156,7 @@ def track_folders(
             )
     for line in (*refused, *unfit):
         notice(f"not tracked: {line}")
-    return int(bool(refused or unfit))
+    return LEFT_OUT if refused or unfit else 0
 
 
 def _track(

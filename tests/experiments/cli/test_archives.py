@@ -74,7 +74,7 @@ def _results(out):
 
 def test_a_broken_folder_costs_its_own_line_and_never_the_rest(archive, whole):
     done, out = whole
-    assert done.code == 1, done.err
+    assert done.code == 3, done.err
     results = _results(out)
     assert len(results) == COUNT
     refused = results.filter(pl.col("refused").is_not_null())
@@ -119,7 +119,7 @@ def test_the_same_command_continues_after_an_end_at_any_moment(archive, whole, b
     assert not (tmp_path / "results.csv").exists()
     del begun[:]
     done = trackwright("track", archive, *PLAIN, "--out", tmp_path)
-    assert done.code == 1
+    assert done.code == 3
     assert not {path.name for path in written} & set(begun)
     assert len(begun) == COUNT - len(BROKEN) - 10
     assert _bytes(tmp_path) == _bytes(expected)
@@ -172,7 +172,7 @@ def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch
     scored, associate = [], part.associate_truth
     monkeypatch.setattr(part, "associate_truth", lambda *rest: scored.append(1) or associate(*rest))
     done = trackwright("evaluate", out)
-    assert done.code == 1
+    assert done.code == 3
     assert "not evaluated: " in done.err
     assert "no truth table" in done.err
     assert not scored
@@ -184,7 +184,7 @@ def test_several_trackers_have_a_folder_each_and_one_table_of_results(tmp_path):
     write_archive(tmp_path / "archive", 3)
     options = ("--tracker", "fix-kf,uwb,median", "--json")
     done = trackwright("track", tmp_path / "archive", *options, "--out", tmp_path / "out")
-    assert done.code == 1
+    assert done.code == 3
     assert list(json.loads(done.out)) == ["fix-kf", "median"]
     assert done.err.count("tracker 'uwb' needs") == 3
     results = _results(tmp_path / "out")
@@ -223,7 +223,7 @@ def test_names_of_any_characters_cost_their_own_line(tmp_path):
     paths[1].rename(odd)
     (paths[2] / b"\xff.csv".decode("utf-8", "surrogateescape")).write_text("a,b\n1,2\n")
     done = trackwright("track", tmp_path / "archive", *PLAIN, "--out", tmp_path / "out")
-    assert done.code == 1
+    assert done.code == 3
     assert done.err.count("control character or bytes that are no UTF-8 in its name") == 1
     assert "not tracked: 1 of 3 recordings\n" in done.err
     assert _results(tmp_path / "out")["recording"].to_list().count(None) == 1
@@ -270,7 +270,7 @@ def test_a_cluster_computes_the_same_bits_and_a_recording_that_ends_workers_cost
     monkeypatch.setattr(command, "cluster_executor", _elsewhere)
     on = ("--cluster", "tcp://elsewhere:8786")
     done = trackwright("track", tmp_path / "archive", *options, "--out", tmp_path / "there", *on)
-    assert done.code == 1
+    assert done.code == 3
     assert "walk-01: its workers ended" in done.err
     here, there = (pl.read_parquet(tmp_path / name / "tracks.parquet") for name in ("here", "there"))
     assert there.equals(here.filter(pl.col("recording") != "walk-01"))

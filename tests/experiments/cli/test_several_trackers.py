@@ -84,7 +84,7 @@ def test_recordings_of_two_kinds_get_the_trackers_that_fit_and_one_that_fits_non
     said = trackwright(
         "track", *(tmp_path / n for n in ("fixed", "ranged", "moved")), "--out", tmp_path / "out", *PLAIN
     )
-    assert said.code == 1, said
+    assert said.code == 3, said
     assert f"not tracked: {tmp_path / 'moved'}: no tracker fits" in said.err
     assert sorted(path.parent.name for path in (tmp_path / "out").glob("*/tracks.parquet")) == ["fix-kf", "uwb"]
     for name, recording in (("uwb", "ranged"), ("fix-kf", "fixed")):
