@@ -23,7 +23,7 @@ OFFSETS = np.array([[0.0, 0.0, 0.0], [0.5, 0.25, 0.0], [0.5, -0.25, 0.0]])
 """Places of the tags on a trolley, m, ahead and to the left of the middle of its axle."""
 
 CENTRE, RADIUS, WANDER, SPEED = np.array([2.5, 2.5, 1.0]), 1.2, np.array([0.5, 0.5, 0.0]), 0.5
-"""Of the trolleys' rounds in the chamber, m and m/s; the height is that of the tags."""
+"""Of the trolleys' rounds in the chamber, m and m/s; the height is the tags'."""
 
 
 def rounds(keys: Keys, times: Times) -> Float[np.ndarray, "n T 3"]:
@@ -78,7 +78,7 @@ class SimulatedBodies:
 
 
 def _by_tag(values: Shaped[np.ndarray, "n T tags m"]) -> Shaped[np.ndarray, "n_tags T m"]:
-    """The values of each tag, those of a trolley one after another."""
+    """The values of each tag, of one trolley after another."""
     return np.moveaxis(values, 2, 1).reshape(-1, values.shape[1], values.shape[3])
 
 
@@ -94,7 +94,7 @@ def simulate_bodies(
     of_ranges: Mapping[str, Corruption] = MappingProxyType({}),
     wheels: tuple[float, float] | None = (0.01, 0.04),
 ) -> SimulatedBodies:
-    """Trolleys, `n` or those of the ids `n`, whose `tags` range to all anchors at `n_points` times.
+    """Trolleys, `n` or with the ids `n`, whose `tags` range to all anchors at `n_points` times.
 
     The middle of the axle goes its `rounds`; the trolley looks along them. `of_anchors`: corruptions (n, T, A), m, of
     the ranges of all tags alike; `of_ranges`: of each tag (n, T, tags·A). `wheels`: white errors of the speed, m/s per

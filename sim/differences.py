@@ -83,7 +83,7 @@ def simulate_differences(
     schedule: Schedule = "messages",
     corruptions: Mapping[str, Corruption] = MappingProxyType({}),
 ) -> SimulatedDifferences:
-    """Trajectories, `n` or those of the ids `n`, of `n_points` times of range differences, with truth.
+    """Trajectories, `n` or with the ids `n`, of `n_points` times of range differences, with truth.
 
     `corruptions`: of the times of arrival (n, T, anchors), m, by name, which is the random stream, in order: the noise
     of an arrival is in all differences with its anchor. A trajectory depends on the seed and its id alone. Raises

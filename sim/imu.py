@@ -1,6 +1,6 @@
 """An IMU on a moving body: ideal measurements along a true path with attitude, and the errors of real ones.
 
-The corruptions here act on accelerations or angular rates (n, T, 3), as do those of `sim.corruptions` that take any
+The corruptions here act on accelerations or angular rates (n, T, 3), as do others in `sim.corruptions` that take any
 shape. Ranges to the same body: `sim.ranging`; range differences: `sim.differences`.
 """
 
@@ -76,7 +76,7 @@ def ideal_readings(times: Times, positions: Vectors, attitudes: Attitudes) -> tu
     """
     dt = np.diff(times)[:, None]
     between = np.diff(positions, axis=1) / dt
-    # The velocity at a time is the mean of those of the adjacent intervals; at both ends, that of a parabola.
+    # The velocity at a time is the mean over the adjacent intervals; at both ends, from a parabola.
     middle = 0.5 * (between[:, 1:] + between[:, :-1])
     ends = 1.5 * between[:, [0, -1]] - 0.5 * middle[:, [0, -1]]
     velocity = np.concatenate([ends[:, :1], middle, ends[:, 1:]], axis=1)

@@ -48,7 +48,7 @@ def halts(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durati
 def speed_changes(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
     """Situation 3: a random speed on every segment, with a ratio of at most 4 between fastest and slowest, no halts.
 
-    The duration of the whole path is that of `speed`.
+    The whole path takes as long as at `speed`.
     """
     factors = 2.0 ** (2.0 * uniforms(stream(keys, "speeds"), (len(lengths),)).astype(float) - 1.0)
     travel = lengths / factors

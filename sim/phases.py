@@ -1,10 +1,10 @@
 """Phases at an antenna array: of spherical waves, in the plane-wave approximation of the trackers, and of signals.
 
-The sign is that of equation (9) of paper A and of the recordings: phase of antenna i = +2 pi / lambda * p_i . u +
+The sign is as in equation (9) of paper A and of the recordings: phase of antenna i = +2 pi / lambda * p_i . u +
 common, u the unit vector to the beacon. The common offset of a station's row holds no information and is omitted from
 ideal phases.
 
-The signal level is that of paper A, equations (1)-(3), section 4: sampled FMCW baseband signals per antenna, and the
+The signal level is as in paper A, equations (1)-(3), section 4: sampled FMCW baseband signals per antenna, and the
 phases estimated from them. The beacon's ramp arrives after its time of flight and is mixed with the station's own,
 which started at an unknown time and phase: a tone whose frequency gives the delay and whose phase gives the direction.
 """
@@ -79,11 +79,11 @@ def antenna_arrays(
 
 @dataclass(frozen=True)
 class Radar:
-    """An FMCW receiver; the wavelength at the middle of the ramp is that of the station.
+    """An FMCW receiver; the wavelength at the middle of the ramp is the station's.
 
     `snr`: power of the direct tone over noise power in one sample of one antenna (a ratio; infinite for no noise). The
     ramp: `bandwidth_hz` in `ramp_s`, `n_samples` in that time. `cutoff_hz`: of the low-pass before sampling,
-    fourth-order Butterworth (the printed 5 GHz cannot be that of a baseband). `sync_s`: range of the station's unknown
+    fourth-order Butterworth (the printed 5 GHz cannot be a baseband's). `sync_s`: range of the station's unknown
     start, tau_m, uniform and independent in every row.
     """
 
@@ -154,7 +154,7 @@ def signal_phases(
     common = 2 * np.pi * uniforms(stream(keys, "common phase"), rows[1:]).astype(float)[..., None]
 
     # Time and carrier phase are counted from the middle of the ramp. The spectrum of a window centred at zero is real,
-    # so that the phase at the peak is that of the carrier, whatever the bin. Counted from the start of the ramp, the
+    # so that the phase at the peak is the carrier's, whatever the bin. Counted from the start of the ramp, the
     # phase would change by half a turn per bin, and antennas, whose tones differ by hundredths of a bin, would be
     # biased.
     t = (np.arange(radar.n_samples) - (radar.n_samples - 1) / 2) * (radar.ramp_s / radar.n_samples)

@@ -164,7 +164,7 @@ class SimulatedRanges:
 
 
 def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
-    """The rig of a room with anchors (A, 3), m, by default those of the paper's chamber."""
+    """The rig of a room with anchors (A, 3), m, by default as in the paper's chamber."""
     return Rig("chamber", anchors={f"A{k + 1}": np.asarray(a, float) for k, a in enumerate(anchors)})
 
 
@@ -185,7 +185,7 @@ def simulate_ranges(
     protocol: Protocol | None = None,
     corruptions: Mapping[str, Corruption] = MappingProxyType({}),
 ) -> SimulatedRanges:
-    """Trajectories, `n` or those of the ids `n`, of `n_points` rows of ranges to all anchors of the rig, with truth.
+    """Trajectories, `n` or with the ids `n`, of `n_points` rows of ranges to all anchors of the rig, with truth.
 
     `corruptions`: by name, which is the random stream, in order. A trajectory depends on the seed and its id alone.
     Raises ValueError for a rig without anchors.

@@ -126,7 +126,7 @@ def simulate_phases(
     reflectors: Sequence[Reflector] = (),
     corruptions: Mapping[str, Corruption] = MappingProxyType({}),
 ) -> SimulatedPhases:
-    """Trajectories, `n` or those of the ids `n`, of `n_points` rows of phases at all stations of the rig, with truth.
+    """Trajectories, `n` or with the ids `n`, of `n_points` rows of phases at all stations of the rig, with truth.
 
     Phase level: phases of a spherical (or plane) wave, a random common offset per row and station, white noise of
     `sigma_p` rad. With a `radar`, signal level: phases estimated from sampled signals with the radar's noise and with
@@ -226,7 +226,7 @@ class SimulatedFusion:
 def simulate_fusion(
     ranges: SimulatedRanges, seed: int, corruptions: Mapping[str, Corruption] = MappingProxyType({})
 ) -> SimulatedFusion:
-    """The ranges with the angles at the stations of their rig; `seed`: that of the ranges.
+    """The ranges with the angles at the stations of their rig; `seed`: of the ranges.
 
     `corruptions`: of the angles (n, T, 2·S), rad, by name, which is the random stream, in order.
     """

@@ -1,7 +1,7 @@
 """Worlds by name, with sensible defaults, each a function: `WORLDS` has them all.
 
 Each takes `n`, the number of trajectories, and `seed`, and gives a `SimulatedWorld` of as many tags. Trajectories have
-the ids 0 … n − 1, or those of `ids`, which replaces `n`. A trajectory depends on the seed and its id alone: the same
+the ids 0 … n − 1, or `ids`, which replaces `n`. A trajectory depends on the seed and its id alone: the same
 seed gives the same numbers whatever other trajectories are simulated.
 
 The signatures here are the only declaration of the worlds' parameters: the options of `trackwright simulate…` and the

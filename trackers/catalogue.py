@@ -152,7 +152,7 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
 )
 """The trackers by kind of readings, in the order in which these are tried where none is named.
 
-The order within a kind is that of the errors on recordings on which the levels of neither tracker were fitted, named
+The order within a kind is by the errors on recordings on which the levels of neither tracker were fitted, named
 above.
 """
 

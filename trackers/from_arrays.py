@@ -29,7 +29,7 @@ from trackwright.trackers.recordings.checks.coverage import check_time_unit
 from trackwright.trackers.recordings.checks.units import check_units
 
 COARSE_M = 1e-3
-"""Spacing of numbers in single precision, m, from which on coordinates are far from their origin: that of 8 km."""
+"""Spacing of numbers in single precision, m, from which on coordinates are far from their origin: as of 8 km."""
 
 
 def fix_recording(
@@ -221,7 +221,7 @@ def _masked(what: str, values: np.ndarray, rows: int) -> tuple[np.ndarray, np.nd
 def _like(what: str, values: np.ndarray, other: np.ndarray) -> np.ndarray:
     values = np.asarray(values, float)
     if values.shape[: other.ndim] != other.shape[: values.ndim] or values.ndim != other.ndim:
-        raise UnusableInput(f"{what} has shape {values.shape}; expected {other.shape}, that of the measurements")
+        raise UnusableInput(f"{what} has shape {values.shape}; expected {other.shape}, as of the measurements")
     return values
 
 

@@ -19,7 +19,7 @@ from trackwright.trackers.recordings.trajectories import Trajectory
 class Unstacked:
     """A batch of trajectories, padded to `steps` rows, that is stacked chunk by chunk, with the bits of the full batch.
 
-    Their recordings have ids, as those of folders do.
+    Their recordings have ids, as folders' do.
     """
 
     trajectories: Sequence[Trajectory]
@@ -94,7 +94,7 @@ def trajectory_weights(
     """The weight of each trajectory of the batches, with which the rows of every recording add up to the same number.
 
     `recordings`: of each batch, the recording of each of its trajectories. Rows with known truth count where the
-    objective `needs_truth`, else all rows. The weighted number of rows is that of the rows themselves, so that
+    objective `needs_truth`, else all rows. The weighted number of rows is the number of rows, so that
     recordings of one length have weight 1. All weights are 1 if rows have the same weight.
     """
     if weigh == "rows" or not batches:
@@ -111,7 +111,7 @@ def trajectory_weights(
 
 
 def by_chunks(weights: Sequence[Float[np.ndarray, " B"]] | None, sizes: Sequence[int]) -> Float[np.ndarray, " n"]:
-    """The weights of the trajectories of all chunks, from those of batches of these sizes with padding; default 1.
+    """The weights of the trajectories of all chunks, from batches of these sizes with padding; default 1.
 
     Chunks are padded with trajectories without rows, whose weight does not matter.
     """

@@ -3,7 +3,7 @@
 Each angle of a station, and each anchor, is a robust linear regression of its own with a weak normal prior. Its errors
 are correlated: over seconds, and at a place however often a tag returns. Rows of one piece of time and place share
 their weight, and the covariance is a sandwich whose meat adds scores within pieces of time and within places. The
-biases of range differences are those of one regression, since each difference has two.
+biases of range differences come from one regression, since each difference has two.
 
 Cross-fitting corrects a recording by what others show, or each half of it by the other half.
 """
@@ -223,7 +223,7 @@ def _tag_offsets(
     for _ in range(TAG_ROUNDS):
         left = []
         for code, (name, of_anchor) in enumerate(rows.items()):
-            # Obstruction and multipath at a place are those of an anchor.
+            # Obstruction and multipath at a place belong to an anchor.
             clusters = {key: getattr(of_anchor, key) * len(rows) + code for key in ("piece", "place")}
             x = np.column_stack([np.ones(len(of_anchor.y)), ends[name]])
             left.append(of_anchor._replace(x=x, y=of_anchor.y - of_anchor.x @ fitted[name].terms, **clusters))

@@ -2,7 +2,7 @@
 
 Symbols: x, factors of the terms; w, weights of rows; A, information of the rows; B, covariance of their score; P, the
 prior precision; D, the design effect, by which B exceeds A. The tempered posterior has the Hessian H = A/D + P, so that
-the prior has its proper weight, and the covariance of the terms is H⁻¹ (B/D² + P) H⁻¹: that of the prior for terms
+the prior has its proper weight, and the covariance of the terms is H⁻¹ (B/D² + P) H⁻¹: the prior's for terms
 that the rows do not determine, the clustered sandwich A⁻¹ B A⁻¹ for those that they do.
 """
 
@@ -145,7 +145,7 @@ def _effective(clusters: np.ndarray, weights: np.ndarray) -> float:
 
 
 def _robust(weights: np.ndarray, whitened: np.ndarray) -> np.ndarray:
-    """The weights times those of Student's t for whitened residuals."""
+    """The weights times Student's t's for whitened residuals."""
     return weights * (DOF + 1.0) / (DOF + whitened**2)
 
 

@@ -112,7 +112,7 @@ def fit_data(
 def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | Loss | None) -> int:
     """3 where the height is estimated, every truth has heights and `state-nll` is judged, or chosen by default; else 2.
 
-    An RMSE in space would be that of a badly determined height, and near the plane of level anchors one is mirrored.
+    An RMSE in space would be a badly determined height's, and near the plane of level anchors one is mirrored.
     """
     weighted = objective is None or (isinstance(objective, str) and "state-nll" in objective)
     if not weighted or batch.planar or _quantity(batch) != "position":

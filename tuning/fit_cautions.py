@@ -1,8 +1,8 @@
 """What speaks against a finished fit: it stood still, a level collapsed, rows are correlated.
 
-Correlated innovations inflate the variance of the likelihood's scores: that of a noise level is about NIS − dof of each
+Correlated innovations inflate the variance of the likelihood's scores: a noise level's is about NIS − dof of each
 row. Sums of it over windows of time have the variance of independent rows times an inflation, which grows with the
-window up to that of the errors.
+window up to the errors'.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ MIN_WINDOWS = 20
 """Windows of a length for an estimate of a variance to a third."""
 
 FLAT = 1.05
-"""Growth of the inflation from a window to one of twice the length below which it has reached that of the errors."""
+"""Growth of the inflation from a window to one of twice the length below which it has reached the errors'."""
 
 NO_SCATTER = 1e-12
 """Scatter of ratios, relative to the sum of their squares, below which they are equal but for rounding."""
@@ -127,7 +127,7 @@ class WindowSums(NamedTuple):
 
     @property
     def inflations(self) -> Float[np.ndarray, " W"]:
-        """The variance of sums over windows relative to that of independent rows; NaN with few windows."""
+        """The variance of sums over windows relative to independent rows'; NaN with few windows."""
         mean = self.total / self.rows
         count, of_squares, of_products, of_sizes = self.windows
         scatter = self.squares - self.total * mean

@@ -66,7 +66,7 @@ class FitResult(Generic[AnyTracker]):
     interrupted. `trace`: the steps of the best start, ending at `vector`; `starts`: of all starts. `before`: the
     tracker at the first start, tied numbers made equal and bounded ones clipped. `limits`: lowest and highest vector.
     `converged`: whether the best start ended before the last step, or its optimiser takes all. `selected`: whether
-    held-out recordings chose `vector`. `readings`: steps and repetitions of the readings. `recordings`: that of each
+    held-out recordings chose `vector`. `readings`: steps and repetitions of the readings. `recordings`: the one of each
     trajectory of `problem`.
     """
 
@@ -148,7 +148,7 @@ class FitOptions:
     `held_out`: recordings that select the best point and end the fit, as `fit` takes them. `dimensions`: 3 to judge an
     estimated height too; None for 3 with `state-nll`, where truth and estimates have heights and anchors are not level,
     and 2 else. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `prior`: of a
-    likelihood, `nll` or `state-nll`: that of the spread between sites, or flat. `chunk`: trajectories in one compiled
+    likelihood, `nll` or `state-nll`: by the spread between sites, or flat. `chunk`: trajectories in one compiled
     call.
     """
 
@@ -200,7 +200,7 @@ def fit(
     it is done; `on`: where.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
-    steps. The noise levels of a sensor whose readings in arrays have a step are not fitted below that of its rounding,
+    steps. The noise levels of a sensor whose readings in arrays have a step are not fitted below its rounding's,
     step/√12, unless `bounds` name them. A fit that does not move from its only start has others. The result is the best
     point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against
     it.

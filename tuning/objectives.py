@@ -79,7 +79,7 @@ class AbstractObjective(eqx.Module):
 
     @property
     def of_position(self) -> bool:
-        """Whether its terms need no covariance of an estimate, or none but that of the position."""
+        """Whether its terms need no covariance of an estimate, or the position's alone."""
         return False
 
     @property

@@ -126,7 +126,7 @@ class MultiStart:
         for attempt in range(MAX_ATTEMPTS):
             trial = np.clip(state.vectors + lengths[:, None] * np.asarray(steps), self.low, self.high)
             slopes = np.sum((trial - state.vectors) * state.gradients, axis=1)
-            # A gain is at most about that of the slope; near the optimum a failed step is due to rounding.
+            # A gain is at most about the slope's; near the optimum a failed step is due to rounding.
             promised = -slopes >= np.maximum(least * (ANOTHER_ATTEMPT if attempt else 1.0), jumps)
             worth = pending & promised if self.optimiser.monotone else pending
             if not worth.any():

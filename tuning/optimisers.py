@@ -38,7 +38,7 @@ class AbstractOptimiser(eqx.Module):
 class Adam(AbstractOptimiser):
     """Adam (Kingma and Ba 2015); its rate falls from `rate` to a hundredth of it over `steps` along a cosine.
 
-    For noisy objectives, those of particle filters.
+    For noisy objectives, as of particle filters.
     """
 
     steps: int = 60

@@ -74,7 +74,7 @@ def plain_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"]]:
 def plain_rows(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"]]:
     """The terms of every row per vector and trajectory, then its squares (S, k + 2, T, B), for few trajectories.
 
-    The host adds the terms in double precision, and derivatives of rows come with those of the sums.
+    The host adds the terms in double precision, and derivatives of rows come with the sums'.
     """
     scores = _scores(point.objective)
     return (point.map_vectors(lambda v: jnp.stack(point.tracker_at(v).accumulate(batch, scores, every_row=True))),)
@@ -112,7 +112,7 @@ def _scores(objective: AbstractObjective) -> Score:
 class WithDerivatives:
     """What `function` returns of a point, `plain_sums` or `plain_rows`, and its derivatives (S, k, p, …).
 
-    `numbers`: those of the vectors with derivatives, all tangents at once; the derivatives by all others are zero.
+    `numbers`: of the vectors with derivatives, all tangents at once; the derivatives by all others are zero.
     """
 
     function: Callable[[Point, Batch], tuple[Array]]
@@ -143,7 +143,7 @@ Reduced = Callable[[Any, Batch], Any]
 """What is computed on the host, from the arrays of a compiled function and its chunk, before a result travels."""
 
 Blocks = Sequence[Float[np.ndarray, "S p"]]
-"""Vectors of a problem, those of one block in one compiled call."""
+"""Vectors of a problem, one block in one compiled call."""
 
 
 class Computation(NamedTuple):

@@ -1,7 +1,7 @@
 """The prior of a fit: Student's t distributions of the unconstrained numbers about their values before it.
 
 A fit to some recordings of a site is run on others. What its own do not tell stays at the values before the fit, the
-defaults, about which those of sites vary by `SPREADS`. Few sites are far off, and are not held back: tails are
+defaults, about which sites vary by `SPREADS`. Few sites are far off, and are not held back: tails are
 heavy.
 """
 

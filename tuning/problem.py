@@ -88,7 +88,7 @@ class Problem:
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
-    is that of its value. Which trajectories these are depends on the vector, and values over different trajectories are
+    is its value's. Which trajectories these are depends on the vector, and values over different trajectories are
     not comparable: a line search compares `values_over` those that count at both of its points. `values`, without
     derivatives, leaves out only what is not finite; it ranks points and starts, and is compared with itself alone.
     """
@@ -190,7 +190,7 @@ class Problem:
     def prior_penalty(self, vectors: Vectors, sums: Float[np.ndarray, "many k"]) -> Penalty:
         """The prior's part of the objective (S,) and its derivatives at vectors (S, p), in the objective's unit.
 
-        `sums` (S, k): those of the likelihood there.
+        `sums` (S, k): of the likelihood there.
         """
         nats = self.prior.penalty(vectors)
         if not self.prior.precision.any():

@@ -37,7 +37,7 @@ def tuned_content(
 ) -> dict[str, Any]:
     """The fitted values by name, with unit, standard error and 95 % interval; nan where unknown.
 
-    `intervals`: lowest and highest value by label. `calibration`: the `identity` of that of the recordings.
+    `intervals`: lowest and highest value by label. `calibration`: the `identity` of the recordings' one.
     """
     table = {}
     # Tied tunables are written one by one: a pattern for them may match others of the tracker too.
@@ -65,7 +65,7 @@ def tuned_content(
 class Tuned(NamedTuple):
     """The content of a tuned.toml: the tracker it was fitted for, None where it names none, and values by name.
 
-    `calibration`: name and fingerprint of that of its recordings, None without one. `units`: of values, as written.
+    `calibration`: name and fingerprint of its recordings' one, None without one. `units`: of values, as written.
     """
 
     tracker: str | None

@@ -54,7 +54,7 @@ class Uncertainty:
     `observed`, `sandwich`: covariances (p, p) of the unconstrained vector along the determined directions; NaN where
     there is none. `undetermined` (p,): parameters with a part in an undetermined direction. `at_bound` (p,): parameters
     at a bound with the objective falling beyond it, or `kept` (p,) at their starting values; the others' covariances
-    are conditional on them. `clusters`: trajectories behind the sandwich. `distance_to_optimum`: to that of
+    are conditional on them. `clusters`: trajectories behind the sandwich. `distance_to_optimum`: to the one of
     the quadratic model, in standard deviations; infinite where the model has none.
     """
 

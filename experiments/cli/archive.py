@@ -98,7 +98,7 @@ def _tracking(options: TrackOptions, paths: Sequence[Path]) -> Tracking:
 
 
 def _renamed(paths: Sequence[Path]) -> dict[Path, str]:
-    """The path as the name of each recording whose name is that of another; raises nothing for an unreadable rig."""
+    """The path as the name of each recording that has another's name; raises nothing for an unreadable rig."""
     names: dict[Path, str] = {}
     for path in paths:
         with suppress(UnusableInput):

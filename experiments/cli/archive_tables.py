@@ -32,7 +32,7 @@ NAMES, TEXTS = ("recording", "path", "tracker", "tracks", "endings"), ("notices"
 """The columns of the table of results before and after the metrics."""
 
 Refusals = dict[Path, list[str]]  # a line for each refusal, by the path of the recording
-SHOWN = tuple(name for name in METRICS if "3d" not in name)  # the metrics that are compared, those of the error first
+SHOWN = tuple(name for name in METRICS if "3d" not in name)  # the metrics that are compared, errors first
 
 
 @dataclass
@@ -141,7 +141,7 @@ def read_results(out: Path) -> Refusals:
 
 def compared(runs: Sequence[Run]) -> list[Section]:
     """The trackers over the recordings that all have scored, of which each counts once; empty without one. The
-    intervals are those of `paired_differences`, with recordings for pieces."""
+    intervals are from `paired_differences`, with recordings for pieces."""
     if len(runs) < 2 or len({run.bearing for run in runs}) > 1:
         return []
     bearing, names = runs[0].bearing, [run.short for run in runs]

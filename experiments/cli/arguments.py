@@ -50,7 +50,7 @@ SECTIONS = {
     "Rarely needed": "average free-height side dimensions weigh starts optimiser steps piece-rows all-pairs "
     "time-tolerance separator decimal skip encoding thousands messages interval skip-bad-lines",
 }
-"""The options of each section of help; those of the last are explained by `--help-all` alone."""
+"""The options of each section of help; the last section is shown by `--help-all` alone."""
 
 RARE, ALL = "Rarely needed", "--help-all"
 

@@ -57,7 +57,7 @@ def _discard_output() -> None:
 
 
 def plain_streams() -> None:
-    """Characters that the encoding of a stream lacks, as that of a Windows pipe, are written as plain ones."""
+    """Characters that the encoding of a stream lacks, as a Windows pipe's, are written as plain ones."""
     codecs.register_error("trackwright-plain", _plain)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
@@ -121,7 +121,7 @@ def _lacks_device() -> bool:
 
 
 def run_alone(function: Callable[..., Any], program: str) -> NoReturn:
-    """Run a function as a program of its own, as those of trackwright.experiments.lab; exits with its code, or 2."""
+    """Run a function as a program of its own, as in trackwright.experiments.lab; exits with its code, or 2."""
     from trackwright.experiments.cli.arguments import new_app
     from trackwright.trackers.core.errors import UnusableInput
 

@@ -120,8 +120,8 @@ class TrackerOptions:
     Args:
         out: the folder to write to.
         tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; `track` compares
-            several, with commas; default: that of the file `--noise` or `--start`, else the one that fits the tables.
-        set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; those of `trackwright trackers NAME`.
+            several, with commas; default: as in the file `--noise` or `--start`, else the one that fits the tables.
+        set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; `trackwright trackers NAME` lists them.
         free_height: estimate the height of tags whose height the rig gives.
         side: where tags are of anchors in one plane; default: below from 2 m on, above up to 0.5 m, else either.
     """
@@ -138,7 +138,7 @@ class TrackerOptions:
 
     @property
     def file(self) -> Path | None:
-        """A tuned.toml, whose values are used: that of `--noise` or `--start`."""
+        """A tuned.toml, whose values are used: of `--noise` or `--start`."""
         file: Path | None = getattr(self, "noise", None) or getattr(self, "start", None)
         return file
 
@@ -166,7 +166,7 @@ class TrackerOptions:
         _ = self.values
 
     def valued(self, named: NamedTracker) -> NamedTracker:
-        """The tracker with the values of the file and then those of `--set`."""
+        """The tracker with the values of the file and then of `--set`."""
         if self.tuned is not None:
             named = self.tuned.of(named, self.file)
         return named.with_values(self.values, "--set") if self.values else named
@@ -186,7 +186,7 @@ class TrackOptions(TrackerOptions):
 
     Args:
         noise: a tuned.toml of `trackwright tune`.
-        fit: fit noise levels and shape of errors to each recording's own readings; those of --noise and --set stay, and
+        fit: fit noise levels and shape of errors to each recording's own readings; values of --noise, --set stay, and
             all where errors last, which readings alone do not tell from motion.
         smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
         lag: smooth with the readings of the next so many seconds only.
@@ -261,7 +261,7 @@ class TuneOptions(TrackerOptions):
         start: a tuned.toml to start from; --set goes before it.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too. Default: 3 for state-nll, in
-            which a height counts half a horizontal coordinate, where the truth has heights and those of anchors differ
+            which a height counts half a horizontal coordinate, where the truth has heights and anchors' heights differ
             by more than 1 m; else 2.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.

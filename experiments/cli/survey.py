@@ -27,7 +27,7 @@ def survey(
         given: anchors whose positions in rig.toml are known, or all.
         sigma: their standard deviation, m, as 0.05 by tape; default: exact.
         frame: without given anchors: origin, x axis, and one to the left of it; default: the first.
-        height: of the tags, m; default: that of the tags in rig.toml, else estimated.
+        height: of the tags, m; default: as in rig.toml, else estimated.
         force: replace a file that exists, and take ranges in spite of the errors that `trackwright check` finds.
         json: print positions, delays, intervals and verdicts as JSON instead of a table.
     """

@@ -64,7 +64,7 @@ def _list_tunables(tracker: str, folder: Path | None, json: bool) -> int:
         print(json_text({"tracker": tracker, "recording": recording.name, "tunables": listed}))
         return 0
     if not folders:
-        notice(f"values: of the simulated recording {recording.name}; give a recording FOLDER for those of its own")
+        notice(f"values: of the simulated recording {recording.name}; give a recording FOLDER for its own")
     print(_table(listed, terminal_width()), end="")
     return 0
 
@@ -127,7 +127,7 @@ def _rows(named: NamedTracker) -> list[dict[str, Any]]:
 
 
 def _table(listed: list[dict[str, Any]], width: int) -> str:
-    """A line for each tunable, and below those of one meaning what it is."""
+    """A line for each tunable, and below them, where they mean one thing, what it is."""
     import numpy as np
 
     from trackwright.experiments.text.tables import aligned

@@ -53,7 +53,7 @@ side that is worth a notice."""
 
 
 class TrackedBy(NamedTuple):
-    """A tracker and the recordings that it runs on; `short`: its name as that of a folder."""
+    """A tracker and the recordings that it runs on; `short`: its name as a folder."""
 
     tracker: str
     folders: list[RecordingFolder]
@@ -117,7 +117,7 @@ def track_folders(
     runs, unfit = tracked_by(folders, options.tracker or of_file, options.noise)
     for name, chosen in runs if options.tracker is None else ():
         if of_file is not None:
-            notice(f"tracker: {name}, that of {options.noise}; choose another with --tracker")
+            notice(f"tracker: {name}, by {options.noise}; choose another with --tracker")
         else:
             spec = spec_of(name)
             unread = {t for folder in chosen for t in folder.tables if t not in spec.reads | {"imu", "truth"}}

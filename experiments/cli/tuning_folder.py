@@ -179,7 +179,7 @@ def _write_run(
 def _notes(data: FitData, result: FitResult, reported: FitData) -> Iterator[str]:
     if len(reported.training) < len(data.training):
         shown, total = (len(recording_names(part.training)) for part in (reported, data))
-        yield f"What is shown of the recordings tuned on is that of {shown} of all {total}."
+        yield f"Of the recordings tuned on, {shown} of {total} are shown."
     if result.uncertainty is None:
         yield "The fit was interrupted: the values are the best so far; --resume continues it."
     if result.n_excluded:

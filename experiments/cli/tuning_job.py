@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from trackwright.experiments.jobs.held_parts import FitWorkers
     from trackwright.trackers.recordings.calibration import Calibration
 
-PARTS = ".tune-parts"  # the folder of the rows, in that of the results, while the command runs
+PARTS = ".tune-parts"  # the folder of the rows, within the results', while the command runs
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def tracker_for_folders(folders: Sequence[RecordingFolder], options: TrackerOpti
     of_file = None if options.tuned is None else options.tuned.tracker
     name = options.tracker or of_file or fitting(folders[0])
     if options.tracker is None:
-        notice(f"tracker: {name}{f', that of {options.file}' if of_file else ''}; choose another with --tracker")
+        notice(f"tracker: {name}{f', by {options.file}' if of_file else ''}; choose another with --tracker")
     named = build(name, folders, options.free_height, options.side)
     notice_unused_calibration(folders, name, named.spec.table)
     return options.valued(named)
@@ -180,9 +180,9 @@ def reported(data: FitData) -> FitData:
 
 
 def cross_calibrated(folders: Sequence[RecordingFolder], file: Path) -> list[list[RecordingFolder]]:
-    """For each recording, itself, or what a fit takes in its place where it is one of those of the calibration `file`.
+    """For each recording, itself, or what a fit takes in its place where the calibration `file` is from it.
     These are calibrated on the others among them, or, if there are none, each half on the other half: a fit with the
-    file's calibration would see errors smaller than those of new recordings."""
+    file's calibration would see smaller errors than new recordings have."""
     from trackwright.trackers.recordings.calibration import read_calibration
 
     whole = read_calibration(file)

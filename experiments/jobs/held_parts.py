@@ -38,7 +38,7 @@ class FitWorkers(NamedTuple):
 
 class HeldParts(Parts):
     """The chunks of a problem with workers, each of which loads its own from files, again elsewhere if a worker is
-    lost. The bits are those of `LocalParts`: the same programs, and the results in the order of the chunks."""
+    lost. The bits are as of `LocalParts`: the same programs, and the results in the order of the chunks."""
 
     def __init__(self, workers: FitWorkers, named: NamedTracker, point: Point, pieces: Iterable[Batch]) -> None:
         self.workers, self.rows, self.held = workers, list[Any](), list[Any]()

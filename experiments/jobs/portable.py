@@ -36,7 +36,7 @@ def file_of(name: str) -> str:
 
 @functools.lru_cache(maxsize=8)
 def spec_here(name: str, text: str) -> TrackerSpec:
-    """The entry of the catalogue, or that of a user's file with this text; kept, since its programs are compiled."""
+    """The entry of the catalogue, or of a user's file with this text; kept, since its programs are compiled."""
     file, attribute = split_name(name)
     if not file:
         return spec_of(name)

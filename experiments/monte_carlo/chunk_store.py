@@ -25,7 +25,7 @@ from trackwright.trackers.recordings.atomic import json_text, remove_abandoned
 from trackwright.trackers.recordings.input_file import file_bytes, read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"
-FORMAT = 2  # of the files of chunks; a folder with those of another format holds another study
+FORMAT = 2  # of the files of chunks; a folder with another format holds another study
 Part = tuple[int, int]  # a chunk: the index of its condition, and its number among the chunks of that
 
 
@@ -152,7 +152,7 @@ def compact(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def expanded(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The arrays of a chunk from those of its file."""
+    """The arrays of a chunk from its file."""
     result: dict[str, np.ndarray] = {}
     for name, values in arrays.items():
         what, *kinds = name.split(" ")

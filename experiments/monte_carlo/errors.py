@@ -1,4 +1,4 @@
-"""Errors, NEES and NIS of tracked trajectories as sums and histograms of each, those of `Scores`."""
+"""Errors, NEES and NIS of tracked trajectories as sums and histograms of each, as in `Scores`."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class TrackedRuns(NamedTuple):
 
 
 class Masked:
-    """The rows of n trajectories, those of the mask `valid` (n, T), as groups of rows of `Scores`."""
+    """The rows of n trajectories in the mask `valid` (n, T), as groups of rows of `Scores`."""
 
     def __init__(self, valid: np.ndarray) -> None:
         self.valid, self.all = valid, bool(valid.all())
@@ -80,7 +80,7 @@ class Masked:
 
 
 def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The arrays of `scored` of all trajectories, from those of some after others."""
+    """The arrays of `scored` of all trajectories, from some after others."""
     first = 0
     for part in parts:
         for name in part:

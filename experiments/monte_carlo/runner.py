@@ -92,7 +92,7 @@ def _run_until(
 def run_missing(
     store: ChunkStore, parts: Sequence[Part], advance: Advance = lambda *_: None, executor: Executor | None = None
 ) -> None:
-    """Run those of the chunks that are not in the store, on the executor or as many in parallel as the host allows."""
+    """Run the chunks that are not in the store, on the executor or as many in parallel as the host allows."""
     study, missing = store.study, [part for part in parts if store.kept(part) is None]
     advance(len(parts) - len(missing))
     if not missing:

@@ -174,7 +174,7 @@ class AbstractBearingSensor(AbstractSensor):
 class BearingSensor(AbstractBearingSensor):
     """Azimuth and elevation with the biases of the row's station, rad: see `AbstractBearingSensor`.
 
-    `late`: by how many seconds the times of angles are later than those of the other readings at the same position.
+    `late`: by how many seconds the times of angles are later than of the other readings at the same position.
     """
 
     late: Noise | None

@@ -30,7 +30,7 @@ class MappedBearingSensor(AbstractBearingSensor, AbstractPlaceSensor):
     """Azimuth and elevation, with the error of the place: its mean m, and s·b + white noise of standard deviation s.
 
     b is the bias of the angle in the state over its `CALIBRATED` standard deviation, s² half of the map's variance.
-    `values` (S, X, Y, 4), `corner` (2,), `step`, `unknown` (4,): those of a `FloorGrid`, whose stations are in the
+    `values` (S, X, Y, 4), `corner` (2,), `step`, `unknown` (4,): as in a `FloorGrid`, whose stations are in the
     order of `inputs["station"]`. Between nodes the map is bilinear. Filters other than `QuadratureKalman` leave out
     the white part, and the reported covariance of the two angles is not used.
     """
@@ -51,7 +51,7 @@ class MappedBearingSensor(AbstractBearingSensor, AbstractPlaceSensor):
         inside = (at[0] >= 0) & (at[0] <= shape[0] - 1) & (at[1] >= 0) & (at[1] <= shape[1] - 1)
         cell = [jnp.clip(jnp.floor(a), 0, n - 2) for a, n in zip(at, shape, strict=True)]
         i, j = (c.astype(jnp.int32) for c in cell)
-        # Off the grid a gradient would be that of an extrapolation.
+        # Off the grid a gradient would be an extrapolation's.
         u, v = (jnp.where(inside, a - c, 0.0)[..., None] for a, c in zip(at, cell, strict=True))
         station = inputs[STATION.name].astype(jnp.int32)
         values = jnp.asarray(self.values)

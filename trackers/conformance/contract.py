@@ -76,7 +76,7 @@ class Check:
 
 
 def check(after: Check | None = None) -> Callable[[Callable[[], str | None]], Check]:
-    """Makes a check of a function, whose name is that of the check."""
+    """Makes a check of a function, with the check's name."""
     return lambda test: Check(test.__name__.strip("_").replace("_", " "), test, after)
 
 

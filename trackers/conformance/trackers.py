@@ -29,7 +29,7 @@ ROWS, FEWEST, MOST = 64, 6, 8  # rows and numbers of recordings: batches of 5 to
 SPOILT, CUTS = 2, 3  # the recording whose measurements are spoilt, and the cuts of one that is run in pieces
 STEPS = (3e-4, 1e-5)  # of difference quotients, of the unconstrained value of a tunable
 FIELDS = ("mean", "cov_upper", "log_likelihood", "nis", "nis_dof", "wrapped", "status")
-ALONE, EVERY = "no mean, maximum or sort over the last axis, that of trajectories", slice(None)
+ALONE, EVERY = "no mean, maximum or sort over the last axis, of trajectories", slice(None)
 
 
 def tracker_checks(

@@ -98,7 +98,7 @@ def drawn_world(
     if not isinstance(tracker, Tracker):
         raise NotApplicable(f"a {type(tracker).__name__} has no motion and sensors to draw a world from")
     if isinstance(tracker.filter, InteractingModels):
-        raise NotApplicable("the filter switches between models, none of which is that of the world")
+        raise NotApplicable("the filter switches between models, none of which is the world's")
     if tracker.position_alone:
         raise NotApplicable("estimates have the covariance of positions alone: position_alone")
     running = np.flatnonzero(estimates.status == Status.OK)

@@ -1,6 +1,6 @@
 """Positions from readings of several kinds together, on the host, where no kind alone determines one.
 
-The kinds' predictions are those of `recordings.kinds`. The Cauchy loss of all readings of the last seconds is taken on
+The kinds' predictions are in `recordings.kinds`. The Cauchy loss of all readings of the last seconds is taken on
 a grid over the room; the best point, and the best one far from it, are refined by Gauss–Newton steps.
 """
 
@@ -26,7 +26,7 @@ CELLS = 16
 """Cells of the grid along each side of the room."""
 
 STEPS = 12
-"""Gauss–Newton steps; the scales of the loss begin with the cells of the grid and halve to those of the kinds."""
+"""Gauss–Newton steps; the scales of the loss begin with the cells of the grid and halve to the kinds' own."""
 
 LARGEST_STD = 1.5
 """Standard deviation, m, along the worst horizontal direction above which a position is not determined."""

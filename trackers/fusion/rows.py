@@ -56,7 +56,7 @@ KINDS: Mapping[str, TrackerSpec] = {
     BEARINGS: OF_ANGLES["bearings"](about="", table=BEARINGS),
     FIXES: TrackerSpec("", FIXES, _placed_fixes, _tracker_of_fixes, lacks=lacks_fixes),
 }
-"""How the readings of each kind are read and tracked alone; the motion is that of the first of them."""
+"""How the readings of each kind are read and tracked alone; the motion is the first one's."""
 
 
 def kinds_of(folder: RecordingFolder) -> list[str]:
@@ -65,9 +65,9 @@ def kinds_of(folder: RecordingFolder) -> list[str]:
 
 
 def fused_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
-    """Each tag's readings of all kinds, those of one time side by side in a row, as far as their numbers go.
+    """Each tag's readings of all kinds, of one time side by side in a row, as far as their numbers go.
 
-    With the inputs of every kind: in a row without a reading of the kind those of the reading before.
+    With the inputs of every kind: in a row without a reading of the kind from the reading before.
     """
     parts = {name: Trajectories.of(KINDS[name].trajectories(folder, free_height)) for name in kinds_of(folder)}
     tags = list(dict.fromkeys(tag for part in parts.values() for tag in part.tags))
@@ -98,7 +98,7 @@ def fused_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
 
 
 def _keys(part: Trajectories, tags: list[str]) -> np.ndarray:
-    """Of each row (3, N): its number among those of its tag and time, its time, and the number of its tag."""
+    """Of each row (3, N): its number among the rows of its tag and time, its time, and the number of its tag."""
     columns = part.columns
     numbers = {tag: number for number, tag in enumerate(tags)}
     tag = columns.of_each(np.array([numbers[name] for name in part.tags]))

@@ -119,7 +119,7 @@ class FusedStart(AbstractNearbyStart):
 def fused_tracker(trackers: Mapping[str, Tracker], planar: bool = False) -> Tracker:
     """The tracker of all readings of several trackers, which are given by the names of their readings.
 
-    The levels of the motion are those of the first with a motion with biases. Every kind keeps its sensor, its biases
+    The levels of the motion come from the first whose motion has biases. Every kind keeps its sensor, its biases
     and their levels. `planar`: at a known height.
     """
     motions = {name: t.motion for name, t in trackers.items() if isinstance(t.motion, DriftingBiases)}
@@ -130,7 +130,7 @@ def fused_tracker(trackers: Mapping[str, Tracker], planar: bool = False) -> Trac
         for name, motion in sorted(motions.items())
         if motion.biases
     }
-    # Times of one kind are what those of the others are late against; fixes have a latency of their own.
+    # Times of one kind are what the others are late against; fixes have a latency of their own.
     others = [name for name, tracker in trackers.items() if hasattr(tracker.sensors[name], "late")][1:]
     delayed = {name: with_delay(trackers[name].sensors[name]) for name in others}
     start = FusedStart(

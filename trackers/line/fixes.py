@@ -17,7 +17,7 @@ FIXES = "fixes"
 class FloorFixes(AbstractSensor):
     """x and y of a fix, m, with independent errors of scale `sigma_p` m: Student's t, for `dof` None normal (1.25).
 
-    Reported variances of x and y, m², add to that of `sigma_p`.
+    Reported variances of x and y, m², add to the variance of `sigma_p`.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)

@@ -1,7 +1,7 @@
 """The posterior mean of the acceleration for a chain without memory, ring by ring instead of state by state.
 
 The states of a ring, one layer and elevation, differ in their azimuth alone, and their log-likelihoods by a cosine of
-it. Over AZIMUTHS equally spaced azimuths a sum of exp(κ cos φ) is AZIMUTHS·I₀(κ), and that of cos φ exp(κ cos φ) is
+it. Over AZIMUTHS equally spaced azimuths a sum of exp(κ cos φ) is AZIMUTHS·I₀(κ), and of cos φ exp(κ cos φ) it is
 AZIMUTHS·I₁(κ), but for modified Bessel functions of order AZIMUTHS and above, which are below rounding up to a known κ
 (Abramowitz and Stegun 1964, 9.6.34); beyond it the terms are summed.
 """

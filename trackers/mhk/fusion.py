@@ -1,6 +1,6 @@
 """Kalman filter driven by the acceleration estimate of a hidden Markov model (Huang et al. 2018, section 3).
 
-    o  displacement between two fixes less that of the previous velocity        o = ½ a Δt² + noise
+    o  displacement between two fixes less the previous velocity's              o = ½ a Δt² + noise
     a  posterior mean of the acceleration given o, applied during the next interval of the same length
     π  stationary distribution of the chain's N states           κ = exp(−rate·dt)  probability of keeping the state
 
@@ -125,7 +125,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
     def posterior(self, weights: jax.Array, displacement: Vector, elapsed: Scalar) -> tuple[jax.Array, Vector]:
         """The chain's filtered probabilities (N,) and mean acceleration, m/s², given a displacement, m, in `elapsed` s.
 
-        `displacement`: less that of constant velocity.
+        `displacement`: less what constant velocity covers.
         """
         half_square = 0.5 * elapsed * elapsed
         precision = 1.0 / self.sigma_displacement.value**2

@@ -21,7 +21,7 @@ from trackwright.trackers.parts.median import nan_median
 class MedianState(NamedTuple):
     """The last values of each axis (window, 3), m, the last output (3,), m, and the time since it, s.
 
-    `ages` (window,): times since the fixes of the window, s. `age`: that of its middle fix at the last output.
+    `ages` (window,): times since the fixes of the window, s. `age`: of its middle fix at the last output.
     """
 
     window: AnyArray
@@ -79,7 +79,7 @@ class LimitedMedian(eqx.Module):
         rows = values, seen, jnp.asarray(batch.dt)
         scanned = jax.lax.scan(lambda state, row: trajectories(state, *row), before, rows)
         after, (positions, median_seen, ages) = scanned
-        # No reported variances: the variance of a fix is not that of a median.
+        # No reported variances: a median has another variance than a fix.
         medians = Reading(positions, median_seen, jnp.zeros((len(values), 0, values.shape[-1]), values.dtype))
         return medians, ages, jax.tree_util.tree_map(lambda x: jnp.moveaxis(x, -1, 0), after)
 

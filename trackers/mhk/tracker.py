@@ -37,7 +37,7 @@ class MedianMarkovKalman(AbstractTracker):
     """MH-K (Huang et al. 2018, Figure 5): a sliding `median`, whose output `fusion` reads as `fixes`.
 
     The median of 2n + 1 fixes of a moving tag lags by n fixes. With `stamped` each estimate is valid at the time of the
-    middle fix of its window; otherwise, as in the paper, at that of its last fix.
+    middle fix of its window; otherwise, as in the paper, at the time of its last fix.
     """
 
     median: LimitedMedian

@@ -164,7 +164,7 @@ def shrunk_speed(belief: Gaussian) -> Scalar:
 
 
 def damped(levels: Any, state: Any, dt: Scalar, w: Vector) -> tuple[Vector, Vector]:
-    """Position and velocity `dt` s later, given the first six draws; `levels`: as those of `DriftingBiases`."""
+    """Position and velocity `dt` s later, given the first six draws; `levels`: as in `DriftingBiases`."""
     n = len(state.position)
     sigmas = [levels.sigma_a.value, levels.sigma_a.value, levels.sigma_z.value][:n]
     decay, gain, velocity_noise, shared, separate = damped_velocity(dt, levels.memory.value)
@@ -175,7 +175,7 @@ def damped(levels: Any, state: Any, dt: Scalar, w: Vector) -> tuple[Vector, Vect
 
 
 def drifted(levels: Any, bias: Vector, dt: Scalar, speed: Scalar, w: Sequence[Scalar]) -> Vector:
-    """Biases `dt` s later, given a draw for each; `levels`: as those of `DriftingBiases`."""
+    """Biases `dt` s later, given a draw for each; `levels`: as in `DriftingBiases`."""
     lapse = dt * (1.0 / levels.time_constant.value + speed / levels.length.value)
     bias_decay, bias_noise = jnp.exp(-lapse), safe_sqrt(-jnp.expm1(-2.0 * lapse))
     draws = (x * (in_turn(levels.sigma_bias.value, k) * bias_noise) for k, x in enumerate(w))

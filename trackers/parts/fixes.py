@@ -150,7 +150,7 @@ class FixSensor(AbstractFixSensor):
 
 
 class CorrelatedFixSensor(AbstractFixSensor):
-    """Fixes with correlated errors: `covariance` (3, 3) m², for instance that of the fixes of a tag at rest."""
+    """Fixes with correlated errors: `covariance` (3, 3) m², for instance of the fixes of a tag at rest."""
 
     covariance: Noise
     reported_std_scale: Noise

@@ -20,7 +20,7 @@ COLLINEAR = 1e-2
 """Ratio of the horizontal singular values of the anchor positions below which the anchors count as collinear."""
 
 CARRIER = "tag of the body"
-"""The column with the tag of each range where those of several tags are rows of one trajectory."""
+"""The column with the tag of each range where ranges of several tags are rows of one trajectory."""
 
 
 def range_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:

@@ -46,7 +46,7 @@ class RangeSensor(AbstractSensor):
 
     Residuals follow a two-piece Student's t with `dof` degrees of freedom, of scale `sigma_r` m below zero and
     `positive_skew`·`sigma_r` above: ranges are too long more often than too short. Reported variances, m², one per
-    slot, add to that of `sigma_r`. `late`: by how many seconds the times of ranges are later than those of the other
+    slot, add to the variance of `sigma_r`. `late`: by how many seconds the times of ranges are later than of the other
     readings at the same position.
     """
 
@@ -141,7 +141,7 @@ class RangeSensor(AbstractSensor):
 
 
 def with_delay(sensor: AbstractSensor) -> AbstractSensor:
-    """The sensor with the tunable `late`, which shows beside readings of another clock, such as those of an IMU."""
+    """The sensor with the tunable `late`, which shows beside readings of another clock, such as an IMU's."""
     return eqx.tree_at(lambda x: x.late, sensor, Real(0.0, "s", typical=0.05), is_leaf=lambda x: x is None)
 
 

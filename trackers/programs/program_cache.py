@@ -40,7 +40,7 @@ PREFIX = "jaxlib-"
 
 
 def cache_programs(directory: str | Path | None = None, report: Callable[[str], object] = warnings.warn) -> Path | None:
-    """Keep compiled programs in a directory and use those of earlier processes; returns the directory in use.
+    """Keep compiled programs in a directory and use earlier processes'; returns the directory in use.
 
     `directory`: by default the value of TRACKWRIGHT_CACHE, else `trackwright` in the user's cache directory; created
     with mode 0700. `report` gets one line if a program cannot be written, after which none is. Returns None and

@@ -2,7 +2,7 @@
 
 jax looks a program up by its text, which takes up to three seconds of tracing per tracker. The key here is the pickled
 function with its arguments, arrays reduced to shape and type, and also the text of our packages, all versions, the
-settings of jax and XLA, and the processor. The machine code is that of the traced program. A function or an argument
+settings of jax and XLA, and the processor. The machine code is the traced program's. A function or an argument
 that is not of our packages, or that cannot be pickled, is traced.
 """
 
@@ -44,7 +44,7 @@ Program = Callable[[Any, Any], Any]
 
 
 class TracedPrograms:
-    """The programs that this process has loaded or compiled, and those of earlier processes in `store`."""
+    """The programs that this process has loaded or compiled, and earlier processes' in `store`."""
 
     def __init__(self, store: ProgramStore) -> None:
         self.store = store

@@ -1,7 +1,7 @@
 """A map over the floor of what a calibration leaves of bearings: errors that return with the place.
 
 The errors of each angle of a station are a Gaussian process over the floor with an exponential kernel, given the mean
-errors of visits to places, each with noise of its own (Rasmussen and Williams 2006, chapter 2). The levels are those of
+errors of visits to places, each with noise of its own (Rasmussen and Williams 2006, chapter 2). The levels are from
 six Bluetooth walks. The visits are made in `tuning/bearing_map.py`.
 """
 

@@ -2,8 +2,8 @@
 and their file `calibration.toml`, written by `calibrate`, read by `--calibration`.
 
 A station measures each angle a as offset + gain·a + cubic·a³ + cross·a·b, where b is the other angle, both in its array
-frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. A range difference is that of
-the distances plus the bias of the first anchor less that of the second. The fit is in `tuning/calibrating.py`.
+frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. A range difference is the
+distances' plus the bias of the first anchor less the second's. The fit is in `tuning/calibrating.py`.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ NO_DIFFERENCES = DifferenceCalibration((), np.zeros(0), np.zeros((0, 0)), np.zer
 
 @dataclass(frozen=True)
 class Calibration:
-    """Systematic errors of stations, anchors and tags by their ids; `recordings`: the names of those of the fit.
+    """Systematic errors of stations, anchors and tags by their ids; `recordings`: their names in the fit.
 
     `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
     the anchors; None without anchors. `differences`: the biases of anchors in range differences. `bearing_map`: what
@@ -289,7 +289,7 @@ class Calibration:
 
 
 def has_moved(before: Point, now: Point) -> bool:
-    """Whether two positions (3,), m, are those of different places."""
+    """Whether two positions (3,), m, are different places."""
     return float(np.linalg.norm(np.asarray(now) - before)) > MOVED_M
 
 

@@ -25,7 +25,7 @@ def float_column(frame: pl.DataFrame, name: str) -> np.ndarray:
 
 
 class TagRows(ABC):
-    """The rows of a table as columns, those of a tag one after another, each tag's in the order of the table.
+    """The rows of a table as columns, one tag after another, each tag's in the order of the table.
 
     `tags`: in order of first appearance. `starts` (tags + 1,): the first of the N rows of each tag, then N. `times`
     (N,): s.

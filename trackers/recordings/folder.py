@@ -142,7 +142,7 @@ class RecordingFolder:
     def averaged(self, interval: float) -> RecordingFolder:
         """This recording with one range, fix or bearing per tag, anchor or station, and interval of so many s.
 
-        The columns are those of `averaged`. With zero every reading stays, for trackers that average of
+        The columns are as of `averaged`. With zero every reading stays, for trackers that average of
         themselves, too. Raises UnusableInput for a negative interval.
         """
         if not 0 <= interval < math.inf:
@@ -287,7 +287,7 @@ def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
     rig, files, notices, others = folder_contents(path)
     tables, ignored = {}, []
     if others:
-        own = "check and track read those of your own kinds by --tracker FILE.py:NAME"
+        own = "check and track read your own kinds by --tracker FILE.py:NAME"
         ignored.append(f"{listed(others)} (not one of the tables {', '.join(table_kinds())}; {own})")
     for name, file in files.items():
         tables[name], table_notices, columns = read_table(file, name, rig, placed or name != "ranges")

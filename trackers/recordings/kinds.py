@@ -82,7 +82,7 @@ def unit_of(column: str) -> str:
 
 
 class Layout(NamedTuple):
-    """The columns of a table: ids, values, optional ones, and those of signal quality, which have any other name."""
+    """The columns of a table: ids, values, optional ones, and signal quality, which have any other name."""
 
     ids: tuple[str, ...]
     values: tuple[str, ...]
@@ -171,7 +171,7 @@ class Kind:
     def layout(self, columns: Sequence[str]) -> Layout:
         """Its columns in a table with `columns`, on which the number of numbered ones depends.
 
-        Quality is that of signals, so that kinds without anchors and stations have none.
+        Quality belongs to signals, so that kinds without anchors and stations have none.
         """
         names = tuple(column.name for column in self.columns)
         stds = tuple(std_column(name.replace("_{n}", "")) for name in names) if self.numbered else ()
@@ -282,7 +282,7 @@ def std_column(value: str) -> str:
 
 
 def wrapped(differences: Float[np.ndarray, "N m"], columns: Sequence[str]) -> Float[np.ndarray, "N m"]:
-    """Differences of the values of columns, those of angles in [−π, π)."""
+    """Differences of the values of columns, of angles in [−π, π)."""
     angles = np.array([column.endswith("_rad") for column in columns])
     if not angles.any():
         return differences
@@ -309,7 +309,7 @@ def _phases(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
     square = np.einsum("nmd,nmd->nm", a, a)
     along = 2.0 * np.einsum("nmd,nmd->nm", p * np.ones_like(a), a) - square
     far = np.sqrt(x * x + y * y + z * z)[:, None]
-    # The distance less that of the antenna, without subtracting the two.
+    # The distance less the antenna's, without subtracting the two.
     shorter = along / (far + np.sqrt(np.maximum(far * far - along, 0.0)))
     return 2 * np.pi / sensors.wavelengths[sensors.number[:, :1]] * shorter
 
@@ -376,7 +376,7 @@ def layout(name: str, columns: Sequence[str]) -> Layout:
 
 
 def distinct(table: pl.DataFrame, kind: Kind) -> pl.DataFrame:
-    """The table without rows whose time, ids and values are those of a row before; rows without a value stay."""
+    """The table without rows whose time, ids and values repeat a row before; rows without a value stay."""
     ids, values, *_ = kind.layout(table.columns)
     empty = pl.all_horizontal(pl.col(values).is_null())
     return table.filter(pl.struct("t_s", *ids, *values).is_first_distinct() | empty)

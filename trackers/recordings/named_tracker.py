@@ -26,7 +26,7 @@ from trackwright.trackers.recordings.trajectories import Trajectories
 Recordings = RecordingFolder | Sequence[RecordingFolder]
 
 FAR_M = 1000.0
-"""Distance of x or y from zero, m, from which on coordinates are those of a map if it is also larger than the site."""
+"""Distance of x or y from zero, m, from which on coordinates are a map's if it is also larger than the site."""
 
 FEW_GAPS = 3
 """Long gaps between epochs that make a rule."""
@@ -210,7 +210,7 @@ def folder_list(recordings: Recordings) -> list[RecordingFolder]:
 def near_origin(folder: RecordingFolder) -> RecordingFolder:
     """The recording about an origin of whole metres in the middle of its site, or as it is if that is near zero.
 
-    The site is that of the rig, or, where this has no geometry, of most fixes. Heights are unchanged.
+    The site is the rig's, or, where this has no geometry, of most fixes. Heights are unchanged.
     """
     points = _site(folder)
     if len(points):

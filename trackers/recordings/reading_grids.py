@@ -69,7 +69,7 @@ class ReadingGrid:
 
     @property
     def lowest(self) -> float:
-        """The least noise level that a fit may find: `floor`, or that of the changes where most readings repeat.
+        """The least noise level that a fit may find: `floor`, or from the changes where most readings repeat.
 
         A reading that is held is off by part of the change to the next, as a rounded one is by part of a step.
         """
@@ -116,7 +116,7 @@ def _typical_change(read: Readings, column: int) -> float:
 def with_rounding(folder: RecordingFolder, names: Collection[str]) -> RecordingFolder:
     """The recording with the standard deviation of their rounding, step/√12, for readings that report none.
 
-    Tables of these names without standard deviations. The step of averages is that of the readings averaged.
+    Tables of these names without standard deviations. Averages have the step of the readings averaged.
     """
     tables = dict[str, pl.DataFrame]()
     for name, kind in KINDS.items():

@@ -18,7 +18,7 @@ from trackwright.trackers.recordings.input_file import TomlReader
 FORMAT = 1
 RIG_FILE = "rig.toml"
 HIGHEST = 1e5  # metres, of a tag
-SHORTEST = 1e-6  # wavelength, m: that of light
+SHORTEST = 1e-6  # wavelength, m: of light
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
 _TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "bodies", "path", "floor")

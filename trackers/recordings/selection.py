@@ -24,7 +24,7 @@ class Selection:
     stop: float | None = None
 
     def of(self, folder: RecordingFolder) -> RecordingFolder:
-        """The recording with these rows alone; its truth is that of the tags, at all times.
+        """The recording with these rows alone; its truth is the tags', at all times.
 
         Raises UnusableInput for a tag that the recording lacks, where a table of measurements has no row left, and for
         times after the start of a recording whose times count from 1970.

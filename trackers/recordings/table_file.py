@@ -1,6 +1,6 @@
 """Reader of one table file, CSV or Parquet: its raw columns, and the location of each row for messages.
 
-Columns of CSV are text, those of Parquet typed; `trackers.recordings.tables` checks and converts them. What the footer
+Columns of CSV are text, of Parquet typed; `trackers.recordings.tables` checks and converts them. What the footer
 and the pages of a Parquet file claim is compared with the bytes that are there, since polars aborts the process where a
 changed byte claims 10¹⁸ values. Both are structures in Thrift's compact protocol; their fields are numbered as in
 Apache Parquet's `parquet.thrift`.

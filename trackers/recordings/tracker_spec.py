@@ -39,7 +39,7 @@ def faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Itera
 class TrackerBatch:
     """Trajectories that one tracker runs as a batch.
 
-    `planar`: whether the state lies in a plane: that of the floor at known heights, or that of a flat array. `notices`:
+    `planar`: whether the state lies in a plane: the floor at known heights, or a flat array's. `notices`:
     one line for readings used once, and for what a recording has that its tracker leaves out of account.
     """
 
@@ -138,7 +138,7 @@ class TrackerSpec:
     def _parts(
         self, trajectories: Trajectories, free_height: bool
     ) -> Iterator[tuple[tuple[bool, Hashable], Trajectories]]:
-        """The trajectories by `planar` and `geometry`, which are those of the first of each station and height."""
+        """The trajectories by `planar` and `geometry`, which are the first one's of each station and height."""
         kinds: dict[tuple[str, float], tuple[bool, Hashable]] = {}
         parts: dict[tuple[bool, Hashable], list[int]] = defaultdict(list)
         heights = np.nan_to_num(trajectories.heights, nan=np.inf).tolist()

@@ -60,7 +60,7 @@ class Tracks:
 
 
 def batches(trajectories: Iterable[Trajectory], seed: int = 0, truth: bool = True) -> list[tuple[Trajectories, Batch]]:
-    """The trajectories in batches of at most `MAX_BATCH`, those of similar length together, padded to few lengths.
+    """The trajectories in batches of at most `MAX_BATCH`, with similar lengths together, padded to few lengths.
 
     `seed`: of the random numbers of filters that draw any. `truth`: whether the batches have it.
     """

@@ -180,7 +180,7 @@ class TruePaths:
 def independent_pieces(times: np.ndarray, positions: np.ndarray, starts: np.ndarray, known: np.ndarray) -> np.ndarray:
     """The number of each row's piece of time (n,): a new one after `PIECE_S` and `PIECE_M`, the same for all tags.
 
-    A tag that stands still stays in one piece, since the errors of its readings are those of one place. `times` (n,) s
+    A tag that stands still stays in one piece, since its readings have the errors of one place. `times` (n,) s
     and `positions` (n, d) m of the tags, whose rows stand one after another from `starts` (tags + 1,); `known` (n,):
     where there is a position.
     """

@@ -36,7 +36,7 @@ class BodyState(NamedTuple):
 
 
 class TurningBody(AbstractMotion):
-    """Motion of an upright body: that of its place and biases, and a turning rate, first-order Gauss–Markov as well.
+    """Motion of an upright body: of its place and biases, and a turning rate, first-order Gauss–Markov as well.
 
     `sigma_turn`: white angular acceleration, rad/s² per √Hz; `turn_memory`: time constant of the turning rate, s.
     With `wheels` the body moves by their odometry where that is known.
@@ -127,8 +127,8 @@ def body_tracker(
 ) -> Tracker:
     """Position, heading, velocity and turning rate of an upright body from the ranges of its tags, one range per row.
 
-    `sigma_r` and `levels`: those of `range_tracker`, whose `range_levels` serve a calibrated site; `sigma_turn` and
-    `turn_memory`: those of `TurningBody`; `wheels`: where the body has odometry. `as_one`: how many ranges between a
+    `sigma_r` and `levels`: as in `range_tracker`, whose `range_levels` serve a calibrated site; `sigma_turn` and
+    `turn_memory`: as in `TurningBody`; `wheels`: where the body has odometry. `as_one`: how many ranges between a
     tag and an anchor count as one, since they come within `LASTS` s; the noise of each is larger by the square root.
     Estimates are of the place from which the input `levers` leads to the tags.
     """

@@ -1,7 +1,7 @@
 """Range differences (TDoA): their sensor, and the assembled tracker with a bias per anchor.
 
 A row is a message: the differences that a tag reports at one time, in slots. A difference has the errors of two times
-of arrival, and those of differences with a common anchor are correlated.
+of arrival, and errors of differences with a common anchor are correlated.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class RangeDifferenceSensor(AbstractSensor):
     a planar state. The prediction includes the difference of both anchors' `view.bias`, m, where a view has it.
 
     Noise is Student's t with `dof` degrees of freedom and scale `sigma_d` m. Reported are a variance, m², of each slot,
-    which adds to that of `sigma_d`, and the correlation of each pair of slots, row by row of the upper triangle, by
-    which the differences are whitened. `late`: by how many seconds the times of differences are later than those of the
+    which adds to `sigma_d` squared, and the correlation of each pair of slots, row by row of the upper triangle, by
+    which the differences are whitened. `late`: by how many seconds the times of differences are later than of the
     other readings at the same position.
     """
 
@@ -126,7 +126,7 @@ def difference_tracker(
 ) -> Tracker:
     """Position and velocity from range differences, `slots` to a row; `planar`: at a known height.
 
-    Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeDifferenceSensor`. Motion and noise are those of
+    Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeDifferenceSensor`. Motion and noise are as in
     `range_tracker`, a difference having the noise of two ranges; the biases, which hold clock errors and obstruction,
     too, are wider and shorter, by simulated rooms and three flights (docs/decisions.md). Above `MAX_BIASES` anchors the
     state has no biases.
@@ -144,7 +144,7 @@ def difference_tracker(
 def difference_levels(calibration: Calibration | None) -> dict[str, float]:
     """The noise levels of `difference_tracker`, by name, at a site with this calibration; none where it has no biases.
 
-    As of ranges; the errors of a difference are those of two times of arrival.
+    As of ranges; a difference has the errors of two times of arrival.
     """
     if calibration is None or not calibration.differences.anchors:
         return {}

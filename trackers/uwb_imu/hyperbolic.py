@@ -109,7 +109,7 @@ def _from_reference(given: Differences) -> tuple[np.ndarray, np.ndarray, np.ndar
 def _closed_form(
     anchors: np.ndarray, heard: np.ndarray, ranges: np.ndarray, reference: np.ndarray, heights: np.ndarray
 ) -> np.ndarray:
-    """Both positions (2, M, 3), m, that the distances less that of the reference, `ranges` (M, A) m, imply.
+    """Both positions (2, M, 3), m, that the distances less the reference's, `ranges` (M, A) m, imply.
 
     With b the anchors and y the tag from the reference, at the distance ρ: 2 b·y + 2 δρ = |b|² − δ². Least squares give
     y = p + qρ, and |y| = ρ a quadratic equation.

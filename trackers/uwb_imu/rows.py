@@ -83,7 +83,7 @@ def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterabl
 def inertial_difference_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's range differences, one row per message, and further rows at the times of the IMU's samples.
 
-    The IMU may be that of another tag on the body; the differences are those of the tag alone.
+    The IMU may be another tag's on the body; the differences are the tag's alone.
     """
     alone = difference_trajectories(folder, free_height)
     bodies = {tag: _tags_on_body(folder, tag, free_height) for tag in alone.tags}

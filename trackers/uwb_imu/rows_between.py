@@ -43,7 +43,7 @@ class RowsBetween(NamedTuple):
 
 
 def with_rows_between(tags: Sequence[str], rows: TagRows | Columns, sampled: Mapping[str, np.ndarray]) -> RowsBetween:
-    """Of the rows of `tags` those of the tags in `sampled`, and further ones at its times, s, where a tag has none."""
+    """Of `tags` the rows of the tags in `sampled`, and further ones at its times, s, where a tag has none."""
     measured, times, index = {tag: np.arange(*rows.starts[k : k + 2]) for k, tag in enumerate(tags)}, [], []
     for tag, samples in sampled.items():
         between = samples[~np.isin(samples, rows.times[measured[tag]])]

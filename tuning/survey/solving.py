@@ -1,10 +1,10 @@
 """The most probable anchors and paths for ranges with errors of Student's t.
 
 Levenberg–Marquardt on all of them at once: the banded information of the paths is factorised and eliminated, which
-leaves four unknowns an anchor. Scales of errors and densities of accelerations are those of the greatest marginal
+leaves four unknowns an anchor. Scales of errors and densities of accelerations have the greatest marginal
 likelihood, linearised (MacKay 1992): random probes count the directions that the ranges determine.
 
-A path is a cubic spline with knots every `STEP` s. Its prior density, exp(−½∫|x''|²dt / q), is that of white
+A path is a cubic spline with knots every `STEP` s. Its prior density, exp(−½∫|x''|²dt / q), is of white
 acceleration of spectral density q, m²/s³. Each range depends on four neighbouring coefficients: matrices are banded.
 """
 
@@ -24,7 +24,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 
 DOF = 4.0  # degrees of freedom of Student's t of the errors
 FISHER = (DOF + 1.0) / (DOF + 3.0)
-"""The information of a range with errors of Student's t, in that of a normal one of the same scale."""
+"""The information of a range with errors of Student's t, in units of a normal one's of the same scale."""
 
 LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
 """Pieces of time, s, and edges of cubes, m, over which errors may be the same."""
@@ -237,7 +237,7 @@ def _levelled(walks: Walks, solution: Solution) -> Solution:
 
 
 def design_effect(walks: Walks, solution: Solution, free: Bool[np.ndarray, " U"]) -> float:
-    """By how much the scatter of the scores exceeds that of independent errors; at least 1. Errors last: scores are
+    """By how much the scatter of the scores exceeds independent errors'; at least 1. Errors last: scores are
     summed over pieces of time and over cubes, each of one anchor (Cameron and Miller 2015), and the largest scatter
     counts. Paths take up the errors that all anchors could share with a motion."""
     found = Equations(walks, solution)

@@ -43,7 +43,7 @@ class Survey:
     4A), m²: of x, y, z and delay of each anchor in turn, zero where the frame or exact values fix them. `mirrored`
     (A,): whether the mirror image of the anchor on the other side of the walk's plane fits as well. `rms`, m, and
     `readings` (A,): of errors. `effect`: by how much errors that last widen variances. `paths`: positions (n, 3), m, of
-    the tag in each walk. `rig`: that of the first recording with these anchors, rounded to 0.1 mm. `notes`: what was
+    the tag in each walk. `rig`: from the first recording with these anchors, rounded to 0.1 mm. `notes`: what was
     assumed, a line each."""
 
     names: tuple[str, ...]
@@ -202,7 +202,7 @@ def _prepared(
     """The anchors, the given ones of them, and the walks; raises UnusableInput for what can't be surveyed."""
     where, rig, of_frame = listed(x.path or x.name for x in folders), folders[0].rig, f"frame {','.join(frame)}"
     fits = 0 <= sigma < np.inf and (given or not sigma)
-    _require(fits, f"sigma {sigma:g}: is that of given positions; expected metres, 0 if exact, and some named as given")
+    _require(fits, f"sigma {sigma:g}: belongs to given positions; expected metres, 0 if exact, and some named as given")
     _require(abs(height or 0.0) <= HIGHEST, f"height {height}: expected metres, {HIGHEST:g} at most; correct it")
     three = not frame or len({*frame}) == len(frame) == 3
     _require(three, f"{of_frame}: expected three different anchors, as A1,A2,A3")
@@ -291,7 +291,7 @@ def framed(
 def sided(
     walks: Walks, solution: Solution, known: np.ndarray, free: Bool[np.ndarray, "A 4"], effect: float
 ) -> tuple[Solution, Bool[np.ndarray, " A"]]:
-    """The solution with anchors on the likely side of the walk's plane, that of `known` (A, 3), else above, and for
+    """The solution with anchors on the likely side of the walk's plane, the side of `known` (A, 3), else above, and for
     which the other side fits as well. Anchors whose heights are not `free` have no other side."""
     at = walks.positions(solution.path)
     centre = at.mean(axis=0)

@@ -40,7 +40,7 @@ LARGE_STATES = ("line-grid", "line-pf", "mhk")
 
 ON_GPU = ("beam", "uwb", "line-pf")
 ROWS = 40
-"""Times of each recording, or readings; those of `line` last for two minutes."""
+"""Times of each recording, or readings; `line` lasts for two minutes."""
 
 
 def cases() -> Iterator[Case]:
@@ -70,7 +70,7 @@ def of_size(tracker: str, size: int) -> Iterator[Case]:
 
 
 def figures(name: str, what: str, size: int) -> Figures:
-    """The time per row; a gradient is that of the likelihood by the first two tunables."""
+    """The time per row; a gradient is the likelihood's by the first two tunables."""
     options = {} if WORLDS[name] == "line" else {"rows": ROWS}
     folder = worlds.WORLDS[WORLDS[name]](np.arange(size), 0, **options)
     batch = tw.TRACKERS[name].batches([folder], name)[0]

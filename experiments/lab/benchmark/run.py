@@ -90,7 +90,7 @@ def scored(table: pl.DataFrame, folder: Any) -> tuple[dict[str, Any], Any]:
 
 @cache
 def ours(name: str, recording: str) -> tuple[Figures, Any]:
-    """Figures and errors by track of our tracker as a user gets it; the time is that of a second run."""
+    """Figures and errors by track of our tracker as a user gets it; the time is a second run's."""
     folder = data.folder_of(recording)
     tracker = build(fitting(folder), folder)
     tracker = tracker.smoothing() if name == SMOOTHED else tracker

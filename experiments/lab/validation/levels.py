@@ -1,7 +1,7 @@
 """Default noise levels of `bearings` and `uwb` found without one site each, on which that site is then judged.
 
 The objective is the mean over recordings of the negative log-likelihood of the true horizontal position (`state-nll`),
-minimised from the present levels by Nelder and Mead's simplex: that of Student's t has kinks at which a search by
+minimised from the present levels by Nelder and Mead's simplex: Student's t has kinks at which a search by
 gradient ends. `real_recordings` runs each site with the levels of the others, as the setting `other sites`.
 """
 

@@ -2,7 +2,7 @@
 
 Five worlds of each tracker, by `own_worlds.py` with the times and the geometry of a simulated recording; beside it the
 share of the means over `WINDOW` rows inside the 95 % band of `nis_band`. Rows count from `SETTLED` s on: the prior of a
-start is wider than a linearisation is exact, and that of phases is drawn within one lobe of the array.
+start is wider than a linearisation is exact, and of phases it is drawn within one lobe of the array.
 """
 
 import dataclasses

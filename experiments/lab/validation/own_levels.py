@@ -1,7 +1,7 @@
 """`track --fit` on simulated readings with white noise from a third to three times the default one.
 
 Tags of a hall, whose motion is from 0.01 to 2 m/s² per √Hz. The RMSE at default levels, at the fitted ones, and of the
-same tracker at the world's own levels; in a last column that of single epochs by least squares.
+same tracker at the world's own levels; in a last column single epochs by least squares.
 """
 
 from collections.abc import Callable, Iterator

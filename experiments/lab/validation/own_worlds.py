@@ -51,7 +51,7 @@ def own_world(
 ) -> tuple[list[Recording], list[Gaussian], Any]:
     """The recordings with readings drawn from the tracker's model, the beliefs from which states are drawn, and these.
 
-    Times, inputs and masks stay; states have the leaves (T, …, n). The beliefs are those of the tracker's start, with
+    Times, inputs and masks stay; states have the leaves (T, …, n). The beliefs are the tracker's start's, with
     standard deviations `narrower` times as small. Trackers whose motion switches have no such world.
     """
     rng, batch, motion = np.random.default_rng(seed), stack(recordings), tracker.motion

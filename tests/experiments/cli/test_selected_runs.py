@@ -66,7 +66,7 @@ def test_tables_that_the_chosen_tracker_does_not_read_are_named(room, tmp_path):
 def test_a_value_set_is_that_of_a_noise_file_and_goes_before_it(room, tmp_path):
     (tmp_path / "noise.toml").write_text('tracker = "uwb"\n[tunables."sensors.ranges.sigma_r"]\nvalue = 0.3\n')
     by_file = trackwright("track", room, *PLAIN, "--noise", tmp_path / "noise.toml", "--out", tmp_path / "file")
-    assert f"tracker: uwb, that of {tmp_path / 'noise.toml'}; choose another with --tracker" in by_file.err
+    assert f"tracker: uwb, by {tmp_path / 'noise.toml'}; choose another with --tracker" in by_file.err
     options = ("--tracker", "uwb", "--set", "sensors.*.sigma_r=0.3")
     assert trackwright("track", room, *PLAIN, *options, "--out", tmp_path / "set").code == 0
     assert _tracks(tmp_path / "file").equals(_tracks(tmp_path / "set"))

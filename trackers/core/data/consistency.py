@@ -40,7 +40,7 @@ def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
 
 
 def upper_entries(covs: Covariances) -> Entries:
-    """The entries (N,) of covariances by row and column, those of the upper triangle."""
+    """The entries (N,) of covariances by row and column, from the upper triangle."""
     d = covs.shape[-1]
     return {(i, j): covs[:, i, j] for i in range(d) for j in range(i, d)}
 

@@ -173,10 +173,10 @@ class Estimates:
     def per_time(self, times: np.ndarray | None = None) -> tuple[np.ndarray, Estimates]:
         """The mask (…, T) of the last row of each time, and one estimate (N,) per time; rows of padding are left out.
 
-        State and covariance are those of the last row; log-likelihood, NIS, its degrees of freedom and wraps are sums
+        State and covariance are the last row's; log-likelihood, NIS, its degrees of freedom and wraps are sums
         over the rows of the time, in double precision (rows with a non-finite NIS count in neither of the two). The
         status is `NON_FINITE` if any of the rows is, `RESTARTED` if a track restarted in any of them and runs after
-        the last, else that of the last row. `times` (…, T): of the rows, not of validity; by default from the
+        the last, else the last row's. `times` (…, T): of the rows, not of validity; by default from the
         estimates' times and ages.
         """
         last = self.last_rows(times)

@@ -177,7 +177,7 @@ class Columns:
     def padded(self, rows: np.ndarray, width: int | None = None) -> np.ndarray:
         """The values of all rows (N, …) by recording (n, width, …), NaN or zero beyond its end.
 
-        `width`: by default that of the longest recording.
+        `width`: by default as many as the longest recording has.
         """
         lengths = np.diff(self.starts)
         width = width or int(lengths.max())

@@ -61,7 +61,7 @@ ANY = (1.0, 0.6, 0.35)
 """Any combination of the axes of the position, of which what the others leave is taken."""
 
 BENT = 0.2
-"""Variance of what a reading bends, over that of its linear part, above which it counts."""
+"""Variance of what a reading bends, over its linear part's, above which it counts."""
 
 
 class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
@@ -138,7 +138,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         return rts_gain(belief, predicted, F, G, connected, dt == 0)
 
     def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
-        """The smoothed beliefs of a time step, given those of the next one."""
+        """The smoothed beliefs of a time step, given the next one's."""
         return rts_step(rts_gain, after)
 
 
@@ -246,7 +246,7 @@ def compressed(
     """One whitened channel per observed direction of the state, and the residual sum of squares that no state explains.
 
     With H = QLᵀ, Q of orthonormal columns, the equivalent channels are Lᵀ with residual Qᵀr, and the remaining sum of
-    squares is that of r − QQᵀr. By Gram–Schmidt, column after column: the Cholesky factor of HᵀH loses twice as many
+    squares is from r − QQᵀr. By Gram–Schmidt, column after column: the Cholesky factor of HᵀH loses twice as many
     digits where a direction is hardly observed, as the distance by an array.
     """
     columns = sorted({j for row in H for j in row})

@@ -83,4 +83,4 @@ class AbstractSmoothableFilter(AbstractFilter[Belief]):
 
     @abstractmethod
     def rts_step(self, rts_gain: Any, after: Belief) -> Belief:
-        """The smoothed belief of a time step, given that of the next one."""
+        """The smoothed belief of a time step, given the next one's."""

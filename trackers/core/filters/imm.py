@@ -194,7 +194,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         return ModeGains(belief, _apart(gains, len(motions) * len(prior)), backward, connected)
 
     def rts_step(self, rts_gain: ModeGains, after: Mixture) -> Mixture:
-        """The smoothed belief of a time step, given that of the next one (Kim 1994).
+        """The smoothed belief of a time step, given the next one's (Kim 1994).
 
         Each mode is the collapsed mixture of its smoothed Gaussians over the next step's modes. Kim's approximation:
         P(mode now | mode at the next step) is taken from measurements up to now alone; exact only without switching.

@@ -8,7 +8,7 @@ update of one state by Student's t noise as in `ekf.py`, and the point has the w
 update matches mean and covariance of the posterior of y; the other states follow by their regression on y. So a
 measurement may bend, and its noise change, within the spread of the position, where a linearisation knows one slope.
 
-The log-likelihood is that of the mixture, the log of the mean density over the points. The NIS is that of the
+The log-likelihood is the mixture's, the log of the mean density over the points. The NIS is from the
 innovation's mean and variance over the points, weighted for Student's t as in `ekf.py`.
 """
 

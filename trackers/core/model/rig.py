@@ -199,7 +199,7 @@ def room_rows(
 ) -> Float[np.ndarray, "rows 4"]:
     """Lowest and highest x, lowest and highest y of the tags, m, in each of the rows: the input `room`.
 
-    The bounding box of the outline. Without one, that of the anchors or stations at `points` (n, 2 or 3), extended on
+    The bounding box of the outline. Without one, of the anchors or stations at `points` (n, 2 or 3), extended on
     each side by its longer side and at least by `MARGIN`, since tags may be outside of it.
     """
     corners = np.asarray(points)[:, :2] if outline is None else np.asarray(outline)

@@ -119,7 +119,7 @@ def position_in_space(position: Vector, inputs: Inputs) -> Vector:
 
 
 def delayed_position(view: Any, inputs: Inputs, late: Any | None) -> Vector:
-    """The position in three dimensions `late` s before that of a view with a velocity, for straight motion; None: 0.
+    """The position in three dimensions `late` s before a view's with a velocity, for straight motion; None: 0.
 
     A view without a velocity has its position alone.
     """

@@ -25,7 +25,7 @@ Role = Literal["process noise", "bias noise", "measurement noise"]
 """Role of a noise level: of the motion's driving noise, of slowly varying errors such as biases, or of a sensor."""
 
 Axis = Literal["horizontal", "vertical", "all"]
-"""Axes of space along which a noise acts; none for scalar noise, as that of phases or ranges."""
+"""Axes of space along which a noise acts; none for scalar noise, as of phases or ranges."""
 
 
 class AbstractTunable(eqx.Module):
@@ -209,7 +209,7 @@ class Threshold(AbstractGiven):
 class Considered(AbstractGiven):
     """The standard deviation of a parameter that is neither known nor estimated; 0 once that one is given: `known`.
 
-    Its name is that of the parameter and "_std".
+    Its name is the parameter's and "_std".
     """
 
     bounds = ">= 0"
@@ -257,7 +257,7 @@ def freeze(tree: Tree) -> Tree:
 def tunables(tree: Any) -> dict[str, AbstractTunable]:
     """Every tunable of the tree by its dotted name, as `motion.sigma_a` or `sensors.north.sigma_p`.
 
-    Those of a tracker by name, as `build` makes, are those of its tracker.
+    A tracker by name, as `build` makes, has the tunables of its tracker.
     """
     tree = tree.tracker if hasattr(tree, "only_batch") else tree
     paths, _ = jax.tree_util.tree_flatten_with_path(tree, is_leaf=is_tunable)

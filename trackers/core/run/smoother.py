@@ -24,7 +24,7 @@ from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker, Abst
 
 
 class Smoothed(AbstractEpochwiseTracker):
-    """A tracker with an RTS smoother; log-likelihood, NIS and status remain those of the filter.
+    """A tracker with an RTS smoother; log-likelihood, NIS and status remain the filter's.
 
     `lag`: fixed-lag smoothing with measurements up to `lag` s later; None for fixed-interval smoothing. The recursion
     does not cross a restart of the track, nor the end of a run that another continues. With `Tracker.lasting_errors`
@@ -96,7 +96,7 @@ def bounded(smoothed: tuple[jax.Array, ...], filtered: tuple[jax.Array, ...]) ->
     model takes the two errors for independent; whatever their correlation, the variance is at most (√a + √b)² =
     Pˢ + 2√(ab) (Cauchy–Schwarz). Since a ≥ Pˢ²/P, with P the filtered variance, the bound is 2Pˢ where P ≥ 2Pˢ, which
     is covariance intersection with equal weights (Julier and Uhlmann 1997), and falls to Pˢ where later readings add
-    nothing. Correlations of components stay those of the model.
+    nothing. Correlations of components stay as the model has them.
     """
     n = size_of(smoothed)
     factors = [_factor(variance(smoothed, k), variance(filtered, k)) for k in range(n)]

@@ -208,7 +208,7 @@ class Tracker(AbstractTracker):
     `sensors`: by the names of their readings in a recording. `latency_of`: the sensor at whose time of measurement
     estimates are valid, an `AbstractDelayedSensor`; by default they are valid at the time of their row.
     `position_alone`: estimates have the covariance of the position alone where the state begins with it, with
-    that of an attitude where it comes next.
+    and of an attitude where it comes next.
     `lasting_errors`: whether errors of readings outlast the model, as constant ones of sensors without a calibration,
     so that earlier and later readings share them; `Smoothed` then reports a bound.
     """

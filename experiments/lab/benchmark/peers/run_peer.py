@@ -1,8 +1,8 @@
 """One estimator on one recording: `python run_peer.py ADAPTER FILE`.
 
 FILE, a pickle of pairs of levels, m/s² per √Hz and m or rad, and of the problem of each tag, is replaced by one of
-seconds and, for each tag, the paths by pair. The processor time is that of the last pair, of functions that compile
-that of a second call.
+seconds and, for each tag, the paths by pair. The processor time is from the last pair, of functions that compile
+from a second call.
 """
 
 import os

@@ -13,7 +13,7 @@ from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.mhk.tracker import mhk_tracker
 
 SIGMA_A = 0.3
-"""m/s² per √Hz; that of the workshop's figures, chosen for the printed mean, would be too low for 1.2 m/s."""
+"""m/s² per √Hz; the level of the workshop's figures, chosen for the printed mean, would be too low for 1.2 m/s."""
 
 MHK = {"fusion.motion.sigma_a": SIGMA_A}
 CLOSER_M = 0.007

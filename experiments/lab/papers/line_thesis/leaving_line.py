@@ -103,7 +103,7 @@ def curve(results: mc.Results, world: str, tracker: str, slack: float) -> tuple[
 
 
 def area(results: mc.Results, world: str, tracker: str, slack: float) -> mc.Value:
-    """Area under the ROC: probability that the sum of a leaving tag exceeds that of a staying one."""
+    """Area under the ROC: probability that the sum of a leaving tag exceeds a staying one's."""
     stay, leave = _sums_of(results, world, tracker, slack)
     wins = (leave[:, None] > stay[None, :]) + 0.5 * (leave[:, None] == stay[None, :])
     rng = np.random.default_rng(results.study.seed)

@@ -1,13 +1,13 @@
 """Table 3.1 of the thesis: nine recordings of a cart on a known path, measured, by a Kalman filter and by particles.
 
-As in the thesis, the measurement noise of both filters is the average measurement error, the dynamic noise that of
+As in the thesis, the measurement noise of both filters is the average measurement error, the dynamic noise as of
 least average error over all nine, and the truth is fitted to the recordings themselves. (2.8) is garbled: its text, the
 mean distance, is compared, its name, the root mean square, listed. A printed error is one draw; ours is the mean of
 many, and the note of each states the scatter of one. The particle filter's errors are no predictions (`LEFT_OPEN`).
 
 The fit: the white noise of each recording to its measurement error, the common level of the slow errors to the average
 of the Kalman column, and the mean speed to its nine errors. A speed is allowed if its sum of squared residuals is at
-most that of nine single draws of the fitted world; the middle one is taken. Time constant and rate are chosen.
+most the one of nine single draws of the fitted world; the middle one is taken. Time constant and rate are chosen.
 """
 
 import dataclasses
@@ -48,7 +48,7 @@ def expected(results: mc.Results) -> Iterator[mc.Claim]:
         quantity, pairs = f"Table 3.1, average, {tracker}", [(name, tracker) for name in line.RECORDINGS]
         ours, square = (results.average(m, pairs, **at[tracker]).times(100) for m in ("error_m", "rms_m"))
         scatter = (100 * errors[tracker].mean(axis=0)).std(ddof=1)
-        note = f"the mean of the nine above; that of one table scatters by ± {scatter:.1f} cm"
+        note = f"the mean of the nine above; one table's scatters by ± {scatter:.1f} cm"
         note += f"; {LEFT_OPEN}" * (tracker == "particle")
         origin = mc.DERIVED if tracker == "raw" else mc.FITTED
         yield mc.ExpectedResult(quantity, printed, ours, "cm", origin, None, note)

@@ -1,7 +1,7 @@
 """The bootstrap particle filter (Gordon, Salmond and Smith 1993) over named states, for one trajectory and one step.
 
 Leaves of the states end with an axis of N particles. Weights are kept as logarithms. A step resamples first, then
-propagates, then weights, so that estimates are taken before resampling. Random numbers are those of Threefry-2x32
+propagates, then weights, so that estimates are taken before resampling. Random numbers come from Threefry-2x32
 (Salmon et al. 2011), unrolled: `jax.random` has the same generator in a loop that passes memory five times; XLA fuses
 the unrolled form into one pass.
 """
@@ -153,7 +153,7 @@ class ParticleFilter(AbstractParticleFilter):
         """The belief after one reading (1.24)–(1.27), and the reading's `Innovation`.
 
         Log-likelihood: the log of the sum of the new weights, where the old ones have sum 1. NIS: of the particles'
-        mean whitened residual, with the covariance of the particles plus that of the noise.
+        mean whitened residual, with the covariances of the particles and of the noise added.
         """
         result = particle_residuals(belief.states, motion, sensor, reading, inputs)
         whitened, densities = result.whitened, result.log_density
