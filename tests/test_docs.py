@@ -171,7 +171,7 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
     _as_in_a_new_process()
     ignored = trackwright("check", "hall").out
     assert "bistatic.parquet (not one of the tables" in ignored
-    assert "; check and track read those of your own kinds by --tracker FILE.py:NAME)" in ignored
+    assert "; check and track read your own kinds by --tracker FILE.py:NAME)" in ignored
     done = trackwright("check", "hall", *OWN)
     assert (done.code, "path noise" in done.out) == (0, True)
     _as_in_a_new_process()

@@ -34,7 +34,7 @@ def motion_checks(
     """The checks of a motion at `state`, with the known `inputs` of one row, for steps of 0 s and of `dt` s.
 
     `step` returns a state of the same structure, for dt = 0 the same bits whatever the noise, and has all its
-    randomness in `w`; values and derivatives are finite; the covariance that a filter predicts has difference
+    randomness in `w`; values and derivatives are finite; a filter predicts the covariance of difference
     quotients, also where there are `stages`. Raises UnusableInput for an object of another kind.
     """
     require_part("check_motion", motion)

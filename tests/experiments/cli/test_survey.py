@@ -49,7 +49,7 @@ def test_walks_without_positions_of_anchors_give_a_rig_and_a_page(walks, tmp_pat
     ("options", "word"),
     [
         (("--given", "A00,A01,A02"), "rig.toml has no anchor A00"),
-        (("--sigma", "0.1"), "is that of given positions"),
+        (("--sigma", "0.1"), "belongs to given positions"),
         (("--sigma", "-1"), "expected metres"),
         (("--frame", "A00,A01"), "expected three different anchors"),
         (("--frame", "A00,A01,A01"), "expected three different anchors"),
