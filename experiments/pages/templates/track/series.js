@@ -75,7 +75,9 @@ function seriesFigure(recording, number, window) {
     }
     layout[`yaxis${id}`] = axis;
   });
-  layout.xaxis = { title: { text: recording.timeLabel }, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
+  const beside = besideJump(rows.map((row) => recording.start + columns.t[row]));
+  const title = beside ? `${recording.timeLabel}, a jump of ${Number(beside.jump.toPrecision(3))} s left out` : recording.timeLabel;
+  layout.xaxis = { title: { text: title }, range: beside?.range, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
   return { traces, layout: layoutOf({ ...layout, hovermode: "x", uirevision: `${recording.name} ${number}`,
                                       height: 90 + PANEL * panels.length,
                                       // The legend has several lines on a phone.
@@ -83,6 +85,15 @@ function seriesFigure(recording, number, window) {
                                         margin: { l: 56, r: 12, t: 70, b: 44 },
                                         legend: { orientation: "h", x: 0, y: 1, yref: "container", yanchor: "top" },
                                       } }) };
+}
+
+/** Of times with a jump that is longer than nine times all others together: the jump and the side with more of them. */
+function besideJump(times) {
+  let at = 1;
+  times.forEach((time, k) => { if (k && time - times[k - 1] > times[at] - times[at - 1]) at = k; });
+  const first = times[0], last = times[times.length - 1], jump = times[at] - times[at - 1];
+  if (times.length < 20 || !(jump > 0.9 * (last - first))) return null;
+  return { jump, range: 2 * at > times.length ? [first, times[at - 1]] : [times[at], last] };
 }
 
 /** A band across the whole chart. */
