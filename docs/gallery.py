@@ -90,7 +90,7 @@ def generalisation(picture: Path) -> None:
             mean = found.group_by("recordings").agg(pl.col("gain_nats").mean()).sort("recordings")
             axis.plot(mean["recordings"], mean["gain_nats"], "-", color=colour, label=f"--prior {prior}, mean")
         axis.axhline(0.0, color="0.6", linewidth=0.8)
-        axis.set(title=f"`{tracker}`, {what}", xlabel="recordings fitted to", xticks=[1, 2, 3, 5])
+        axis.set(title=f"{tracker}, {what}", xlabel="recordings fitted to", xticks=[1, 2, 3, 5])
     axes[0].set_ylabel("gain in log density\non an unseen recording [nats]")
     axes[0].legend(frameon=False)
     figure.savefig(picture, dpi=120)
