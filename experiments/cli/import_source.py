@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace as replaced
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from cyclopts import Parameter
 
@@ -98,13 +98,12 @@ def import_source(
     from trackwright.trackers.exchange.expressions import columns_of
     from trackwright.trackers.exchange.formats import format_of, has_tables
     from trackwright.trackers.exchange.imported import assembled, origin_of, read_geometry, read_source, save, since
-    from trackwright.trackers.exchange.mapping import Asked, TableMapping
-    from trackwright.trackers.exchange.mapping_file import PRESETS, MappingFile, read_mapping
+    from trackwright.trackers.exchange.mapping import PRESETS, Asked, MappingFile, TableMapping, read_mapping
     from trackwright.trackers.exchange.source_rows import Reading
     from trackwright.trackers.recordings.folder import read_recording
     from trackwright.trackers.recordings.rig_file import RIG_FILE
 
-    preset = MappingFile(()) if mapping is None else read_mapping(mapping)
+    preset = MappingFile() if mapping is None else read_mapping(mapping)
     name = format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
     asked = [one for one in preset.tables if (one.topic is not None) == (name == "ros")] or preset.tables
     if left := [one.table for one in preset.tables if one not in asked]:
@@ -112,14 +111,17 @@ def import_source(
         notice(f"notice: {mapping}: its entries for {kind} are skipped ({', '.join(left)})")
     own_tables = has_tables(name)
     notice(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
-    form = Reading(separator, decimal, thousands, header, skip, missing, encoding)
-    given = TableMapping(table or "", columns_of(columns), topic, tag, form)
-    mappings = _mappings(source, own_tables, given, asked)
+    form = {
+        "separator": separator, "decimal": decimal, "thousands": thousands, "header": header, "skip": skip,
+        "missing": list(missing), "encoding": encoding,
+    }  # fmt: skip
+    options = {"columns": columns_of(columns), "topic": topic, **form}
+    mappings = _mappings(source, own_tables, table, tag, options, asked)
     there = (out / RIG_FILE).is_file()
     if origin == "start" and there:
         words = "expected their origin, as its first import printed it: --origin SECONDS, or none where that had none"
         raise UnusableInput(f"--origin start: {out} has tables already; {words}")
-    geometry, anchors, lines = read_geometry(rig, out, preset, form)
+    geometry, anchors, lines = read_geometry(rig, out, preset, Reading(**form))
     try:
         imported = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
     except UnusableInput as problem:
@@ -137,7 +139,7 @@ def import_source(
     title = None if there else out.resolve().name
     for line in (*imported.notices, *lines):
         notice(f"notice: {line}")
-    folder = assembled(title, geometry, tables, anchors or imported.anchors, preset.offsets, preset.bodies)
+    folder = assembled(title, geometry, tables, anchors or imported.anchors, preset.offsets, preset.carried)
     if transform is not None or align_truth is not None:
         folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform, bool(align_truth))
     written = save(folder, out, imported, replace)
@@ -152,27 +154,26 @@ def import_source(
 
 
 def _mappings(
-    source: Path, own_tables: bool, given: TableMapping, tables: Sequence[TableMapping]
-) -> list[TableMapping]:
-    """The mappings of the tables of a source, by the options `given`, or the `tables` of the file of --mapping."""
-    plain = not given.columns and given.topic is None and given.reading == type(given.reading)()
+    source: Path, own_tables: bool, table: str | None, tag: str | None, options: dict[str, Any],
+    tables: Sequence[TableMapping],
+) -> list[TableMapping]:  # fmt: skip
+    """The mappings of the tables of a source, by the options, or the `tables` of the file of --mapping."""
+    from trackwright.trackers.exchange.mapping import TableMapping
+
+    given = TableMapping(table=table or "ranges", tag=tag, **options)
     if tables:
         if own_tables:
             raise UnusableInput("--mapping: a file of this format has its tables; leave it out")
-        if given.table or not plain:
+        if table or given != TableMapping(table="ranges", tag=tag):
             raise UnusableInput(
                 "--mapping and --table, --columns, --topic or the form of a text; give one or the other"
             )
-        return [m if m.tag else replaced(m, tag=given.tag) for m in tables]
-    if own_tables:
-        if given.table or given.topic is not None:
-            raise UnusableInput(f"{source}: a file of this format has its tables; leave --table and --topic out")
-        return [replaced(given, table="ranges")]
-    if given.table:
-        return [given]
-    if given.columns:
+        return [m if m.tag else replaced(m, tag=tag) for m in tables]
+    if own_tables and (table or given.topic is not None):
+        raise UnusableInput(f"{source}: a file of this format has its tables; leave --table and --topic out")
+    if given.columns and not (table or own_tables):
         raise UnusableInput("--columns without --table; expected --table ranges, fixes, truth or another table")
-    return []
+    return [given] if table or own_tables else []
 
 
 def _with_truth_moved(

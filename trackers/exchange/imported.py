@@ -19,11 +19,9 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.user_file import fault_of, from_file, split_name
-from trackwright.trackers.exchange.expressions import UNITS, columns_of
+from trackwright.trackers.exchange.expressions import UNITS, columns_of, numbers_of
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
-from trackwright.trackers.exchange.mapping import ORIGIN, Asked, Source, TableMapping, checked, numbers_of
-from trackwright.trackers.exchange.mapping_file import MappingFile
-from trackwright.trackers.exchange.ros_reader import topics_in
+from trackwright.trackers.exchange.mapping import ORIGIN, Asked, MappingFile, Source, TableMapping
 from trackwright.trackers.exchange.source_rows import Reading, read_rows
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
@@ -35,23 +33,21 @@ from trackwright.trackers.recordings.tables import unwrapped_times
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The tables of a source in the format of this name, or a user's own; raises UnusableInput with file and line."""
-    if not has_tables(name) and not asked.mappings:
-        topics = f"; topics: {topics_in(path, asked.definitions)}" if name == "ros" else ""
-        raise UnusableInput(
-            f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml{topics}"
-        )
+    if not has_tables(name) and not asked.mappings and name != "ros":
+        raise UnusableInput(f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml")
     if name in FORMATS:
-        module = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}")
-        return module.read_source(path, name, asked)
+        source: Source = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}").read_source(
+            path, name, asked
+        )
+        return source
     return _by_file(path, name, *asked.mappings)
 
 
 def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
     """The tables that a user's function gives of a source: pandas or polars frames by table, with their columns."""
     if mapping.columns:
-        raise UnusableInput(
-            f"{path}: {listed(mapping.columns)}: a file of this format has its columns; leave --columns out"
-        )
+        wrong = f"{listed(mapping.columns)}: a file of this format has its columns; leave --columns out"
+        raise UnusableInput(f"{path}: {wrong}")
     function: Callable[[Path], Any] = from_file(name, "format", "function", lambda x: isinstance(x, FunctionType))
     try:
         frames = function(path)
@@ -62,12 +58,19 @@ def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
         raise UnusableInput(f"{path}: {name} fails ({fault}); correct either") from error
     if not isinstance(frames, Mapping) or not frames:
         raise UnusableInput(f"{name}: gave {type(frames).__name__} of {path}; expected tables by name, one at least")
+    try:
+        return _of_frames(frames, {}, mapping.tag, lambda table: path)
+    except UnusableInput as problem:
+        raise UnusableInput(f"{name}: {str(problem).partition('; add --columns')[0]}") from problem
+
+
+def _of_frames(
+    frames: Mapping[str, Any], columns: Mapping[str, Sequence[str]], tag: str | None, name: Callable[[str], Path]
+) -> Source:
     source = Source()
     for table, frame in frames.items():
-        try:
-            source.read(TableFile(path, _polars(frame, table)), checked(TableMapping(table, tag=mapping.tag)))
-        except UnusableInput as problem:
-            raise UnusableInput(f"{name}: {str(problem).partition('; add --columns')[0]}") from problem
+        mapping = TableMapping(table=table, columns=columns_of(columns.get(table, ())), tag=tag)
+        source.read(TableFile(name(table), _polars(frame, table)), mapping)
     return source
 
 
@@ -90,13 +93,10 @@ def import_frames(
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
     fits = columns is None or isinstance(columns, Mapping)
     require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
-    source = Source()
-    for table, frame in frames.items():
-        try:
-            mapping = checked(TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag))
-            source.read(TableFile(Path(f"frame {table}"), _polars(frame, table)), mapping)
-        except UnusableInput as problem:
-            raise UnusableInput(_in_python(str(problem), table)) from None
+    try:
+        source = _of_frames(frames, columns or {}, tag, lambda table: Path(f"frame {table}"))
+    except UnusableInput as problem:
+        raise UnusableInput(_in_python(str(problem))) from None
     tables = source.tables
     if origin is not None:
         tables = since(tables, origin_of(str(origin), tables))
@@ -106,8 +106,9 @@ def import_frames(
     return replace(read, path=None, notices=(*source.notices, *read.notices))
 
 
-def _in_python(message: str, table: str) -> str:
+def _in_python(message: str) -> str:
     """The message with arguments of `import_frames` in place of the command line's options."""
+    table = message.removeprefix("frame ").partition(":")[0]
     message = re.sub(r"--columns ('[^']*')", rf"columns={{'{table}': [\1]}}", message)
     return message.replace("--tag ID", "tag='ID'").replace("--tag ", "tag=").replace("--columns", "columns=")
 

@@ -15,7 +15,7 @@ from typing import Any
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.exchange.expressions import parsed, sensor_of
+from trackwright.trackers.exchange.expressions import sensor_of
 from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, spelled_out
 from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, size_of
 from trackwright.trackers.recordings.kinds import layout, table_kinds
@@ -134,6 +134,9 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The tables that the mappings make of a bag; raises UnusableInput with the topic and the number of the message."""
     source = Source()
     with opened(path, asked.definitions) as reader:
+        if not asked.mappings:
+            expected = "--table, or a file of mappings: --mapping FILE.toml"
+            raise UnusableInput(f"{path}: no table given; expected {expected}; topics: {topics_of(reader)}")
         for mapping in asked.mappings:
             if mapping.topic is None:
                 raise UnusableInput(f"{path}: no --topic for {mapping.table}; expected one of {topics_of(reader)}")
@@ -146,12 +149,6 @@ def topics_of(reader: Any) -> str:
     return listed(
         (f"{c.topic} ({c.msgtype}, {c.msgcount})" for c in sorted(reader.connections, key=lambda c: c.topic)), 20
     )
-
-
-def topics_in(path: Path, definitions: Sequence[Path]) -> str:
-    """Those of the bag of this path; raises UnusableInput."""
-    with opened(path, definitions) as reader:
-        return topics_of(reader)
 
 
 def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[TableFile, TableMapping]:
@@ -168,12 +165,12 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
     if len(kinds) > 1:
         raise UnusableInput(f"{path}: topic {mapping.topic} has messages of {listed(kinds)}; expected one type")
     given = {sensor_of(target)[0] for target in mapping.columns}
-    standard = {target: parsed(target, text) for target, text in _standard(kinds[0], mapping.table).items()}
+    standard = _standard(kinds[0], mapping.table)
     # A standard field gives way to the user's, and the id of a sensor in brackets to none.
-    asked = spelled_out(mapping.columns, list(_paths(reader.typestore.fielddefs, kinds[0])))
-    columns = {target: text for target, text in standard.items() if target not in given} | asked
+    asked = spelled_out(mapping, list(_paths(reader.typestore.fielddefs, kinds[0]))).columns
+    columns = {target: text for target, text in standard.items() if target not in given} | dict(asked)
     mapping = replace(mapping, columns=columns)
-    if not any(e.constant is None for e in columns.values()):
+    if not any(e.constant is None for e in mapping.expressions.values()):
         wanted = layout(mapping.table, ())
         names = (*wanted.ids[1:], *(wanted.values or table_kinds()[mapping.table].least))
         columns_of_table = " ".join(f"'{name}=FIELD'" for name in names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,8 @@ from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.exchange.formats import FORMATS, beginning_of
-from trackwright.trackers.exchange.mapping import Asked, Source, numbers_of
+from trackwright.trackers.exchange.expressions import numbers_of
+from trackwright.trackers.exchange.mapping import Asked, Source, refuse_lost_digits
 from trackwright.trackers.exchange.source_rows import Reading, read_rows
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.columns import float_column
@@ -202,8 +204,7 @@ def kind_of(path: Path | str) -> Kind:
     suffix = path.suffix.lower().removeprefix(".")
     begin = "" if suffix in get_args(Kind) else beginning_of(path)
     for kind in get_args(Kind):
-        begins = FORMATS[kind].begins
-        if kind == suffix or (begins is not None and begins.search(begin)):
+        if kind == suffix or re.search(FORMATS[kind].begins, begin, re.MULTILINE):
             return kind  # type: ignore[no-any-return]
     raise UnusableInput(
         f"{path}: no trajectory format is recognised; expected lines of {'; or '.join(_COLUMNS.values())}; "
@@ -238,7 +239,7 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
             stamps = stamps / 1e9
     stamps, wraps = unwrapped_times(stamps)
     notices += wraps
-    refuse_lost_digits(path, stamps)
+    refuse_lost_digits(f"{path}", pl.DataFrame({"t_s": stamps, **dict(zip(AXES, positions.T, strict=True))}))
     if (np.diff(stamps) < 0).any():
         at = restarted_at(stamps)
         if at is not None:
@@ -254,16 +255,6 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
     if attitude is None:
         notices.append("every quaternion is the identity; read as positions without attitude")
     return PoseTrajectory(stamps, positions, attitude, path.name, tuple(notices))
-
-
-def refuse_lost_digits(path: Path, stamps: np.ndarray) -> None:
-    """Raises UnusableInput where most of the poses have the time, s, of another."""
-    if 2 * (different := len(np.unique(stamps))) < len(stamps):
-        found = "one time" if different == 1 else f"{different} times"
-        raise UnusableInput(
-            f"{path}: {len(stamps)} poses, {found}: the stamps have lost their digits; expected a time for each pose; "
-            "write them with all digits"
-        )
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
@@ -328,7 +319,7 @@ def _text(rows: np.ndarray, separator: str) -> str:
 def _numbers(path: Path, kind: Kind) -> np.ndarray:
     """The numbers of all rows; raises UnusableInput with the line of the first that is not `kind`."""
     wanted = 12 if kind == "kitti" else 8
-    file, _ = read_rows(path, Reading("," if kind == "euroc" else " ", header="none"))
+    file, _ = read_rows(path, Reading(separator="," if kind == "euroc" else " ", header="none"))
     numbers = file.frame.select(pl.all().str.strip_chars().cast(pl.Float64, strict=False)).to_numpy()
     count = file.frame.select(pl.sum_horizontal(pl.all().str.strip_chars() != "")).to_series().to_numpy()
     fitting = (count >= wanted) if kind == "euroc" else (count == wanted)
@@ -336,7 +327,7 @@ def _numbers(path: Path, kind: Kind) -> np.ndarray:
     if usable.all():
         return numbers[:, :wanted]
     row = int(usable.argmin())
-    cells, where = file.frame.row(row), f"{path}: line {(file.lines or ())[row]}"
+    cells, where = file.frame.row(row), f"{path}: line {file.lines[row] if file.lines is not None else row + 1}"
     if not fitting[row]:
         other = " " if kind == "euroc" else ","
         marks = f"; the separator seems to be {other!r}" if any(other in cell.strip() for cell in cells) else ""
