@@ -139,7 +139,7 @@ def import_source(
     title = None if there else out.resolve().name
     for line in (*imported.notices, *lines):
         notice(f"notice: {line}")
-    folder = assembled(title, geometry, tables, anchors or imported.anchors, preset.offsets, preset.carried)
+    folder = assembled(title, geometry, tables, anchors or imported.anchors, preset)
     if transform is not None or align_truth is not None:
         folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform, bool(align_truth))
     written = save(folder, out, imported, replace)

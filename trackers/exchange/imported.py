@@ -19,7 +19,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.user_file import fault_of, from_file, split_name
-from trackwright.trackers.exchange.expressions import UNITS, columns_of, numbers_of
+from trackwright.trackers.exchange.expressions import UNITS, Expression, columns_of, parsed
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
 from trackwright.trackers.exchange.mapping import ORIGIN, Asked, MappingFile, Source, TableMapping
 from trackwright.trackers.exchange.source_rows import Reading, read_rows
@@ -114,23 +114,17 @@ def _in_python(message: str) -> str:
 
 
 def _polars(frame: Any, table: str) -> pl.DataFrame:
-    if isinstance(frame, pl.LazyFrame):
-        return frame.collect()
-    if isinstance(frame, pl.DataFrame):
-        return frame
+    if isinstance(frame, pl.LazyFrame | pl.DataFrame):
+        return frame.lazy().collect()
     if type(frame).__module__.partition(".")[0] != "pandas":
         raise UnusableInput(f"{table}: found {type(frame).__name__}; expected a pandas or polars frame")
     # An index that is not the row number holds values, often the times.
     frame = frame if type(frame.index).__name__ == "RangeIndex" else frame.reset_index()
     columns = {}
-    for name in frame.columns:
-        values = frame[name].to_numpy()
-        if values.dtype.kind == "M":
-            values = values.astype("datetime64[ns]")
-        if values.dtype == object:
-            missing = frame[name].isna().to_numpy()
-            values = [None if lost else value for lost, value in zip(missing, values, strict=True)]
-        columns[str(name)] = pl.Series(str(name), values)
+    for name, column in frame.items():
+        values = column.to_numpy()
+        values = values.astype("datetime64[ns]") if values.dtype.kind == "M" else values
+        columns[str(name)] = pl.Series(column.where(column.notna(), None).tolist() if values.dtype == object else values)
     return pl.DataFrame(columns)
 
 
@@ -139,33 +133,34 @@ def assembled(
     rig: Rig | None,
     tables: Mapping[str, pl.DataFrame],
     anchors: Mapping[str, Sequence[float]] | None = None,
-    offsets: Mapping[str, Sequence[float]] | None = None,
-    bodies: Mapping[str, Sequence[str]] | None = None,
+    preset: MappingFile | None = None,
 ) -> RecordingFolder:
     """The recording of tables, with a rig or the anchors that a log names; raises UnusableInput for unknown sensors.
 
-    Ranges of a rig that is given without anchors are those of a site to survey.
-    `name`: of the recording, by default that of the rig. `offsets`, `bodies`: places of tags on their body, m, and the
-    tags of each, of which those of the tables are added to the rig's.
+    Ranges of a rig that is given without anchors are those of a site to survey. `name`: of the recording, by default
+    that of the rig. `preset`: has the places of tags on their body and the tags of each, of which those of the tables
+    are added to the rig's.
     """
     to_survey = "ranges" if rig is not None and not rig.anchors and not anchors else None
-    rig = Rig(name or "imported") if rig is None else rig
-    if not rig.anchors:
-        rig = replace(rig, anchors={key: np.array(place) for key, place in (anchors or {}).items()})
+    rig, preset = rig or Rig(name or "imported"), preset or MappingFile()
     there = {tag for table in tables.values() for tag in table["tag"].unique()}
-    tags = {tag: Tag(offset=np.array(place)) for tag, place in (offsets or {}).items() if tag in there}
-    on_bodies = {body: tuple(t for t in names if t in there) for body, names in (bodies or {}).items()}
-    on_bodies = {body: names for body, names in on_bodies.items() if len(names) > 1}
-    rig = replace(rig, name=name or rig.name, tags=tags | dict(rig.tags), bodies=on_bodies | dict(rig.bodies))
+    tags = {tag: Tag(offset=np.array(place)) for tag, place in preset.offsets.items() if tag in there}
+    carried = {body: tuple(t for t in names if t in there) for body, names in preset.carried.items()}
+    rig = replace(
+        rig,
+        name=name or rig.name,
+        anchors=rig.anchors or {key: np.array(place) for key, place in (anchors or {}).items()},
+        tags=tags | dict(rig.tags),
+        bodies={body: names for body, names in carried.items() if len(names) > 1} | dict(rig.bodies),
+    )
     for table, kind in KINDS.items():
-        section, known = f"{kind.noun}s", kind.places(rig)
+        known = kind.places(rig)
         for column in kind.sensors if table in tables and table != to_survey else ():
             ids = tables[table][column].unique(maintain_order=True).to_list()
-            unknown = [sensor for sensor in ids if sensor not in known]
-            if unknown:
+            if unknown := [sensor for sensor in ids if sensor not in known]:
                 raise UnusableInput(
                     f"{table}: {column} {listed(map(repr, unknown))} without a position; the rig has "
-                    f"{listed(known) or 'none'}; give a rig.toml with [{section}] by --rig (in Python: rig=)"
+                    f"{listed(known) or 'none'}; give a rig.toml with [{kind.noun}s] by --rig (in Python: rig=)"
                     + ("" if known or table != "ranges" else ", or without, for trackwright survey to find them")
                 )
     return RecordingFolder(rig.name, None, rig, dict(tables))
@@ -180,30 +175,28 @@ def save(folder: RecordingFolder, out: Path, source: Source, replaced: bool = Fa
     there = _read(out) if (out / RIG_FILE).is_file() else None
     if there is None and out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise UnusableInput(f"--out {out}: exists; expected a new folder, or a recording to add tables to")
-    twice = [name for name in folder.tables if there is not None and name in there.tables]
-    if twice and not replaced:
-        raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another; --replace replaces it")
     known = {} if there is None else there.tables
+    if not replaced and (twice := [name for name in folder.tables if name in known]):
+        raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another; --replace replaces it")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with beside(out, Path.mkdir) as scratch:
-            whole = replace(folder, tables=dict(known) | dict(folder.tables))
-            read = _written(whole, scratch / "recording", source)
-            if there is not None:
-                for name in folder.tables:
-                    for old in out.glob(f"{name}.*"):
-                        if old.name.endswith(SUFFIXES):
-                            old.unlink()
-                    (scratch / "recording" / f"{name}.parquet").replace(out / f"{name}.parquet")
-                if rig_text(folder.rig) != rig_text(there.rig):
-                    (scratch / "recording" / RIG_FILE).replace(out / RIG_FILE)
-                return replace(read, path=out, notices=tuple(x for x in read.notices if x not in there.notices))
-            if out.exists():
-                out.rmdir()
-            (scratch / "recording").rename(out)
+            new = scratch / "recording"
+            read = _written(replace(folder, tables=dict(known) | dict(folder.tables)), new, source)
+            if there is None:
+                if out.exists():
+                    out.rmdir()
+                new.rename(out)
+                return replace(read, path=out)
+            for name in folder.tables:
+                for suffix in SUFFIXES:
+                    (out / f"{name}{suffix}").unlink(missing_ok=True)
+                (new / f"{name}.parquet").replace(out / f"{name}.parquet")
+            if rig_text(folder.rig) != rig_text(there.rig):
+                (new / RIG_FILE).replace(out / RIG_FILE)
     except OSError as error:
         raise UnusableInput(f"--out {out}: cannot be written ({error.strerror}); check its permissions") from error
-    return replace(read, path=out)
+    return replace(read, path=out, notices=tuple(x for x in read.notices if x not in there.notices))
 
 
 _REFUSED = re.compile(r"imported (\w+)\.parquet(?:: row (\d+), column (\w+))?")
@@ -269,28 +262,26 @@ def _read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, 
     The columns may be `X`, `x_mm`, `x [mm]`, `X (m)`; ids are in the column `anchor` or `id`, or the only other one.
     """
     file, notices = read_rows(path, reading)
-    axes, others = dict[str, tuple[str, float]](), list[str]()
+    axes, others = dict[str, Expression](), list[str]()
     for name in file.frame.columns:
         match = re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", name.strip().lower())
         if match and (match[2] or "m") in UNITS["m"] and match[1] not in axes:
-            axes[match[1]] = (name, UNITS["m"][match[2] or "m"])
+            axes[match[1]] = parsed("x_m", f"`{name}` in {match[2] or 'm'}")
         else:
             others.append(name)
     ids = [n for n in others if n.lower() in ("anchor", "anchor_id", "id", "name")] or others
     if {*axes} != {*"xyz"} or not ids or (len(ids) > 1 and ids == others):
         found = listed(map(repr, file.frame.columns), 12)
-        raise UnusableInput(
-            f"--rig {path}: columns {found}; expected anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
-        )
-    places = [(numbers_of(file, name) * factor).alias(axis) for axis, (name, factor) in sorted(axes.items())]
-    table, anchors = pl.DataFrame([file.frame[ids[0]].cast(pl.String).str.strip_chars(), *places]), {}
-    for row, (anchor, *place) in enumerate(table.rows()):
+        expected = "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
+        raise UnusableInput(f"--rig {path}: columns {found}; expected {expected}")
+    columns, anchors = [axes[axis].values(file, axis).to_list() for axis in "xyz"], dict[str, tuple[float, ...]]()
+    names = file.frame[ids[0]].cast(pl.String).str.strip_chars()
+    for row, (anchor, *place) in enumerate(zip(names, *columns, strict=True)):
         if not anchor or None in place or anchor in anchors:
-            raise UnusableInput(
-                f"--rig {file.location(row, ids[0])}: {anchor!r} at {place}; expected each id once, with x, y, z"
-            )
+            where = f"--rig {file.location(row, ids[0])}"
+            raise UnusableInput(f"{where}: {anchor!r} at {place}; expected each id once, with x, y, z")
         anchors[anchor] = tuple(place)
-    units = ", ".join(name for name, _ in axes.values())
+    units = ", ".join(axes[axis].sources[0] for axis in "xyz")
     return anchors, [f"{path}: {line}" for line in (*notices, f"ids are in column {ids[0]}, positions in {units}")]
 
 
