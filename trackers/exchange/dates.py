@@ -18,7 +18,8 @@ CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}
 """The name of times of day; the names of counts of days, with the count at the begin of 1970."""
 
 CLOCK_TEXT = r"^(\d\d?):(\d\d)(?::(\d\d(?:[.,]\d*)?))?$"
-_MONTHS = {name: f"{k:02d}" for k, name in enumerate("jan feb mar apr may jun jul aug sep oct nov dec".split(), 1)}
+_NAMES = "jan feb mar apr may jun jul aug sep oct nov dec"
+_MONTHS = {name: f"{k:02d}" for k, name in enumerate(_NAMES.split(), 1)}
 _PARTS = {"mmm": r"(?P<m>[A-Za-z]{3})", "yyyy": r"(?P<y>\d{4})", "mm": r"(?P<m>\d{1,2})", "dd": r"(?P<d>\d{1,2})"}
 _SECONDS = r"(?::(?P<S>\d\d)(?:[.,](?P<f>\d{1,9})\d*)?)?"
 _TIME = rf"(?:[T ]+(?P<H>\d\d?):(?P<M>\d\d){_SECONDS}\s*(?P<z>Z|[+-]\d\d:?(?:\d\d)?)?)?"

@@ -14,8 +14,8 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.exchange.formats import beginning_of
 from trackwright.trackers.exchange.expressions import numbers_of
+from trackwright.trackers.exchange.formats import beginning_of
 from trackwright.trackers.exchange.mapping import refuse_lost_digits
 from trackwright.trackers.exchange.pose_errors import (
     Alignment,

@@ -98,7 +98,7 @@ class Expression:
         return file.frame.select(pl.concat_str(texts, separator=" ")).to_series()
 
     def values(self, file: TableFile, target: str) -> pl.Series:
-        """Its numbers in the rows of a file, null where a cell is empty; raises UnusableInput with the row of a text."""
+        """Its numbers in the rows of a file, null where empty; raises UnusableInput with the row of a text."""
         if self.constant is not None:
             raise UnusableInput(f"{target}={self.text}: a text; expected a column of numbers")
         terms = self.terms_in(file, target)

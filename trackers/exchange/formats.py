@@ -34,20 +34,23 @@ def _first_line(pattern: str) -> str:
     return rf"\A(?:\s*(?:#.*)?\n)*[ \t]*{pattern}[ \t\r]*$"
 
 
-# fmt: off
 FORMATS: dict[str, Format] = {
-    "csv": Format("a table (.csv, .csv.gz, .tsv, .parquet, or text with columns)", "mapping", (".csv", ".csv.gz", ".tsv", ".parquet")),
-    "ros": Format("a ROS bag (.bag, .db3, .mcap, or the folder of a ROS 2 bag)", "ros_reader", (".bag", ".mcap", ".db3")),
-    "dwm1001": Format("a log of a DWM1001 kit", "serial_logs", (), r"DIST,|POS,|[0-9A-Fa-f]{4}\[-?\d+(?:\.\d+)?,", True),
-    "trek1000": Format("a log of a TREK1000 kit", "serial_logs", (), r"m[acr] [0-9a-fA-F]{2} ", True),
-    "fira": Format("a log of a kit with FiRa, as DWM3001CDK", "serial_logs", (), r'\{"Block":\s*\d+', True),
+    "csv": Format("a table (.csv, .csv.gz, .tsv, .parquet, or text with columns)", "mapping",
+        (".csv", ".csv.gz", ".tsv", ".parquet")),
+    "ros": Format("a ROS bag (.bag, .db3, .mcap, or the folder of a ROS 2 bag)", "ros_reader",
+        (".bag", ".mcap", ".db3")),
+    "dwm1001": Format("a log of a DWM1001 kit", "serial_logs", (),
+        r"DIST,|POS,|[0-9A-Fa-f]{4}\[-?\d+(?:\.\d+)?,", has_tables=True),
+    "trek1000": Format("a log of a TREK1000 kit", "serial_logs", (), r"m[acr] [0-9a-fA-F]{2} ", has_tables=True),
+    "fira": Format("a log of a kit with FiRa, as DWM3001CDK", "serial_logs", (), r'\{"Block":\s*\d+', has_tables=True),
     "tum": Format("a TUM trajectory", "trajectories", (".tum",), _first_line(r"[^,\s]+(?:[ \t]+[^,\s]+){7}")),
     "kitti": Format("a KITTI trajectory", "trajectories", (".kitti",), _first_line(r"[^,\s]+(?:[ \t]+[^,\s]+){11}")),
     # EuRoC counts whole nanoseconds.
-    "euroc": Format("a EuRoC trajectory", "trajectories", (".euroc",), _first_line(r"-?\d+[ \t]*(?:,[ \t]*[^,\s][^,\n]*){7,},?")),
-    "json": Format("JSON lines (.jsonl, .ndjson, .json)", "mapping", (".jsonl", ".ndjson", ".json"), r"^[^{\n]*\{.*\}\s*$"),
-}
-# fmt: on
+    "euroc": Format("a EuRoC trajectory", "trajectories", (".euroc",),
+        _first_line(r"-?\d+[ \t]*(?:,[ \t]*[^,\s][^,\n]*){7,},?")),
+    "json": Format("JSON lines (.jsonl, .ndjson, .json)", "mapping", (".jsonl", ".ndjson", ".json"),
+        r"^[^{\n]*\{.*\}\s*$"),
+}  # fmt: skip
 """The formats by their names."""
 
 

@@ -123,8 +123,11 @@ def _polars(frame: Any, table: str) -> pl.DataFrame:
     columns = {}
     for name, column in frame.items():
         values = column.to_numpy()
-        values = values.astype("datetime64[ns]") if values.dtype.kind == "M" else values
-        columns[str(name)] = pl.Series(column.where(column.notna(), None).tolist() if values.dtype == object else values)
+        if values.dtype.kind == "M":
+            values = values.astype("datetime64[ns]")
+        if values.dtype == object:
+            values = [None if lost else value for lost, value in zip(column.isna(), values, strict=True)]
+        columns[str(name)] = pl.Series(values)
     return pl.DataFrame(columns)
 
 

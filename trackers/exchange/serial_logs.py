@@ -48,13 +48,13 @@ _EXPECTED = {
 class _Line(NamedTuple):
     """What a line says: its readings, columns by table, without time and tag.
 
-    `tag`: where the line names it. `clock`: the time of the device, s, or `count`, the number of its interval, where it
+    `tag`: where the line names it. `clock`: the time of the device, s, or `block`, the number of its interval, where it
     has one. `failed`: exchanges without a result. `anchors`: places, m.
     """
 
     readings: Sequence[tuple[str, dict[str, Any]]]
     clock: float | None = None
-    count: float | None = None
+    block: float | None = None
     failed: int = 0
     anchors: Sequence[tuple[str, tuple[float, ...]]] = ()
 
@@ -95,10 +95,14 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
         if not before and line.clock is not None:
             time = line.clock
         elif not before and asked.interval is not None:
-            time = asked.interval * (k if line.count is None else line.count)
+            time = asked.interval * (k if line.block is None else line.block)
         try:
+            if time is None and before:
+                kinds = "seconds, a date such as 2026-05-01T12:00:00.25, or a time of day such as 12:00:00.25"
+                raise UnusableInput(f"{before[:40]!r} before the readings; expected {kinds}")
             if time is None:
-                raise UnusableInput(_no_time(before))
+                fix = "log with time stamps, or give the interval of the lines: --interval 0.1"
+                raise UnusableInput(f"no time before the readings; {fix}")
             other = next((row["tag"] for _, row in line.readings if row.get("tag", mapping.tag) != mapping.tag), None)
             if other is not None and mapping.tag is not None:
                 raise UnusableInput(f"is of tag {other}, which --tag {mapping.tag} would rename; leave --tag out")
@@ -113,24 +117,15 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
         raise UnusableInput(f"{path}: line {min(bad)}: {bad[min(bad)]}; --skip-bad-lines leaves such lines out")
     if not tables:
         raise UnusableInput(f"{path}: no readings; expected {_EXPECTED[name]}")
-    for count, what in (
-        (sum(line.failed for number, _, line in log if number not in bad), "exchange without a result left out"),
-        (len(bad), f"line could not be read, left out: {listed(bad)}"),
-        (raw, "line of raw (mr) and anchor (ma) ranges left out; mc lines are used"),
-    ):
-        if count:
-            noun, _, rest = what.partition(" ")
-            source.notices.append(f"{counted(count, noun)} {rest}")
+    if failed := sum(line.failed for number, _, line in log if number not in bad):
+        source.notices.append(f"{counted(failed, 'exchange')} without a result left out")
+    if bad:
+        source.notices.append(f"{counted(len(bad), 'line')} could not be read, left out: {listed(sorted(bad))}")
+    if raw:
+        source.notices.append(f"{counted(raw, 'line')} of raw (mr) and anchor (ma) ranges left out; mc lines are used")
     for table in sorted(tables, key=("ranges", "fixes", "bearings").index):
         source.tables[table] = pl.DataFrame(tables[table], infer_schema_length=None)
     return source
-
-
-def _no_time(before: str) -> str:
-    if before:
-        kinds = "seconds, a date such as 2026-05-01T12:00:00.25, or a time of day such as 12:00:00.25"
-        return f"{before[:40]!r} before the readings; expected {kinds}"
-    return "no time before the readings; log with time stamps, or give the interval of the lines: --interval 0.1"
 
 
 def _times(texts: Sequence[str], seconds: Expression) -> pl.Series:
@@ -191,4 +186,4 @@ def _fira(body: str, tag: str | None, name: str) -> _Line | str:
         if isinstance(angle, int | float) and (angle or result.get("LFoM")):
             seen = {"azimuth_rad": math.radians(angle), "elevation_rad": None}
             readings.append(("bearings", {"tag": mobile, "station": fixed, **seen}))
-    return _Line(readings, count=block, failed=failed)
+    return _Line(readings, block=block, failed=failed)

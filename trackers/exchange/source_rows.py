@@ -27,7 +27,7 @@ NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?")
 _COMMENT = r"^\s*(?:#|%|//)"
 _BOMS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _CELL = "\x1f"
-_UNITS = {unit.lower() for units in UNITS.values() for unit in units} | set("- ° sec dbm db unit 1".split()) | {""}
+_UNITS = {unit.lower() for units in UNITS.values() for unit in units} | {"-", "°", "sec", "dbm", "db", "unit", "1", ""}
 _HEADER = "where it has no header: --header none (the columns are column1, column2 …); one further below: --header LINE"
 
 
@@ -108,9 +108,7 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
     above = comments.filter(pl.col("line") < at)
     if any(map(NUMBER.fullmatch, names)) and not above.is_empty():
         header, name_line = above.row(-1)
-        named = _cells(
-            _with_plain_cells(path, _one(header, name_line.lstrip().lstrip("#%/ ")), separator)[0]["text"][0], mark
-        )
+        named = _cells(name_line.lstrip().lstrip("#%/ "), separator)
         if len(named) == len(names) and not any(map(NUMBER.fullmatch, named)):
             names, at, comments = named, header, comments.filter(pl.col("line") != header)
             notices.append(f"line {header} is the header; another: --header")
@@ -120,7 +118,7 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
         notices.append(f"{counted(len(comments), 'line')} of comments left out: {listed(comments['line'])}")
     rows = lines[1:] if names and at == lines["line"][0] else lines
     sizes = rows["text"].str.count_matches(mark, literal=True) + 1
-    width = len(names) or int(sizes.max() or 0)  # type: ignore[call-overload]
+    width = len(names) or int(sizes.max() or 0)  # type: ignore[arg-type]
     if names and not (odd := rows.filter(sizes != width)).is_empty():
         _refuse_other_width(path, odd, mark, width, at)
     if not names and (short := int((sizes < width).sum())):
@@ -140,10 +138,6 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
     return TableFile(path, _without(frame, form, notices), numbers, form.decimal, form.thousands), notices
 
 
-def _one(line: int, text: str) -> pl.DataFrame:
-    return pl.DataFrame({"line": [line], "text": [text]}, schema_overrides={"line": pl.UInt32})
-
-
 def _separator_of(head: str, decimal: str) -> str:
     """The mark in the header: a comma goes first unless numbers have it, blanks are the last."""
     marks = [mark for mark in MARKS if mark in head]
@@ -153,7 +147,8 @@ def _separator_of(head: str, decimal: str) -> str:
 
 
 def _cells(line: str, mark: str) -> list[str]:
-    return [cell.strip() for cell in line.split(mark)]
+    line = re.sub(r"\s+", " ", line).strip() if mark == " " else line
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=mark), [])]
 
 
 def _with_plain_cells(path: Path, lines: pl.DataFrame, separator: str) -> tuple[pl.DataFrame, str]:

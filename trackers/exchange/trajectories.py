@@ -203,7 +203,9 @@ def read_trajectory(path: Path | str, kind: Kind | None = None) -> PoseTrajector
     path = Path(path)
     ending = path.suffix.lower().removeprefix(".")
     begin = "" if kind or ending in _FORMS else beginning_of(path)
-    known = kind or next((k for k in _FORMS if k == ending or re.search(FORMATS[k].begins, begin, re.MULTILINE)), "")
+    known: str = kind or next(
+        (k for k in _FORMS if k == ending or re.search(FORMATS[k].begins, begin, re.MULTILINE)), ""
+    )
     if known not in _FORMS:
         forms = "; or ".join(words for *_, words in _FORMS.values())
         raise UnusableInput(

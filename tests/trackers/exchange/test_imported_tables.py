@@ -46,6 +46,7 @@ def _column(*numbers):
         (f"a,b\nc\nt,d1,d2\n{BODY}", {"skip": 2}, WIDE, ""),
         ("# UWB, 6\n# v2\n\nt,d1,d2\n0,1.5,2.5\n# lost\n0.1,1.6,1234.5\n", {}, WIDE, "3 lines of comments left out: 1, 2, 6"),
         (f"# t,d1,d2\n{BODY}", {}, WIDE, "line 1 is the header"),
+        ('# "t",d1,d2\n"0",1.5,2.5\n0.1,1.6,1234.5\n', {}, WIDE, "line 1 is the header"),
         (f"%t,d1,d2\n{BODY}", {}, ("t_s=%t", *WIDE[1:]), "line 1 is the header"),
         (f"t,d1,d2\ns,[m],(m)\n{BODY}", {}, WIDE, "line 2 has units, left out: t s, d1 [m], d2 (m)"),
         ("\td1\td2\n0\t1.5\t2.5\n0.1\t1.6\t1234.5\n", {}, ("t_s=column1", *WIDE[1:]), r"separated by '\t'"),
