@@ -104,7 +104,7 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
     if form.separator is None and separator != ",":
         notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
     lines, mark = _with_plain_cells(path, lines, separator)
-    names = [] if form.header == "none" else _cells(lines["text"][0], mark)
+    names = [] if form.header == "none" else [cell.strip() for cell in lines["text"][0].split(mark)]
     above = comments.filter(pl.col("line") < at)
     if any(map(NUMBER.fullmatch, names)) and not above.is_empty():
         header, name_line = above.row(-1)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests.trackers.exchange.against_evo import evo_modules
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.exchange.pose_errors import compare_trajectories
 from trackwright.trackers.exchange.trajectories import (
     PoseTrajectory,
     quaternions_of,
@@ -113,3 +114,14 @@ def test_a_faulty_file_is_refused_with_its_line(tmp_path, name, text, words):
         read_trajectory(tmp_path / name)
     assert words in str(refused.value)
     assert name in str(refused.value)
+
+
+@pytest.mark.parametrize("align", ["se2", "se3", "sim3", "scale"])
+@pytest.mark.parametrize("shaking", [0.0, 1e-3])
+def test_a_tag_at_rest_is_aligned_by_none_or_origin_alone(align, shaking):
+    rng, times = np.random.default_rng(3), np.arange(200) * 0.1
+    truth = PoseTrajectory(times, [3.0, 2.0, 1.0] + shaking * rng.normal(size=(200, 3)), None, "truth")
+    own = PoseTrajectory(times, truth.positions + 0.05 * rng.normal(size=(200, 3)), None, "own")
+    with pytest.raises(UnusableInput, match="do not move with it.*use --align none, or origin"):
+        compare_trajectories(own, truth, align)
+    assert compare_trajectories(own, truth, "origin").pairs == 200
