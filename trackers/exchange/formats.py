@@ -79,12 +79,15 @@ def format_of(path: Path) -> str:
 
 
 def _has_columns(begin: str) -> bool:
-    """Whether two lines after each other, but for comments, have cells of which half or more are numbers."""
+    """Whether two lines after each other, but for comments, have cells of which half or more are numbers.
+
+    Where blanks separate them, as words of a log, all but the first are.
+    """
     number = re.compile(r"\s*[-+]?[\d.,]*\d[\d.,]*(?:[eE][-+]?\d+)?\s*")
     lines = [line for line in begin.split("\n")[:60] if line.strip() and not line.startswith(("#", "%", "//"))]
     for mark in ("\t", ";", ",", None):
         rows = [[bool(number.fullmatch(cell)) for cell in line.split(mark)] for line in lines]
-        fits = [len(row) > 1 and 2 * sum(row) >= len(row) for row in rows]
+        fits = [len(row) > 1 and (2 * sum(row) >= len(row) if mark else all(row[1:])) for row in rows]
         if any(a and b for a, b in pairwise(fits)):
             return True
     return False
