@@ -105,18 +105,18 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
         notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
     lines, mark = _with_plain_cells(path, lines, separator)
     names = [] if form.header == "none" else [cell.strip() for cell in lines["text"][0].split(mark)]
-    above = comments.filter(pl.col("line") < at)
+    above, begin = comments.filter(pl.col("line") < at), int(bool(names))
     if any(map(NUMBER.fullmatch, names)) and not above.is_empty():
         header, name_line = above.row(-1)
         named = _cells(name_line.lstrip().lstrip("#%/ "), separator)
         if len(named) == len(names) and not any(map(NUMBER.fullmatch, named)):
-            names, at, comments = named, header, comments.filter(pl.col("line") != header)
+            names, at, begin, comments = named, header, 0, comments.filter(pl.col("line") != header)
             notices.append(f"line {header} is the header; another: --header")
     if len(names) > 1 and all(map(NUMBER.fullmatch, names)):
         raise UnusableInput(f"{path}: line {at} is {head[:60]!r}, without names of columns; {_HEADER}")
     if not comments.is_empty():
         notices.append(f"{counted(len(comments), 'line')} of comments left out: {listed(comments['line'])}")
-    rows = lines[1:] if names and at == lines["line"][0] else lines
+    rows = lines[begin:]
     sizes = rows["text"].str.count_matches(mark, literal=True) + 1
     width = len(names) or int(sizes.max() or 0)  # type: ignore[arg-type]
     if names and not (odd := rows.filter(sizes != width)).is_empty():
