@@ -55,7 +55,7 @@ def read_truth(path: Path, tag: str) -> RecordingFolder:
 
 
 def assigned(tracks: pl.DataFrame, truths: dict[str, pl.DataFrame], tag: str | None, path: Path) -> pl.DataFrame:
-    """The estimates of a file with `recording` and `tag`: those of the truth where the file does not name them.
+    """The estimates of a file with `recording` and `tag`; where the file does not name them, the truth does.
 
     `tag`: the one that the file follows, needed where the truth has several. Raises UnusableInput where it is not clear
     which truth is meant.

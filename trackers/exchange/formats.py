@@ -17,8 +17,8 @@ from trackwright.trackers.core.user_file import split_name
 class Format(NamedTuple):
     """A format: `words` for its files, and the module beside this one whose `read_source` reads them.
 
-    `read_source(path, name, asked)` gives a `Source`, or raises UnusableInput with file and line; `name` is that of the
-    format. `endings` of names and `begins`, a pattern in the first lines, tell its files from others. `has_tables`:
+    `read_source(path, name, asked)` gives a `Source`, or raises UnusableInput with file and line; `name`: of
+    the format. `endings` of names and `begins`, a pattern in the first lines, tell its files from others. `has_tables`:
     whether the files say themselves which tables they hold.
     """
 
@@ -55,7 +55,7 @@ FORMATS: dict[str, Format] = {
 
 
 def format_of(path: Path) -> str:
-    """The name of a file's format, by that of the file or else by its first lines.
+    """The name of a file's format, by its own name or else by its first lines.
 
     Raises UnusableInput where it is not clear, and for a file that cannot be read.
     """

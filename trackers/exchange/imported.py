@@ -140,9 +140,8 @@ def assembled(
 ) -> RecordingFolder:
     """The recording of tables, with a rig or the anchors that a log names; raises UnusableInput for unknown sensors.
 
-    Ranges of a rig that is given without anchors are those of a site to survey. `name`: of the recording, by default
-    that of the rig. `preset`: has the places of tags on their body and the tags of each, of which those of the tables
-    are added to the rig's.
+    Ranges to a rig that is given without anchors are for a survey. `name`: of the recording, by default the rig's.
+    `preset`: has the places of tags on their body and the tags of each; the rig gets them for tags in the tables.
     """
     to_survey = "ranges" if rig is not None and not rig.anchors and not anchors else None
     rig, preset = rig or Rig(name or "imported"), preset or MappingFile()
@@ -173,7 +172,7 @@ def save(folder: RecordingFolder, out: Path, source: Source, replaced: bool = Fa
     """Writes the recording, or adds its tables to the recording in `out`; returns it as read back, with new notices.
 
     Nothing is written of one that cannot be read; a table that is there is replaced where that is asked for alone. Rows
-    are checked in the order of the source and written in that of time. Raises UnusableInput.
+    are checked in the order of the source and written by time. Raises UnusableInput.
     """
     there = _read(out) if (out / RIG_FILE).is_file() else None
     if there is None and out.exists() and not (out.is_dir() and not any(out.iterdir())):

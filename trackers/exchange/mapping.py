@@ -35,7 +35,7 @@ _UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|
 
 @dataclass(frozen=True, kw_only=True)
 class TableMapping(Reading):
-    """The columns of a table from those of a source, and how a source that is text is read.
+    """The columns of a table from a source's, and how a source that is text is read.
 
     `columns`: by target, or by target and sensor as `range_m[A1]`, an expression; a column of the source that has the
     name of a target needs none; `{a}` in both stands for all that names of the source have there. `topic`: of a bag.
@@ -249,7 +249,7 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
 
 
 def _files(path: Path, mapping: TableMapping) -> list[tuple[Path, TableMapping]]:
-    """The files of a mapping, which may be those of a folder, each with the mapping for it."""
+    """The files of a mapping, several of a folder, each with the mapping for it."""
     if mapping.file is None:
         return [(path, mapping)]
     files = sorted(path.glob(_HOLE.sub("*", mapping.file).lstrip("/") or "*"))

@@ -123,7 +123,7 @@ def _messages(reader: Any, connections: Sequence[Any], topic: str) -> Iterator[t
             message = reader.deserialize(data, connection.msgtype)
         except KeyError as error:
             name = str(error.args[0])
-            fix = f"give its definition, as those of all its parts: --messages {name}.msg"
+            fix = f"define it and all its parts: --messages {name}.msg"
             raise UnusableInput(f"{where}: the bag does not define the type {name}; {fix}") from error
         except Exception as error:
             wrong = f"is no {connection.msgtype} ({_first_line(error)}); record it again"
@@ -201,7 +201,7 @@ def _columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[TableFile,
 
 
 def _values(message: Any, source: str, stamp: int, where: str, fields: str) -> Any:
-    """The value of a field, or the list of those of all elements; times as seconds."""
+    """The value of a field, or of all elements in a list; times as seconds."""
     if source == RECEIVED:
         return stamp / 1e9
     values, several = [message], False

@@ -152,7 +152,7 @@ def _cells(line: str, mark: str) -> list[str]:
 
 
 def _with_plain_cells(path: Path, lines: pl.DataFrame, separator: str) -> tuple[pl.DataFrame, str]:
-    """The lines with cells that a mark separates, and the mark; those of quoted cells are joined and unquoted."""
+    """The lines with cells that a mark separates, and the mark; quoted cells lose their quotes."""
     if separator == " ":
         lines = lines.with_columns(pl.col("text").str.replace_all(r"[ \t]+", " ").str.strip_chars(" "))
     if not lines["text"].str.contains('"', literal=True).any():

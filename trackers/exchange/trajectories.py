@@ -196,7 +196,7 @@ class Similarity:
 def read_trajectory(path: Path | str, kind: Kind | None = None) -> PoseTrajectory:
     """The poses in a TUM, KITTI or EuRoC file, sorted by time; lines that begin with # are comments.
 
-    `kind`: the format, by default that of the file's name or first lines. The rows of KITTI poses, which have no times,
+    `kind`: the format, by default by the file's name or first lines. The rows of KITTI poses, which have no times,
     are counted as seconds. A file whose attitudes are all the identity has none. Raises UnusableInput with file and
     line.
     """
@@ -287,7 +287,7 @@ def write_trajectory(trajectory: PoseTrajectory, path: Path | str, kind: Literal
 
 
 def written_files(path: Path, kind: str) -> list[Path]:
-    """The files that `write_trajectory` writes: the path, and of KITTI poses that of their times."""
+    """The files that `write_trajectory` writes: the path, and for KITTI poses the file of their times."""
     return [path, path.with_suffix(".times.txt")] if kind == "kitti" else [path]
 
 

@@ -1,4 +1,4 @@
-"""The frame and the clock of an imported truth brought over to those of a recording: as given, or as readings tell."""
+"""The frame and the clock of an imported truth brought over to a recording's: as given, or as readings tell."""
 
 from __future__ import annotations
 
