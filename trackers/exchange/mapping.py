@@ -377,10 +377,11 @@ def _refuse_empty(
 ) -> None:
     """Raises UnusableInput for a row with a value but without its time or an id."""
     wanted = layout(mapping.table, table.columns)
-    values = [pl.col(n).is_not_null() for n in wanted.values if n in table.columns]
-    filled = table.select(pl.any_horizontal(*values, pl.lit(False))).to_series()
     for name in ("t_s", *wanted.ids):
-        lost = (table[name].is_null() | (table[name].cast(pl.String) == "")) & filled
+        lost = table[name].is_null() if name == "t_s" else table[name].fill_null("") == ""
+        if lost.any():
+            values = [pl.col(n).is_not_null() for n in wanted.values if n in table.columns]
+            lost &= table.select(pl.any_horizontal(*values, pl.lit(False))).to_series()
         if lost.any():
             what = "no time; remove the row" if name == "t_s" else f"empty; expected the id for {name}"
             where = file.location(first_row(lost), " + ".join(columns[name].sources))

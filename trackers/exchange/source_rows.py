@@ -94,7 +94,7 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
     said, header = re.match(r"sep=(.)[ \t]*(?:\n|$)", text), int(form.header) if str(form.header).isdigit() else 0
     first = max(form.skip, int(said is not None), header - 1)
     lines = pl.DataFrame({"text": text.split("\n")}).with_row_index("line", 1)[first:]
-    lines = lines.filter(pl.col("text").str.contains(r"\S"))
+    lines = lines.filter(pl.col("text").str.strip_chars() != "")
     is_comment = pl.col("text").str.contains(_COMMENT) & (pl.col("line") != header)
     comments, lines = lines.filter(is_comment), lines.filter(~is_comment)
     if lines.is_empty():
